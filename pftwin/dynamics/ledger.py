@@ -1,0 +1,46 @@
+"""The energy budget's two running sums: work that guided bodies and known pulls put in, heat that damping takes out.
+
+What is left over, (T + V) - (T + V at the start) - work + heat, is the integrator's own: dissipated by the step where it
+is negative. It tends to zero with the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.dynamics.state import State
+from pftwin.effects.base import Load
+from pftwin.spatial import Scalar, Vec3
+
+
+class Ledger(eqx.Module):
+    """Running sums since the start [J]."""
+
+    work: Scalar
+    heat: Scalar
+
+    def entered(
+        self, before: State, after: State, loads: Sequence[Load], applied: Sequence[Scalar], step: Scalar
+    ) -> Ledger:
+        """With one step's entries. `applied` are the forces that the stiff terms really had, in the loads' order."""
+        velocity, spin = _middle(before.velocity, after.velocity), _middle(before.spin, after.spin)
+        work, heat, forces = self.work, self.heat, iter(applied)
+        for load in loads:
+            if load.wrench is not None and load.energy is None:
+                w = load.wrench
+                work = work + step * (w.force.dot(velocity) + w.moment.dot(spin))
+            for term in load.stiff:
+                force = next(forces)
+                guided = term.rate + term.direction.dot(before.velocity) + term.moment.dot(before.spin)
+                rate = guided - term.direction.dot(velocity) - term.moment.dot(spin)
+                elastic = term.elastic + 0.5 * step * term.stiffness * rate
+                work = work + step * jnp.sum(force * guided)
+                heat = heat + step * jnp.sum((force - elastic) * rate)
+        return Ledger(work, heat)
+
+
+def _middle(a: Vec3, b: Vec3) -> Vec3:
+    return 0.5 * (a + b)

@@ -1,0 +1,46 @@
+"""A symmetric positive definite 6 x 6 system, unrolled: 21 scalars that XLA keeps in registers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pftwin.spatial import Scalar
+
+Lower = list[list[Scalar]]  # row i holds columns 0..i
+
+
+def factor(a: Lower) -> tuple[Lower, list[Scalar]]:
+    """LDL^T without pivoting: unit lower triangle (its diagonal left out) and the inverse of the diagonal D.
+
+    A diagonal entry of D that is not positive shows that the matrix is not positive definite.
+    """
+    n = len(a)
+    low: Lower = [[] for _ in range(n)]
+    inverse: list[Scalar] = []
+    for i in range(n):
+        scaled: list[Scalar] = []  # L_ij D_j
+        for j in range(i):
+            entry = a[i][j]
+            for k in range(j):
+                entry = entry - scaled[k] * low[j][k]
+            scaled.append(entry)
+        low[i] = [s * d for s, d in zip(scaled, inverse, strict=True)]
+        pivot = a[i][i]
+        for s, x in zip(scaled, low[i], strict=True):
+            pivot = pivot - s * x
+        inverse.append(1 / pivot)
+    return low, inverse
+
+
+def solve(low: Lower, inverse: Sequence[Scalar], b: Sequence[Scalar]) -> list[Scalar]:
+    """x with L D L^T x = b, from `factor`'s answer."""
+    n = len(b)
+    y = list(b)
+    for i in range(n):
+        for j in range(i):
+            y[i] = y[i] - low[i][j] * y[j]
+    y = [v * d for v, d in zip(y, inverse, strict=True)]
+    for i in reversed(range(n)):
+        for j in range(i + 1, n):
+            y[i] = y[i] - low[j][i] * y[j]
+    return y

@@ -1,0 +1,96 @@
+"""The patella's state, the effects' memory, and the system that moves them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.effects.base import Effect, Ground, Instant, Load, Patella
+from pftwin.motion import Frame, KneeMotion
+from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
+
+
+class State(eqx.Module):
+    """Pose and twist of the patella's centre of mass, and one memory per effect."""
+
+    position: Vec3  # world [m]
+    orientation: Quaternion  # patella to world
+    velocity: Vec3  # world [m/s]
+    spin: Vec3  # patella axes [rad/s]
+    memories: tuple[Any, ...]
+
+    def patella(self) -> Patella:
+        """As effects see it."""
+        return Patella(self.position, self.orientation.rotation(), self.velocity, self.spin)
+
+
+class Guide(eqx.Module):
+    """The guided bodies at an instant, or at many (leading axis)."""
+
+    femur: Frame | None  # None: fixed, and the world is its frame
+    tibia: Frame
+    time: Scalar
+
+    @staticmethod
+    def sample(motion: KneeMotion, times: Scalar) -> Guide:
+        """Both bodies at the times of shape (n,)."""
+        femur = None if motion.femur is None else motion.femur.frames(times)
+        return Guide(femur, motion.tibia.frames(times), times)
+
+    def instant(self, patella: Patella, step: Scalar | float) -> Instant:
+        """What effects may look at."""
+        femur = Ground() if self.femur is None else self.femur
+        return Instant(patella, femur, self.tibia, self.time, step)
+
+
+class System(eqx.Module):
+    """What moves: mass, principal moments of inertia about the centre of mass (patella axes), and the effects."""
+
+    mass: Scalar  # [kg]
+    inertia: Vec3  # [kg m^2]
+    effects: tuple[Effect, ...]
+
+    def loads(self, now: Instant, memories: tuple[Any, ...]) -> tuple[list[Load], tuple[Any, ...]]:
+        """Every effect's load, and the memories for the next step."""
+        answers = [e.load(now, m) for e, m in zip(self.effects, memories, strict=True)]
+        return [load for load, _ in answers], tuple(memory for _, memory in answers)
+
+    def remember(self, now: Instant) -> tuple[Any, ...]:
+        """The memories to start with."""
+        return tuple(e.remember(now) for e in self.effects)
+
+    def kinetic_energy(self, state: State) -> Scalar:
+        """Of the patella [J]."""
+        w = state.spin
+        turning = self.inertia.x * w.x * w.x + self.inertia.y * w.y * w.y + self.inertia.z * w.z * w.z
+        return 0.5 * (self.mass * state.velocity.squared_norm() + turning)
+
+    def start(self, pose: Pose, guide: Guide) -> State:
+        """At rest, at the pose of the centre of mass."""
+        patella = Patella.at_rest(pose.position, pose.orientation)
+        memories = self.remember(guide.instant(patella, 0.0))
+        zero = Vec3(*(jnp.zeros_like(pose.position.x) for _ in range(3)))
+        return State(pose.position, pose.orientation, zero, zero, memories)
+
+
+def gyroscopic(inertia: Vec3, spin: Vec3) -> Vec3:
+    """-w x (I w): the moment that keeps a free body's angular momentum, patella axes."""
+    return Vec3(
+        (inertia.y - inertia.z) * spin.y * spin.z,
+        (inertia.z - inertia.x) * spin.z * spin.x,
+        (inertia.x - inertia.y) * spin.x * spin.y,
+    )
+
+
+def advance(state: State, velocity: Vec3, spin: Vec3, step: Scalar, memories: tuple[Any, ...]) -> State:
+    """The state after moving for a step with the given velocities."""
+    turn = Quaternion.from_rotation_vector(step * spin)
+    return State(
+        state.position + step * velocity,
+        (state.orientation * turn).normalised(),
+        velocity,
+        spin,
+        memories,
+    )

@@ -1,0 +1,144 @@
+"""From a scene to the patella's path: one pure function, to be jitted, vmapped and differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from pftwin.dynamics.equilibrium import Solution, solve_equilibrium
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.linear_implicit import linear_implicit
+from pftwin.dynamics.state import Guide, State, System
+from pftwin.dynamics.symplectic_euler import symplectic_euler
+from pftwin.errors import InputError
+from pftwin.scene import Scene
+from pftwin.spatial import Pose, Scalar
+
+Integrator = Callable[..., tuple[State, Ledger | None]]
+INTEGRATORS: dict[str, Integrator] = {"linear_implicit": linear_implicit, "symplectic_euler": symplectic_euler}
+
+
+class Trajectory(eqx.Module):
+    """The patella at the recorded frames (leading axis n_frames)."""
+
+    states: State
+    ledger: Ledger | None
+    start: Solution  # the equilibrium it started from
+
+
+def substeps_for(interval: float, dt: float) -> int:
+    """How many equal steps, none longer than dt, make up the interval between two frames.
+
+    Raises:
+        InputError: a step that is not a positive number.
+    """
+    if not dt > 0:
+        raise InputError(f"found {dt!r}", where="dt", expected="a positive number of seconds")
+    return max(1, -int(-(interval / dt - 1e-9) // 1))
+
+
+def integrator_named(name: str) -> Integrator:
+    """The integrator of that name.
+
+    Raises:
+        InputError: no such integrator.
+    """
+    if name not in INTEGRATORS:
+        raise InputError(f"no integrator {name!r}", where="integrator", expected=f"one of: {', '.join(INTEGRATORS)}")
+    return INTEGRATORS[name]
+
+
+def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
+    """The equilibrium at the first frame, from the scene's own start pose or another pose of the patella's frame."""
+    system, guide = scene.system(), first_guide(scene)
+    pose = scene.center_of_mass_pose() if guess is None else _of_center(scene, guess)
+    tolerance = 1e-6 if pose.position.x.dtype == jnp.float64 else 2e-2
+    return solve_equilibrium(system, guide, pose, tolerance)
+
+
+def _of_center(scene: Scene, pose: Pose) -> Pose:
+    return Pose(pose.apply(scene.patella.center_of_mass), pose.orientation)
+
+
+def first_guide(scene: Scene) -> Guide:
+    """The guided bodies at the first frame, standing still."""
+    guide = Guide.sample(scene.motion, jnp.asarray(scene.motion.start_time, dtype=float))
+    still = jax.tree.map(jnp.zeros_like, [guide.tibia.velocity, guide.tibia.angular_velocity])
+    guide = eqx.tree_at(lambda g: [g.tibia.velocity, g.tibia.angular_velocity], guide, still)
+    if guide.femur is not None:
+        guide = eqx.tree_at(lambda g: [g.femur.velocity, g.femur.angular_velocity], guide, still)
+    return guide
+
+
+def _guides(scene: Scene, substeps: int) -> tuple[Guide, Scalar]:
+    """Guided bodies at every step's start, moving as at its middle, of shape (n_frames - 1, substeps); and the step."""
+    motion = scene.motion
+    step = motion.frame_interval / substeps
+    count = jnp.arange((motion.n_frames - 1) * substeps).astype(float).reshape(-1, substeps)
+    times = motion.start_time + step * count
+    here, middle = Guide.sample(motion, times), Guide.sample(motion, times + 0.5 * step)
+
+    def with_mean_velocity(frame: Any, mid: Any) -> Any:
+        return eqx.tree_at(
+            lambda f: [f.velocity, f.angular_velocity], frame, [mid.velocity, mid.angular_velocity]
+        )
+
+    femur = None if here.femur is None else with_mean_velocity(here.femur, middle.femur)
+    return Guide(femur, with_mean_velocity(here.tibia, middle.tibia), times), jnp.asarray(step, times.dtype)
+
+
+def trajectory(
+    scene: Scene,
+    *,
+    integrator: str = "linear_implicit",
+    substeps: int = 10,
+    start: Solution | None = None,
+    ledger: bool = False,
+) -> Trajectory:
+    """The patella's path through the recorded frames, from static equilibrium.
+
+    Args:
+        scene: any leaf of it may be traced.
+        integrator: a name in `INTEGRATORS`.
+        substeps: steps between two recorded frames.
+        start: an equilibrium to start from; by default it is solved for.
+        ledger: whether to keep the energy ledger.
+
+    Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
+    """
+    advance = integrator_named(integrator)
+    system = scene.system()
+    if start is None:
+        start = starting_equilibrium(scene)
+    guides, step = _guides(scene, substeps)
+    state = system.start(start.pose, first_guide(scene))
+    zero = jnp.zeros_like(step)
+    carry = (state, Ledger(zero, zero) if ledger else None)
+
+    def one_step(now: tuple[State, Ledger | None], guide: Guide) -> tuple[tuple[State, Ledger | None], None]:
+        return advance(system, now[0], guide, step, now[1]), None
+
+    @jax.checkpoint
+    def one_frame(now: tuple[State, Ledger | None], guide: Guide) -> Any:
+        now, _ = jax.lax.scan(one_step, now, guide)
+        return now, now
+
+    _, later = jax.lax.scan(one_frame, carry, guides)
+    states, books = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), carry, later)
+    return Trajectory(states, books, start)
+
+
+__all__ = [
+    "INTEGRATORS",
+    "System",
+    "Trajectory",
+    "first_guide",
+    "integrator_named",
+    "starting_equilibrium",
+    "substeps_for",
+    "trajectory",
+]

@@ -1,0 +1,148 @@
+"""What an effect is: a value with parameters and one method, from the state of the knee to a load on the patella.
+
+A load is a wrench plus the effect's *stiff terms*: scalar forces along wrench directions with their slopes, which is
+all an implicit step needs to know. Integrators know loads, never effects.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.motion import Frame
+from pftwin.spatial import Quaternion, Rotation, Scalar, Vec3, Wrench
+
+
+class Ground:
+    """The frame of a fixed femur: the world itself, so every transformation is the identity and leaves no equation."""
+
+    def point(self, p: Vec3) -> Vec3:
+        """World coordinates of a point of this frame."""
+        return p
+
+    to_local = direction = local_direction = point
+
+    def relative_velocity(self, velocity: Vec3, at: Vec3) -> Vec3:
+        """A velocity less that of the frame's own point at world position `at`."""
+        return velocity
+
+
+class Patella(eqx.Module):
+    """The patella at an instant. Points of its frame are given from its centre of mass."""
+
+    position: Vec3  # of the centre of mass, world [m]
+    rotation: Rotation  # patella frame to world
+    velocity: Vec3  # of the centre of mass, world [m/s]
+    spin: Vec3  # angular velocity, patella axes [rad/s]
+
+    @staticmethod
+    def at_rest(position: Vec3, orientation: Quaternion) -> Patella:
+        """A patella that does not move."""
+        return Patella(position, orientation.rotation(), Vec3.zero(), Vec3.zero())
+
+    def velocity_at(self, p: Vec3) -> Vec3:
+        """World velocity of the patella's point p (patella frame)."""
+        return self.velocity + self.rotation.apply(self.spin.cross(p))
+
+
+class Instant(eqx.Module):
+    """All that an effect may look at."""
+
+    patella: Patella
+    femur: Frame | Ground
+    tibia: Frame
+    time: Scalar | float  # [s]
+    step: Scalar | float  # length of the step about to be taken [s]; 0 when only looking
+
+    def segment(self, name: str) -> Frame | Ground:
+        """The frame of "femur", "tibia" or "ground"."""
+        if name == "femur":
+            return self.femur
+        if name == "tibia":
+            return self.tibia
+        if name == "ground":
+            return Ground()
+        raise KeyError(f"no segment {name!r}: expected femur, tibia or ground")
+
+
+class StiffTerm(eqx.Module):
+    """A scalar force f(s, ds/dt) on the patella along one wrench direction g = (direction, moment).
+
+    s grows as the patella moves against g: ds/dt = -g . twist + the guided bodies' share. Leaves may have a leading
+    axis: a group of like terms.
+    """
+
+    direction: Vec3  # unit vector of the force, world
+    moment: Vec3  # its moment about the centre of mass, patella axes [m]
+    force: Scalar  # f [N]
+    elastic: Scalar  # the part of f that is stored and given back [N]
+    stiffness: Scalar  # df/ds [N/m]
+    damping: Scalar  # df/d(ds/dt) [N s/m]
+    rate: Scalar  # ds/dt [m/s]
+
+    def wrench(self) -> Wrench:
+        """Force in world axes, moment in patella axes; summed over a group."""
+        return Wrench((self.force * self.direction).sum(), (self.force * self.moment).sum())
+
+
+class Load(NamedTuple):
+    """What an effect does to the patella at an instant."""
+
+    stiff: tuple[StiffTerm, ...] = ()
+    wrench: Wrench | None = None  # all that is not stiff: force in world axes, moment in patella axes
+    energy: Scalar | None = None  # stored [J]
+
+    def total(self) -> Wrench:
+        """The whole wrench, stiff terms included."""
+        out = self.wrench if self.wrench is not None else Wrench.zero()
+        for term in self.stiff:
+            out = out + term.wrench()
+        return out
+
+    def power(self, patella: Patella) -> Scalar:
+        """Rate of work done on the patella [W]."""
+        w = self.total()
+        return w.force.dot(patella.velocity) + w.moment.dot(patella.spin)
+
+    def dissipation(self) -> Scalar:
+        """Rate at which the stiff terms turn work into heat [W]."""
+        lost = [jnp.sum((t.force - t.elastic) * t.rate) for t in self.stiff]
+        return sum(lost, start=jnp.zeros(()))
+
+
+class Observable(NamedTuple):
+    """Unit and long name of a quantity that an effect reports."""
+
+    unit: str
+    long_name: str
+
+
+class Effect(eqx.Module):
+    """Base of all effects. `name` tells effects of one kind apart in results and scene files."""
+
+    name: str = eqx.field(static=True, kw_only=True)
+    observables: ClassVar[dict[str, Observable]] = {}
+
+    @abstractmethod
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """The load at an instant, and the memory that goes on to the next step (None for most)."""
+
+    def remember(self, now: Instant) -> Any:
+        """The memory to start with; None for an effect that remembers nothing."""
+        return None
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """What a result should show of this effect, by the names in `observables`."""
+        return {}
+
+    def about(self, center_of_mass: Vec3) -> Effect:
+        """The same effect with patella points counted from the centre of mass, ready for the inner loop."""
+        return self
+
+
+def applied_at(p: Vec3, patella: Patella, direction: Vec3) -> Vec3:
+    """Moment (patella axes) of a unit force in a world direction at the patella's point p."""
+    return p.cross(patella.rotation.unapply(direction))

@@ -1,0 +1,28 @@
+"""The patella's weight."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+
+from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.spatial import Scalar, Vec3, Wrench
+
+
+class Gravity(Effect):
+    """A uniform field: F = m g at the centre of mass; energy -m g . x from the world's origin."""
+
+    mass: Scalar  # of the patella [kg]
+    acceleration: Vec3  # world [m/s^2]
+    name: str = eqx.field(static=True, kw_only=True, default="gravity")
+    observables = {"weight": Observable("N", "weight of the patella")}
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """The weight."""
+        weight = self.mass * self.acceleration
+        return Load(wrench=Wrench(weight, Vec3.zero()), energy=-weight.dot(now.patella.position)), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Its size."""
+        return {"weight": self.mass * self.acceleration.norm()}

@@ -1,0 +1,65 @@
+"""Ligament strands with a toe region, one effect for any number of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.effects.strings import Line, line_of_force
+from pftwin.spatial import Scalar, Vec3
+
+
+class StrandGroup(Effect):
+    r"""Strands that stiffen over a toe region, then are linear, and never push.
+
+    With strain e = (L - L0) / L0 and reference strain e1: F = k e^2 / (4 e1) for 0 < e < 2 e1, F = k (e - e1) beyond,
+    plus k c de/dt while taut; k in newtons per unit strain, c in seconds. Every leaf has the strands' axis in front.
+    Source: Blankevoort & Huiskes 1991, J Biomech Eng 113:263 (their 2 e1 is the `toe_strain` here).
+    """
+
+    stiffness: Scalar  # k [N per unit strain]
+    slack_length: Scalar  # L0 [m]
+    toe_strain: Scalar  # end of the toe region, 2 e1 [-]
+    damping_time: Scalar  # c [s]
+    insertion: Vec3
+    origin: Vec3
+    body: str = eqx.field(static=True)
+    observables = {"tension": Observable("N", "sum of the strands' tensions")}
+
+    def line(self, now: Instant) -> Line:
+        """Where the strands run."""
+        return line_of_force(now, self.insertion, self.body, self.origin)
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """All strands' pulls as one group of stiff terms."""
+        line = self.line(now)
+        strain = (line.length - self.slack_length) / self.slack_length
+        toe = strain < self.toe_strain
+        e = jnp.maximum(strain, 0.0)
+        reference = 0.5 * self.toe_strain
+        elastic = self.stiffness * jnp.where(toe, e * e / (2 * self.toe_strain), e - reference)
+        slope = (self.stiffness / self.slack_length) * jnp.where(toe, e / self.toe_strain, 1.0)
+        viscous = jnp.where(strain > 0, self.stiffness * self.damping_time / self.slack_length, 0.0)
+        tension = elastic + viscous * line.lengthening
+        taut = tension > 0
+        tension, slope, viscous = (jnp.where(taut, a, 0.0) for a in (tension, slope, viscous))
+        stored = (
+            self.stiffness
+            * self.slack_length
+            * jnp.where(
+                toe, e**3 / (6 * self.toe_strain), 0.5 * (e - reference) ** 2 + self.toe_strain**2 / 24
+            )
+        )
+        return Load(stiff=(line.term(tension, elastic, slope, viscous),), energy=jnp.sum(stored)), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Total tension."""
+        (term,) = self.load(now, memory)[0].stiff
+        return {"tension": jnp.sum(term.force)}
+
+    def about(self, center_of_mass: Vec3) -> StrandGroup:
+        """Insertions counted from the centre of mass."""
+        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

@@ -1,0 +1,57 @@
+"""Tendons as linear spring-dampers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.effects.strings import Line, line_of_force
+from pftwin.spatial import Scalar, Vec3
+
+
+class Tendon(Effect):
+    r"""A spring-damper between the patella and a guided body; it pulls or hangs slack.
+
+    F = K (L - L0) + c dL/dt, never negative, and nothing where L <= L0. A leading axis on every leaf makes a group.
+    Source: Michaud et al. 2024, eq. 1 (there c = 0.01 s * K; the sign of the damping term is that of its mechanics).
+    """
+
+    stiffness: Scalar  # K [N/m]
+    slack_length: Scalar  # L0 [m]
+    damping: Scalar  # c [N s/m]
+    insertion: Vec3  # on the patella, patella frame [m]
+    origin: Vec3  # on the guided body, its frame [m]
+    body: str = eqx.field(static=True)
+    observables = {
+        "tension": Observable("N", "tension"),
+        "length": Observable("m", "length"),
+    }
+
+    def line(self, now: Instant) -> Line:
+        """Where the tendon runs."""
+        return line_of_force(now, self.insertion, self.body, self.origin)
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """Its pull: taut if it is longer than its slack length now or at the end of the step about to be taken."""
+        line = self.line(now)
+        stretch = line.length - self.slack_length
+        reaches = jnp.maximum(stretch, stretch + now.step * line.lengthening) > 0
+        pull = self.stiffness * stretch + self.damping * line.lengthening
+        taut = reaches & (pull + now.step * self.stiffness * line.lengthening > 0)
+        tension, elastic, k, c = (
+            jnp.where(taut, a, 0.0) for a in (pull, self.stiffness * stretch, self.stiffness, self.damping)
+        )
+        stored = 0.5 * jnp.sum(self.stiffness * jnp.square(jnp.maximum(stretch, 0.0)))
+        return Load(stiff=(line.term(tension, elastic, k, c),), energy=stored), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Tension and length."""
+        (term,) = self.load(now, memory)[0].stiff
+        return {"tension": term.force, "length": self.line(now).length}
+
+    def about(self, center_of_mass: Vec3) -> Tendon:
+        """Insertion counted from the centre of mass."""
+        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

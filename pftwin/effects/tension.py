@@ -1,0 +1,62 @@
+"""Pulls of known size: muscles whose tension was measured or computed elsewhere."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.effects.strings import Line, line_of_force
+from pftwin.spatial import Scalar, Vec3
+
+
+class PrescribedTension(Effect):
+    """Lines that pull with tensions given over time, from origins that may move on their body (wrapping muscles).
+
+    `tension` has shape (n_samples, n_lines), `origin` the same per coordinate, `insertion` (n_lines,). Between samples
+    both are interpolated linearly; before the first and after the last they stay. A tension that depends on time alone
+    has no potential: `energy` is 0 and its work counts as the body's.
+    """
+
+    tension: Scalar  # [N]
+    origin: Vec3  # on the guided body, its frame [m]
+    insertion: Vec3  # on the patella, patella frame [m]
+    start_time: float = eqx.field(static=True)
+    interval: float = eqx.field(static=True)  # [s]
+    body: str = eqx.field(static=True)
+    observables = {"tension": Observable("N", "sum of the prescribed tensions")}
+
+    def at(self, time: Scalar | float) -> tuple[Scalar, Vec3]:
+        """Tensions and origins at an instant."""
+        position = (time - self.start_time) / self.interval
+        last = self.tension.shape[0] - 1
+        index = jnp.clip(jnp.floor(position).astype(int), 0, max(last - 1, 0))
+        fraction = jnp.clip(position - index, 0.0, 1.0)
+
+        def sample(series: Scalar) -> Scalar:
+            return series[index] + fraction * (series[jnp.minimum(index + 1, last)] - series[index])
+
+        return jax.tree.map(sample, (self.tension, self.origin))
+
+    def line(self, now: Instant) -> tuple[Scalar, Line]:
+        """Tensions, and where the lines run."""
+        tension, origin = self.at(now.time)
+        return tension, line_of_force(now, self.insertion, self.body, origin)
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """The pulls; their slopes are zero, so nothing of them is stiff."""
+        tension, line = self.line(now)
+        zero = jnp.zeros_like(tension)
+        term = line.term(tension, tension, zero, zero)
+        return Load(wrench=term.wrench()), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Total tension."""
+        return {"tension": jnp.sum(self.at(now.time)[0])}
+
+    def about(self, center_of_mass: Vec3) -> PrescribedTension:
+        """Insertions counted from the centre of mass."""
+        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

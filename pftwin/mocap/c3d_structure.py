@@ -1,0 +1,73 @@
+"""A look at a C3D file's skeleton before a reader is trusted with it.
+
+Readers may loop forever on damaged parameters and shorten cut files without a word, so the parameter chain is walked
+and the length of the data section compared with the header (layout: c3d.org user guide, "The C3D file format").
+"""
+
+from __future__ import annotations
+
+import struct
+
+from pftwin.errors import InputError
+
+_BLOCK = 512
+_INTEL, _DEC, _MIPS = 84, 85, 86
+
+
+def check_c3d_structure(content: bytes, *, where: object) -> None:
+    """Refuse bytes that are not a whole C3D file.
+
+    Raises:
+        InputError: no C3D signature, a damaged or incomplete parameter section, a truncated data section.
+    """
+    if len(content) < 2 or content[1] != 0x50 or content[0] < 1:
+        raise InputError("the content is not C3D", where=where, expected="a C3D file (its second byte is 0x50)")
+    start = (content[0] - 1) * _BLOCK
+    if len(content) < start + 4:
+        raise _truncated("its parameter section", where)
+    processor = content[start + 3]
+    if processor not in (_INTEL, _DEC, _MIPS):
+        raise InputError("the parameter section of this C3D file is damaged", where=where, remedy="export it again")
+    order = ">" if processor == _MIPS else "<"
+    _walk_parameters(content, start + 4, order, where)
+    if processor != _DEC:  # the sign of DEC's float is elsewhere
+        _check_length(content, order, where)
+
+
+def _walk_parameters(content: bytes, position: int, order: str, where: object) -> None:
+    while True:
+        if position + 2 > len(content):
+            raise _truncated("its parameter section", where)
+        length = abs(struct.unpack_from("b", content, position)[0])
+        if length == 0:
+            return
+        link = position + 2 + length
+        if link + 2 > len(content):
+            raise _truncated("its parameter section", where)
+        step = struct.unpack_from(order + "h", content, link)[0]
+        if step == 0:
+            return
+        if step < 0 or any(byte < 32 for byte in content[position + 2 : link]):
+            raise InputError("the parameter section of this C3D file is damaged", where=where, remedy="export it again")
+        position = link + step
+
+
+def _check_length(content: bytes, order: str, where: object) -> None:
+    if len(content) < 20:
+        raise _truncated("its header", where)
+    points, analogs, first, last = struct.unpack_from(order + "4H", content, 2)
+    (scale,) = struct.unpack_from(order + "f", content, 12)
+    (block,) = struct.unpack_from(order + "H", content, 16)
+    if last == 0xFFFF or last < first or block < 2:
+        return  # a longer recording than the header can count: nothing to compare with
+    frame = (4 * points + analogs) * (4 if scale < 0 else 2)
+    wanted = (block - 1) * _BLOCK + (last - first + 1) * frame
+    if len(content) < wanted:
+        there = max(0, len(content) - (block - 1) * _BLOCK) // max(frame, 1)
+        raise _truncated(f"frame {there} of {last - first + 1}", where)
+
+
+def _truncated(place: str, where: object) -> InputError:
+    return InputError(
+        f"the C3D file breaks off in {place}: it is truncated", where=where, remedy="copy or export the file again"
+    )

@@ -1,0 +1,136 @@
+"""A scene: what is there. The patella as a rigid body, the guided motion, and the effects that act."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from pftwin.dynamics.state import System
+from pftwin.effects.base import Effect
+from pftwin.effects.sphere_contact import SphereContact
+from pftwin.errors import InputError
+from pftwin.motion import KneeMotion
+from pftwin.spatial import Pose, Scalar, Vec3
+
+E = TypeVar("E", bound=Effect)
+
+
+class PatellaBody(eqx.Module):
+    """The patella as a rigid body. Points of the patella are given in the patella's frame."""
+
+    mass: Scalar  # [kg]
+    inertia: Vec3  # principal moments about the centre of mass, along the patella's axes [kg m^2]
+    center_of_mass: Vec3  # patella frame [m]
+
+
+class Scene(eqx.Module):
+    """Everything a simulation needs. Parameters are leaves (vmap, jvp and grad reach every one of them); which effects
+    there are, and how many contacts, strands and frames, is structure.
+    """
+
+    patella: PatellaBody
+    effects: tuple[Effect, ...]
+    motion: KneeMotion
+    start: Pose  # of the patella frame in the world at the first frame: where the search for equilibrium begins
+    name: str = eqx.field(static=True, default="scene")
+
+    def effect(self, name: str) -> Effect:
+        """The effect of that name.
+
+        Raises:
+            InputError: no such effect.
+        """
+        for effect in self.effects:
+            if effect.name == name:
+                return effect
+        known = ", ".join(e.name for e in self.effects) or "none"
+        raise InputError(f"no effect {name!r} in scene {self.name!r}", expected=f"one of: {known}")
+
+    def index(self, name: str) -> int:
+        """The place of an effect in `effects`."""
+        return self.effects.index(self.effect(name))
+
+    def with_effect(self, effect: Effect) -> Scene:
+        """The scene with this effect in the place of the one of the same name, or added at the end."""
+        names = [e.name for e in self.effects]
+        effects = list(self.effects)
+        if effect.name in names:
+            effects[names.index(effect.name)] = effect
+        else:
+            effects.append(effect)
+        return Scene(self.patella, tuple(effects), self.motion, self.start, self.name)
+
+    def without(self, name: str) -> Scene:
+        """The scene less one effect."""
+        gone = self.effect(name)
+        return Scene(
+            self.patella, tuple(e for e in self.effects if e is not gone), self.motion, self.start, self.name
+        )
+
+    @property
+    def contact(self) -> SphereContact | None:
+        """The first sphere contact, whose centre is the point that results follow; None where there is none."""
+        return next((e for e in self.effects if isinstance(e, SphereContact)), None)
+
+    def tracked_point(self) -> Vec3:
+        """The point of the patella whose path results show: the button's centre, else the patella's origin."""
+        contact = self.contact
+        return Vec3.zero() if contact is None else contact.center
+
+    def system(self) -> System:
+        """The equations' view of the scene: points counted from the centre of mass."""
+        about = tuple(e.about(self.patella.center_of_mass) for e in self.effects)
+        return System(self.patella.mass, self.patella.inertia, about)
+
+    def center_of_mass_pose(self) -> Pose:
+        """The start pose of the centre of mass."""
+        return Pose(self.start.apply(self.patella.center_of_mass), self.start.orientation)
+
+
+_POSITIVE = {
+    "mass",
+    "inertia",
+    "stiffness",
+    "slack_length",
+    "radius",
+    "contact_stiffness",
+    "restitution",
+    "toe_strain",
+    "half_size",
+}
+_NOT_NEGATIVE = {"damping", "damping_time", "dissipation", "translational", "rotational", "tension"}
+
+
+def check(scene: Scene) -> None:
+    """Refuses a scene whose parameters cannot give a right answer; on the host, before anything is traced.
+
+    Raises:
+        InputError: a parameter that is not finite, or not positive where it must be, by its path in the scene; two
+            effects of one name.
+    """
+    names = [e.name for e in scene.effects]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
+    where = {"effects": lambda i: scene.effects[i].name}
+    for path, leaf in jax.tree_util.tree_leaves_with_path(scene):
+        if isinstance(leaf, jax.core.Tracer):
+            continue
+        values, parts = np.asarray(leaf), [_part(p) for p in path]
+        if parts[0] == "effects":
+            parts = [where["effects"](int(parts[1])), *parts[2:]]
+        field = ".".join(str(p) for p in parts)
+        if not np.all(np.isfinite(values)):
+            raise InputError("not a finite number", where=f"{scene.name}: {field}")
+        worst = float(values.min(initial=np.inf))
+        if _POSITIVE & set(parts) and not worst > 0:
+            raise InputError(f"found {worst:g}", where=f"{scene.name}: {field}", expected="a positive number")
+        if _NOT_NEGATIVE & set(parts) and worst < 0:
+            raise InputError(f"found {worst:g}", where=f"{scene.name}: {field}", expected="zero or a positive number")
+
+
+def _part(key: object) -> object:
+    return getattr(key, "name", getattr(key, "idx", getattr(key, "key", key)))

@@ -1,0 +1,247 @@
+"""Triangle meshes of articulating surfaces: reading, checking, writing. Open surfaces are first class."""
+
+from __future__ import annotations
+
+import io
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.errors import InputError, OutputError
+
+UNITS = {"m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3}
+_FORMATS = (".stl", ".obj", ".ply")
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMesh:
+    """A triangle mesh whose triangles turn counter-clockwise seen from outside the body."""
+
+    vertices: NDArray[np.float64]  # (n, 3) [m]
+    faces: NDArray[np.int64]  # (m, 3)
+    source: str = "mesh"  # a file name or a description, for messages
+
+    @cached_property
+    def area_vectors(self) -> NDArray[np.float64]:
+        """Of each triangle, outward normal times area, (m, 3) [m^2]."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return 0.5 * np.cross(b - a, c - a)
+
+    @cached_property
+    def face_areas(self) -> NDArray[np.float64]:
+        """Of each triangle, (m,) [m^2]."""
+        return np.linalg.norm(self.area_vectors, axis=1)
+
+    @property
+    def area(self) -> float:
+        """Of the whole surface [m^2]."""
+        return float(self.face_areas.sum())
+
+    @cached_property
+    def vertex_areas(self) -> NDArray[np.float64]:
+        """A third of the area of the triangles around each vertex, (n,) [m^2]."""
+        shares = np.bincount(self.faces.ravel(), np.repeat(self.face_areas / 3, 3), minlength=len(self.vertices))
+        return shares.astype(np.float64)
+
+    @cached_property
+    def vertex_normals(self) -> NDArray[np.float64]:
+        """Unit outward normals weighted by area, (n, 3); zero at a vertex that no triangle uses."""
+        total = np.stack(
+            [
+                np.bincount(self.faces.ravel(), np.repeat(self.area_vectors[:, k], 3), minlength=len(self.vertices))
+                for k in range(3)
+            ],
+            axis=1,
+        )
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+    @cached_property
+    def extent(self) -> float:
+        """Longest side of the bounding box [m]."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether every edge borders two triangles."""
+        from pftwin.surfaces.winding import directed_edges
+
+        edges = np.sort(directed_edges(self.faces), axis=1)
+        return bool(np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2))
+
+    @property
+    def volume(self) -> float:
+        """Signed volume enclosed by a closed mesh [m^3]; negative where its normals point inward."""
+        return float(np.einsum("ij,ij->", self.vertices[self.faces].mean(axis=1), self.area_vectors) / 3)
+
+    def flipped(self) -> SurfaceMesh:
+        """The same surface with its other side outside."""
+        return SurfaceMesh(self.vertices, self.faces[:, ::-1].copy(), self.source)
+
+
+def load_mesh(
+    path: str | os.PathLike[str],
+    *,
+    units: str,
+    size: tuple[float, float] | None = (0.02, 0.2),
+    repair: bool = False,
+) -> SurfaceMesh:
+    """Read an STL, OBJ or PLY file, merge coincident vertices, and check that it is a usable surface.
+
+    Args:
+        path: the file.
+        units: the unit of the file's coordinates ("m", "mm", ...): these formats do not carry it.
+        size: shortest and longest plausible longest side [m]; the default suits femoral components and buttons, None
+            switches the check off.
+        repair: turn triangles until neighbours agree, and a closed mesh outside out, instead of refusing it.
+
+    Raises:
+        InputError: missing, empty or unreadable file; no triangles; vertices that are not finite; a size that does not
+            suit the units; triangles whose winding disagrees with their neighbours'; a closed mesh that is inside out.
+    """
+    where = str(path)
+    if units not in UNITS:
+        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+    vertices, faces = _read(Path(path))
+    return check_mesh(vertices * UNITS[units], faces, source=where, size=size, repair=repair, units=units)
+
+
+def check_mesh(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    *,
+    source: str = "mesh",
+    size: tuple[float, float] | None = (0.02, 0.2),
+    repair: bool = False,
+    units: str = "m",
+) -> SurfaceMesh:
+    """The checks and the merging of `load_mesh` for vertices (n, 3) [m] and faces (m, 3) at hand."""
+    p, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    if p.ndim != 2 or p.shape[1:] != (3,) or f.ndim != 2 or f.shape[1:] != (3,) or not f.size:
+        raise InputError(
+            f"no triangles: {f.shape} faces on {p.shape} vertices", where=source, expected="(m, 3) on (n, 3)"
+        )
+    if f.min() < 0 or f.max() >= len(p):
+        raise InputError(f"a face names vertex {f.max()}, but there are {len(p)}", where=source)
+    bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
+    if bad.size:
+        raise InputError(
+            f"{bad.size} of {len(p)} vertices are not finite, the first is number {bad[0]}: {p[bad[0]]}",
+            where=source,
+            remedy="export the mesh again",
+        )
+    mesh = _merged(p, f, source)
+    if size is not None:
+        _check_size(mesh, size, units)
+    from pftwin.surfaces.winding import check_winding
+
+    return check_winding(mesh, repair)
+
+
+def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "m") -> None:
+    """Write an STL, OBJ or PLY file in the stated units; it appears whole or not at all.
+
+    Raises:
+        InputError: unknown units or file type.
+        OutputError: the file cannot be written.
+    """
+    import trimesh
+
+    target = Path(path)
+    if units not in UNITS:
+        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+    _check_format(target)
+    exported = trimesh.Trimesh(mesh.vertices / UNITS[units], mesh.faces, process=False)
+    data = exported.export(file_type=target.suffix[1:].lower())
+    partial = target.with_name(target.name + ".part")
+    try:
+        partial.write_bytes(data.encode() if isinstance(data, str) else data)  # pyright: ignore[reportArgumentType]
+        partial.replace(target)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise OutputError(f"{target}: cannot write the mesh: {error.strerror}") from error
+
+
+def _check_format(path: Path) -> None:
+    if path.suffix.lower() not in _FORMATS:
+        raise InputError(
+            f"unknown mesh format {path.suffix or '(no extension)'}", where=path, expected=", ".join(_FORMATS)
+        )
+
+
+def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices and triangles as the file has them."""
+    import trimesh
+
+    _check_format(path)
+    if not path.is_file():
+        raise InputError("no such file", where=path, remedy="check the path")
+    data, kind = path.read_bytes(), path.suffix[1:].lower()
+    if not data.strip():
+        raise InputError("the file is empty", where=path, remedy="export the mesh again")
+    if kind == "stl":
+        _check_binary_stl(data, path)
+    if kind == "obj":  # comments in odd encodings are no reason to refuse it
+        data = data.decode("utf-8", errors="replace").encode()
+    try:
+        loaded = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
+    except Exception as error:  # the readers raise whatever their parsing runs into
+        raise InputError(
+            f"not a readable {kind.upper()} mesh ({error})",
+            where=path,
+            remedy="check that the file is complete and is what its extension says; export it again",
+        ) from error
+    vertices, faces = getattr(loaded, "vertices", None), getattr(loaded, "faces", None)
+    if vertices is None or faces is None or len(faces) == 0:
+        raise InputError("the file holds no triangles", where=path, remedy="export a triangle mesh, not points")
+    return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+
+
+def _check_binary_stl(data: bytes, path: Path) -> None:
+    """A binary STL says how many triangles follow; one that is not text must keep that promise."""
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + 50 * count and count:
+        return
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(
+            f"a truncated or damaged binary STL: its header promises {count} triangles, "
+            f"{max(len(data) - 84, 0) // 50} follow",
+            where=path,
+            remedy="copy or export the file again",
+        ) from None
+
+
+def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], source: str) -> SurfaceMesh:
+    """Coincident vertices made one (to 1e-7 of the size), triangles without area and unused vertices dropped."""
+    used = vertices[np.unique(faces)]
+    grid = 1e-7 * max(float(np.ptp(used, axis=0).max()), np.finfo(float).tiny)
+    _, first, inverse = np.unique(np.round(vertices / grid), axis=0, return_index=True, return_inverse=True)
+    joined = inverse.ravel()[faces]
+    kept = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
+    mesh = SurfaceMesh(vertices[first], kept, source)
+    kept = kept[mesh.face_areas > 0]
+    if not kept.size:
+        raise InputError(f"all {len(faces)} triangles have no area", where=source, remedy="export the mesh again")
+    index, renumbered = np.unique(kept, return_inverse=True)
+    return SurfaceMesh(mesh.vertices[index], renumbered.reshape(-1, 3), source)
+
+
+def _check_size(mesh: SurfaceMesh, size: tuple[float, float], units: str) -> None:
+    low, high = size
+    if low <= mesh.extent <= high:
+        return
+    raw = mesh.extent / UNITS[units]
+    found = f"{mesh.extent * 1e3:.4g} mm" if units == "mm" else f"{raw:.4g} {units} = {mesh.extent * 1e3:.4g} mm"
+    fitting = [name for name, scale in UNITS.items() if low <= raw * scale <= high]
+    raise InputError(
+        f"a longest side of {found} is implausible",
+        where=mesh.source,
+        expected=f"between {low * 1e3:g} and {high * 1e3:g} mm",
+        remedy=f"units={fitting[0]!r}" if fitting else "check the units, or pass size= for an unusual part",
+    )

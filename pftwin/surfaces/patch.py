@@ -1,0 +1,94 @@
+"""A bivariate polynomial of total degree n over a chart: the paper's P2, P4, P5 and any other degree.
+
+Michaud et al. 2024, section 2.4.2. Beyond the rectangle to which it was fitted a polynomial is meaningless and may fold
+back, so the patch goes on as its bilinear Taylor expansion about the nearest point of the rectangle: value and slope
+stay continuous (C1), and `outside` says that the edge has been crossed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.spatial import Scalar
+from pftwin.surfaces.charts import Chart, Jet
+
+
+def exponents(degree: int) -> list[tuple[int, int]]:
+    """Exponents (i, j) of the monomials a^i b^j, in the order of a patch's coefficients."""
+    return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+
+
+class PolynomialPatch(eqx.Module):
+    """height = sum of c_ij a^i b^j, with a = (u - u0) / half_u, b = (v - v0) / half_v and |a|, |b| <= 1."""
+
+    chart: Chart
+    coefficients: Array | tuple[Scalar, ...]  # (n,) [m]
+    center: tuple[Scalar, Scalar]  # (u0, v0) [m]
+    half_size: tuple[Scalar, Scalar]  # (half_u, half_v) [m]
+    degree: int = eqx.field(static=True)
+
+    def unstacked(self) -> PolynomialPatch:
+        """The same patch with one array per coefficient: done once before a loop, so that the loop only multiplies."""
+        if isinstance(self.coefficients, tuple):
+            return self
+        n = len(exponents(self.degree))
+        coefficients = tuple(self.coefficients[..., i] for i in range(n))
+        return eqx.tree_at(lambda p: p.coefficients, self, coefficients)
+
+    def outside(self, u: Scalar, v: Scalar) -> Scalar:
+        """How far beyond the fitted rectangle a point lies [m]; zero inside."""
+        du = jnp.maximum(jnp.abs(u - self.center[0]) - self.half_size[0], 0.0)
+        dv = jnp.maximum(jnp.abs(v - self.center[1]) - self.half_size[1], 0.0)
+        return jnp.maximum(du, dv)
+
+    def height(self, u: Scalar, v: Scalar) -> Scalar:
+        """The patch's height, continued beyond its edge."""
+        return self.jet(u, v).f
+
+    def jet(self, u: Scalar, v: Scalar) -> Jet:
+        """Height, gradient and Hessian at (u, v), in closed form.
+
+        Beyond the edge the mixed third derivatives are left out of the Hessian; value and gradient are exact.
+        """
+        scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
+        a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
+        ai, bi = jnp.clip(a, -1.0, 1.0), jnp.clip(b, -1.0, 1.0)
+        j = _polynomial_jet(self.unstacked().coefficients, self.degree, ai, bi)
+        da, db = a - ai, b - bi
+        fa, fb = j.u + j.uv * db, j.v + j.uv * da
+        return Jet(
+            j.f + j.u * da + j.v * db + j.uv * (da * db),
+            fa * scale_u,
+            fb * scale_v,
+            jnp.where(da == 0, j.uu, 0.0) * (scale_u * scale_u),
+            j.uv * (scale_u * scale_v),
+            jnp.where(db == 0, j.vv, 0.0) * (scale_v * scale_v),
+        )
+
+
+def _polynomial_jet(c: Sequence[Scalar] | Array, degree: int, a: Scalar, b: Scalar) -> Jet:
+    """Horner's scheme in a for each power of b, then in b, carrying first and second derivatives along."""
+    index = {e: k for k, e in enumerate(exponents(degree))}
+    rows = [_horner([c[index[i, j]] for i in range(degree + 1 - j)], a) for j in range(degree + 1)]
+    f, fb, fbb = _horner([r[0] for r in rows], b)
+    fa, fab, _ = _horner([r[1] for r in rows if r[1] is not None], b)
+    faa, _, _ = _horner([r[2] for r in rows if r[2] is not None], b)
+    nought = jnp.zeros_like(a)
+    return Jet(*(nought if d is None else d for d in (f, fa, fb, faa, fab, fbb)))
+
+
+def _horner(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar | None, Scalar | None, Scalar | None]:
+    """p(x), p'(x) and p''(x); a derivative that vanishes identically is None and costs nothing."""
+    if not c:
+        return None, None, None
+    p, d, half_dd = c[-1], None, None
+    for coefficient in reversed(c[:-1]):
+        if d is not None:
+            half_dd = d if half_dd is None else half_dd * x + d
+        d = p if d is None else d * x + p
+        p = p * x + coefficient
+    return p, d, None if half_dd is None else 2 * half_dd

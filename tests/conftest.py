@@ -1,0 +1,27 @@
+"""Test-wide settings: float64, strict promotion, a persistent compilation cache, and where the real data are."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+_ROOT = Path(__file__).resolve().parents[1]
+jax.config.update("jax_compilation_cache_dir", os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache")))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+@pytest.fixture(scope="session")
+def dm_knee() -> Path:
+    """The folder of the DM implant's files; the test is skipped, with the reason, where it is absent."""
+    base = Path(os.environ.get("PFTWIN_DATA", _ROOT.parent / "shared" / "data"))
+    folder = base / "dm_knee"
+    if not folder.is_dir():
+        pytest.skip(f"no DM implant data at {folder}: set PFTWIN_DATA to the folder that holds dm_knee/")
+    return folder

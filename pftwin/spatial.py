@@ -136,6 +136,26 @@ class Quaternion(eqx.Module):
         k = jnp.where(small, 0.5 - s / 48 + s * s / 3840, jnp.sin(angle / 2) / angle)
         return Quaternion(w, k * v.x, k * v.y, k * v.z)
 
+    @staticmethod
+    def from_rotation(r: Rotation) -> Quaternion:
+        """From a rotation matrix, by the largest of the four components (Shepperd 1978), w >= 0."""
+        xx, yy, zz = r.ex.x, r.ey.y, r.ez.z
+        a, b, c = r.ey.z - r.ez.y, r.ez.x - r.ex.z, r.ex.y - r.ey.x
+        d, e, f = r.ex.y + r.ey.x, r.ex.z + r.ez.x, r.ey.z + r.ez.y
+        candidates = (
+            (1 + xx + yy + zz, a, b, c),
+            (a, 1 + xx - yy - zz, d, e),
+            (b, d, 1 - xx + yy - zz, f),
+            (c, e, f, 1 - xx - yy + zz),
+        )
+        best, size = candidates[0], candidates[0][0]
+        for i, q in enumerate(candidates[1:], start=1):
+            larger = q[i] > size
+            best = tuple(jnp.where(larger, new, old) for new, old in zip(q, best, strict=True))
+            size = jnp.where(larger, q[i], size)
+        sign = jnp.where(best[0] < 0, -1.0, 1.0)
+        return Quaternion(*(sign * q for q in best)).normalised()
+
     def rotation_vector(self) -> Vec3:
         """log(q): axis times angle, angle in [0, pi]; smooth at the identity."""
         sign = jnp.where(self.w < 0, -1.0, 1.0)

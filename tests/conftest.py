@@ -8,13 +8,12 @@ from pathlib import Path
 import jax
 import pytest
 
-jax.config.update("jax_enable_x64", True)
+from pftwin.runtime import configure
+
+_ROOT = Path(__file__).resolve().parents[1]
+configure(cache_dir=os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache")))
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
-_ROOT = Path(__file__).resolve().parents[1]
-jax.config.update("jax_compilation_cache_dir", os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache")))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
 @pytest.fixture(scope="session")

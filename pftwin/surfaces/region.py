@@ -174,7 +174,7 @@ def _hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64
 
 def _check_outward(points: NDArray, normals: NDArray, source: str) -> None:
     """The foremost vertices must look forward."""
-    front = points[:, 2] > np.quantile(points[:, 2], 0.95)
+    front = points[:, 2] >= np.quantile(points[:, 2], 0.95)
     if normals[front, 2].mean() < 0:
         raise InputError(
             "the normals of the foremost vertices point backward",

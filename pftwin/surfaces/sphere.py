@@ -61,6 +61,7 @@ def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike
     points, normals = mesh.vertices, mesh.vertex_normals
     center, radius = _sphere(points)
     if _residual_rms(points, center, radius) <= tolerance:
+        _check_dome(mesh, np.arange(len(points)), center, radius)
         return _report(mesh, np.ones(len(points), dtype=bool), center, radius, direction, tolerance)
     order, rings = _rings(points, normals, direction)
     if len(rings) < 3:
@@ -78,19 +79,26 @@ def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike
         )
     inner = order[: max(2 * _RING, int(0.64 * end))]  # four fifths of the reach, as vertices go with its square
     center, radius = _sphere(points[inner])
-    if radius > _FLAT * mesh.extent:
-        raise InputError(
-            f"the apex's side is flat (a sphere of radius {radius * 1e3:.0f} mm)", where=mesh.source, remedy="axis="
-        )
-    if not np.einsum("ij,ij->", points[inner] - center, normals[inner]) > 0:
-        raise InputError(
-            "the cap is hollow, or its normals point inward", where=mesh.source, remedy="mesh.flipped(), or axis="
-        )
+    _check_dome(mesh, inner, center, radius)
     ring_rms = [_residual_rms(points[order[a:b]], center, radius) for a, b in rings]
     inside = next((k for k, value in enumerate(ring_rms) if value > tolerance), len(rings))
     cap = np.zeros(len(points), dtype=bool)
     cap[order[: rings[max(inside, 1) - 1][1]]] = True
     return _report(mesh, cap, center, radius, direction, tolerance)
+
+
+def _check_dome(mesh: SurfaceMesh, cap: NDArray, center: NDArray, radius: float) -> None:
+    """A sphere of a sensible size, seen from outside."""
+    if radius > _FLAT * mesh.extent:
+        raise InputError(
+            f"the apex's side is flat (a sphere of radius {radius:.2g} m)",
+            where=mesh.source,
+            remedy="axis= if the apex is on another side",
+        )
+    if not np.einsum("ij,ij->", mesh.vertices[cap] - center, mesh.vertex_normals[cap]) > 0:
+        raise InputError(
+            "the cap is hollow, or its normals point inward", where=mesh.source, remedy="mesh.flipped(), or axis="
+        )
 
 
 def _axis(mesh: SurfaceMesh, axis: ArrayLike | None, tolerance: float) -> NDArray[np.float64]:

@@ -33,7 +33,9 @@ def tessellate(surface: FemoralComponent, *, deviation: float, angle: float | No
         raise InputError(f"a deviation of {deviation} m", where="deviation", expected="a positive length, e.g. 0.1e-3")
     if angle is not None and not 0 < angle < math.pi / 2:
         raise InputError(f"an angle of {angle} rad", where="angle", expected="between 0 and pi/2 rad")
-    lines = [float(c) + np.array([-1.0, 1.0]) * float(h) for c, h in zip(surface.center, surface.half_size, strict=True)]
+    lines = [
+        float(c) + np.array([-1.0, 1.0]) * float(h) for c, h in zip(surface.center, surface.half_size, strict=True)
+    ]
     samples = [np.linspace(low, high, _SAMPLES) for low, high in lines]
     densities = _densities(surface, samples, deviation, angle)
     for _ in range(8):
@@ -54,7 +56,9 @@ def tessellate(surface: FemoralComponent, *, deviation: float, angle: float | No
     )
 
 
-def points_and_normals(surface: FemoralComponent, u: NDArray, v: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def points_and_normals(
+    surface: FemoralComponent, u: NDArray, v: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points and unit normals in the femur frame at arrays of (u, v) of one shape, each (..., 3).
 
     Evaluated at a padded length, so that meshes of many sizes share a few compiled programs.

@@ -88,14 +88,13 @@ def test_a_circle_over_a_cylinder_is_a_constant():
 
 def test_emphasis_improves_the_fit_where_it_is_laid():
     u, v = grid()
-    points = on(plane(), u, v, 2e-3 * np.cos(v / 6e-3))
-    part = u > 0.01
+    h = 2e-3 * np.cos(v / 6e-3) * (1 + u / 0.02)
+    points, part = on(plane(), u, v, h), u > 0.01
 
     def error(fit) -> float:
-        e = np.asarray(fit.patch.height(jnp.asarray(u), jnp.asarray(v))) - 2e-3 * np.cos(v / 6e-3) * (1 + u / 0.02)
+        e = np.asarray(fit.patch.height(jnp.asarray(u), jnp.asarray(v))) - h
         return float(np.sqrt(np.mean(e[part] ** 2)))
 
-    points = on(plane(), u, v, 2e-3 * np.cos(v / 6e-3) * (1 + u / 0.02))
     even = fit_patch(points, degree=2, chart=plane())
     by_array = fit_patch(points, degree=2, chart=plane(), emphasis=np.where(part, 30.0, 1.0))
     by_function = fit_patch(
@@ -148,13 +147,13 @@ def test_too_few_vertices():
 
 def test_vertices_along_lines_do_not_determine_the_coefficients():
     u, v = np.meshgrid(np.linspace(-0.02, 0.02, 40), [-0.02, 0.0, 0.02])
-    with pytest.raises(InputError, match="determine only 12 of the 21 coefficients of P5"):
+    with pytest.raises(InputError, match="determine only 15 of the 21 coefficients of P5"):
         fit_patch(on(plane(), u.ravel(), v.ravel(), 0 * u.ravel()), degree=5, chart=plane())
 
 
 def test_values_that_are_not_finite():
     u, v = grid()
-    points = on(plane(), u, v, 0 * u)
+    points = on(plane(), u, v, 0 * u).copy()
     points[7] = np.nan
     with pytest.raises(InputError, match="1 vertices are not finite, the first is number 7"):
         fit_patch(points, chart=plane())
@@ -182,9 +181,9 @@ def test_a_few_folded_vertices_warn():
         fit_patch(mesh, degree=4, chart=plane())
 
 
-def test_an_empty_corner_warns():
+def test_a_patch_without_vertices_in_its_middle_warns():
     u, v = grid()
-    keep = u + v < 0.0
+    keep = np.maximum(np.abs(u), np.abs(v)) > 0.015
     with pytest.warns(PftwinWarning, match="vertices cover .* of the patch's rectangle"):
         fit_patch(on(plane(), u, v, 0 * u)[keep], degree=3, chart=plane())
 

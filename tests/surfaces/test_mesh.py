@@ -88,12 +88,16 @@ def binary_stl(tmp_path: Path) -> bytes:
         ("words.stl", b"hello world\n", "no triangles"),
         ("points.obj", b"v 0 0 0\nv 0.05 0 0\nv 0 0.05 0\n", "no triangles"),
         ("index.obj", b"v 0 0 0\nv 0.05 0 0\nv 0 0.05 0\nf 1 2 9\n", "index.obj"),
-        ("nan.obj", b"v 0 0 0\nv nan 0 0\nv 0.05 0 0\nv 0 0.05 0\nf 1 2 3\nf 1 3 4\n", "1 of 4 vertices are not finite"),
+        (
+            "nan.obj",
+            b"v 0 0 0\nv nan 0 0\nv 0.05 0 0\nv 0 0.05 0\nf 1 2 3\nf 1 3 4\n",
+            "1 of 4 vertices are not finite",
+        ),
         ("flat.obj", b"v 0 0 0\nv 0.05 0 0\nv 0.1 0 0\nf 1 2 3\n", "have no area"),
         ("mesh.step", b"ISO-10303-21;", "unknown mesh format .step"),
         (
             "letters.stl",
-            b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nvertex 0 1 0\nvertex 1 1 0\nendloop\nendfacet\nendsolid\n",
+            b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nvertex 0 1 0\nvertex 1 1 0\nendloop\nendfacet\n",
             "not a readable STL mesh",
         ),
     ],

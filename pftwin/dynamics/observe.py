@@ -1,0 +1,103 @@
+"""What a trajectory shows: poses in the femur's frame, what each effect reports, energies, and a status per frame."""
+
+from __future__ import annotations
+
+import enum
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.state import Guide, State
+from pftwin.dynamics.trajectory import Trajectory
+from pftwin.effects.sphere_contact import SphereContact
+from pftwin.scene import Scene
+from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
+
+DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
+
+
+class Status(enum.IntFlag):
+    """How far a frame can be trusted; 0 is a clean frame."""
+
+    OK = 0
+    NO_CONTACT = 1
+    LEFT_PATCH = 2
+    DEEP_INDENTATION = 4
+    NOT_FINITE = 8
+    START_NOT_IN_EQUILIBRIUM = 16
+
+    def describe(self) -> str:
+        """The status in words."""
+        if not self:
+            return "ok"
+        return "; ".join(_WORDS[flag] for flag in Status if flag in self)
+
+
+_WORDS = {
+    Status.NO_CONTACT: "the button touches nothing",
+    Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation",
+    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius: step too large or contact too soft",
+    Status.NOT_FINITE: "not finite: step too large",
+    Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
+}
+
+
+class Observation(eqx.Module):
+    """Arrays over the recorded frames (leading axis n)."""
+
+    patella: Pose  # patella frame in the femur's
+    center: Vec3  # the button's sphere centre (else the patella's origin) in the femur's frame [m]
+    effects: dict[str, dict[str, Array]]
+    kinetic_energy: Scalar
+    potential_energy: dict[str, Scalar]  # stored by each effect that stores any [J]
+    status: Array  # (n,) int, bits of `Status`
+
+
+def observe(scene: Scene, path: Trajectory) -> Observation:
+    """Looks at every recorded frame. Pure: jit and vmap apply."""
+    system = scene.system()
+    # Clear of the frames' rounding: the last frame is asked for itself.
+    times = scene.motion.start_time + scene.motion.frame_interval * jnp.arange(scene.motion.n_frames).astype(float)
+    guides = Guide.sample(scene.motion, times)
+
+    def look(state: State, guide: Guide) -> tuple[Pose, Vec3, dict, Scalar, dict, Array]:
+        now = guide.instant(state.patella(), 0.0)
+        seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
+        loads, _ = system.loads(now, state.memories)
+        stored = {e.name: x.energy for e, x in zip(system.effects, loads, strict=True) if x.energy is not None}
+        turn = state.orientation
+        femur_to_world = Quaternion.identity() if guide.femur is None else _quaternion(guide)
+        origin = now.femur.to_local(state.position - turn.rotate(scene.patella.center_of_mass))
+        relative = femur_to_world.conjugate() * turn
+        center = origin + relative.rotate(scene.tracked_point())
+        status = _status(scene, seen, state)
+        return Pose(origin, relative), center, seen, system.kinetic_energy(state), stored, status
+
+    patella, center, seen, kinetic, stored, status = jax.vmap(look)(path.states, guides)
+    tolerance = 1e-6 if times.dtype == jnp.float64 else 2e-2
+    badly_started = jnp.where(path.start.converged(tolerance), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
+    return Observation(patella, center, seen, kinetic, stored, status | badly_started)
+
+
+def _quaternion(guide: Guide) -> Quaternion:
+    """The femur's orientation; its frame keeps the matrix only."""
+    return Quaternion.from_rotation(guide.femur.rotation)
+
+
+def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State) -> Array:
+    flags = jnp.zeros((), int)
+    for effect in scene.effects:
+        if not isinstance(effect, SphereContact):
+            continue
+        report = seen[effect.name]
+        deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
+        for condition, flag in (
+            (report["force"] <= 0, Status.NO_CONTACT),
+            (report["off_patch"] > 0, Status.LEFT_PATCH),
+            (deepest > DEEPEST * effect.radius, Status.DEEP_INDENTATION),
+        ):
+            flags = flags | jnp.where(condition, int(flag), 0)
+    finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())
+    return jnp.where(finite, flags, int(Status.NOT_FINITE))

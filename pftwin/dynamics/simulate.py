@@ -22,6 +22,7 @@ from pftwin.scene import Scene, check
 from pftwin.spatial import Pose
 
 if TYPE_CHECKING:
+    from pftwin.equilibrium_report import EquilibriumReport
     from pftwin.result import Result
 
 
@@ -93,3 +94,20 @@ def simulate(
         settings={"integrator": integrator, "dt_s": scene.motion.frame_interval / substeps, "substeps": substeps},
         timing={"equilibrium_s": settled - began, "run_s": ended - settled},
     )
+
+
+def equilibrium(scene: Scene) -> EquilibriumReport:
+    """The static equilibrium at the scene's first frame, nearest to its start pose, downhill.
+
+    Returns:
+        Pose, residual, which of several equilibria it is, what touches and what every effect reports there. Where the
+        search fails the report says so (`converged`), it does not raise.
+
+    Raises:
+        InputError: a parameter of the scene that cannot give a right answer.
+    """
+    from pftwin.equilibrium_report import EquilibriumReport
+
+    check(scene)
+    solution, relaxed = settle(scene)
+    return EquilibriumReport.build(scene, solution, relaxed)

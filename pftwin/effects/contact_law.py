@@ -36,12 +36,12 @@ class ContactForce(NamedTuple):
 def _power(d: Scalar, exponent: Scalar | float) -> Scalar:
     """d^exponent for d >= 0; the common exponents avoid the transcendental functions."""
     if isinstance(exponent, int | float):
+        if exponent == 0:
+            return jnp.where(d > 0, jnp.ones_like(d), 0.0)
+        if exponent == 0.5:
+            return safe_sqrt(d)
         if exponent == 1:
             return d
-        if exponent == 1.5:
-            return d * safe_sqrt(d)
-        if exponent == 2:
-            return d * d
     positive = d > 0
     return jnp.where(positive, jnp.where(positive, d, 1.0) ** exponent, 0.0)
 

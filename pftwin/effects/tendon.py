@@ -41,10 +41,11 @@ class Tendon(Effect):
         reaches = jnp.maximum(stretch, stretch + now.step * line.lengthening) > 0
         pull = self.stiffness * stretch + self.damping * line.lengthening
         taut = reaches & (pull + now.step * self.stiffness * line.lengthening > 0)
-        tension, elastic, k, c = (
-            jnp.where(taut, a, 0.0) for a in (pull, self.stiffness * stretch, self.stiffness, self.damping)
-        )
-        stored = 0.5 * jnp.sum(self.stiffness * jnp.square(jnp.maximum(stretch, 0.0)))
+        tension, k, c = (jnp.where(taut, a, 0.0) for a in (pull, self.stiffness, self.damping))
+        stretched = jnp.maximum(stretch, 0.0)
+        # A tendon that shortens too fast to pull still gives up what it stores: as heat.
+        elastic = self.stiffness * jnp.where(taut, stretch, stretched)
+        stored = 0.5 * jnp.sum(self.stiffness * jnp.square(stretched))
         return Load(stiff=(line.term(tension, elastic, k, c),), energy=stored), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:

@@ -33,8 +33,8 @@ class PrescribedTension(Effect):
         """Tensions and origins at an instant."""
         position = (time - self.start_time) / self.interval
         last = self.tension.shape[0] - 1
-        index = jnp.clip(jnp.floor(position).astype(int), 0, max(last - 1, 0))
-        fraction = jnp.clip(position - index, 0.0, 1.0)
+        whole = jnp.clip(jnp.floor(position), 0.0, max(last - 1.0, 0.0))
+        index, fraction = jnp.asarray(whole, int), jnp.clip(position - whole, 0.0, 1.0)
 
         def sample(series: Scalar) -> Scalar:
             return series[index] + fraction * (series[jnp.minimum(index + 1, last)] - series[index])

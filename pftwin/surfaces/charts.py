@@ -6,6 +6,7 @@ groove, v medial-lateral, height out of the bone.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -74,6 +75,16 @@ class PlaneChart(eqx.Module):
         k = 1 / jnp.sqrt(1 + slope_u * slope_u + slope_v * slope_v)
         return Vec3(-slope_u * k, -slope_v * k, k)
 
+    def half_square(self, c: Vec3, u: Scalar) -> Callable[[Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]:
+        """phi and its derivative along u, as a function of (v, height, slope along u) at one u."""
+        du = u - c.x
+
+        def at(v: Scalar, f: Scalar, slope: Scalar) -> tuple[Scalar, Scalar]:
+            gap, dv = f - c.z, v - c.y
+            return 0.5 * (du * du + dv * dv + gap * gap), du + gap * slope
+
+        return at
+
     def separation(self, c: Vec3, u: Scalar, v: Scalar, jet: Jet) -> Separation:
         """Derivatives of phi = |S(u, v) - c|^2 / 2 for a point c of the chart's frame."""
         gap = jet.f - c.z
@@ -133,6 +144,18 @@ class CylindricalChart(eqx.Module):
         around = slope_u * self.radius / f  # slope along the arc itself
         k = 1 / jnp.sqrt(1 + around * around + slope_v * slope_v)
         return Vec3(k * (sine - around * cosine), -k * slope_v, k * (cosine + around * sine))
+
+    def half_square(self, c: Vec3, u: Scalar) -> Callable[[Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]:
+        """phi and its derivative along u, as a function of (v, height, slope along u) at one u."""
+        angle = u / self.radius
+        sine, cosine = jnp.sin(angle), jnp.cos(angle)
+        along, across = sine * c.x + cosine * c.z, (cosine * c.x - sine * c.z) / self.radius
+
+        def at(v: Scalar, r: Scalar, slope: Scalar) -> tuple[Scalar, Scalar]:
+            gap, dv = r - along, v - c.y
+            return 0.5 * (gap * gap + dv * dv), slope * gap - r * across
+
+        return at
 
     def separation(self, c: Vec3, u: Scalar, v: Scalar, jet: Jet) -> Separation:
         """Derivatives of phi = |S(u, v) - c|^2 / 2 for a point c of the chart's frame."""

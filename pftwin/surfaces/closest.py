@@ -10,13 +10,18 @@ from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.charts import Chart, Jet
 
 
+PUSH = 0.04  # of the longest step: what moves a point off a saddle
+FLATTEST = 0.1  # curvatures of the distance below this share of the tangents' own are raised to it
+
+
 class Surface(Protocol):
     """Whatever gives a height with two derivatives over a chart: a polynomial patch, a spline, a smooth implant."""
 
-    chart: Chart
-
+    @property
+    def chart(self) -> Chart: ...
     def jet(self, u: Scalar, v: Scalar) -> Jet: ...
     def outside(self, u: Scalar, v: Scalar) -> Scalar: ...
+    def clipped(self, v: Scalar) -> Scalar: ...
 
 
 class ClosestPoint(NamedTuple):
@@ -32,32 +37,45 @@ class ClosestPoint(NamedTuple):
     drift_v: Vec3
 
 
-def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar | float) -> ClosestPoint:
+def newton_step(
+    surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, push: float = 1.0
+) -> ClosestPoint:
     """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), at most `longest` in either coordinate.
 
-    The surface at the new point comes from the second-order expansion at the old one, so a step costs one evaluation;
-    a start that is carried along with c's motion is off by so little that this is exact to about 1e-6 mm at 1 ms.
-    Where the Hessian is not positive definite its positive part alone is used (Gauss-Newton).
+    A start that is carried along with c's motion is off by so little that one step finds the closest point. Where the
+    distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point
+    crawls rather than leaps. Where the Hessian is not positive definite (a saddle between two facets, say) the step
+    goes downhill with the curvatures' absolute values and a small push across the groove, towards the sign of `push`,
+    so that no start is held by a saddle. The distance returned is that of the surface point reached, never an extrapolation: a point that is still
+    on its way understates an indentation and cannot invent one.
     """
     jet = surface.jet(u, v)
     s = surface.chart.separation(c, u, v, jet)
     (gu, gv), (huu, huv, hvv), (tu, tv) = s.gradient, s.hessian, s.tangents
-    convex = (huu > 0.05 * s.gram[0]) & (huu * hvv - huv * huv > 0.05 * (s.gram[0] * s.gram[2] - s.gram[1] ** 2))
-    auu, auv, avv = (jnp.where(convex, h, g) for h, g in zip(s.hessian, s.gram, strict=True))
-    inverse = 1 / (auu * avv - auv * auv)
-    iuu, iuv, ivv = inverse * avv, -inverse * auv, inverse * auu
-    du = jnp.clip(-(iuu * gu + iuv * gv), -longest, longest)
-    dv = jnp.clip(-(iuv * gu + ivv * gv), -longest, longest)
-    f, fu, fv = jet.shifted(du, dv)
-    normal = surface.chart.normal(u + du, f, fu, fv)
-    distance = (c - surface.chart.local_point(u + du, v + dv, f)).dot(normal)
+    least_u, least_v = FLATTEST * s.gram[0], FLATTEST * s.gram[2]
+    convex = (huu > 0) & (huu * hvv > huv * huv)
+    # Raising the second pivot alone keeps a flat valley's direction.
+    auu = jnp.maximum(jnp.where(convex, huu, jnp.abs(huu)), least_u)
+    auv = jnp.where(convex, huv, 0.0)
+    ratio = auv / auu
+    pivot = jnp.maximum(jnp.where(convex, hvv - ratio * huv, jnp.abs(hvv)), least_v)
+    dv = -(gv - ratio * gu) / pivot
+    dv = jnp.where(convex, dv, dv + push * PUSH * longest)
+    dv = jnp.clip(dv, -longest, longest)
+    du = jnp.clip(-gu / auu - ratio * dv, -longest, longest)
+    reached = surface.jet(u + du, v + dv)
+    point = surface.chart.local_point(u + du, v + dv, reached.f)
+    normal = surface.chart.normal(u + du, reached.f, reached.u, reached.v)
+    away = c - point
+    height = away.dot(normal)
+    drift_v = (tv - ratio * tu) * (1 / pivot)
     return ClosestPoint(
         u + du,
         v + dv,
-        distance,
+        jnp.where(height < 0, -away.norm(), away.norm()),
         normal,
         jnp.maximum(jnp.abs(du), jnp.abs(dv)),
         convex,
-        iuu * tu + iuv * tv,
-        iuv * tu + ivv * tv,
+        tu * (1 / auu) - ratio * drift_v,
+        drift_v,
     )

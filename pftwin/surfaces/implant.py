@@ -94,6 +94,10 @@ class FemoralComponent(eqx.Module):
         """Itself: there is nothing to unstack; a patch has the same method."""
         return self
 
+    def clipped(self, v: Scalar) -> Scalar:
+        """The nearest coordinate across the groove that lies on the component."""
+        return jnp.clip(v, -self.half_width, self.half_width)
+
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
         """How far beyond the component's edge a point lies [m]; zero inside."""
         (u0, v0), (half_u, half_v) = self.center, self.half_size

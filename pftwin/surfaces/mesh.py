@@ -184,7 +184,7 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if not data.strip():
         raise InputError("the file is empty", where=path, remedy="export the mesh again")
     if kind == "stl":
-        _check_binary_stl(data, path)
+        _check_whole_stl(data, path)
     if kind == "obj":  # comments in odd encodings are no reason to refuse it
         data = data.decode("utf-8", errors="replace").encode()
     try:
@@ -201,13 +201,13 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
 
 
-def _check_binary_stl(data: bytes, path: Path) -> None:
-    """A binary STL says how many triangles follow; one that is not text must keep that promise."""
+def _check_whole_stl(data: bytes, path: Path) -> None:
+    """A binary STL says how many triangles follow and must keep that promise; a text STL must have its last line."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
         return
     try:
-        data.decode("utf-8")
+        text = data.decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(
             f"a truncated or damaged binary STL: its header promises {count} triangles, "
@@ -215,6 +215,10 @@ def _check_binary_stl(data: bytes, path: Path) -> None:
             where=path,
             remedy="copy or export the file again",
         ) from None
+    if text.lstrip().startswith("solid") and "endsolid" not in text[text.rfind("endfacet") :]:
+        raise InputError(
+            "a truncated text STL: it ends without endsolid", where=path, remedy="copy or export the file again"
+        )
 
 
 def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], source: str) -> SurfaceMesh:

@@ -7,7 +7,7 @@ stay continuous (C1), and `outside` says that the edge has been crossed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -68,6 +68,38 @@ class PolynomialPatch(eqx.Module):
             j.uv * (scale_u * scale_v),
             jnp.where(db == 0, j.vv, 0.0) * (scale_v * scale_v),
         )
+
+
+    def clipped(self, v: Scalar) -> Scalar:
+        """The nearest coordinate across the groove that lies on the fitted rectangle."""
+        return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
+
+    def profile(self, u: Scalar) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
+        """The patch along v at one u: a function v -> (height, slope along u), at a fifth of a jet's price.
+
+        Only for v on the fitted rectangle; u may lie beyond it.
+        """
+        c, n = self.unstacked().coefficients, self.degree
+        index = {e: k for k, e in enumerate(exponents(n))}
+        scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
+        a = (u - self.center[0]) * scale_u
+        ai = jnp.clip(a, -1.0, 1.0)
+        rows = [_horner([c[index[i, j]] for i in range(n + 1 - j)], ai)[:2] for j in range(n + 1)]
+        slopes = [slope * scale_u for _, slope in rows if slope is not None]
+        heights = [h if slope is None else h + (a - ai) * slope for h, slope in rows]
+
+        def at(v: Scalar) -> tuple[Scalar, Scalar]:
+            b = (v - self.center[1]) * scale_v
+            return _value(heights, b), _value(slopes, b)
+
+        return at
+
+
+def _value(c: Sequence[Scalar], x: Scalar) -> Scalar:
+    p = c[-1]
+    for coefficient in reversed(c[:-1]):
+        p = p * x + coefficient
+    return p
 
 
 def _polynomial_jet(c: Sequence[Scalar] | Array, degree: int, a: Scalar, b: Scalar) -> Jet:

@@ -97,8 +97,14 @@ def binary_stl(tmp_path: Path) -> bytes:
         ("mesh.step", b"ISO-10303-21;", "unknown mesh format .step"),
         (
             "letters.stl",
-            b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nvertex 0 1 0\nvertex 1 1 0\nendloop\nendfacet\n",
+            b"solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\n"
+            b"vertex 0 1 0\nvertex 1 1 0\nendloop endfacet endsolid",
             "not a readable STL mesh",
+        ),
+        (
+            "cut.stl",
+            b"solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 0 1 0\nvertex 1 1 0\nendloop\nendfacet\nfac",
+            "truncated text STL",
         ),
     ],
 )

@@ -1,0 +1,91 @@
+"""A differentiable digital twin of the patellofemoral joint in JAX.
+
+    scene = pftwin.rig.case(2, contact="P5")  # or pftwin.load_scene("knee.toml")
+    result = pftwin.simulate(scene)
+    result.to_dataset(), result.save("case2.nc")
+
+Names are imported when first used, so that `import pftwin` costs next to nothing and leaves JAX's settings alone.
+Programs that want double precision and fast compilation call `pftwin.configure()` first thing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pftwin import effects, mocap, plots, rig, surfaces
+    from pftwin.dynamics.observe import Status
+    from pftwin.dynamics.simulate import equilibrium, simulate
+    from pftwin.errors import InputError, OutputError, PftwinError
+    from pftwin.measured import Measured
+    from pftwin.metrics import validate
+    from pftwin.result import Result
+    from pftwin.runtime import configure
+    from pftwin.scene import Scene
+    from pftwin.scene_file import load_scene
+
+    __version__: str
+
+_HOME = {
+    "InputError": "errors",
+    "Measured": "measured",
+    "OutputError": "errors",
+    "PftwinError": "errors",
+    "Result": "result",
+    "Scene": "scene",
+    "Status": "dynamics.observe",
+    "configure": "runtime",
+    "equilibrium": "dynamics.simulate",
+    "load_scene": "scene_file",
+    "simulate": "dynamics.simulate",
+    "validate": "metrics",
+}
+_PACKAGES = ("effects", "mocap", "plots", "rig", "surfaces")
+
+__all__ = [
+    "InputError",
+    "Measured",
+    "OutputError",
+    "PftwinError",
+    "Result",
+    "Scene",
+    "Status",
+    "__version__",
+    "configure",
+    "effects",
+    "equilibrium",
+    "load_scene",
+    "mocap",
+    "plots",
+    "rig",
+    "simulate",
+    "surfaces",
+    "validate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        value = _version()
+    elif name in _HOME:
+        value = getattr(import_module(f"pftwin.{_HOME[name]}"), name)
+    elif name in _PACKAGES:
+        value = import_module(f"pftwin.{name}")
+    else:
+        raise AttributeError(f"module 'pftwin' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("pftwin")
+    except PackageNotFoundError:
+        return "0+unknown"

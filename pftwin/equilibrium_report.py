@@ -1,0 +1,156 @@
+"""What is to be known about a static equilibrium: how well it is met, which one it is, what touches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.dynamics.equilibrium import LEVER, Solution
+from pftwin.dynamics.trajectory import first_guide
+from pftwin.effects.base import Patella
+from pftwin.scene import Scene
+from pftwin.spatial import Pose, Quaternion
+
+_NEUTRAL = 1e-6  # of the largest stiffness: below, a direction counts as neutral
+Seen = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumReport:
+    """A static equilibrium of the patella at the first frame.
+
+    Eigenvalues are those of the tangent stiffness over displacements and rotations times a lever of 20 mm, ascending.
+    """
+
+    position: NDArray[np.float64]  # (3,) of the patella's origin in the femur [m]
+    quaternion: NDArray[np.float64]  # (4,) patella to femur, scalar first
+    residual: float  # norm of force and moment / lever [N]
+    tolerance: float  # [N]
+    iterations: int
+    relaxed: bool  # whether damped relaxation had to help
+    eigenvalues: NDArray[np.float64]  # (6,) [N/m]
+    facets: tuple[str, ...]  # of "medial", "lateral": those that carry load
+    moved: float  # of the centre of mass, from the scene's start pose [m]
+    turned: float  # likewise [rad]
+    effects: dict[str, dict[str, NDArray[np.float64]]]  # what each effect reports there
+
+    @staticmethod
+    def build(
+        scene: Scene, solution: Solution, relaxed: bool, *, there: tuple[Pose, Seen] | None = None
+    ) -> EquilibriumReport:
+        """The report on a solution.
+
+        It does not raise: a solution that did not converge says so in `converged` and `description`.
+
+        Args:
+            scene: whose equilibrium it is.
+            solution: of the search.
+            relaxed: whether damped relaxation had to help.
+            there: pose of the patella in the femur and observables; by default they are looked up.
+        """
+        pose, seen = jax.device_get(_look(scene, solution.pose) if there is None else there)
+        solution, start = jax.device_get((solution, scene.center_of_mass_pose()))
+        double = solution.residual.dtype == np.float64
+        shift = [a - b for a, b in zip(_row(solution.pose.position), _row(start.position), strict=True)]
+        cosine = abs(float(np.dot(_row(solution.pose.orientation), _row(start.orientation))))
+        return EquilibriumReport(
+            position=_row(pose.position),
+            quaternion=_row(pose.orientation),
+            residual=float(solution.residual),
+            tolerance=1e-6 if double else 2e-2,
+            iterations=int(solution.iterations),
+            relaxed=bool(relaxed),
+            eigenvalues=_eigenvalues(np.asarray(solution.stiffness, dtype=np.float64)),
+            facets=_loaded_facets(seen),
+            moved=float(np.linalg.norm(shift)),
+            turned=2 * float(np.arccos(min(1.0, cosine))),
+            effects={
+                name: {key: np.asarray(value, dtype=np.float64) for key, value in report.items()}
+                for name, report in seen.items()
+            },
+        )
+
+    @property
+    def converged(self) -> bool:
+        """Whether the residual is below the tolerance."""
+        return self.residual < self.tolerance
+
+    @property
+    def kind(self) -> str:
+        """Stable, neutral (no stiffness in some direction), saddle (it would leave in some direction), or unknown."""
+        least, most = self.eigenvalues[0], np.abs(self.eigenvalues).max()
+        if not np.isfinite(least):
+            return "unknown"
+        if abs(least) <= _NEUTRAL * most:
+            return "neutral"
+        return "stable" if least > 0 else "saddle"
+
+    @property
+    def description(self) -> str:
+        """Which equilibrium it is, in a sentence."""
+        if not self.converged:
+            return f"no equilibrium: {self.residual:.3g} N are left after {self.iterations} iterations"
+        place = {0: "free of contact", 1: f"on the {' '.join(self.facets)} facet alone"}
+        where = place.get(len(self.facets), "on the medial and the lateral facet at once")
+        helped = ", found by damped relaxation" if self.relaxed else ""
+        return (
+            f"{self.kind} equilibrium {where}, {1e3 * self.moved:.2f} mm and {np.degrees(self.turned):.2f} deg "
+            f"from the start pose{helped}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "position_m": self.position.tolist(),
+            "quaternion": self.quaternion.tolist(),
+            "residual_N": self.residual,
+            "converged": self.converged,
+            "iterations": self.iterations,
+            "relaxed": self.relaxed,
+            "kind": self.kind,
+            "eigenvalues_N_per_m": self.eigenvalues.tolist(),
+            "lever_m": LEVER,
+            "facets": list(self.facets),
+            "moved_m": self.moved,
+            "turned_rad": self.turned,
+            "description": self.description,
+            "effects": {n: {k: v.tolist() for k, v in r.items()} for n, r in self.effects.items()},
+        }
+
+
+@eqx.filter_jit
+def _look(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
+    """Pose of the patella in the femur and observables, with the patella at rest at a pose of its centre of mass."""
+    system, guide = scene.system(), first_guide(scene)
+    now = guide.instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
+    memories = system.remember(now)
+    seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, memories, strict=True)}
+    turn = pose.orientation
+    origin = now.femur.to_local(pose.position - turn.rotate(scene.patella.center_of_mass))
+    if guide.femur is not None:
+        turn = Quaternion.from_rotation(guide.femur.rotation).conjugate() * turn
+    return Pose(origin, turn), seen
+
+
+def _row(v: Any) -> NDArray[np.float64]:
+    """Components of a vector or quaternion on the host."""
+    parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
+    return np.array([float(p) for p in parts])
+
+
+def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
+    if not np.isfinite(stiffness).all():
+        return np.full(6, np.nan)
+    return np.asarray(np.linalg.eigvalsh(stiffness), dtype=np.float64)
+
+
+def _loaded_facets(seen: Seen) -> tuple[str, ...]:
+    return tuple(
+        side for side in ("medial", "lateral") if any(np.any(r.get(f"force_{side}", 0.0) > 0) for r in seen.values())
+    )

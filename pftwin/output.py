@@ -1,0 +1,55 @@
+"""Files written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pftwin.errors import OutputError
+
+
+def check_place(path: str | os.PathLike[str]) -> Path:
+    """The path, if there is a folder for it and it is not a folder itself.
+
+    Raises:
+        OutputError: otherwise.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise OutputError(f"{target}: is a folder; try: the name of a file in it")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target}: cannot be written: there is no folder {target.parent}; try: create it first")
+    return target
+
+
+@contextmanager
+def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary file beside `path`, of the same suffix, that takes its place when the block ends without an error.
+
+    Raises:
+        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+    """
+    target = check_place(path)
+    temporary = None
+    try:
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}.", suffix=target.suffix)
+        os.close(handle)
+        temporary = Path(name)
+        temporary.chmod(_default_mode())
+        yield temporary
+        temporary.replace(target)
+    except OSError as err:
+        raise OutputError(f"{target}: cannot be written: {err.strerror or err}") from err
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def _default_mode() -> int:
+    """What a file made by open() would get; temporary files are private otherwise."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return 0o666 & ~mask

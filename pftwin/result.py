@@ -1,0 +1,249 @@
+"""What a simulation gives back: numpy arrays on the host, and how far to trust them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin import tracking
+from pftwin.dynamics.observe import Observation, Status
+from pftwin.dynamics.trajectory import Trajectory
+from pftwin.effects.base import Observable
+from pftwin.equilibrium_report import EquilibriumReport
+from pftwin.motion import KneeMotion, SegmentMotion
+from pftwin.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
+from pftwin.scene import Scene
+from pftwin.spatial import Quaternion, Vec3
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from pftwin.surfaces.closest import Surface
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Energies:
+    """The energy budget over the frames, (n,) each [J]. Work and heat are None where no account was kept."""
+
+    kinetic: Floats
+    stored: dict[str, Floats]  # by effect
+    work: Floats | None  # put in by guided bodies and known pulls since the start
+    heat: Floats | None  # taken out by damping since the start
+
+    @property
+    def total(self) -> Floats:
+        """Kinetic and stored."""
+        return self.kinetic + sum(self.stored.values(), start=np.zeros_like(self.kinetic))
+
+    @property
+    def budget_error(self) -> Floats | None:
+        """What no effect accounts for: lost by the integrator's steps where negative."""
+        if self.work is None or self.heat is None:
+            return None
+        return self.total - self.total[0] - self.work + self.heat
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The patella's motion and forces at the recorded frames. All arrays have the frames' axis, n, in front."""
+
+    scene_name: str
+    times: Floats  # (n,) [s]
+    center: Floats  # (n, 3) the button's sphere centre in the femur frame [m]
+    position: Floats  # (n, 3) the patella's origin in the femur frame [m]
+    quaternion: Floats  # (n, 4) patella to femur, scalar first, continuous in sign
+    knee: TibiofemoralAngles  # (n,) each [rad]
+    effects: dict[str, dict[str, NDArray[Any]]]  # by effect and observable
+    observables: dict[str, dict[str, Observable]]  # their units and long names
+    groups: dict[str, int]  # number of elements of the effects that are groups of like ones
+    energies: Energies
+    flags: NDArray[np.int32]  # (n,) bits of `Status`
+    equilibrium: EquilibriumReport
+    contact: str | None  # name of the sphere contact whose centre is tracked
+    surface: Surface | None  # its surface
+    settings: dict[str, Any]
+    timing: dict[str, float]  # [s]
+    dtype: str  # of the simulation
+
+    @classmethod
+    def build(
+        cls,
+        scene: Scene,
+        path: Trajectory,
+        seen: Observation,
+        *,
+        relaxed: bool,
+        settings: dict[str, Any],
+        timing: dict[str, float],
+    ) -> Result:
+        """From what the compiled program returned for one scene.
+
+        Args:
+            scene: what was simulated.
+            path: its trajectory.
+            seen: its observation.
+            relaxed: whether damped relaxation helped to find the starting equilibrium.
+            settings: integrator, "dt_s", "substeps".
+            timing: "equilibrium_s", "run_s".
+        """
+        seen, ledger = jax.device_get((seen, path.ledger))
+        first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
+        contact = scene.contact
+        work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
+        stored = {name: _double(energy) for name, energy in seen.potential_energy.items()}
+        return cls(
+            scene_name=scene.name,
+            times=scene.motion.times,
+            center=_rows(seen.center),
+            position=_rows(seen.patella.position),
+            quaternion=_continuous(_rows(seen.patella.orientation)),
+            knee=_knee_angles(scene.motion),
+            effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
+            observables={e.name: dict(type(e).observables) for e in scene.effects},
+            groups=_groups(scene),
+            energies=Energies(_double(seen.kinetic_energy), stored, work, heat),
+            flags=np.asarray(seen.status, dtype=np.int32),
+            equilibrium=EquilibriumReport.build(scene, path.start, relaxed, there=first),
+            contact=None if contact is None else contact.name,
+            surface=None if contact is None else contact.surface,
+            settings=dict(settings),
+            timing=dict(timing),
+            dtype=str(seen.center.x.dtype),
+        )
+
+    @cached_property
+    def angles(self) -> PatellarAngles:
+        """Flexion, rotation (internal positive) and tilt (lateral positive) of the patella in the femur, (n,) [rad]."""
+        return patellar_angles(Quaternion(*self.quaternion.T))
+
+    @property
+    def shift(self) -> Floats:
+        """Medial-lateral place of the button's centre in the femur frame, lateral positive, (n,) [m]."""
+        return self.center[:, 1]
+
+    @property
+    def status(self) -> Status:
+        """All flags that any frame has."""
+        return Status(int(np.bitwise_or.reduce(self.flags, initial=0)))
+
+    @property
+    def duration(self) -> float:
+        """Of the recorded motion [s]."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def real_time_factor(self) -> float:
+        """How many times faster than real time the simulation ran, the search for the equilibrium not included."""
+        run = self.timing.get("run_s", float("nan"))
+        return self.duration / run if run > 0 else float("nan")
+
+    @property
+    def largest_indentation(self) -> float:
+        """The deepest penetration over all frames and contacts [m]; NaN in a scene without contact."""
+        depths = [v for r in self.effects.values() for k, v in r.items() if k.startswith("indentation")]
+        present = [d[np.isfinite(d)] for d in depths]
+        return float(max((d.max() for d in present if d.size), default=np.nan))
+
+    @cached_property
+    def groove(self) -> tuple[Floats, Floats] | None:
+        """Place along the groove and lateral distance from its bottom, (n,) each [m]; None without a surface."""
+        return None if self.surface is None else tracking.groove_offset(self.surface, self.center)
+
+    def dislocations(self, threshold: float = tracking.DISLOCATED) -> tracking.Tracking | None:
+        """When the button left its groove (farther than `threshold` [m] from its bottom) and came back.
+
+        None in a scene without a contact surface.
+        """
+        if self.groove is None:
+            return None
+        return tracking.follow(self.times, self.groove[1], self.knee.flexion, threshold=threshold)
+
+    def summary(self) -> str:
+        """The main facts in a few lines."""
+        counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
+        marks = [f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n] or ["all frames clean"]
+        outcome = self.dislocations()
+        lines = [
+            f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s",
+            f"start: {self.equilibrium.description}",
+            *([] if outcome is None else [f"tracking: {outcome.describe()}"]),
+            *(f"status: {mark}" for mark in marks),
+        ]
+        if np.isfinite(self.largest_indentation):
+            lines.append(f"largest indentation: {1e3 * self.largest_indentation:.3f} mm")
+        if np.isfinite(self.real_time_factor):
+            lines.append(f"{self.real_time_factor:.0f} x real time")
+        return "\n".join(lines)
+
+    def to_dataset(self) -> Dataset:
+        """Everything as an xarray Dataset, with unit and long name on every variable."""
+        from pftwin.result_dataset import dataset
+
+        return dataset(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes NetCDF, whole or not at all. Raises OutputError where that is impossible."""
+        from pftwin.result_files import save_dataset
+
+        save_dataset(self.to_dataset(), path)
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Writes a table with units in its header. Raises OutputError where that is impossible."""
+        from pftwin.result_files import save_csv
+
+        save_csv(self.to_dataset(), path)
+
+    def to_sto(self, path: str | os.PathLike[str]) -> None:
+        """Writes an OpenSim storage file, angles in degrees. Raises OutputError where that is impossible."""
+        from pftwin.result_files import save_sto
+
+        save_sto(self.to_dataset(), path)
+
+
+def _double(values: Any) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _rows(v: Vec3 | Quaternion | Any) -> Floats:
+    """(n, 3) or (n, 4) from arrays per component."""
+    parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
+    return np.stack([_double(p) for p in parts], axis=1)
+
+
+def _continuous(q: Floats) -> Floats:
+    """Quaternions without jumps of sign."""
+    flips = np.where(np.einsum("ij,ij->i", q[1:], q[:-1]) < 0, -1.0, 1.0)
+    return q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+
+
+def _groups(scene: Scene) -> dict[str, int]:
+    """Effects whose parameters have a leading axis of like elements, told by their insertions."""
+    insertions = {e.name: getattr(e, "insertion", None) for e in scene.effects}
+    return {n: p.x.shape[0] for n, p in insertions.items() if isinstance(p, Vec3) and np.ndim(p.x) == 1}
+
+
+def _knee_angles(motion: KneeMotion) -> TibiofemoralAngles:
+    """Of the tibia in the femur at the recorded frames."""
+    q = _orientation(motion.tibia, motion.times)
+    if motion.femur is not None:
+        q = _orientation(motion.femur, motion.times).conjugate() * q
+    return tibiofemoral_angles(q)
+
+
+def _orientation(motion: SegmentMotion, times: Floats) -> Quaternion:
+    from scipy.interpolate import PPoly
+
+    spline = PPoly(_double(motion.quaternion_coefficients), _double(motion.knots))
+    q = spline(times)
+    return Quaternion(*(q / np.linalg.norm(q, axis=1, keepdims=True)).T)
+
+
+__all__ = ["Energies", "EquilibriumReport", "Result"]

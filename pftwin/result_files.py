@@ -1,0 +1,101 @@
+"""Results as files: NetCDF, CSV, OpenSim storage. Written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pftwin.errors import InputError
+from pftwin.mocap.csv_files import write_csv
+from pftwin.mocap.tables import Table
+from pftwin.mocap.text_files import write_text
+from pftwin.output import check_place, written_whole
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+_QUATERNION = "component"
+
+
+def save_dataset(data: Dataset, path: str | os.PathLike[str]) -> None:
+    """Writes NetCDF-4.
+
+    Raises:
+        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+    """
+    with written_whole(path) as temporary:
+        data.to_netcdf(temporary, engine="h5netcdf")
+
+
+def load_dataset(path: str | os.PathLike[str]) -> Dataset:
+    """A dataset that `save_dataset` wrote, read into memory.
+
+    Raises:
+        InputError: no such file, or not NetCDF-4.
+    """
+    from xarray import load_dataset as load
+
+    file = Path(path)
+    if not file.is_file():
+        raise InputError("no such file", where=file, remedy="check the path and the working directory")
+    try:
+        return load(file, engine="h5netcdf")
+    except (OSError, ValueError) as err:
+        raise InputError(f"cannot be read as NetCDF: {err}", where=file, expected="a result saved by pftwin") from err
+
+
+def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:
+    """Writes one column per variable and component, units in the header.
+
+    Raises:
+        OutputError: as `save_dataset`.
+    """
+    columns, units = flattened(data)
+    table = Table(data["time"].values, tuple(columns), np.stack([*columns.values()], axis=1), units)
+    write_csv(check_place(path), table)
+
+
+def save_sto(data: Dataset, path: str | os.PathLike[str]) -> None:
+    """Writes an OpenSim storage file: angles in degrees and the header says so, all else in SI units.
+
+    Raises:
+        OutputError: as `save_dataset`.
+    """
+    columns, _ = flattened(data)
+    times = data["time"].values
+    head = [
+        str(data.attrs.get("title", "pftwin result")).replace("\n", " "),
+        "version=1",
+        f"nRows={times.size}",
+        f"nColumns={len(columns) + 1}",
+        "inDegrees=yes",
+        "endheader",
+        "\t".join(["time", *columns]),
+    ]
+    rows = np.column_stack([times, *columns.values()])
+    lines = ["\t".join(["nan" if x != x else f"{x:.12g}" for x in row]) for row in rows]
+    write_text(check_place(path), "\n".join([*head, *lines]) + "\n")
+
+
+def flattened(data: Dataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Columns (n,) and their units by name: components get _x, _y, _z, quaternions _qw ... _qz, elements _1, _2 ..."""
+    columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    for name, variable in data.data_vars.items():
+        prefix = str(name).removesuffix("_quaternion") if _QUATERNION in variable.dims else str(name)
+        labels = [""]
+        for dimension in variable.dims[1:]:
+            if dimension in data.coords:
+                lead = "_q" if dimension == _QUATERNION else "_"
+                parts = [f"{lead}{value}" for value in data[dimension].values]
+            else:
+                parts = [f"_{i + 1}" for i in range(variable.sizes[dimension])]
+            labels = [a + b for a in labels for b in parts]
+        values = np.asarray(variable.values, dtype=np.float64).reshape(variable.sizes["time"], -1)
+        for label, column in zip(labels, values.T, strict=True):
+            columns[prefix + label] = column
+            units[prefix + label] = "" if label.startswith("_q") else str(variable.attrs.get("units", "1"))
+    return columns, units

@@ -1,0 +1,120 @@
+"""From a scene file to a scene."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, create_model
+
+from pftwin.errors import InputError
+from pftwin.scene import Scene, check
+from pftwin.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
+from pftwin.scene_file.document import Document
+from pftwin.scene_file.problems import scene_error
+from pftwin.scene_file.registry import EFFECTS
+from pftwin.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
+from pftwin.scene_file.segments import MotionSection, PoseSection, Recording
+from pftwin.scene_file.setting import Setting
+from pftwin.scene_file.side import MedialLateralSection, Side
+
+if TYPE_CHECKING:
+    from pftwin.measured import Measured
+
+SCHEMA = 1
+
+
+class SceneSection(Section):
+    """The whole file, less the effects."""
+
+    schema_version: Literal[1] = Field(alias="schema", description="version of this format: schema = 1")
+    name: FileName | None = Field(None, description="the scene's name; the file's by default")
+    side: Literal["right", "left"] = Field("right", description="side of the knee; a left one is mirrored on input")
+    medial_lateral: MedialLateralSection = Field(
+        default_factory=MedialLateralSection, description="table: the medial-lateral axis of each frame (left knees)"
+    )
+    patella: PatellaSection = Field(description="table: the patella")
+    motion: MotionSection = Field(default_factory=MotionSection, description="table: the recording")
+    femur: FemurSection = Field(
+        default_factory=lambda: FemurSection(fixed=PoseSection()), description="table: where the femur is"
+    )
+    tibia: TibiaSection = Field(description="table: where the tibia is")
+
+
+_EFFECT_FIELDS: Any = {
+    section.kind: (
+        Annotated[list[section], ONE_OR_MANY],
+        Field(default_factory=list, description=f"table, or several: {(section.__doc__ or '').splitlines()[0]}"),
+    )
+    for section in EFFECTS
+}
+SceneFile = create_model("SceneFile", __base__=SceneSection, **_EFFECT_FIELDS)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedScene:
+    """A scene, what it is to be compared with, and what happened to the recording on the way in."""
+
+    scene: Scene
+    measured: Measured | None
+    notes: tuple[str, ...]
+    path: Path
+
+
+def load_scene(path: str | os.PathLike[str], *, contact: str | None = None) -> Scene:
+    """The scene that a TOML file describes.
+
+    Args:
+        path: the scene file; relative paths in it start at its folder.
+        contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), in place of the file's.
+
+    Raises:
+        InputError: a file that cannot be read, unknown or missing fields, values that cannot be right; one message that
+            lists every problem with its line and field.
+    """
+    return load_scene_file(path, contact=contact).scene
+
+
+def load_scene_file(path: str | os.PathLike[str], *, contact: str | None = None) -> LoadedScene:
+    """As `load_scene`, with the measurements that the file names and with notes for the user."""
+    document = Document.read(path)
+    file = _validated(document)
+    side, notes = Side(file.side == "left", file.medial_lateral), []
+    recording = Recording(file.motion, document, notes)
+    motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, recording, side)
+    start = start_pose(file.patella.start, recording, side, motion, fixed_femur, femur)
+    setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, contact, notes)
+    effects = tuple(
+        table.build(setting, (section.kind, i))
+        for section in EFFECTS
+        for i, table in enumerate(getattr(file, section.kind))
+    )
+    if not effects:
+        raise InputError(
+            "no effect acts on the patella", where=document.path, expected="[contact], [[tendon]], [gravity] ..."
+        )
+    scene = Scene(file.patella.body(side), effects, motion, start.pose(), file.name or Path(path).stem)
+    with document.naming():
+        check(scene)
+    return LoadedScene(scene, None, tuple(notes), document.path)
+
+
+def _validated(document: Document) -> Any:
+    version = document.data.get("schema")
+    if version != SCHEMA or isinstance(version, bool):
+        place, _, _ = document.locate(("schema",))
+        raise InputError(
+            "is missing" if version is None else f"found {version!r}",
+            where=document.describe(place),
+            expected=f"schema = {SCHEMA}, the version of the format that this pftwin reads",
+            remedy="a newer pftwin" if isinstance(version, int) and version > SCHEMA else None,
+        )
+    reading = Reading()
+    try:
+        return SceneFile.model_validate(document.data, context=reading)
+    except ValidationError as error:
+        raise scene_error(error, document, reading) from None
+    finally:
+        document.wrapped.update(reading.wrapped)

@@ -1,0 +1,19 @@
+"""Which tables of a scene file are effects. A new effect is one file with its table, and one line here."""
+
+from __future__ import annotations
+
+from pftwin.scene_file.contact_table import ContactSection
+from pftwin.scene_file.effect_tables import EffectSection
+from pftwin.scene_file.field_tables import DampingSection, GravitySection
+from pftwin.scene_file.strands_table import StrandsSection
+from pftwin.scene_file.tendon_table import TendonSection
+from pftwin.scene_file.tension_table import PrescribedTensionSection
+
+EFFECTS: tuple[type[EffectSection], ...] = (
+    GravitySection,
+    TendonSection,
+    StrandsSection,
+    PrescribedTensionSection,
+    ContactSection,
+    DampingSection,
+)

@@ -1,0 +1,124 @@
+"""What all tables of a scene file share: strict fields with units in their names, lengths in metres or millimetres."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic_core import PydanticCustomError
+
+
+@dataclass
+class Reading:
+    """What validation notes down for the messages, by the identity of the file's own values."""
+
+    models: dict[int, type[Section]] = field(default_factory=dict)
+    wrapped: set[int] = field(default_factory=set)
+    originals: dict[int, tuple[Any, Any]] = field(default_factory=dict)  # by id: a value in metres, and as written
+
+
+class Section(BaseModel):
+    """A table. Unknown fields are errors; a field NAME_m may be written NAME_mm; text is never taken for a number."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lengths_in_metres(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict):
+            return data
+        if isinstance(info.context, Reading):
+            info.context.models[id(data)] = cls
+        out = dict(data)
+        for name in cls.model_fields:
+            if name.endswith("_m") and f"{name}m" in out:
+                if name in out:
+                    raise problem(f"both {name} and {name}m are given", expected="one of them")
+                written = out.pop(f"{name}m")
+                out[name] = _scaled(written, 1e-3)
+                if isinstance(info.context, Reading):
+                    info.context.originals[id(out[name])] = out[name], written
+        return out
+
+
+def problem(found: str, *, expected: str | None = None, remedy: str | None = None) -> PydanticCustomError:
+    """An error for a validator to raise; it keeps its parts."""
+    return PydanticCustomError("scene", "{found}", {"found": found, "expected": expected, "remedy": remedy})
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, int | float):
+        return value * factor
+    if isinstance(value, list):
+        return [_scaled(v, factor) for v in value]
+    if isinstance(value, dict):
+        return {key: _scaled(v, factor) for key, v in value.items()}
+    return value
+
+
+def _unit_quaternion(value: list[float]) -> list[float]:
+    norm = float(np.linalg.norm(value))
+    if abs(norm - 1) > 1e-3:
+        raise problem(
+            f"found a quaternion of length {norm:.6g}",
+            expected="a unit quaternion (w, x, y, z)",
+            remedy="check the order of the four numbers: the scalar part comes first",
+        )
+    return [v / norm for v in value]
+
+
+def _polynomial(value: str) -> str:
+    if not re.fullmatch(r"[Pp]?([1-9]|1[0-2])", value):
+        raise problem(f"found {value!r}", expected='a polynomial, "P1" to "P12"')
+    return value
+
+
+def _direction(value: list[float]) -> list[float]:
+    if not any(value):
+        raise problem("found the zero vector", expected="a direction: three numbers, not all zero")
+    return value
+
+
+def _one_or_many(value: Any, info: ValidationInfo) -> Any:
+    if isinstance(value, list) and (not value or isinstance(value[0], dict)):
+        return value
+    return _wrapped(value, info)
+
+
+def _number_or_numbers(value: Any, info: ValidationInfo) -> Any:
+    return value if isinstance(value, list) else _wrapped(value, info)
+
+
+def _point_or_points(value: Any, info: ValidationInfo) -> Any:
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return value
+    return _wrapped(value, info)
+
+
+def _wrapped(value: Any, info: ValidationInfo) -> list[Any]:
+    if isinstance(info.context, Reading) and isinstance(value, list | dict):
+        _, written = info.context.originals.get(id(value), (value, value))
+        info.context.wrapped.add(id(written))
+    return [value]
+
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Point = Annotated[list[float], Field(min_length=3, max_length=3)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+PositivePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+Direction = Annotated[Point, AfterValidator(_direction)]
+UnitQuaternion = Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
+Polynomial = Annotated[str, AfterValidator(_polynomial)]
+FileName = Annotated[str, Field(min_length=1)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+# Groups: one value for all members, or a list with one for each.
+Positives = Annotated[list[Positive], Field(min_length=1), BeforeValidator(_number_or_numbers)]
+NotNegatives = Annotated[list[NotNegative], Field(min_length=1), BeforeValidator(_number_or_numbers)]
+Points = Annotated[list[Point], Field(min_length=1), BeforeValidator(_point_or_points)]
+ONE_OR_MANY = BeforeValidator(_one_or_many)  # [table] or [[table]]

@@ -38,7 +38,7 @@ class EquilibriumReport:
     facets: tuple[str, ...]  # of "medial", "lateral": those that carry load
     moved: float  # of the centre of mass, from the scene's start pose [m]
     turned: float  # likewise [rad]
-    effects: dict[str, dict[str, NDArray[np.float64]]]  # what each effect reports there
+    effects: dict[str, dict[str, NDArray[np.float64]]]  # reports there; a run's: with its bodies moving
 
     @staticmethod
     def build(

@@ -180,7 +180,7 @@ class Result:
         if np.isfinite(self.largest_indentation):
             lines.append(f"largest indentation: {1e3 * self.largest_indentation:.3f} mm")
         if np.isfinite(self.real_time_factor):
-            lines.append(f"{self.real_time_factor:.0f} x real time")
+            lines.append(f"{self.real_time_factor:.3g} x real time")
         return "\n".join(lines)
 
     def to_dataset(self) -> Dataset:

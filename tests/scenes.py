@@ -26,8 +26,12 @@ J = jnp.asarray
 MASS, RADIUS, G = 0.12, 0.022, 9.81
 
 
-def vec(x: float, y: float, z: float) -> Vec3:
-    return Vec3(J(float(x)), J(float(y)), J(float(z)))
+def scalar(x) -> jax.Array:
+    return jnp.asarray(x, dtype=float)
+
+
+def vec(x, y, z) -> Vec3:
+    return Vec3(scalar(x), scalar(y), scalar(z))
 
 
 def plane_chart() -> PlaneChart:
@@ -58,7 +62,7 @@ def groove_patch(degree: int = 5) -> PolynomialPatch:
 
 
 def tendon(k=500.0, slack=0.05, c=0.0, insertion=(0, 0, 0), origin=(0, 0, 0.1), body="ground", name="tendon") -> Tendon:
-    return Tendon(J(float(k)), J(float(slack)), J(float(c)), vec(*insertion), vec(*origin), body, name=name)
+    return Tendon(scalar(k), scalar(slack), scalar(c), vec(*insertion), vec(*origin), body, name=name)
 
 
 def contact(law: ContactLaw, surface=None, center=(0, 0, 0)) -> SphereContact:

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.solve import Lower, factor, solve
+from pftwin.dynamics.solve import Lower, add_outer, factor, solve
 from pftwin.dynamics.state import Guide, State, System, advance, gyroscopic
 from pftwin.effects.base import StiffTerm
 from pftwin.spatial import Scalar, Vec3
@@ -70,15 +70,8 @@ def _with_term(matrix: Lower, right: list[Scalar], term: StiffTerm, step: Scalar
     g = [d.x, d.y, d.z, m.x, m.y, m.z]
     weight = step * (step * term.stiffness + term.damping)
     push = term.force + step * term.stiffness * term.rate
-    if jnp.ndim(push):
-        rows = jnp.stack([jnp.broadcast_to(a, push.shape) for a in g])
-        gram = (rows * weight[None, :]) @ rows.T
-        add = rows @ push
-        matrix = [[matrix[i][j] + gram[i, j] for j in range(i + 1)] for i in range(6)]
-        return matrix, _add(right, [add[i] for i in range(6)])
-    weighted = [weight * a for a in g]
-    matrix = [[matrix[i][j] + weighted[i] * g[j] for j in range(i + 1)] for i in range(6)]
-    return matrix, _add(right, [push * a for a in g])
+    add = [jnp.sum(push * a) if jnp.ndim(push) else push * a for a in g]
+    return add_outer(matrix, g, weight), _add(right, add)
 
 
 def _add(a: list[Scalar], b: list[Scalar]) -> list[Scalar]:

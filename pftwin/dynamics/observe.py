@@ -76,8 +76,7 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         return Pose(origin, relative), center, seen, system.kinetic_energy(state), stored, status
 
     patella, center, seen, kinetic, stored, status = jax.vmap(look)(path.states, guides)
-    tolerance = 1e-6 if times.dtype == jnp.float64 else 2e-2
-    badly_started = jnp.where(path.start.converged(tolerance), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
+    badly_started = jnp.where(path.start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
     return Observation(patella, center, seen, kinetic, stored, status | badly_started)
 
 

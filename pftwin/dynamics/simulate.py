@@ -48,13 +48,9 @@ def _run(
 def settle(scene: Scene) -> tuple[Solution, bool]:
     """The equilibrium at the first frame, and whether the damped relaxation had to help."""
     solution = _solve(scene, None)
-    if bool(solution.converged(_tolerance(solution))):
+    if bool(solution.converged()):
         return solution, False
     return _solve(scene, _relaxed(scene)), True
-
-
-def _tolerance(solution: Solution) -> float:
-    return 1e-6 if solution.residual.dtype == "float64" else 2e-2
 
 
 def simulate(

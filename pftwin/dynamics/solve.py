@@ -4,9 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
+
 from pftwin.spatial import Scalar
 
 Lower = list[list[Scalar]]  # row i holds columns 0..i
+
+
+def add_outer(a: Lower, g: Sequence[Scalar], weight: Scalar) -> Lower:
+    """a + w g g^T; entries with a leading axis (a group of terms) are summed over it."""
+    if jnp.ndim(weight):
+        rows = jnp.stack([jnp.broadcast_to(x, weight.shape) for x in g])
+        gram = (rows * weight[None, :]) @ rows.T
+        return [[entry + gram[i, j] for j, entry in enumerate(row)] for i, row in enumerate(a)]
+    weighted = [weight * x for x in g]
+    return [[entry + weighted[i] * g[j] for j, entry in enumerate(row)] for i, row in enumerate(a)]
 
 
 def factor(a: Lower) -> tuple[Lower, list[Scalar]]:

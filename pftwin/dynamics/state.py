@@ -70,7 +70,11 @@ class System(eqx.Module):
     def start(self, pose: Pose, guide: Guide) -> State:
         """At rest, at the pose of the centre of mass."""
         patella = Patella.at_rest(pose.position, pose.orientation)
-        memories = self.remember(guide.instant(patella, 0.0))
+        return self.at_rest(pose, self.remember(guide.instant(patella, 0.0)))
+
+    @staticmethod
+    def at_rest(pose: Pose, memories: tuple[Any, ...]) -> State:
+        """At rest, at the pose of the centre of mass, with given memories."""
         zero = Vec3(*(jnp.zeros_like(pose.position.x) for _ in range(3)))
         return State(pose.position, pose.orientation, zero, zero, memories)
 

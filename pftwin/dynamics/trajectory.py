@@ -56,8 +56,7 @@ def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
     """The equilibrium at the first frame, from the scene's own start pose or another pose of the patella's frame."""
     system, guide = scene.system(), first_guide(scene)
     pose = scene.center_of_mass_pose() if guess is None else _of_center(scene, guess)
-    tolerance = 1e-6 if pose.position.x.dtype == jnp.float64 else 2e-2
-    return solve_equilibrium(system, guide, pose, tolerance)
+    return solve_equilibrium(system, guide, pose)
 
 
 def _of_center(scene: Scene, pose: Pose) -> Pose:
@@ -115,7 +114,7 @@ def trajectory(
     if start is None:
         start = starting_equilibrium(scene)
     guides, step = _guides(scene, substeps)
-    state = system.start(start.pose, first_guide(scene))
+    state = system.at_rest(start.pose, start.memories)
     zero = jnp.zeros_like(step)
     carry = (state, Ledger(zero, zero) if ledger else None)
 

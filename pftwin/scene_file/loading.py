@@ -13,6 +13,7 @@ from pftwin.errors import InputError
 from pftwin.scene import Scene, check
 from pftwin.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
 from pftwin.scene_file.document import Document
+from pftwin.scene_file.measured_table import MeasuredSection
 from pftwin.scene_file.problems import scene_error
 from pftwin.scene_file.registry import EFFECTS
 from pftwin.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
@@ -41,6 +42,7 @@ class SceneSection(Section):
         default_factory=lambda: FemurSection(fixed=PoseSection()), description="table: where the femur is"
     )
     tibia: TibiaSection = Field(description="table: where the tibia is")
+    measured: MeasuredSection | None = Field(None, description="table: what the simulation is to be compared with")
 
 
 _EFFECT_FIELDS: Any = {
@@ -98,7 +100,8 @@ def load_scene_file(path: str | os.PathLike[str], *, contact: str | None = None)
     scene = Scene(file.patella.body(side), effects, motion, start.pose(), file.name or Path(path).stem)
     with document.naming():
         check(scene)
-    return LoadedScene(scene, None, tuple(notes), document.path)
+    measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
+    return LoadedScene(scene, measured, tuple(notes), document.path)
 
 
 def _validated(document: Document) -> Any:

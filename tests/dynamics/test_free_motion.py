@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,8 +78,7 @@ def pendulums():
 
     def swing(k):
         slack = length - MASS * G * np.cos(amplitude) / k  # in balance along the rod when let go
-        rod = tendon(slack=slack)
-        rod = eqx.tree_at(lambda t: (t.stiffness, t.slack_length), rod, (k, slack))
+        rod = tendon(k, slack)
         sys = system(gravity(), rod)
         states, _ = record(sys, state_at(sys, at), J(1e-3), 4000)
         stretch = jax.vmap(lambda s: rod.line(still_guide().instant(s.patella(), 0.0)).length)(states)

@@ -1,0 +1,140 @@
+"""`pftwin fit-surface`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
+from pftwin.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from pftwin.surfaces.fit import PatchFit
+
+_SIGNS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_FIGURES = (".png", ".svg", ".pdf")
+
+
+def fit_surface(
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="STL, OBJ or PLY file of a femoral component.")],
+    *,
+    units: Annotated[str, typer.Option("--units", metavar="m|mm", help="Unit of the mesh's coordinates.")],
+    degree: Annotated[str, typer.Option("--degree", metavar="LIST", help="Polynomials to fit.")] = "P2,P4,P5",
+    chart: Annotated[str, typer.Option("--chart", metavar="plane|cylinder", help="Heights over what.")] = "plane",
+    anterior: Annotated[str, typer.Option("--anterior", help="Anterior direction in the mesh's frame.")] = "+z",
+    proximal: Annotated[str, typer.Option("--proximal", help="Proximal direction in the mesh's frame.")] = "+x",
+    half_width: Annotated[float, typer.Option("--half-width-mm", help="Half width of the region [mm].")] = 20.0,
+    angles: Annotated[
+        tuple[float, float], typer.Option("--angles-deg", help="Region's limits about the trochlear axis [deg].")
+    ] = (-60.0, 60.0),
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FIGURE.png", help="Figure of the region.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Find the trochlea on a mesh and fit polynomials to it: table of R^2 and errors, and a figure of the region.
+
+    Example: `pftwin fit-surface femur.stl --units mm --anterior=-x --proximal=+y -o region.png`
+    """
+    if output is not None and output.suffix.lower() not in _FIGURES:
+        raise OutputError(f"{output}: unknown kind of figure; expected: {', '.join(_FIGURES)}")
+    check_outputs(output, json)
+    from pftwin.surfaces.fit import fit_patch, parse_degree
+
+    degrees = [parse_degree(name) for name in degree.split(",")]
+    directions = {"anterior": _direction(anterior, "anterior"), "proximal": _direction(proximal, "proximal")}
+    if chart not in ("plane", "cylinder"):
+        raise InputError(f"no chart {chart!r}", where="--chart", expected="plane or cylinder")
+    start_computing()
+    import numpy as np
+
+    from pftwin.surfaces.mesh import load_mesh
+    from pftwin.surfaces.region import trochlear_region
+
+    with working(f"reading {mesh}"):
+        surface = load_mesh(mesh, units=units)
+    with working("looking for the trochlea"):
+        limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
+        region = trochlear_region(surface, **directions, half_width=1e-3 * half_width, angles=limits)
+    with working("fitting"):
+        fits = [fit_patch(surface, degree=n, chart=chart, region=region) for n in degrees]
+    if output is not None:
+        with working("drawing"):
+            _draw(region, surface, output)
+    write_json(_facts(mesh, chart, region, fits), json)
+    console = out(json)
+    console.print(_table(mesh, chart, fits))
+    if output is not None:
+        console.print(f"written: {output}", markup=False, highlight=False)
+
+
+def _direction(text: str, name: str) -> tuple[float, ...]:
+    """A signed axis ("-x") or three numbers ("0,1,0")."""
+    axis = text.strip().lower().removeprefix("+")
+    if axis.removeprefix("-") in _SIGNS:
+        sign = -1.0 if axis.startswith("-") else 1.0
+        return tuple(sign * v for v in _SIGNS[axis.removeprefix("-")])
+    try:
+        values = tuple(float(v) for v in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 3:
+        raise InputError(f"found {text!r}", where=f"--{name}", expected="an axis as in -x, or three numbers: 0,1,0")
+    return values
+
+
+def _draw(region: Any, surface: Any, output: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    from pftwin.output import written_whole
+    from pftwin.surfaces.region import plot_region
+
+    figure = plot_region(region, surface)
+    with written_whole(output) as temporary:
+        figure.savefig(temporary, dpi=150)
+    plt.close(figure)
+
+
+def _facts(mesh: Path, chart: str, region: Any, fits: list[PatchFit]) -> dict[str, Any]:
+    return {
+        "mesh": str(mesh),
+        "chart": chart,
+        "region_vertices": region.n_vertices,
+        "region_angles_rad": list(region.angles),
+        "region_half_width_m": region.half_width,
+        "fits": [
+            {
+                "polynomial": f.name,
+                "r_squared": f.r_squared,
+                "rms_m": f.rms,
+                "max_error_m": f.max_error,
+                "rms_normal_m": f.rms_normal,
+                "max_error_normal_m": f.max_error_normal,
+                "vertices": f.n_vertices,
+                "coverage": f.coverage,
+                "coefficients_m": f.patch.coefficients,
+                "center_m": [float(v) for v in f.patch.center],
+                "half_size_m": [float(v) for v in f.patch.half_size],
+            }
+            for f in fits
+        ],
+    }
+
+
+def _table(mesh: Path, chart: str, fits: list[PatchFit]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=f"{mesh.name}, heights over a {chart}, {fits[0].n_vertices} vertices")
+    for heading in ("polynomial", "R^2 [%]", "rms [mm]", "max [mm]", "rms along normal [mm]"):
+        table.add_column(heading, justify="right")
+    for f in fits:
+        errors = (1e3 * v for v in (f.rms, f.max_error, f.rms_normal))
+        table.add_row(f.name, f"{100 * f.r_squared:.2f}", *(f"{v:.3f}" for v in errors))
+    return table

@@ -1,0 +1,80 @@
+"""The scene that a command works on: a file, or one of the virtual rig's cases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pftwin.cli.terminal import err, start_computing, working
+from pftwin.errors import InputError
+
+if TYPE_CHECKING:
+    from pftwin.measured import Measured
+    from pftwin.scene import Scene
+
+SceneArgument = Annotated[
+    Path | None, typer.Argument(metavar="[SCENE.toml]", help="Scene file; `pftwin init` writes an example.")
+]
+CaseOption = Annotated[
+    int | None, typer.Option("--case", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
+]
+ContactOption = Annotated[
+    str | None,
+    typer.Option("--contact", metavar="P2|P4|P5", help="Polynomial fitted to the mesh: the file's own, or P5."),
+]
+IntegratorOption = Annotated[
+    str, typer.Option("--integrator", metavar="NAME", help="linear_implicit or symplectic_euler.")
+]
+StepOption = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s].")]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A scene, its measurements where there are any, and the name of its polynomial where that is known."""
+
+    scene: Scene
+    measured: Measured | None
+    contact: str | None
+
+
+def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, measured: bool = False) -> Chosen:
+    """Loads the scene.
+
+    Args:
+        scene: the scene file.
+        case: or the rig's case.
+        contact: polynomial in place of the scene's own.
+        measured: whether a case's measurements are wanted; a file's are loaded in any case.
+
+    Raises:
+        InputError: none or both of scene and case; what the scene's files have against them.
+    """
+    if (scene is None) == (case is None):
+        found = "both a scene file and --case" if scene is not None else "neither a scene file nor --case"
+        raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")
+    if contact is not None:
+        from pftwin.surfaces.fit import parse_degree
+
+        contact = f"P{parse_degree(contact)}"
+    start_computing()
+    if scene is not None:
+        from pftwin.scene_file import load_scene_file
+
+        with working(f"reading {scene}"):
+            loaded = load_scene_file(scene, contact=contact)
+        for note in loaded.notes:
+            err().print(note, style="dim", markup=False, highlight=False, soft_wrap=True)
+        return Chosen(loaded.scene, loaded.measured, contact or _polynomial(loaded.scene))
+    from pftwin import rig
+
+    with working(f"preparing case {case} of the virtual rig"):
+        name = contact or "P5"
+        return Chosen(rig.case(case, contact=name), rig.measured(case) if measured else None, name)
+
+
+def _polynomial(scene: Scene) -> str | None:
+    degree = None if scene.contact is None else getattr(scene.contact.surface, "degree", None)
+    return None if degree is None else f"P{degree}"

@@ -1,0 +1,65 @@
+"""`pftwin simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pftwin.cli.scenes import CaseOption, ContactOption, IntegratorOption, SceneArgument, StepOption, chosen_scene
+from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
+from pftwin.errors import OutputError
+
+
+def simulate(
+    scene: SceneArgument = None,
+    *,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.nc", help="The result as NetCDF.")],
+    case: CaseOption = None,
+    contact: ContactOption = None,
+    integrator: IntegratorOption = "linear_implicit",
+    dt: StepOption = 1e-3,
+    csv: Annotated[bool, typer.Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
+    sto: Annotated[bool, typer.Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
+    json: JsonOption = None,
+) -> None:
+    """Simulate the patella through the recorded motion.
+
+    Example: `pftwin simulate knee/scene.toml -o knee.nc --csv`
+    """
+    if output.suffix.lower() != ".nc":
+        raise OutputError(f"{output}: results are NetCDF; try: {output.with_suffix('.nc')}")
+    table, storage = (output.with_suffix(".csv") if csv else None), (output.with_suffix(".sto") if sto else None)
+    check_outputs(output, table, storage, json)
+    chosen = chosen_scene(scene, case, contact)
+    from pftwin.dynamics.simulate import simulate as run
+
+    with working(f"simulating {chosen.scene.name}"):
+        result = run(chosen.scene, integrator=integrator, dt=dt)
+    with working("writing"):
+        result.save(output)
+        if table is not None:
+            result.to_csv(table)
+        if storage is not None:
+            result.to_sto(storage)
+    written = [str(p) for p in (output, table, storage) if p is not None]
+    write_json(
+        {
+            "scene": result.scene_name,
+            "contact": chosen.contact,
+            "frames": result.times.size,
+            "duration_s": result.duration,
+            "settings": result.settings,
+            "timing": result.timing,
+            "real_time_factor": result.real_time_factor,
+            "status": result.status.describe(),
+            "largest_indentation_m": result.largest_indentation,
+            "equilibrium": result.equilibrium.to_dict(),
+            "dtype": result.dtype,
+            "files": written,
+        },
+        json,
+    )
+    out(json).print(result.summary(), markup=False, highlight=False)
+    out(json).print(f"written: {', '.join(written)}", markup=False, highlight=False)

@@ -1,0 +1,112 @@
+"""What commands share at the terminal: consoles, spinners, JSON output, and checks of output paths before long work."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pftwin.errors import OutputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+JsonOption = Annotated[
+    str | None,
+    typer.Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -."),
+]
+
+
+def err() -> Console:
+    """For progress, warnings and errors: stderr."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def out(json_to: str | None = None) -> Console:
+    """For tables and text: stdout, or stderr where stdout is taken by JSON."""
+    from rich.console import Console
+
+    return Console(stderr=json_to == "-", soft_wrap=True)
+
+
+@contextmanager
+def working(what: str) -> Iterator[None]:
+    """A spinner on stderr while something takes its time; nothing where stderr is no terminal."""
+    with err().status(f"{what} ..."):
+        yield
+
+
+def start_computing() -> None:
+    """Double precision, fast CPU code and the folder of compiled programs.
+
+    A process that has set JAX to double precision already keeps its own settings.
+    """
+    if "jax" in sys.modules:
+        import jax
+
+        if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+            return
+    from pftwin.runtime import configure, default_cache_dir
+
+    configure(cache_dir=default_cache_dir())
+
+
+def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
+    """Refuses places that cannot be written to, before any work is done; None and "-" are passed over.
+
+    Raises:
+        OutputError: a folder that is missing or read-only, a path that is a folder, two outputs to one file.
+    """
+    from pftwin.output import check_place
+
+    seen: set[Path] = set()
+    for path in paths:
+        if path is None or str(path) == "-":
+            continue
+        target = check_place(path)
+        if not os.access(target.parent, os.W_OK | os.X_OK) or (target.exists() and not os.access(target, os.W_OK)):
+            raise OutputError(f"{target}: cannot be written: permission denied")
+        if (place := target.resolve()) in seen:
+            raise OutputError(f"{target}: two outputs would go to this file; try: another name for one of them")
+        seen.add(place)
+
+
+def write_json(value: Any, to: str | None) -> None:
+    """Writes JSON to a file or stdout ("-"); None: not at all. Numbers that are not finite become null.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    if to is None:
+        return
+    text = json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
+    if to == "-":
+        sys.stdout.write(text)
+        return
+    from pftwin.mocap.text_files import write_text
+
+    write_text(to, text)
+
+
+def _plain(value: Any) -> Any:
+    """Only what JSON has."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, str | int | bool) or value is None:
+        return value
+    if isinstance(value, Sequence):
+        return [_plain(v) for v in value]
+    return str(value)

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation as Turn
 
 import pftwin
-from pftwin.cap import CapUse, check_cap
+from pftwin.cap import check_cap
 from pftwin.dynamics.state import Guide
 from pftwin.effects.base import Patella
 from pftwin.effects.contact_law import Hertz
@@ -33,8 +33,17 @@ from pftwin.effects.sphere_contact import SphereContact
 from pftwin.effects.strands import StrandGroup
 from pftwin.effects.tension import PrescribedTension
 from pftwin.errors import InputError, PftwinError
-from pftwin.mocap import PoseSeries, Table, butterworth_lowpass, fill_gaps, mean_cluster, read_csv, read_poses_csv
-from pftwin.mocap import read_trc, segment_poses
+from pftwin.mocap import (
+    PoseSeries,
+    Table,
+    butterworth_lowpass,
+    fill_gaps,
+    mean_cluster,
+    read_csv,
+    read_poses_csv,
+    read_trc,
+    segment_poses,
+)
 from pftwin.motion import KneeMotion
 from pftwin.result import Result
 from pftwin.scene import PatellaBody, Scene
@@ -100,7 +109,7 @@ class Comparison:
 
 
 def anatomical(points: ArrayLike) -> NDArray[np.float64]:
-    """Points or directions (..., 3) of the data's femur, tibia and button frames in proximal, lateral, anterior axes."""
+    """Points or directions (..., 3) of the data's frames in proximal, lateral, anterior axes."""
     return np.asarray(points, dtype=np.float64) @ AXES.T
 
 
@@ -218,7 +227,13 @@ def build(folder: Path, *, degree: int = 6, cap_tolerance: float = 0.02e-3) -> K
 
 
 def compare(knee: Knee, result: Result) -> Comparison:
-    """The simulated patella against the recorded one."""
+    """The simulated patella against the recorded one.
+
+    Raises:
+        InputError: a simulation that is not finite throughout.
+    """
+    if pftwin.Status.NOT_FINITE in result.status:
+        raise InputError("the simulation did not stay finite", where=result.scene_name, remedy="a smaller time step")
     recorded = Turn.from_quat(knee.patella.quaternions, scalar_first=True)
     simulated = Turn.from_quat(result.quaternion, scalar_first=True)
     center = knee.patella.positions + np.einsum("nij,j->ni", recorded.as_matrix(), knee.sphere.center)
@@ -267,7 +282,9 @@ def demanded_force(knee: Knee) -> NDArray[np.float64]:
 
 def gait_motion(folder: Path) -> KneeMotion:
     """Optical motion capture of the same subject's gait, from the file to femur and tibia motion."""
-    clusters = {bone: [f"R_{bone}_{place}" for place in ("Superior", "Inferior", "Lateral")] for bone in ("Thigh", "Shank")}
+    clusters = {
+        bone: [f"R_{bone}_{place}" for place in ("Superior", "Inferior", "Lateral")] for bone in ("Thigh", "Shank")
+    }
     raw = read_trc(folder / "DM_smooth1_new.trc").select([m for names in clusters.values() for m in names])
     filled, _ = fill_gaps(raw)
     smooth = filled.with_positions(butterworth_lowpass(filled.positions, filled.rate, 12.0))
@@ -295,10 +312,11 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         knee, result, comparison = run(given.folder, degree=given.degree, dt=given.dt)
         print(knee.patch, knee.sphere, result.summary(), comparison, sep="\n")
-        use: CapUse = check_cap(result, knee.sphere)
-        print(f"button: {use.describe()}")
+        print(f"button: {check_cap(result, knee.sphere).describe()}")
         gait = gait_motion(given.folder)
-        print(f"gait trial: {gait.n_frames} frames of femur and tibia motion, {gait.start_time:g} to {gait.end_time:g} s")
+        print(
+            f"gait trial: {gait.n_frames} frames of femur and tibia motion, {gait.start_time:g} to {gait.end_time:g} s"
+        )
         if given.out:
             result.save(given.out)
     except PftwinError as error:

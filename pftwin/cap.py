@@ -1,4 +1,4 @@
-"""Whether a button really is a sphere where it was loaded: the angle of each contact from the apex of the fitted cap."""
+"""Whether a button is a sphere where it was loaded: the angle of each contact from the apex of the fitted cap."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ class CapUse:
             return f"every contact lay on the cap, at most {worst:.0f} deg of {limit:.0f} deg from its apex"
         return (
             f"contact left the button's spherical cap ({limit:.0f} deg about its apex) in {self.frames} of "
-            f"{len(self.angle)} frames, by up to {worst - limit:.0f} deg; {100 * self.load_share:.0f} % of the load was "
-            "carried there"
+            f"{len(self.angle)} frames, by up to {worst - limit:.0f} deg; {100 * self.load_share:.0f} % of the load "
+            "was carried there"
         )
 
 
@@ -93,8 +93,8 @@ def check_cap(result: Result, cap: SphereFit) -> CapUse:
     if use.frames:
         warnings.warn(
             f"{result.scene_name}: {use.describe()}, where the true button is no sphere of radius "
-            f"{1e3 * cap.radius:.2f} mm. Try: fit_sphere(..., tolerance=) with the error you can accept, for a sphere "
-            "that reaches farther.",
+            f"{1e3 * cap.radius:.2f} mm. Try: a sphere fitted to the part of the button that bears load, "
+            "or judge by the load carried there whether the answer is good enough.",
             PftwinWarning,
             stacklevel=2,
         )

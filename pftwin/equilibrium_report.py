@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.dynamics.equilibrium import LEVER, Solution
+from pftwin.dynamics.equilibrium import LEVER, Solution, tolerance_of
 from pftwin.dynamics.trajectory import first_guide
 from pftwin.effects.base import Patella
 from pftwin.scene import Scene
@@ -55,15 +55,16 @@ class EquilibriumReport:
             there: pose of the patella in the femur and observables; by default they are looked up.
         """
         pose, seen = jax.device_get(_look(scene, solution.pose) if there is None else there)
-        solution, start = jax.device_get((solution, scene.center_of_mass_pose()))
-        double = solution.residual.dtype == np.float64
+        # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
+        solution, guess, com = jax.device_get((solution, scene.start, scene.patella.center_of_mass))
+        start = Pose(guess.apply(com), guess.orientation)
         shift = [a - b for a, b in zip(_row(solution.pose.position), _row(start.position), strict=True)]
         cosine = abs(float(np.dot(_row(solution.pose.orientation), _row(start.orientation))))
         return EquilibriumReport(
             position=_row(pose.position),
             quaternion=_row(pose.orientation),
             residual=float(solution.residual),
-            tolerance=1e-6 if double else 2e-2,
+            tolerance=tolerance_of(solution.residual.dtype),
             iterations=int(solution.iterations),
             relaxed=bool(relaxed),
             eigenvalues=_eigenvalues(np.asarray(solution.stiffness, dtype=np.float64)),

@@ -57,8 +57,9 @@ def case_figure(results: Mapping[str, Result], measured: Measured | None, title:
     if not results and measured is None:
         raise InputError("nothing to draw", where="case_figure", expected="at least one result")
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 7.0))
-        across, sagittal, tilt, force = figure.subplots(2, 2).ravel()
+        figure = Figure(figsize=(11.0, 6.0))
+        panels = figure.subplot_mosaic([["y", "z", "tilt"], ["y", "z", "force"]], width_ratios=[1.0, 1.0, 2.2])
+        across, sagittal, tilt, force = (panels[name] for name in ("y", "z", "tilt", "force"))
         if measured is not None:
             _path(across, sagittal, measured.center, label=measured.label, **_MEASURED)
             if measured.angles is not None:
@@ -87,8 +88,8 @@ def _path(across: Axes, sagittal: Axes, center: np.ndarray, *, label: str, **lin
 
 
 def _name_axes(across: Axes, sagittal: Axes, tilt: Axes, force: Axes) -> None:
-    across.set(title="Sphere centre, coronal plane (o start)", xlabel="y, lateral [mm]", ylabel="x, proximal [mm]")
-    sagittal.set(title="Sphere centre, sagittal plane", xlabel="z, anterior [mm]", ylabel="x, proximal [mm]")
+    across.set(title="Coronal path (dot: start)", xlabel="y, lateral [mm]", ylabel="sphere centre x, proximal [mm]")
+    sagittal.set(title="Sagittal path", xlabel="z, anterior [mm]", ylabel="sphere centre x, proximal [mm]")
     tilt.set(title="Patellar tilt, lateral positive", xlabel="time [s]", ylabel="tilt [deg]")
     force.set(title="Normal contact force", xlabel="time [s]", ylabel="force [N]")
     for axes in (across, sagittal):

@@ -119,7 +119,7 @@ def check(scene: Scene) -> None:
     for path, leaf in jax.tree_util.tree_leaves_with_path(scene):
         if isinstance(leaf, jax.core.Tracer):
             continue
-        values, parts = np.asarray(leaf), [_part(p) for p in path]
+        values, parts = np.asarray(leaf, dtype=float), [_part(p) for p in path]
         if parts[0] == "effects":
             parts = [where["effects"](int(parts[1])), *parts[2:]]
         field = ".".join(str(p) for p in parts)

@@ -7,9 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State, System
-from pftwin.dynamics.trajectory import INTEGRATORS
+from pftwin.dynamics.trajectory import INTEGRATORS, first_guide, starting_equilibrium, trajectory
 from pftwin.effects.base import Effect, Ground, Instant, Patella
 from pftwin.effects.contact_law import ContactLaw, Flores
 from pftwin.effects.gravity import Gravity
@@ -169,3 +171,24 @@ def knee(n_frames: int = 31, law: ContactLaw | None = None) -> Scene:
     body = PatellaBody(J(MASS), vec(3e-5, 3e-5, 4e-5), vec(0.001, 0, 0.004))
     start = Pose(vec(-0.005, 0.001, 0.05), Quaternion.identity())
     return Scene(body, (gravity(), quadriceps, patellar, button), knee_motion(n_frames), start, "small knee")
+
+
+@eqx.filter_jit
+def settled(scene: Scene) -> Solution:
+    """The equilibrium at the first frame."""
+    return starting_equilibrium(scene)
+
+
+@eqx.filter_jit
+def run(scene: Scene, start: Solution, substeps: int = 10):
+    """Trajectory with its ledger, and what it shows, from a known start."""
+    path = trajectory(scene, substeps=substeps, start=start, ledger=True)
+    return path, observe(scene, path)
+
+
+@eqx.filter_jit
+def starting_as_it_is(scene: Scene) -> Solution:
+    """The scene's own start pose in the place of an equilibrium."""
+    pose = scene.center_of_mass_pose()
+    still = first_guide(scene).instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
+    return Solution(pose, scene.system().remember(still), J(0.0), J(0), jnp.zeros((6, 6)))

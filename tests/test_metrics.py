@@ -107,18 +107,16 @@ def test_other_times_are_refused(result):
     with pytest.raises(InputError, match=rf"{n - 1} frames at 100 Hz; expected: the simulation's {n} frames at 100 Hz"):
         validate(result, shorter)
     slower = Measured(2 * result.times, result.center)
-    with pytest.raises(InputError, match="frame 2 was measured at 0.02 s; expected: 0.01 s"):
+    with pytest.raises(InputError, match=r"frame 2 was measured at 0\.02 s; expected: 0\.01 s"):
         validate(result, slower)
-    with pytest.raises(InputError, match="frame 1 was measured at 0.5 s"):
+    with pytest.raises(InputError, match=r"frame 1 was measured at 0\.5 s"):
         validate(result, Measured(result.times + 0.5, result.center))
     rounded = np.round(result.times + 3e-4, 3)
     assert validate(result, Measured(rounded, result.center)).mean_distance == 0
 
 
 def test_a_force_of_an_effect_that_is_absent_is_refused(result):
-    with pytest.raises(
-        InputError, match="effect 'patellar_ligament' with a tension, which this scene lacks.*quadriceps"
-    ):
+    with pytest.raises(InputError, match=r"effect 'patellar_ligament' with a tension, which this scene lacks.*quad"):
         validate(result, measured_of(result), tibial="patellar_ligament")
     assert validate(result, measured_of(result), tibial=None).tibial_spring is None
     with pytest.raises(InputError, match="a force of a contact"):
@@ -140,7 +138,7 @@ def test_the_papers_table_and_means(result):
     rows = v.to_rows(paper="P4")
     assert [row.paper for row in rows][-3:] == [2.99, 0.63, 4.97]
     assert all(row.unit for row in rows)
-    with pytest.raises(InputError, match="no column 'P9'.*one of: CM, FM, P2, P4, P5"):
+    with pytest.raises(InputError, match=r"no column 'P9'.*one of: CM, FM, P2, P4, P5"):
         v.to_rows(paper="P9")
     other = dataclasses.replace(v, x=3.0, femoral_spring=None, synthetic=True)
     mean = mean_of([dataclasses.replace(v, x=1.0), other])

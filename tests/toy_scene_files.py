@@ -119,3 +119,60 @@ def write_toy(folder: Path, text: str = SCENE) -> Path:
 
 
 __all__ = ["CLUSTERS", "SCENE", "START", "fixed_poses", "markers_of", "tibia_poses", "write_poses", "write_toy"]
+
+DM_SCENE = """
+schema = 1
+name = "dm_knee"
+
+[axes]  # -x anterior, +y proximal, +z medial
+femur = ["+y", "-z", "-x"]
+tibia = ["+y", "-z", "-x"]
+patella = ["+y", "-z", "-x"]
+
+[motion]
+poses = "FOLDER/passive_flexion_poses.csv"
+start_time_s = 0.5
+end_time_s = 0.8
+
+[femur]
+body = "femur"
+
+[tibia]
+body = "tibia"
+
+[patella]
+mass_kg = 0.449
+inertia_kg_m2 = [1.642e-5, 7.594e-5, 7.594e-5]
+start = { body = "patella" }
+
+[gravity]
+acceleration_m_per_s2 = [0, -9.81, 0]
+
+[[strands]]
+name = "patellar_tendon"
+body = "tibia"
+file = "FOLDER/ligaments.json"
+select = ["PT*"]
+damping_time_s = 0.003
+
+[[strands]]
+name = "retinacula"
+body = "femur"
+file = "FOLDER/ligaments.json"
+damping_time_s = 0.003
+
+[[prescribed_tension]]
+name = "quadriceps"
+body = "femur"
+file = "FOLDER/passive_flexion_quadriceps.csv"
+
+[contact]
+button = { mesh = "FOLDER/patellar_button_contact.stl", units = "m" }
+law = { type = "hertz", contact_stiffness = 3e8, hertz_exponent = 2 }
+surface = { mesh = "FOLDER/femoral_component_contact.stl", units = "m", degree = "P6", chart = "cylinder" }
+
+[measured]
+patella = { body = "patella" }
+forces = "FOLDER/passive_flexion_tensions.csv"
+tibial_spring_force = "patellar_tendon_N"
+"""

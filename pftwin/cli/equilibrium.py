@@ -35,7 +35,7 @@ def equilibrium(
         )
 
 
-def _table(report: EquilibriumReport):  # noqa: ANN202
+def _table(report: EquilibriumReport):
     """Pose, residual and what every effect reports."""
     from rich.table import Table
 

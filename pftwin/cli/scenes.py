@@ -13,6 +13,7 @@ from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from pftwin.measured import Measured
+    from pftwin.result import Result
     from pftwin.scene import Scene
 
 SceneArgument = Annotated[
@@ -73,6 +74,23 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
     with working(f"preparing case {case} of the virtual rig"):
         name = contact or "P5"
         return Chosen(rig.case(case, contact=name), rig.measured(case) if measured else None, name)
+
+
+def simulated(scene: Scene, integrator: str, dt: float) -> tuple[Result, float]:
+    """The result with the timing of a warm run, and how long the first run took, compilation included [s].
+
+    Raises:
+        InputError: an unknown integrator or an impossible step.
+    """
+    import time
+
+    from pftwin.dynamics.simulate import simulate
+
+    began = time.perf_counter()
+    with working(f"compiling and simulating {scene.name}"):
+        simulate(scene, integrator=integrator, dt=dt)
+        first = time.perf_counter() - began
+        return simulate(scene, integrator=integrator, dt=dt), first
 
 
 def _polynomial(scene: Scene) -> str | None:

@@ -7,7 +7,15 @@ from typing import Annotated
 
 import typer
 
-from pftwin.cli.scenes import CaseOption, ContactOption, IntegratorOption, SceneArgument, StepOption, chosen_scene
+from pftwin.cli.scenes import (
+    CaseOption,
+    ContactOption,
+    IntegratorOption,
+    SceneArgument,
+    StepOption,
+    chosen_scene,
+    simulated,
+)
 from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
 from pftwin.errors import OutputError
 
@@ -33,10 +41,7 @@ def simulate(
     table, storage = (output.with_suffix(".csv") if csv else None), (output.with_suffix(".sto") if sto else None)
     check_outputs(output, table, storage, json)
     chosen = chosen_scene(scene, case, contact)
-    from pftwin.dynamics.simulate import simulate as run
-
-    with working(f"simulating {chosen.scene.name}"):
-        result = run(chosen.scene, integrator=integrator, dt=dt)
+    result, first = simulated(chosen.scene, integrator, dt)
     with working("writing"):
         result.save(output)
         if table is not None:
@@ -51,7 +56,7 @@ def simulate(
             "frames": result.times.size,
             "duration_s": result.duration,
             "settings": result.settings,
-            "timing": result.timing,
+            "timing": {**result.timing, "first_run_s": first},
             "real_time_factor": result.real_time_factor,
             "status": result.status.describe(),
             "largest_indentation_m": result.largest_indentation,

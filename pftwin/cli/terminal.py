@@ -6,6 +6,7 @@ import json
 import math
 import os
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -73,8 +74,11 @@ def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
         if path is None or str(path) == "-":
             continue
         target = check_place(path)
-        if not os.access(target.parent, os.W_OK | os.X_OK) or (target.exists() and not os.access(target, os.W_OK)):
-            raise OutputError(f"{target}: cannot be written: permission denied")
+        try:
+            with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}."):
+                pass
+        except OSError as error:
+            raise OutputError(f"{target}: cannot be written: {(error.strerror or str(error)).lower()}") from error
         if (place := target.resolve()) in seen:
             raise OutputError(f"{target}: two outputs would go to this file; try: another name for one of them")
         seen.add(place)

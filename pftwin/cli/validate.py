@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pftwin.cli.scenes import CaseOption, ContactOption, IntegratorOption, SceneArgument, StepOption, chosen_scene
-from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
+from pftwin.cli.scenes import (
+    CaseOption,
+    ContactOption,
+    IntegratorOption,
+    SceneArgument,
+    StepOption,
+    chosen_scene,
+    simulated,
+)
+from pftwin.cli.terminal import JsonOption, check_outputs, out, write_json
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,12 +39,10 @@ def validate(
     chosen = chosen_scene(scene, case, contact, measured=True)
     if chosen.measured is None:
         raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
-    from pftwin.dynamics.simulate import simulate as run
     from pftwin.metrics import PAPER_TABLE_1
     from pftwin.metrics import validate as compare
 
-    with working(f"simulating {chosen.scene.name}"):
-        result = run(chosen.scene, integrator=integrator, dt=dt)
+    result, first = simulated(chosen.scene, integrator, dt)
     names = {e.name for e in chosen.scene.effects}
     springs: dict[str, Any] = {}
     if chosen.measured.tibial_spring_force is None and "patellar_tendon" not in names:
@@ -46,7 +52,7 @@ def validate(
     validation = compare(result, chosen.measured, **springs)
     paper = chosen.contact if chosen.contact in PAPER_TABLE_1 else None
     rows = [row._asdict() for row in validation.to_rows(paper)]
-    write_json({"contact": chosen.contact, **validation.to_dict(), "rows": rows}, json)
+    write_json({"contact": chosen.contact, **validation.to_dict(), "first_run_s": first, "rows": rows}, json)
     out(json).print(_table(validation, paper))
 
 

@@ -90,6 +90,15 @@ def _guides(scene: Scene, substeps: int) -> tuple[Guide, Scalar]:
     return Guide(femur, with_mean_velocity(here.tibia, middle.tibia), times), jnp.asarray(step, times.dtype)
 
 
+def _carried_by_femur(scene: Scene, state: State) -> State:
+    """At rest on the femur: one that moves at the first frame already carries the patella along, not runs into it."""
+    if scene.motion.femur is None:
+        return state
+    femur = scene.motion.femur.frames(jnp.asarray(scene.motion.start_time, dtype=float))
+    motion = femur.velocity_at(state.position), state.orientation.unrotate(femur.angular_velocity)
+    return eqx.tree_at(lambda s: (s.velocity, s.spin), state, motion)
+
+
 def trajectory(
     scene: Scene,
     *,
@@ -114,7 +123,7 @@ def trajectory(
     if start is None:
         start = starting_equilibrium(scene)
     guides, step = _guides(scene, substeps)
-    state = system.at_rest(start.pose, start.memories)
+    state = _carried_by_femur(scene, system.at_rest(start.pose, start.memories))
     zero = jnp.zeros_like(step)
     carry = (state, Ledger(zero, zero) if ledger else None)
 

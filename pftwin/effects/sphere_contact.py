@@ -113,10 +113,10 @@ class SphereContact(Effect):
         if isinstance(now.step, float) and now.step == 0:
             at, pull_in = here, 0.0
         else:
-            # Touch inside the step: slopes at the predicted indentation, the force extrapolated back to its start.
-            touching = (indentation <= 0) & (ahead > 0)
-            at = self.law.force(jnp.where(touching, ahead, indentation), rate, approach_speed)
-            pull_in = jnp.where(touching, now.step * rate * at.stiffness, 0.0)
+            # While it goes deeper: slopes at the predicted indentation, the force extrapolated back to the step's start.
+            # So a touch inside the step is felt, and how deep the step before it ended makes no jump.
+            at = self.law.force(ahead, rate, approach_speed)
+            pull_in = now.step * jnp.maximum(rate, 0.0) * at.stiffness
         world = now.femur.direction(self.surface.chart.axes.apply(p.normal))
         term = StiffTerm(
             world,

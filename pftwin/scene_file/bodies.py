@@ -20,7 +20,7 @@ from pftwin.scene_file.side import Side
 class StartSection(SegmentSection):
     """The patella's pose at the first frame, near which the equilibrium is looked for."""
 
-    relative_to: Literal["world", "femur"] = Field("world", description="frame in which a fixed start is given")
+    relative_to: Literal["world", "femur"] = Field(default="world", description="frame in which a fixed start is given")
 
 
 class PatellaSection(Section):
@@ -30,19 +30,19 @@ class PatellaSection(Section):
     inertia_kg_m2: list[Positive] = Field(
         min_length=3, max_length=3, description="principal moments about the centre of mass, patella axes [kg m^2]"
     )
-    center_of_mass_m: Point = Field([0.0, 0.0, 0.0], description="centre of mass, patella frame [m]")
+    center_of_mass_m: Point = Field(default=[0.0, 0.0, 0.0], description="centre of mass, patella frame [m]")
     start: StartSection = Field(description="table: the patella's pose at the first frame")
 
     def body(self, side: Side) -> PatellaBody:
         """As the scene wants it."""
         center = vector(side.points("patella", self.center_of_mass_m))
-        return PatellaBody(scalar(self.mass_kg), vector(self.inertia_kg_m2), center)
+        return PatellaBody(scalar(self.mass_kg), vector(side.moments(self.inertia_kg_m2)), center)
 
 
 class FemurSection(SegmentSection):
     """The femur; fixed at the world's origin by default."""
 
-    fixed: PoseSection | None = Field(None, description="pose in the world of a femur that does not move")
+    fixed: PoseSection | None = Field(default=None, description="pose in the world of a femur that does not move")
 
 
 class TibiaSection(SegmentSection):

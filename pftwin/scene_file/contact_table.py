@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pftwin.effects.contact_law import Flores, Hertz, HuntCrossley
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.scene_file.effect_tables import EffectSection
 from pftwin.scene_file.host_pose import scalar, vector
-from pftwin.scene_file.section import NotNegative, Point, Positive, Section
+from pftwin.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
 from pftwin.scene_file.setting import Setting
 from pftwin.scene_file.surface_table import SurfaceSection
 
@@ -19,7 +19,7 @@ class LawSection(Section):
     """F = k d^p (1 + x dd/dt)."""
 
     contact_stiffness: Positive = Field(description="stiffness k [N/m^p], p the hertz_exponent")
-    hertz_exponent: Annotated[float, Field(ge=1, le=5)] = Field(1.5, description="exponent p [-]")
+    hertz_exponent: Annotated[float, Field(ge=1, le=5)] = Field(default=1.5, description="exponent p [-]")
 
 
 class FloresSection(LawSection):
@@ -27,7 +27,7 @@ class FloresSection(LawSection):
 
     type: Literal["flores"]
     restitution: Annotated[float, Field(gt=0, le=1)] = Field(description="coefficient of restitution, 0 to 1 [-]")
-    approach_speed_floor_m_per_s: Positive = Field(0.01, description="least approach speed reckoned with [m/s]")
+    approach_speed_floor_m_per_s: Positive = Field(default=0.01, description="least approach speed reckoned with [m/s]")
 
     def build(self) -> Flores:
         """The law."""
@@ -61,19 +61,50 @@ class HertzSection(LawSection):
         return Hertz(scalar(self.contact_stiffness), hertz_exponent=self.hertz_exponent)
 
 
+class ButtonSection(Section):
+    """A button by its mesh, in the patella's frame."""
+
+    mesh: FileName = Field(description="STL, OBJ or PLY file of the patellar button")
+    units: LengthUnit = Field(description="unit of the mesh's coordinates")
+    tolerance_m: Positive = Field(default=0.02e-3, description="deviation that still counts as sphere [m]")
+
+    def fit(self, setting: Setting, at: tuple[str | int, ...]) -> tuple[list[float], float]:
+        """Centre [m] in the patella's own frame, and radius [m]; a note says how well the sphere fits."""
+        from pftwin.surfaces.mesh import load_mesh
+        from pftwin.surfaces.sphere import fit_sphere
+
+        with setting.document.naming(*at, "mesh"):
+            sphere = fit_sphere(load_mesh(setting.path(self.mesh), units=self.units), tolerance=self.tolerance_m)
+        setting.notes.append(f"{setting.path(self.mesh)}: {sphere}")
+        return [float(v) for v in sphere.center], float(sphere.radius)
+
+
 class ContactSection(EffectSection):
     """A sphere fixed in the patella on a surface fixed in the femur."""
 
     kind: ClassVar[str] = "contact"
-    center_m: Point = Field([0.0, 0.0, 0.0], description="centre of the button's sphere, patella frame [m]")
-    radius_m: Positive = Field(description="radius of the button's sphere [m]")
+    center_m: Point = Field(default=[0.0, 0.0, 0.0], description="centre of the button's sphere, patella frame [m]")
+    radius_m: Positive | None = Field(default=None, description="radius of the button's sphere [m]; or a button")
+    button: ButtonSection | None = Field(default=None, description="table: a mesh that the sphere is fitted to")
     surface: SurfaceSection = Field(description="table: mesh to be fitted, coefficients, or implant")
     law: Annotated[FloresSection | HuntCrossleySection | HertzSection, Field(discriminator="type")] = Field(
         description='table: the normal force\'s law, type = "flores", "hunt_crossley" or "hertz"'
     )
 
+    @model_validator(mode="after")
+    def _one_sphere(self) -> Self:
+        if self.radius_m is None and self.button is None:
+            raise problem("the sphere has no radius", expected="radius_m and center_m, or button")
+        if self.button is not None and {"radius_m", "center_m"} & self.model_fields_set:
+            raise problem("both button and radius_m or center_m are given", expected="one of them")
+        return self
+
     def build(self, setting: Setting, at: tuple[str | int, ...]) -> SphereContact:
         """The effect."""
         surface = self.surface.build(setting, (*at, "surface"))
-        center = vector(setting.points("patella", self.center_m))
-        return SphereContact(surface, self.law.build(), center, scalar(self.radius_m), name=self.label)
+        center, radius = self.center_m, self.radius_m
+        if self.button is not None:
+            center, radius = self.button.fit(setting, (*at, "button"))
+        assert radius is not None
+        place = vector(setting.points("patella", center))
+        return SphereContact(surface, self.law.build(), place, scalar(radius), name=self.label)

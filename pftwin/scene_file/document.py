@@ -70,7 +70,7 @@ class Document:
         for step in location:
             if isinstance(step, int) and id(here) in self.wrapped:
                 continue
-            name = step
+            name: Any = step
             if isinstance(here, dict) and step not in here and f"{step}m" in here:
                 name = f"{step}m"
             inside = isinstance(here, dict) and name in here
@@ -104,7 +104,7 @@ class Document:
             raise InputError(str(error), where=self.describe(place)) from error
 
 
-def _spelled(place: Place, data: dict[str, Any]) -> str:
+def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:
     head = data.get(str(place[0]))
     if len(place) > 1 and isinstance(place[1], int):
         entry = head[place[1]] if isinstance(head, list) and place[1] < len(head) else None

@@ -18,7 +18,7 @@ class EffectSection(Section):
     """A table that becomes an effect. `kind` is the table's name; effects go by it where they have no name."""
 
     kind: ClassVar[str]
-    name: Name | None = Field(None, description="name of the effect in results; the table's name by default")
+    name: Name | None = Field(default=None, description="name of the effect in results; the table's name by default")
 
     @property
     def label(self) -> str:

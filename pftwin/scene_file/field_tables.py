@@ -1,5 +1,6 @@
 """[gravity] and [damping]: loads on the whole patella."""
 
+# ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
 from typing import ClassVar
@@ -32,7 +33,7 @@ class DampingSection(EffectSection):
     kind: ClassVar[str] = "damping"
     translational_N_s_per_m: NotNegative = Field(description="damping of translation [N s/m]")
     rotational_N_m_s_per_rad: NotNegative = Field(description="damping of rotation [N m s/rad]")
-    body: Body = Field("femur", description="body relative to which the motion is damped")
+    body: Body = Field(default="femur", description="body relative to which the motion is damped")
 
     def build(self, setting: Setting, at: tuple[str | int, ...]) -> LinearDamping:
         """The effect."""

@@ -19,7 +19,7 @@ from pftwin.scene_file.registry import EFFECTS
 from pftwin.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
 from pftwin.scene_file.segments import MotionSection, PoseSection, Recording
 from pftwin.scene_file.setting import Setting
-from pftwin.scene_file.side import MedialLateralSection, Side
+from pftwin.scene_file.side import AxesSection, Side
 
 if TYPE_CHECKING:
     from pftwin.measured import Measured
@@ -31,10 +31,12 @@ class SceneSection(Section):
     """The whole file, less the effects."""
 
     schema_version: Literal[1] = Field(alias="schema", description="version of this format: schema = 1")
-    name: FileName | None = Field(None, description="the scene's name; the file's by default")
-    side: Literal["right", "left"] = Field("right", description="side of the knee; a left one is mirrored on input")
-    medial_lateral: MedialLateralSection = Field(
-        default_factory=MedialLateralSection, description="table: the medial-lateral axis of each frame (left knees)"
+    name: FileName | None = Field(default=None, description="the scene's name; the file's by default")
+    side: Literal["right", "left"] = Field(
+        default="right", description="side of the knee; a left one is mirrored on input"
+    )
+    axes: AxesSection = Field(
+        default_factory=AxesSection, description="table: which axes of each frame are proximal, lateral, anterior"
     )
     patella: PatellaSection = Field(description="table: the patella")
     motion: MotionSection = Field(default_factory=MotionSection, description="table: the recording")
@@ -42,7 +44,9 @@ class SceneSection(Section):
         default_factory=lambda: FemurSection(fixed=PoseSection()), description="table: where the femur is"
     )
     tibia: TibiaSection = Field(description="table: where the tibia is")
-    measured: MeasuredSection | None = Field(None, description="table: what the simulation is to be compared with")
+    measured: MeasuredSection | None = Field(
+        default=None, description="table: what the simulation is to be compared with"
+    )
 
 
 _EFFECT_FIELDS: Any = {
@@ -83,7 +87,8 @@ def load_scene_file(path: str | os.PathLike[str], *, contact: str | None = None)
     """As `load_scene`, with the measurements that the file names and with notes for the user."""
     document = Document.read(path)
     file = _validated(document)
-    side, notes = Side(file.side == "left", file.medial_lateral), []
+    side = Side.read(file.side == "left", file.axes, document)
+    notes: list[str] = []
     recording = Recording(file.motion, document, notes)
     motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, recording, side)
     start = start_pose(file.patella.start, recording, side, motion, fixed_femur, femur)

@@ -28,14 +28,15 @@ class MeasuredSection(Section):
     """Measurements of the same motion: the patella's poses, and forces if there are any."""
 
     patella: SegmentSection = Field(description="table: how the patella was recorded (body, cluster_m, three_points)")
-    forces: FileName | None = Field(None, description="CSV file of forces, units in its header")
-    contact_force: str | None = Field(None, description="its column of the normal contact force")
-    tibial_spring_force: str | None = Field(None, description="its column of the patellar tendon's force")
-    femoral_spring_force: str | None = Field(None, description="its column of the quadriceps' force")
+    forces: FileName | None = Field(default=None, description="CSV file of forces, units in its header")
+    contact_force: str | None = Field(default=None, description="its column of the normal contact force")
+    tibial_spring_force: str | None = Field(default=None, description="its column of the patellar tendon's force")
+    femoral_spring_force: str | None = Field(default=None, description="its column of the quadriceps' force")
     smoothing_window: Annotated[int, Field(ge=2)] | None = Field(
-        None, description="window of the singular spectrum analysis that smooths the forces [samples]; none by default"
+        default=None,
+        description="window of the singular spectrum analysis that smooths the forces [samples]; none by default",
     )
-    synthetic: bool = Field(False, description="whether these are simulated measurements")
+    synthetic: bool = Field(default=False, description="whether these are simulated measurements")
 
     def build(
         self, scene: Scene, recording: Recording, side: Side, fixed_femur: HostPose | None, femur: PoseSeries | None

@@ -100,7 +100,9 @@ def _count(context: Mapping[str, Any]) -> str:
 
 _EXPECTED: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "greater_than": lambda c: "a positive number" if c["gt"] == 0 else f"a number above {c['gt']:g}",
-    "greater_than_equal": lambda c: "zero or a positive number" if c["ge"] == 0 else f"a number of at least {c['ge']:g}",
+    "greater_than_equal": lambda c: (
+        "zero or a positive number" if c["ge"] == 0 else f"a number of at least {c['ge']:g}"
+    ),
     "less_than": lambda c: f"a number below {c['lt']:g}",
     "less_than_equal": lambda c: f"a number of at most {c['le']:g}",
     "finite_number": lambda c: "a finite number",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
@@ -115,6 +115,7 @@ PositivePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 Direction = Annotated[Point, AfterValidator(_direction)]
 UnitQuaternion = Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
 Polynomial = Annotated[str, AfterValidator(_polynomial)]
+LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in"]
 FileName = Annotated[str, Field(min_length=1)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 # Groups: one value for all members, or a list with one for each.

@@ -1,5 +1,6 @@
 """Where femur, tibia and patella are: fixed, in a table of poses, or seen through markers."""
 
+# ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
 from pathlib import Path
@@ -27,8 +28,8 @@ from pftwin.scene_file.section import FileName, NotNegative, Point, Positive, Se
 class PoseSection(Section):
     """A frame in its parent."""
 
-    position_m: Point = Field([0.0, 0.0, 0.0], description="origin of the frame in its parent [m]")
-    quaternion_wxyz: UnitQuaternion = Field([1.0, 0.0, 0.0, 0.0], description="unit quaternion (w, x, y, z)")
+    position_m: Point = Field(default=[0.0, 0.0, 0.0], description="origin of the frame in its parent [m]")
+    quaternion_wxyz: UnitQuaternion = Field(default=[1.0, 0.0, 0.0, 0.0], description="unit quaternion (w, x, y, z)")
 
     def pose(self) -> HostPose:
         """As numbers."""
@@ -40,7 +41,7 @@ class ThreePointsSection(Section):
 
     markers: Annotated[list[str], Field(min_length=3, max_length=3)] = Field(description="names of three markers")
     axes: Literal["xy", "yx", "xz", "zx", "yz", "zy"] = Field(
-        "xy", description="axis along markers 1-2, then the one towards marker 3"
+        default="xy", description="axis along markers 1-2, then the one towards marker 3"
     )
     segment: PoseSection = Field(
         default_factory=PoseSection, description="the segment's own frame in the three-point frame"
@@ -50,12 +51,12 @@ class ThreePointsSection(Section):
 class SegmentSection(Section):
     """One of: a fixed pose, a body of a table of poses, a cluster of markers, three markers."""
 
-    fixed: PoseSection | None = Field(None, description="pose in the world, which does not change")
-    body: str | None = Field(None, description="name of the body in the file of poses")
+    fixed: PoseSection | None = Field(default=None, description="pose in the world, which does not change")
+    body: str | None = Field(default=None, description="name of the body in the file of poses")
     cluster_m: dict[str, Point] | None = Field(
-        None, description="marker names and their places in the segment's frame [m]; least-squares fit"
+        default=None, description="marker names and their places in the segment's frame [m]; least-squares fit"
     )
-    three_points: ThreePointsSection | None = Field(None, description="frame from three markers")
+    three_points: ThreePointsSection | None = Field(default=None, description="frame from three markers")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -79,17 +80,19 @@ class SegmentSection(Section):
 class MotionSection(Section):
     """The recording that the segments' tables refer to."""
 
-    poses: FileName | None = Field(None, description="CSV file of poses: time_s, BODY_px_m ... BODY_qz")
-    markers: FileName | None = Field(None, description="TRC, C3D or CSV file of markers")
-    units: Literal["m", "cm", "mm"] | None = Field(None, description="unit of the markers where their file has none")
-    max_gap_s: NotNegative = Field(0.1, description="longest gap in a marker that is filled by a spline [s]")
-    cutoff_Hz: Positive | None = Field(None, description="cut-off of the zero-phase Butterworth filter [Hz]")
-    filter_order: Literal[1, 2, 3, 4] = Field(2, description="order of one pass of the filter")
-    correct_two_passes: bool = Field(
-        False, description="design the filter so that both passes together have -3 dB at the cut-off"
+    poses: FileName | None = Field(default=None, description="CSV file of poses: time_s, BODY_px_m ... BODY_qz")
+    markers: FileName | None = Field(default=None, description="TRC, C3D or CSV file of markers")
+    units: Literal["m", "cm", "mm"] | None = Field(
+        default=None, description="unit of the markers where their file has none"
     )
-    start_time_s: float | None = Field(None, description="first time used [s]; the recording's by default")
-    end_time_s: float | None = Field(None, description="last time used [s]; the recording's by default")
+    max_gap_s: NotNegative = Field(default=0.1, description="longest gap in a marker that is filled by a spline [s]")
+    cutoff_Hz: Positive | None = Field(default=None, description="cut-off of the zero-phase Butterworth filter [Hz]")
+    filter_order: Literal[1, 2, 3, 4] = Field(default=2, description="order of one pass of the filter")
+    correct_two_passes: bool = Field(
+        default=False, description="design the filter so that both passes together have -3 dB at the cut-off"
+    )
+    start_time_s: float | None = Field(default=None, description="first time used [s]; the recording's by default")
+    end_time_s: float | None = Field(default=None, description="last time used [s]; the recording's by default")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -127,9 +130,9 @@ class Recording:
         three = section.three_points
         with self.document.naming(*at, "three_points"):
             markers = self._filtered(three.markers)
-            points = (markers.marker(name) for name in three.markers)
+            a, b, c = (markers.marker(name) for name in three.markers)
             source = f"{markers.source}, {at[0]}"
-            poses = three_point_frames(*points, markers.times, axes=three.axes, source=source)
+            poses = three_point_frames(a, b, c, markers.times, axes=three.axes, source=source)
             return poses.compose(three.segment.pose().pose())
 
     def poses(self, section: SegmentSection, *at: str) -> PoseSeries:

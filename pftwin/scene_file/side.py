@@ -1,68 +1,112 @@
-"""Left knees: every point, pose and mesh of a left knee is mirrored on input; inside, every knee is a right one."""
+"""The files' own axes: everything is turned, and for a left knee mirrored, into anatomical axes of a right knee."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from pftwin.mocap.mirror import mirror_left_poses
+from pftwin.errors import InputError
 from pftwin.mocap.poses import PoseSeries
+from pftwin.scene_file.document import Document
 from pftwin.scene_file.host_pose import HostPose
-from pftwin.scene_file.section import Section
+from pftwin.scene_file.section import Section, problem
 
 if TYPE_CHECKING:
     from pftwin.surfaces.mesh import SurfaceMesh
 
-Axis = Literal["x", "y", "z"]
+Array = NDArray[np.float64]
+_BODIES = ("femur", "tibia", "patella")
+_RIGHT, _LEFT = ["+x", "+y", "+z"], ["+x", "-y", "+z"]
 
 
-class MedialLateralSection(Section):
-    """Which axis is medial-lateral in each frame: needed for a left knee only."""
-
-    world: Axis = Field("y", description="medial-lateral axis of the world (the laboratory)")
-    femur: Axis = Field("y", description="medial-lateral axis of the femur's frame")
-    tibia: Axis = Field("y", description="medial-lateral axis of the tibia's frame")
-    patella: Axis = Field("y", description="medial-lateral axis of the patella's frame")
+def _three_axes(value: list[str]) -> list[str]:
+    if len(value) != 3 or sorted(a[-1:] for a in value) != ["x", "y", "z"] or any(a[:-1] not in ("", "+", "-") for a in value):
+        raise problem(f"found {value}", expected='three axes with signs, as in ["+y", "+z", "-x"]')
+    return value
 
 
-@dataclass(frozen=True)
+Axes = Annotated[list[str], AfterValidator(_three_axes)]
+
+
+class AxesSection(Section):
+    """Which of a frame's own axes point proximally, laterally and anteriorly."""
+
+    femur: Axes | None = Field(default=None, description="proximal, lateral, anterior in the femur's frame")
+    tibia: Axes | None = Field(default=None, description="proximal, lateral, anterior in the tibia's frame")
+    patella: Axes | None = Field(default=None, description="proximal, lateral, anterior in the patella's frame")
+    world_medial_lateral: Literal["x", "y", "z"] = Field(
+        default="y", description="medial-lateral axis of the world: that along which a left knee is mirrored"
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class Side:
-    """Mirrors a left knee's data along the medial-lateral axis of their frame; leaves a right knee's alone."""
+    """From each frame's own axes to (proximal, lateral, anterior), and from a left knee to a right one."""
 
+    matrices: dict[str, Array]  # (3, 3) by frame: rows are the anatomical axes; determinant -1 for a left knee
     left: bool
-    axes: MedialLateralSection
 
-    def _signs(self, frame: str) -> NDArray[np.float64]:
-        signs = np.ones(3)
-        if self.left:
-            signs["xyz".index(getattr(self.axes, "world" if frame == "ground" else frame))] = -1.0
-        return signs
+    @classmethod
+    def read(cls, left: bool, axes: AxesSection, document: Document) -> Self:
+        """From the scene file.
 
-    def points(self, frame: str, values: ArrayLike) -> NDArray[np.float64]:
+        Raises:
+            InputError: axes of the other side.
+        """
+        world = np.eye(3)
+        if left:
+            world["xyz".index(axes.world_medial_lateral)] *= -1
+        matrices = {"world": world, "ground": world}
+        for body in _BODIES:
+            rows = getattr(axes, body) or (_LEFT if left else _RIGHT)
+            matrices[body] = np.array([_unit(axis) for axis in rows])
+            if (np.linalg.det(matrices[body]) < 0) != left:
+                place, _, _ = document.locate(("axes", body))
+                raise InputError(
+                    f"{rows} are the axes of a {'right' if left else 'left'} knee",
+                    where=document.describe(place),
+                    expected=f"proximal, lateral, anterior of a {'left' if left else 'right'} one",
+                    remedy='check the signs, or side = "left" / "right"',
+                )
+        return cls(matrices, left)
+
+    def points(self, frame: str, values: ArrayLike) -> Array:
         """Points or directions (..., 3) of a frame ("world", "femur", "tibia" or "patella")."""
-        return np.asarray(values, dtype=np.float64) * self._signs(frame)
+        return np.asarray(values, dtype=np.float64) @ self.matrices[frame].T
+
+    def moments(self, values: ArrayLike) -> Array:
+        """Principal moments (3,) along the patella's own axes."""
+        return np.abs(self.matrices["patella"]) @ np.asarray(values, dtype=np.float64)
 
     def pose(self, parent: str, body: str, pose: HostPose) -> HostPose:
         """A fixed pose of a body in its parent."""
-        a, b = self._signs(parent), self._signs(body)
-        return HostPose(pose.position * a, a[:, None] * pose.matrix * b)
+        a, b = self.matrices[parent], self.matrices[body]
+        return HostPose(a @ pose.position, a @ pose.matrix @ b.T)
 
     def poses(self, parent: str, body: str, poses: PoseSeries) -> PoseSeries:
         """Recorded poses of a body in its parent."""
-        if not self.left:
-            return poses
-        names = {"world": self.axes.world, "femur": self.axes.femur, "tibia": self.axes.tibia}
-        names["patella"] = self.axes.patella
-        return mirror_left_poses(poses, medial_lateral=names[parent], body_medial_lateral=names[body])
+        a, b = self.matrices[parent], self.matrices[body]
+        return PoseSeries.from_matrices(
+            poses.times,
+            poses.positions @ a.T,
+            a @ poses.matrices() @ b.T,
+            residual_rms=poses.residual_rms,
+            source=poses.source,
+        )
 
     def mesh(self, frame: str, mesh: SurfaceMesh) -> SurfaceMesh:
         """A surface; its triangles keep their outer side outside."""
-        if not self.left:
-            return mesh
         from pftwin.surfaces.mesh import SurfaceMesh
 
-        return SurfaceMesh(mesh.vertices * self._signs(frame), mesh.faces[:, ::-1].copy(), mesh.source)
+        faces = mesh.faces[:, ::-1].copy() if self.left else mesh.faces
+        return SurfaceMesh(self.points(frame, mesh.vertices), faces, mesh.source)
+
+
+def _unit(axis: str) -> Array:
+    out = np.zeros(3)
+    out["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return out

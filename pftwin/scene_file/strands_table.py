@@ -1,5 +1,6 @@
 """[[strands]]: ligaments of many strands, listed in the scene file or in a JSON or CSV file."""
 
+# ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
 import csv
@@ -21,7 +22,7 @@ from pftwin.scene_file.setting import Setting
 from pftwin.scene_file.tendon_table import group_size
 
 _INLINE = ("stiffness_N_per_strain", "slack_length_m", "insertion_m", "origin_m")
-_COLUMNS = ("stiffness_N_per_strain", "slack_length_m") + tuple(f"{e}_{k}_m" for e in ("insertion", "origin") for k in "xyz")
+_COLUMNS = ("stiffness_N_per_strain", "slack_length_m", *(f"{e}_{k}_m" for e in ("insertion", "origin") for k in "xyz"))
 
 
 class StrandsSection(EffectSection):
@@ -29,12 +30,12 @@ class StrandsSection(EffectSection):
 
     kind: ClassVar[str] = "strands"
     body: Body = Field(description="body at the other end")
-    file: FileName | None = Field(None, description="JSON or CSV file of strands, in place of the lists")
-    select: list[str] = Field(["*"], description='names of the strands wanted, "PT*" for all that begin with PT')
-    stiffness_N_per_strain: Positives | None = Field(None, description="stiffness [N per unit strain]")
-    slack_length_m: Positives | None = Field(None, description="slack length [m]")
-    insertion_m: Points | None = Field(None, description="insertion, patella frame [m]")
-    origin_m: Points | None = Field(None, description="origin, the body's frame [m]")
+    file: FileName | None = Field(default=None, description="JSON or CSV file of strands, in place of the lists")
+    select: list[str] = Field(default=["*"], description='names of the strands wanted, as in "PT*"')
+    stiffness_N_per_strain: Positives | None = Field(default=None, description="stiffness [N per unit strain]")
+    slack_length_m: Positives | None = Field(default=None, description="slack length [m]")
+    insertion_m: Points | None = Field(default=None, description="insertion, patella frame [m]")
+    origin_m: Points | None = Field(default=None, description="origin, the body's frame [m]")
     toe_strain: Positives = Field(default_factory=lambda: [0.06], description="strain at the toe region's end [-]")
     damping_time_s: NotNegatives = Field(default_factory=lambda: [0.0], description="damping c of F = k c de/dt [s]")
 
@@ -64,9 +65,9 @@ class StrandsSection(EffectSection):
                 where = setting.document.describe(place)
                 raise InputError(f"{len(values)} values for {n} strands", where=where, expected=f"1 or {n}")
         ends = setting.points("patella", strands.insertion), setting.points(self.body, strands.origin)
-        return StrandGroup(
-            *(scalar(np.broadcast_to(v, (n,))) for v in one), *(vector(e) for e in ends), body=self.body, name=self.label
-        )
+        k, slack, toe, damping = (scalar(np.broadcast_to(v, (n,))) for v in one)
+        insertion, origin = (vector(e) for e in ends)
+        return StrandGroup(k, slack, toe, damping, insertion, origin, body=self.body, name=self.label)
 
     def _listed(self) -> Strands:
         """The strands in the table itself."""
@@ -75,7 +76,9 @@ class StrandsSection(EffectSection):
         n = group_size(self, *_INLINE, "toe_strain", "damping_time_s")
         k, slack, insertion, origin = (np.asarray(getattr(self, name), dtype=np.float64) for name in _INLINE)
         return Strands(
-            [], *(np.broadcast_to(v, (n,)) for v in (k, slack)), *(np.broadcast_to(v, (n, 3)) for v in (insertion, origin))
+            [],
+            *(np.broadcast_to(v, (n,)) for v in (k, slack)),
+            *(np.broadcast_to(v, (n, 3)) for v in (insertion, origin)),
         )
 
 

@@ -13,6 +13,7 @@ from pftwin.scene_file.host_pose import HostPose, scalar, vector
 from pftwin.scene_file.section import (
     Direction,
     FileName,
+    LengthUnit,
     Pair,
     Point,
     Polynomial,
@@ -36,16 +37,16 @@ At = tuple[str | int, ...]
 class RegionSection(Section):
     """Which part of the mesh is trochlea: looked for, or about a known axis."""
 
-    anterior: Direction = Field([0.0, 0.0, 1.0], description="anterior direction, the mesh's frame")
-    proximal: Direction = Field([1.0, 0.0, 0.0], description="proximal direction, the mesh's frame")
-    half_width_m: Positive = Field(0.02, description="half width of the region, medial-lateral [m]")
+    anterior: Direction | None = Field(default=None, description="anterior direction, the mesh's frame; by [axes]")
+    proximal: Direction | None = Field(default=None, description="proximal direction, the mesh's frame; by [axes]")
+    half_width_m: Positive = Field(default=0.02, description="half width of the region, medial-lateral [m]")
     angles_deg: Pair = Field(
-        [-60.0, 60.0], description="limits about the trochlear axis: 0 anterior, proximal positive [deg]"
+        default=[-60.0, 60.0], description="limits about the trochlear axis: 0 anterior, proximal positive [deg]"
     )
     axis_origin_m: Point | None = Field(
-        None, description="point of the trochlear axis in line with the groove, where the axis is known [m]"
+        default=None, description="point of the trochlear axis in line with the groove, where the axis is known [m]"
     )
-    axis_radius_m: Positive | None = Field(None, description="distance of the groove from that axis [m]")
+    axis_radius_m: Positive | None = Field(default=None, description="distance of the groove from that axis [m]")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -57,17 +58,26 @@ class RegionSection(Section):
 
     def find(self, mesh: SurfaceMesh, frame: HostPose, setting: Setting) -> TrochlearRegion:
         """The region on a mesh that is in the femur's frame already; `frame` is the mesh's own frame there."""
+        from pftwin.spatial import Rotation
         from pftwin.surfaces.charts import CylindricalChart
         from pftwin.surfaces.region import region_about, trochlear_region
-        from pftwin.spatial import Rotation
 
         anterior, proximal = (
-            setting.side.points("femur", np.asarray(d) @ frame.matrix.T) for d in (self.anterior, self.proximal)
+            usual if given is None else setting.side.points("femur", np.asarray(given) @ frame.matrix.T)
+            for given, usual in ((self.anterior, np.array([0.0, 0, 1])), (self.proximal, np.array([1.0, 0, 0])))
         )
         low, high = (math.radians(a) for a in self.angles_deg)
         if self.axis_origin_m is None:
             return trochlear_region(
                 mesh, anterior=anterior, proximal=proximal, half_width=self.half_width_m, angles=(low, high)
+            )
+        front = mesh.vertices @ anterior
+        if (mesh.vertex_normals @ anterior)[front >= np.quantile(front, 0.95)].mean() < 0:
+            raise InputError(
+                "the normals of the foremost vertices point backward",
+                where=mesh.source,
+                expected="normals out of the bone, and anterior in the mesh's own frame",
+                remedy="flip = true if the normals point into the bone; else check anterior",
             )
         lateral = np.cross(anterior, proximal)
         size = float(np.linalg.norm(lateral))
@@ -84,11 +94,12 @@ class MeshSurfaceSection(Section):
     """A polynomial patch fitted to the trochlear part of a mesh."""
 
     mesh: FileName = Field(description="STL, OBJ or PLY file of the femoral component")
-    units: Literal["m", "dm", "cm", "mm", "um", "in"] = Field(description="unit of the mesh's coordinates")
-    degree: Polynomial = Field("P5", description='polynomial: "P2", "P4", "P5" or another total degree')
-    chart: Literal["plane", "cylinder"] = Field("plane", description="heights over a plane or about an axis")
-    weights: Literal["vertex", "area"] = Field("vertex", description="every vertex alike, or by area")
-    repair: bool = Field(False, description="turn triangles that face the wrong way instead of refusing the mesh")
+    units: LengthUnit = Field(description="unit of the mesh's coordinates")
+    degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
+    chart: Literal["plane", "cylinder"] = Field(default="plane", description="heights over a plane or about an axis")
+    weights: Literal["vertex", "area"] = Field(default="vertex", description="every vertex alike, or by area")
+    repair: bool = Field(default=False, description="turn triangles that face the wrong way")
+    flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into the bone")
     mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in the femur's")
     region: RegionSection = Field(default_factory=RegionSection, description="which part of the mesh is trochlea")
 
@@ -101,6 +112,7 @@ class MeshSurfaceSection(Section):
         with document.naming(*at, "mesh"):
             mesh = load_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
         frame = self.mesh_pose.pose()
+        mesh = mesh.flipped() if self.flip else mesh
         mesh = setting.side.mesh("femur", SurfaceMesh(frame.apply(mesh.vertices), mesh.faces, mesh.source))
         with document.naming(*at, "region"):
             region = self.region.find(mesh, frame, setting)
@@ -116,11 +128,11 @@ class ChartSection(Section):
     """Where a patch's coordinates are."""
 
     type: Literal["plane", "cylinder"] = Field(description="heights over a plane, or about the frame's y axis")
-    origin_m: Point = Field([0.0, 0.0, 0.0], description="origin of the chart's frame, femur frame [m]")
+    origin_m: Point = Field(default=[0.0, 0.0, 0.0], description="origin of the chart's frame, femur frame [m]")
     quaternion_wxyz: UnitQuaternion = Field(
-        [1.0, 0.0, 0.0, 0.0], description="orientation of the chart's frame in the femur's (w, x, y, z)"
+        default=[1.0, 0.0, 0.0, 0.0], description="orientation of the chart's frame in the femur's (w, x, y, z)"
     )
-    radius_m: Positive | None = Field(None, description="radius that makes the cylinder's angle a length [m]")
+    radius_m: Positive | None = Field(default=None, description="radius that makes the cylinder's angle a length [m]")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -135,9 +147,9 @@ class PatchSurfaceSection(Section):
     coefficients_m: list[float] = Field(
         description="coefficients c_ij [m]: all i for j = 0, then all i for j = 1, ..., i + j up to the degree"
     )
-    degree: Polynomial = Field("P5", description='polynomial: "P2", "P4", "P5" or another total degree')
+    degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
     chart: ChartSection = Field(description="table: the chart")
-    center_m: Pair = Field([0.0, 0.0], description="centre (u0, v0) of the patch's rectangle [m]")
+    center_m: Pair = Field(default=[0.0, 0.0], description="centre (u0, v0) of the patch's rectangle [m]")
     half_size_m: PositivePair = Field(description="half size (half_u, half_v) of the patch's rectangle [m]")
 
     def build(self, setting: Setting, at: At) -> Surface:
@@ -163,9 +175,11 @@ class PatchSurfaceSection(Section):
         odd = -1.0 if setting.side.left else 1.0
         frame = HostPose.of(self.chart.origin_m, self.chart.quaternion_wxyz)
         origin = setting.side.points("femur", frame.position)
-        axes = setting.side.points("femur", frame.matrix.T).T * np.array([1.0, odd, 1.0])
+        axes = setting.side.matrices["femur"] @ frame.matrix * np.array([1.0, odd, 1.0])
         where = vector(origin), Rotation.from_array(scalar(axes))
-        chart = PlaneChart(*where) if self.chart.radius_m is None else CylindricalChart(*where, scalar(self.chart.radius_m))
+        chart = (
+            PlaneChart(*where) if self.chart.radius_m is None else CylindricalChart(*where, scalar(self.chart.radius_m))
+        )
         coefficients = [c * odd**j for c, (_, j) in zip(self.coefficients_m, powers, strict=True)]
         center = scalar(self.center_m[0]), scalar(odd * self.center_m[1])
         half = scalar(self.half_size_m[0]), scalar(self.half_size_m[1])
@@ -183,8 +197,8 @@ class ImplantSurfaceSection(Section):
 
         with setting.document.naming(*at):
             refuse_other_degree(setting, None)
-            if setting.side.left:
-                raise InputError("the rig's implant is a right one", expected='side = "right"')
+            if not np.array_equal(setting.side.matrices["femur"], np.eye(3)):
+                raise InputError("the rig's implant is a right one in anatomical axes", expected="no [axes] femur")
         return rig_implant()
 
 

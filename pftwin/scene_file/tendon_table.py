@@ -1,5 +1,6 @@
 """[[tendon]]: linear spring-dampers, single or in groups."""
 
+# ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
 from typing import Any, ClassVar, Self
@@ -21,8 +22,8 @@ class TendonSection(EffectSection):
     body: Body = Field(description="body at the other end")
     stiffness_N_per_m: Positives = Field(description="stiffness K [N/m]")
     slack_length_m: Positives = Field(description="slack length L0 [m]")
-    damping_N_s_per_m: NotNegatives | None = Field(None, description="damping c [N s/m]")
-    damping_time_s: NotNegatives | None = Field(None, description="damping as a time c / K [s], in place of c")
+    damping_N_s_per_m: NotNegatives | None = Field(default=None, description="damping c [N s/m]")
+    damping_time_s: NotNegatives | None = Field(default=None, description="damping as a time c / K [s], in place of c")
     insertion_m: Points = Field(description="insertion, patella frame [m]")
     origin_m: Points = Field(description="origin, the body's frame [m]")
 
@@ -41,10 +42,9 @@ class TendonSection(EffectSection):
             damping = stiffness * np.asarray(self.damping_time_s)
         ends = setting.points("patella", self.insertion_m), setting.points(self.body, self.origin_m)
         n = max(len(a) for a in (stiffness, self.slack_length_m, damping, *ends))
-        values = (member_values(a, n) for a in (stiffness, np.asarray(self.slack_length_m), damping))
-        return Tendon(
-            *(scalar(v) for v in values), *(vector(member_values(e, n)) for e in ends), body=self.body, name=self.label
-        )
+        k, slack, c = (scalar(member_values(a, n)) for a in (stiffness, np.asarray(self.slack_length_m), damping))
+        insertion, origin = (vector(member_values(e, n)) for e in ends)
+        return Tendon(k, slack, c, insertion, origin, body=self.body, name=self.label)
 
 
 _ENDS = ("insertion_m", "origin_m")

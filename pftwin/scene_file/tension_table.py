@@ -28,9 +28,9 @@ class PrescribedTensionSection(EffectSection):
     kind: ClassVar[str] = "prescribed_tension"
     body: Body = Field(description="body at the other end")
     file: FileName = Field(description="CSV file with time_s and LINE_tension_N")
-    lines: list[str] | None = Field(None, description="names of the lines; all of the file's by default")
-    insertion_m: Points | None = Field(None, description="insertion of each line, patella frame [m]")
-    origin_m: Points | None = Field(None, description="origin of each line, the body's frame [m]")
+    lines: list[str] | None = Field(default=None, description="names of the lines; all of the file's by default")
+    insertion_m: Points | None = Field(default=None, description="insertion of each line, patella frame [m]")
+    origin_m: Points | None = Field(default=None, description="origin of each line, the body's frame [m]")
 
     def build(self, setting: Setting, at: tuple[str | int, ...]) -> PrescribedTension:
         """The effect."""
@@ -103,7 +103,9 @@ class PrescribedTensionSection(EffectSection):
             columns = [f"{line}_{label}_{axis}" for axis in "xyz"]
             if columns[0] not in table.names:
                 raise InputError(
-                    f"no column {columns[0]}_m, and no {field} in the scene file", where=table.source, expected=f"either"
+                    f"no column {columns[0]}_m, and no {field} in the scene file",
+                    where=table.source,
+                    expected="either",
                 )
             values = table.select(columns).values
             if any(table.units[c] != "m" for c in columns) or not np.isfinite(values).all():

@@ -143,3 +143,17 @@ def test_nothing_is_created_at_rest():
     total = np.asarray(energies(sys, states))
     assert np.ptp(z) < 1e-12
     assert np.ptp(total) < 1e-13
+
+
+def test_the_answer_has_no_jumps_where_a_step_just_misses_the_touch():
+    """A fitted parameter moves the phase of the steps: the path at 1 ms follows it continuously all the same."""
+    heights = jnp.linspace(2e-3, 3e-3, 1001)  # 1 um apart; falls by 0.2 mm within a step
+
+    def after_impact(height):
+        sys = system(gravity(), contact(Hertz(J(1e6))))
+        states, _ = record(sys, state_at(sys, (0, 0, RADIUS + height)), J(1e-3), 40)
+        return states.position.z[-1]
+
+    z = np.asarray(jax.jit(jax.vmap(after_impact))(heights))
+    assert np.ptp(z) > 1e-4
+    assert np.abs(np.diff(z)).max() < 2e-5

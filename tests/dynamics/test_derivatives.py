@@ -1,0 +1,176 @@
+"""Derivatives of whole motions against central differences: apart, at touch, sliding on two facets, past a lift-off."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import (
+    MASS,
+    RADIUS,
+    contact,
+    gravity,
+    groove_patch,
+    knee,
+    run,
+    settled,
+    starting_as_it_is,
+    tendon,
+    vec,
+)  # fmt: skip
+
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.trajectory import Trajectory, trajectory
+from pftwin.effects.contact_law import Flores
+from pftwin.mocap.poses import PoseSeries
+from pftwin.motion import KneeMotion
+from pftwin.scene import PatellaBody, Scene
+from pftwin.spatial import Pose, Quaternion
+
+J = jnp.asarray
+N_FRAMES, INTERVAL, SUBSTEPS = 61, 2e-3, 10
+GROOVE = groove_patch(4)
+COEFFICIENTS = len(GROOVE.coefficients)
+
+
+def bouncing_scene() -> Scene:
+    """A button falls beside a groove's floor, bounces, comes to slide on both facets, pulled along by two tendons."""
+    effects = (
+        gravity(),
+        tendon(156, 0.08, 1.5, (0.02, 0, 0), (0.12, 0.004, 0.01), "femur", "quadriceps"),
+        tendon(629, 0.08, 6.0, (-0.02, 0, 0), (-0.1, 0.002, 0.01), "tibia", "patellar_tendon"),
+        contact(Flores(J(1e6), J(0.8)), GROOVE),
+    )
+    t = INTERVAL * np.arange(N_FRAMES)
+    still = np.tile([1.0, 0, 0, 0], (t.size, 1))
+    pulled = np.stack([-0.02 * (t / t[-1]) ** 2, 0 * t, 0 * t], 1)
+    motion = KneeMotion.from_poses(None, PoseSeries(t, pulled, still))
+    start = Pose(vec(0, 0.0004, RADIUS + 0.0045), Quaternion.identity())
+    return Scene(PatellaBody(J(MASS), vec(3e-5, 3e-5, 4e-5), vec(0.001, 0, 0)), effects, motion, start)
+
+
+SCENE = bouncing_scene()
+START = starting_as_it_is(SCENE)
+
+
+def with_parameters(theta: jax.Array) -> Scene:
+    """K1, L1, K2, L2 and every patch coefficient, as factors or additions around the scene's own."""
+
+    def where(s):
+        a, b = s.effects[1:3]
+        return [a.stiffness, a.slack_length, b.stiffness, b.slack_length, s.effects[3].surface.coefficients]
+
+    values = where(SCENE)
+    new = [v * (1 + theta[i]) for i, v in enumerate(values[:4])] + [values[4] + 1e-3 * theta[4:]]
+    return eqx.tree_at(where, SCENE, new)
+
+
+@eqx.filter_jit
+def path_of(theta: jax.Array) -> Trajectory:
+    return trajectory(with_parameters(theta), substeps=SUBSTEPS, start=START)
+
+
+def positions(theta: jax.Array) -> jax.Array:
+    """Path of the centre of mass [mm]."""
+    return 1e3 * path_of(theta).states.position.array()
+
+
+@jax.jit
+def batch(thetas: jax.Array, directions: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Paths and their derivatives along directions, of a batch of parameters."""
+    return jax.vmap(lambda theta, d: jax.jvp(positions, (theta,), (d,)))(thetas, directions)
+
+
+DIRECTIONS = np.vstack([np.eye(4 + COEFFICIENTS)[:4], np.r_[np.zeros(4), np.ones(COEFFICIENTS)],
+                        np.r_[np.zeros(4), np.random.default_rng(0).normal(size=COEFFICIENTS)]])  # fmt: skip
+
+TRIPLED = J(np.tile(DIRECTIONS, (3, 1)))
+
+
+@pytest.fixture(scope="module")
+def derivatives():
+    """By automatic differentiation and by central differences, (directions, frames, 3)."""
+    h, n = 1e-6, len(DIRECTIONS)
+    paths, forward = batch(J(np.concatenate([h * DIRECTIONS, -h * DIRECTIONS, 0 * DIRECTIONS])), TRIPLED)
+    return np.asarray(forward[2 * n :]), np.asarray((paths[:n] - paths[n : 2 * n]) / (2 * h))
+
+
+@pytest.fixture(scope="module")
+def phases():
+    """Which frames lie apart before touch, at touch, on two facets, and after a lift-off."""
+    path = path_of(jnp.zeros(4 + COEFFICIENTS))
+    seen = eqx.filter_jit(observe)(SCENE, path).effects["contact"]
+    medial, lateral = (np.asarray(seen[f"force_{side}"]) > 0 for side in ("medial", "lateral"))
+    any_contact = medial | lateral
+    first = int(np.flatnonzero(any_contact)[0])
+    lifted = np.flatnonzero(~any_contact & (np.arange(N_FRAMES) > first))
+    both = np.flatnonzero(medial & lateral)
+    return {"apart": np.arange(2, first), "touch": np.arange(first, first + 2), "lift_off": lifted, "two_facets": both}
+
+
+@pytest.mark.parametrize("phase", ["apart", "touch", "two_facets", "lift_off"])
+def test_forward_mode_agrees_with_central_differences(phase, derivatives, phases):
+    frames = phases[phase]
+    assert len(frames) >= 2
+    forward, difference = derivatives
+    for k in range(len(DIRECTIONS)):
+        size = np.abs(difference[k]).max()
+        error = np.abs(forward[k] - difference[k])[frames].max()
+        # No derivative passes through the starts of the closest points' Newton steps, and in an impact they are off.
+        assert error < (1e-6 if phase == "apart" else 3e-3) * size
+        if k < 4 or phase != "apart":  # a surface that is not touched matters to nothing
+            assert np.abs(forward[k][frames]).max() > 1e-7 * size
+        else:
+            assert np.all(forward[k][frames] == 0)
+
+
+def test_reverse_mode_is_forward_mode(derivatives):
+    weights = J(np.random.default_rng(1).normal(size=(N_FRAMES, 3)))
+    gradient = jax.jit(jax.grad(lambda theta: jnp.sum(weights * positions(theta))))(jnp.zeros(4 + COEFFICIENTS))
+    expected = np.sum(np.asarray(weights) * derivatives[0], axis=(1, 2))
+    np.testing.assert_allclose(DIRECTIONS @ np.asarray(gradient), expected, rtol=1e-8)
+    assert np.all(np.asarray(gradient) != 0)  # every coefficient of the patch is felt
+
+
+def test_a_batch_is_its_members_one_by_one():
+    several = 0.02 * np.random.default_rng(2).normal(size=TRIPLED.shape)
+    for theta, path in zip(several, batch(J(several), TRIPLED)[0], strict=True):
+        np.testing.assert_allclose(positions(J(theta)), path, atol=1e-7)
+
+
+def test_equilibrium_and_motion_from_it_have_the_parameters_derivatives():
+    """The start moves with the parameter too: implicit function theorem, then the path."""
+    scene = knee()
+
+    def where(s):
+        return [s.effects[1].stiffness, s.effects[3].surface.coefficients]
+
+    def end(factor):
+        k, c = where(scene)
+        varied = eqx.tree_at(where, scene, [k * (1 + factor[0]), c + 1e-3 * factor[1]])
+        path = trajectory(varied, substeps=2)
+        return 1e3 * jnp.stack([path.states.position.array()[i] for i in (0, -1)])
+
+    h, along = 1e-5, jnp.tile(jnp.eye(2), (3, 1))
+    at = along * jnp.repeat(J([h, -h, 0.0]), 2)[:, None]
+    values, slopes = jax.jit(jax.vmap(lambda theta, d: jax.jvp(end, (theta,), (d,))))(at, along)
+    for i in range(2):
+        difference = np.asarray(values[i] - values[2 + i]) / (2 * h)
+        np.testing.assert_allclose(slopes[4 + i][0], difference[0], rtol=1e-4, atol=1e-5)  # the equilibrium
+        np.testing.assert_allclose(slopes[4 + i][1], difference[1], rtol=1e-3, atol=1e-3 * np.abs(difference).max())
+
+
+def test_single_precision_is_finite_and_close():
+    scene = knee()
+    start = settled(scene)
+    double = 1e3 * np.asarray(run(scene, start)[0].states.position.array())
+    with jax.enable_x64(False):
+        small = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32) if eqx.is_inexact_array(a) else a, (scene, start))
+        states = eqx.filter_jit(lambda scene, start: trajectory(scene, start=start).states)(*small)
+        assert {a.dtype for a in jax.tree.leaves(states)} == {np.dtype(np.float32)}
+        single = 1e3 * np.asarray(states.position.array(), np.float64)
+    print("float32 against float64, mm", np.abs(single - double).max())
+    assert np.all(np.isfinite(single))
+    assert np.abs(single - double).max() < 0.02

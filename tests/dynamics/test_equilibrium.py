@@ -1,0 +1,114 @@
+"""Static equilibrium against a long, heavily damped simulation; and what the status says of a motion."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scenes import contact, flat_patch, knee, run, settled, starting_as_it_is, vec
+
+from pftwin.dynamics.linear_implicit import linear_implicit
+from pftwin.dynamics.observe import Status
+from pftwin.dynamics.trajectory import first_guide
+from pftwin.effects.contact_law import Hertz
+from pftwin.effects.damping import LinearDamping
+from pftwin.spatial import Pose, Quaternion
+
+J = jnp.asarray
+
+
+@eqx.filter_jit
+def long_damped(scene):
+    """Ten seconds, heavily damped, the tibia held still."""
+    damped = scene.with_effect(LinearDamping(J(3.0), J(1e-3), body="ground"))
+    sys, guide = damped.system(), first_guide(damped)
+    state = sys.start(damped.center_of_mass_pose(), guide)
+    return jax.lax.fori_loop(0, 10_000, lambda _, s: linear_implicit(sys, s, guide, J(1e-3))[0], state)
+
+
+def test_equilibrium_is_where_damped_motion_ends():
+    scene = knee()
+    solution, rest = settled(scene), long_damped(scene)
+    assert bool(solution.converged())
+    assert float(solution.residual) < 1e-8
+    assert float(rest.velocity.norm()) < 1e-9
+    apart = (solution.pose.position - rest.position).norm()
+    turn = (solution.pose.orientation.conjugate() * rest.orientation).rotation_vector().norm()
+    print("damped motion ends", 1e3 * float(apart), "mm and", float(turn), "rad away; iterations", solution.iterations)
+    assert 1e3 * float(apart) < 1e-5
+    assert float(turn) < 1e-6
+    lowest = np.linalg.eigvalsh(np.asarray(solution.stiffness))[0]
+    assert lowest > 0  # it is a stable one
+
+
+def test_several_starts_find_the_same_equilibrium():
+    scene = knee()
+    first = settled(scene).pose.position.array()
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        offset, tilt = 3e-3 * rng.normal(size=3), 0.1 * rng.normal(size=3)
+        start = Pose(scene.start.position + vec(*offset), Quaternion.from_rotation_vector(vec(*tilt)))
+        solution = settled(eqx.tree_at(lambda s: s.start, scene, start))
+        assert bool(solution.converged())
+        np.testing.assert_allclose(solution.pose.position.array(), first, atol=1e-9)
+
+
+def flags(scene, start=None) -> Status:
+    """All flags of all frames of a motion."""
+    seen = run(scene, starting_as_it_is(scene) if start is None else start)[1]
+    out = Status.OK
+    for s in np.unique(np.asarray(seen.status)):
+        out |= Status(int(s))
+    return out
+
+
+def test_a_clean_motion_is_ok():
+    scene = knee()
+    status = flags(scene, settled(scene))
+    assert status == Status.OK
+    assert status.describe() == "ok"
+
+
+def test_a_button_in_the_air_touches_nothing():
+    scene = knee()
+    away = eqx.tree_at(lambda s: s.effects[0].acceleration, scene, vec(0, 0, 300.0))
+    assert Status.NO_CONTACT in flags(away)
+
+
+def test_beyond_the_patch_is_said():
+    scene = knee()
+    small = eqx.tree_at(lambda s: s.effects[3].surface.half_size, scene, (J(0.024), J(0.001)))
+    status = flags(small)
+    assert Status.LEFT_PATCH in status
+    assert "edge of the fitted patch" in status.describe()
+
+
+def test_a_soft_contact_sinks_in():
+    scene = knee()
+    soft = eqx.tree_at(lambda s: s.effects[3].law.contact_stiffness, scene, J(1e5))
+    assert Status.DEEP_INDENTATION in flags(soft)
+
+
+def test_a_start_out_of_balance_is_said():
+    scene = knee()
+    start = eqx.tree_at(lambda s: s.residual, settled(scene), J(0.5))
+    assert flags(scene, start) == Status.START_NOT_IN_EQUILIBRIUM
+
+
+def test_a_step_too_large_is_not_finite_and_says_so():
+    """Explicit steps of 10 ms on a tendon of 2e5 N/m."""
+    from pftwin.dynamics.observe import observe
+    from pftwin.dynamics.trajectory import trajectory
+
+    scene = knee(101)
+    stiff = eqx.tree_at(lambda s: s.effects[1].stiffness, scene, J(1e9)).without("contact")
+    stiff = stiff.with_effect(contact(Hertz(J(1e12)), flat_patch()))
+
+    def look(scene, start):
+        path = trajectory(scene, start=start, substeps=1, integrator="symplectic_euler")
+        return observe(scene, path).status
+
+    status = np.asarray(eqx.filter_jit(look)(stiff, starting_as_it_is(stiff)))
+    assert int(status[-1]) & int(Status.NOT_FINITE)
+    assert not int(status[0]) & int(Status.NOT_FINITE)

@@ -31,13 +31,32 @@ class LaboratoryFiles:
     femur: Cluster | None  # marker places in the femur's frame [m]; None: the femur is fixed at the world's origin
     tibia: Cluster
     patella: Cluster
+    fixed_points: Cluster  # in the world [m]
+    columns: tuple[str, str, str] = ("contact", "tibial_spring", "femoral_spring")  # of the forces
     cutoff_hz: float = 12.0
-    correct_two_passes: bool = False
-    contact_force: str = "contact_force_N"
-    tibial_spring_force: str = "tibial_spring_force_N"
-    femoral_spring_force: str = "femoral_spring_force_N"
-    region: str = "{ anterior = [0, 0, 1], proximal = [1, 0, 0], half_width_mm = 20, angles_deg = [-75, 30] }"
+    window: int = 30
+    axis_radius: float = 0.0248  # of the groove about the implant's axis [m]
     synthetic: bool = True
+
+
+def rig_laboratory(case: int) -> LaboratoryFiles:
+    """What the virtual rig's laboratory knows of a case."""
+    from pftwin.rig import geometry, recording
+    from pftwin.surfaces.implant import rig_implant
+
+    return LaboratoryFiles(
+        markers=f"case{case}_markers.trc",
+        mesh="femoral_component.stl",
+        forces=f"case{case}_forces.csv",
+        femur={**geometry.FEMUR_MARKERS, "HIP": geometry.HIP},
+        tibia=geometry.TIBIA_MARKERS,
+        patella=geometry.PATELLA_MARKERS,
+        fixed_points={"HIP": geometry.HIP},
+        columns=recording.FORCES,
+        cutoff_hz=recording.CUTOFF,
+        window=recording.WINDOW,
+        axis_radius=float(rig_implant().trochlear_radius),
+    )
 
 
 def write_example(folder: Path, case: int = 1) -> list[Path]:
@@ -48,13 +67,14 @@ def write_example(folder: Path, case: int = 1) -> list[Path]:
     """
     from pftwin import rig
 
+    made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=".example.") as name:
             built = Path(name)
             files = [Path(p) for p in rig.write_files(case, built)]
             scene = built / "scene.toml"
-            scene.write_text(scene_text(rig.case(case), rig.laboratory_files(case)), encoding="utf-8")
+            scene.write_text(scene_text(rig.case(case), rig_laboratory(case)), encoding="utf-8")
             targets = [folder / p.relative_to(built) for p in (scene, *files)]
             if there := [t for t in targets if t.exists()]:
                 raise OutputError(f"{there[0]}: is there already; try: another folder, or remove it first")
@@ -66,11 +86,15 @@ def write_example(folder: Path, case: int = 1) -> list[Path]:
         raise
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    finally:
+        if made and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
     """The scene file of one of the rig's cases, with comments."""
     from pftwin.effects.contact_law import Flores
+    from pftwin.effects.damping import LinearDamping
     from pftwin.effects.gravity import Gravity
     from pftwin.effects.tendon import Tendon
 
@@ -82,7 +106,7 @@ def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
         "name": scene.name,
         "markers": files.markers,
         "cutoff": _number(files.cutoff_hz),
-        "two_passes": "true" if files.correct_two_passes else "false",
+        "fixed_points": _cluster(files.fixed_points) if files.fixed_points else "{}",
         "femur": _FIXED_FEMUR if files.femur is None else f"cluster_mm = {_cluster(files.femur)}",
         "tibia": _cluster(files.tibia),
         "patella": _cluster(files.patella),
@@ -103,7 +127,8 @@ def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
         "mesh": files.mesh,
         "degree": getattr(contact.surface, "degree", 5),
         "chart": "cylinder" if hasattr(getattr(contact.surface, "chart", None), "radius") else "plane",
-        "region": files.region,
+        "axis_radius": _number(1e3 * files.axis_radius),
+        "damping": "\n\n".join(_damping(e) for e in scene.effects if isinstance(e, LinearDamping)),
         "measured": "" if files.forces is None else _measured(files),
     }
     return Template(_TEMPLATE).substitute(values)
@@ -124,12 +149,25 @@ def _tendon(tendon: Any) -> str:
     )
 
 
+def _damping(damping: Any) -> str:
+    return "\n".join(
+        [
+            "[damping]             # viscous, of the motion relative to a body",
+            f'body = "{damping.body}"',
+            f"translational_N_s_per_m = {_number(damping.translational)}",
+            f"rotational_N_m_s_per_rad = {_number(damping.rotational)}",
+        ]
+    )
+
+
 def _measured(files: LaboratoryFiles) -> str:
+    contact, tibial, femoral = files.columns
     return Template(_MEASURED).substitute(
         forces=files.forces,
-        contact=files.contact_force,
-        tibial=files.tibial_spring_force,
-        femoral=files.femoral_spring_force,
+        contact=contact,
+        tibial=tibial,
+        femoral=femoral,
+        window=files.window,
         patella=_cluster(files.patella),
         synthetic="true" if files.synthetic else "false",
     )
@@ -167,10 +205,11 @@ side = "right"        # a "left" knee's data are mirrored on input
 [motion]
 markers = "$markers"  # TRC, C3D or CSV; or poses = "poses.csv" with columns time_s, BODY_px_m ... BODY_qz
 # units = "mm"        # of the markers, where their file does not say
+fixed_points_mm = $fixed_points  # count as markers: the hip's centre, where it does not move
 max_gap_s = 0.1       # longest gap in a marker that is filled by a spline
 cutoff_Hz = $cutoff        # zero-phase Butterworth low-pass; leave it out for no filter
 filter_order = 2      # of one pass
-correct_two_passes = $two_passes  # true: both passes together have -3 dB at the cut-off
+correct_two_passes = false  # true: both passes together have -3 dB at the cut-off
 # start_time_s = 0.0  # part of the recording, after filtering
 # end_time_s = 7.2
 
@@ -211,13 +250,14 @@ mesh = "$mesh"
 units = "m"           # of the mesh: its format does not say
 degree = "P$degree"         # total degree: P2, P4, P5, ...
 chart = "$chart"       # heights over a "plane", or about the trochlear axis: "cylinder"
-region = $region
+# Which vertices: a rectangle about the trochlear axis. Without axis_... the axis is looked for (anterior and proximal
+# may then be given as directions in the mesh's frame): `pftwin fit-surface` draws what it finds.
+region = { axis_origin_mm = [0, 0, 0], axis_radius_mm = $axis_radius, half_width_mm = 20, angles_deg = [-75, 30] }
 # surface = { implant = "rig" } is the virtual rig's smooth implant; coefficients_m, chart, half_size_m give a patch.
 
+$damping
+
 # Others:
-# [damping]
-# translational_N_s_per_m = 0.1
-# rotational_N_m_s_per_rad = 1e-4
 # [[strands]]                         # ligaments with a toe region
 # name = "mpfl"
 # body = "femur"
@@ -238,7 +278,7 @@ forces = "$forces"
 contact_force = "$contact"
 tibial_spring_force = "$tibial"
 femoral_spring_force = "$femoral"
-smoothing_window = 30 # singular spectrum analysis; leave it out for none
-synthetic = $synthetic
+smoothing_window = $window # singular spectrum analysis; leave it out for none
+synthetic = $synthetic      # simulated measurements: tables and figures say so
 patella = { cluster_mm = $patella }
 """

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import stat
 import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
-from toy_scene_files import SCENE, write_toy
+from toy_scene_files import CLUSTERS, SCENE, write_toy
 from typer.testing import CliRunner, Result
 
+from pftwin import rig
 from pftwin.cli import app
 from pftwin.errors import InputError
 from pftwin.scene import Scene
+from pftwin.scene_file import load_scene, load_scene_file
+from pftwin.scene_template import LaboratoryFiles
 from pftwin.surfaces.implant import rig_implant
 from pftwin.surfaces.mesh import save_mesh
 
@@ -50,7 +55,7 @@ def refused(*arguments: object) -> str:
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("toy")
     scene = write_toy(folder, SCENE + MEASURED)
-    rows = [f"{0.01 * i:.2f},{8 + 0.1 * i}" for i in range(41)]
+    rows = [f"{0.005 * i:.3f},{8 + 0.05 * i}" for i in range(81)]
     (folder / "forces.csv").write_text("\n".join(["time_s,contact_N", *rows]) + "\n")
     return scene
 
@@ -83,6 +88,7 @@ def test_json_on_stdout_is_json_alone(toy: Path) -> None:
     assert facts["effects"]["contact"]["indentation_medial"] is None or facts["facets"] == ["medial", "lateral"]
     assert "toy: stable equilibrium" in result.stderr
     assert "residual [N]" in result.stderr
+    assert "patella in the femur [mm]" in result.stderr
 
 
 def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
@@ -121,7 +127,7 @@ def test_fit_surface(toy: Path, tmp_path: Path) -> None:
     assert 0.85 < r_squared[0] < r_squared[1] < r_squared[2] < 1
     assert len(facts["fits"][1]["coefficients_m"]) == 15
     assert "P4" in result.stderr
-    assert "R^2" in result.stderr
+    assert "rms [mm]" in result.stderr
 
 
 def test_fit_surface_refuses(toy: Path, tmp_path: Path) -> None:
@@ -212,6 +218,58 @@ def test_json_keeps_to_the_standard(tmp_path: Path) -> None:
 
     write_json({"a": np.array([1.0, np.nan]), "b": float("inf"), "c": (1, None)}, str(tmp_path / "a.json"))
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": [1.0, None], "b": None, "c": [1, None]}
+
+
+@pytest.fixture
+def laboratory(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The toy in the place of the virtual rig."""
+
+    def write_files(case: int, folder: Path) -> list[Path]:
+        names = ("walk.trc", "femur.stl", "forces.csv")
+        return [Path(shutil.copy(toy.with_name(name), folder)) for name in names]
+
+    clusters = CLUSTERS["tibia"], CLUSTERS["patella"]
+    columns = ("contact", "contact", "contact")
+    files = LaboratoryFiles("walk.trc", "femur.stl", "forces.csv", None, *clusters, {}, columns)
+    for name, value in (("write_files", write_files), ("case", lambda n: load_scene(toy))):
+        monkeypatch.setattr(f"pftwin.rig.{name}", value)
+    monkeypatch.setattr("pftwin.scene_template.rig_laboratory", lambda n: files)
+
+
+@pytest.mark.usefixtures("laboratory")
+def test_init_writes_an_example_that_simulates(tmp_path: Path) -> None:
+    result = pftwin("init", tmp_path / "new" / "knee")
+    assert result.exit_code == 0, result.output
+    folder = tmp_path / "new" / "knee"
+    assert sorted(p.name for p in folder.iterdir()) == ["femur.stl", "forces.csv", "scene.toml", "walk.trc"]
+    assert f"next: pftwin simulate {folder / 'scene.toml'}" in result.stdout
+    result = pftwin("validate", folder / "scene.toml", "--json", "-", *STEP)
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["synthetic"] is True
+
+
+@pytest.mark.usefixtures("laboratory")
+def test_init_overwrites_nothing(tmp_path: Path) -> None:
+    (tmp_path / "walk.trc").write_text("mine")
+    assert "walk.trc: is there already" in refused("init", tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.trc"]
+    assert (tmp_path / "walk.trc").read_text() == "mine"
+
+
+def test_init_of_the_rig_is_the_rigs_own_case(tmp_path: Path) -> None:
+    result = pftwin("init", tmp_path, "--case", 1)
+    assert result.exit_code == 0, result.output
+    ours, theirs = load_scene(tmp_path / "scene.toml"), rig.case(1)
+    assert [e.name for e in ours.effects] == [e.name for e in theirs.effects]
+    at, true = (s.motion.tibia.frames(1.23).origin.array() for s in (ours, theirs))
+    np.testing.assert_allclose(at, true, atol=1e-5)
+    for one, other in ((ours.effects, theirs.effects), (ours.patella, theirs.patella), (ours.start, theirs.start)):
+        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-5)  # the mesh's file is in single precision
+    measured = load_scene_file(tmp_path / "scene.toml").measured
+    assert measured is not None
+    np.testing.assert_allclose(measured.center, rig.measured(1).center, atol=1e-9)
+    np.testing.assert_allclose(measured.contact_force, rig.measured(1).contact_force, atol=1e-9)
 
 
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
+from pftwin.errors import InputError
 from pftwin.mocap import MarkerTrajectories, PoseSeries, Table, write_trc
+from pftwin.scene import Scene
+from pftwin.scene_file import load_scene
 from pftwin.surfaces.implant import rig_implant
 from pftwin.surfaces.mesh import save_mesh
 
@@ -118,8 +122,6 @@ def write_toy(folder: Path, text: str = SCENE) -> Path:
     return scene
 
 
-__all__ = ["CLUSTERS", "SCENE", "START", "fixed_poses", "markers_of", "tibia_poses", "write_poses", "write_toy"]
-
 DM_SCENE = """
 schema = 1
 name = "dm_knee"
@@ -176,3 +178,36 @@ patella = { body = "patella" }
 forces = "FOLDER/passive_flexion_tensions.csv"
 tibial_spring_force = "patellar_tendon_N"
 """
+
+PATCH = """
+[contact.surface]
+degree = "P2"
+chart = { type = "plane", origin_m = [0, 0.001, 0.02], quaternion_wxyz = [0.9962, 0.05, -0.0705, 0] }
+center_m = [0, 0.002]
+half_size_mm = [24, 20]
+coefficients_m = [0.004, 0.001, -0.009, 0.0005, 0.0002, 0.003]
+"""
+# The same scene without its mesh: what most of the tests below need, in a tenth of the time.
+LIGHT = SCENE[: SCENE.index("[contact.surface]")] + PATCH
+
+
+def load(folder: Path, text: str, name: str = "variant.toml") -> Scene:
+    """The scene of a text, in the folder of the toy's files."""
+    file = folder / name
+    file.write_text(text)
+    return load_scene(file)
+
+
+def changed(old: str, new: str, text: str = LIGHT) -> str:
+    """A text with one thing changed."""
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+def refused(folder: Path, text: str) -> str:
+    """The message about a text, without the folder's name."""
+    with pytest.raises(InputError) as caught:
+        load(folder, text, "bad.toml")
+    message = str(caught.value)
+    assert message.startswith(str(folder / "bad.toml"))
+    return message.replace(f"{folder}/", "")

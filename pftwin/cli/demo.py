@@ -26,8 +26,7 @@ def demo(
     start_computing()
     from pftwin.demo import run_demo
 
-    outcome = run_demo(folder, out(json))
-    write_json(outcome, json)
+    write_json(run_demo(folder, out(json)), json)
 
 
 def check_folder(folder: Path) -> None:

@@ -9,6 +9,8 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 from pftwin.errors import PftwinError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from pftwin.equilibrium_report import EquilibriumReport
 
 
@@ -35,14 +37,15 @@ def equilibrium(
         )
 
 
-def _table(report: EquilibriumReport):
+def _table(report: EquilibriumReport) -> Table:
     """Pose, residual and what every effect reports."""
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=None, show_header=False)
-    table.add_row("patella in the femur [mm]", "  ".join(f"{1e3 * v:.3f}" for v in report.position))
+    table.add_row(escape("patella in the femur [mm]"), "  ".join(f"{1e3 * v:.3f}" for v in report.position))
     table.add_row("quaternion (w, x, y, z)", "  ".join(f"{v:.6f}" for v in report.quaternion))
-    table.add_row("residual [N]", f"{report.residual:.1e} after {report.iterations} iterations")
+    table.add_row(escape("residual [N]"), f"{report.residual:.1e} after {report.iterations} iterations")
     for name, seen in report.effects.items():
         for key, value in seen.items():
             if value.ndim == 0:

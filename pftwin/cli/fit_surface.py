@@ -129,11 +129,12 @@ def _facts(mesh: Path, chart: str, region: Any, fits: list[PatchFit]) -> dict[st
 
 
 def _table(mesh: Path, chart: str, fits: list[PatchFit]) -> Table:
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=f"{mesh.name}, heights over a {chart}, {fits[0].n_vertices} vertices")
+    table = Table(title=escape(f"{mesh.name}, heights over a {chart}, {fits[0].n_vertices} vertices"))
     for heading in ("polynomial", "R^2 [%]", "rms [mm]", "max [mm]", "rms along normal [mm]"):
-        table.add_column(heading, justify="right")
+        table.add_column(escape(heading), justify="right")
     for f in fits:
         errors = (1e3 * v for v in (f.rms, f.max_error, f.rms_normal))
         table.add_row(f.name, f"{100 * f.r_squared:.2f}", *(f"{v:.3f}" for v in errors))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pftwin.measured import Measured
     from pftwin.result import Result
     from pftwin.scene import Scene
+    from pftwin.surfaces.sphere import SphereFit
 
 SceneArgument = Annotated[
     Path | None, typer.Argument(metavar="[SCENE.toml]", help="Scene file; `pftwin init` writes an example.")
@@ -39,6 +40,7 @@ class Chosen:
     scene: Scene
     measured: Measured | None
     contact: str | None
+    button: SphereFit | None = None  # where it was fitted to a mesh
 
 
 def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, measured: bool = False) -> Chosen:
@@ -68,16 +70,19 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
             loaded = load_scene_file(scene, contact=contact)
         for note in loaded.notes:
             err().print(note, style="dim", markup=False, highlight=False, soft_wrap=True)
-        return Chosen(loaded.scene, loaded.measured, contact or _polynomial(loaded.scene))
+        return Chosen(loaded.scene, loaded.measured, contact or _polynomial(loaded.scene), loaded.button)
     from pftwin import rig
 
+    assert case is not None
     with working(f"preparing case {case} of the virtual rig"):
         name = contact or "P5"
         return Chosen(rig.case(case, contact=name), rig.measured(case) if measured else None, name)
 
 
-def simulated(scene: Scene, integrator: str, dt: float) -> tuple[Result, float]:
+def simulated(chosen: Chosen, integrator: str, dt: float) -> tuple[Result, float]:
     """The result with the timing of a warm run, and how long the first run took, compilation included [s].
+
+    Warns where contact leaves the part of a fitted button that is a sphere.
 
     Raises:
         InputError: an unknown integrator or an impossible step.
@@ -86,11 +91,16 @@ def simulated(scene: Scene, integrator: str, dt: float) -> tuple[Result, float]:
 
     from pftwin.dynamics.simulate import simulate
 
-    began = time.perf_counter()
+    scene, began = chosen.scene, time.perf_counter()
     with working(f"compiling and simulating {scene.name}"):
         simulate(scene, integrator=integrator, dt=dt)
         first = time.perf_counter() - began
-        return simulate(scene, integrator=integrator, dt=dt), first
+        result = simulate(scene, integrator=integrator, dt=dt)
+    if chosen.button is not None:
+        from pftwin.cap import check_cap
+
+        check_cap(result, chosen.button)
+    return result, first
 
 
 def _polynomial(scene: Scene) -> str | None:

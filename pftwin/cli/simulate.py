@@ -41,7 +41,7 @@ def simulate(
     table, storage = (output.with_suffix(".csv") if csv else None), (output.with_suffix(".sto") if sto else None)
     check_outputs(output, table, storage, json)
     chosen = chosen_scene(scene, case, contact)
-    result, first = simulated(chosen.scene, integrator, dt)
+    result, first = simulated(chosen, integrator, dt)
     with working("writing"):
         result.save(output)
         if table is not None:

@@ -49,12 +49,13 @@ def working(what: str) -> Iterator[None]:
 def start_computing() -> None:
     """Double precision, fast CPU code and the folder of compiled programs.
 
-    A process that has set JAX to double precision already keeps its own settings.
+    A process that has made these settings already keeps its own.
     """
     if "jax" in sys.modules:
         import jax
 
-        if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        settings = jax.config.values
+        if settings.get("jax_enable_x64") and settings.get("jax_compilation_cache_dir"):
             return
     from pftwin.runtime import configure, default_cache_dir
 

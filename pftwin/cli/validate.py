@@ -42,7 +42,7 @@ def validate(
     from pftwin.metrics import PAPER_TABLE_1
     from pftwin.metrics import validate as compare
 
-    result, first = simulated(chosen.scene, integrator, dt)
+    result, first = simulated(chosen, integrator, dt)
     names = {e.name for e in chosen.scene.effects}
     springs: dict[str, Any] = {}
     if chosen.measured.tibial_spring_force is None and "patellar_tendon" not in names:
@@ -58,10 +58,11 @@ def validate(
 
 def _table(validation: Validation, paper: str | None) -> Table:
     """The rows, the paper's means over its four cases beside them."""
+    from rich.markup import escape
     from rich.table import Table
 
     against = "synthetic measurements" if validation.synthetic else "measurements"
-    table = Table(title=f"{validation.scene} against {against}")
+    table = Table(title=escape(f"{validation.scene} against {against}"))
     table.add_column("", no_wrap=True)
     table.add_column("this", justify="right")
     if paper is not None:

@@ -27,6 +27,7 @@ from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
 
 REACH = 2e-3  # longest step [m]
 LEVER = 0.02  # turns moments into forces and angles into lengths: about the patella's half width [m]
+SEARCH_STEPS = 10  # loads at rest that make rough memories right
 MOST_ITERATIONS = 120
 RELAXATION_STEPS = 1500
 RELAXATION_STEP = 2e-3  # [s]
@@ -81,19 +82,40 @@ def _residual(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...
     return _components(sum((load.total() for load in loads), start=Wrench.zero()))
 
 
-def _tangent(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -> Array:
-    """(6, 6) static stiffness at a pose, symmetrised; central differences in a loop."""
+class _Look(NamedTuple):
+    """What one pose and its twelve neighbours tell."""
+
+    memories: tuple[Any, ...]
+    table: Array  # (13, 6) static loads
+    convex: Lower  # the stiff terms' own stiffness, positive semidefinite
+
+
+def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -> _Look:
+    """Load, stiffness and memories at a pose; in one loop, so that the effects are compiled once."""
     dtype = pose.position.x.dtype
-    small = 1e-9 if dtype == jnp.float64 else 2e-6
+    small = _difference(dtype)
+    zero = jnp.zeros((), dtype)
 
-    def column(k: Scalar, table: Array) -> Array:
-        axis, sign = k % 6, jnp.where(k < 6, 1.0, -1.0).astype(dtype)
-        d = [jnp.where(axis == i, sign * small, 0.0) for i in range(6)]
-        r = _residual(system, guide, _moved(pose, d), memories)
-        return table.at[axis].add(-sign / (2 * small) * jnp.stack(r))
+    def evaluate(k: Scalar, so_far: _Look) -> _Look:
+        axis, sign = (k - 1) % 6, jnp.where(k == 0, 0.0, jnp.where(k < 7, small, -small)).astype(dtype)
+        moved = _moved(pose, [jnp.where(axis == i, sign, 0.0) for i in range(6)])
+        loads, later = system.loads(_still(guide, moved), so_far.memories)
+        r = _components(sum((load.total() for load in loads), start=Wrench.zero()))
+        convex: Lower = [[zero] * (i + 1) for i in range(6)]
+        for load in loads:
+            for term in load.stiff:
+                convex = add_outer(convex, _components(Wrench(term.direction, term.moment)), term.stiffness)
+        first = k == 0
+        kept = jax.tree.map(lambda new, old: jnp.where(first, new, old), (later, convex), (so_far[0], so_far[2]))
+        return _Look(kept[0], so_far.table.at[k].set(jnp.stack(r)), kept[1])
 
-    rows = jax.lax.fori_loop(0, 12, column, jnp.zeros((6, 6), dtype))
-    return 0.5 * (rows + rows.T)
+    empty: Lower = [[zero] * (i + 1) for i in range(6)]
+    return jax.lax.fori_loop(0, 13, evaluate, _Look(memories, jnp.zeros((13, 6), dtype), empty))
+
+
+def _difference(dtype: Any) -> float:
+    """Step of the central differences [m]."""
+    return 1e-9 if dtype == jnp.float64 else 2e-6
 
 
 def _solved(matrix: Lower, shift: Scalar, r: list[Scalar]) -> tuple[list[Scalar], Scalar]:
@@ -112,23 +134,21 @@ def _size(r: list[Scalar]) -> Scalar:
 
 def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _Iterate:
     """One Newton iteration; a pose that meets the tolerance stays."""
-    loads, memories = system.loads(_still(guide, at.pose), at.memories)
-    r = _components(sum((load.total() for load in loads), start=Wrench.zero()))
+    look = _look(system, guide, at.pose, at.memories)
+    r = [look.table[0, i] for i in range(6)]
     size = _size(r)
-    stiffness = _tangent(system, guide, at.pose, memories)
+    slopes = (look.table[7:] - look.table[1:7]) / (2 * _difference(size.dtype))
+    stiffness = 0.5 * (slopes + slopes.T)
     exact, definite = _solved([[stiffness[i, j] for j in range(i + 1)] for i in range(6)], size / REACH, r)
-    convex: Lower = [[jnp.zeros_like(size)] * (i + 1) for i in range(6)]
-    for load in loads:
-        for term in load.stiff:
-            convex = add_outer(convex, _components(Wrench(term.direction, term.moment)), term.stiffness)
-    safe, _ = _solved(convex, size / REACH, r)
+    safe, _ = _solved(look.convex, size / REACH, r)
     d = [jnp.where(definite, a, b) for a, b in zip(exact, safe, strict=True)]
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
-    done = size < 0.01 * tolerance
-    scale = jnp.where(done | ~jnp.isfinite(length), 0.0, shorter)
+    searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
+    done = (size < 0.01 * tolerance) & ~searching
+    scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
-    return _Iterate(_moved(at.pose, d), memories, size, stiffness, at.count + 1, done)
+    return _Iterate(_moved(at.pose, d), look.memories, size, stiffness, at.count + 1, done)
 
 
 @eqx.filter_custom_jvp
@@ -141,7 +161,7 @@ def solve_equilibrium(system: System, guide: Guide, guess: Pose) -> Solution:
     tolerance = tolerance_of(zero.dtype)
     start = _Iterate(
         guess,
-        system.remember(_still(guide, guess)),
+        system.guess(_still(guide, guess)),
         zero + jnp.inf,
         jnp.zeros((6, 6), zero.dtype),
         jnp.zeros((), int),

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 import equinox as eqx
-import jax
-
 from pftwin.dynamics.equilibrium import Solution, relax
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.trajectory import (
@@ -18,6 +15,7 @@ from pftwin.dynamics.trajectory import (
     substeps_for,
     trajectory,
 )
+from pftwin.dynamics.timing import timed
 from pftwin.scene import Scene, check
 from pftwin.spatial import Pose
 
@@ -76,19 +74,15 @@ def simulate(
     check(scene)
     integrator_named(integrator)
     substeps = substeps_for(scene.motion.frame_interval, dt)
-    began = time.perf_counter()
-    start, relaxed = settle(scene)
-    jax.block_until_ready(start)
-    settled = time.perf_counter()
-    path, seen = jax.block_until_ready(_run(scene, start, integrator, substeps, energy_budget))
-    ended = time.perf_counter()
+    (start, relaxed), settling, compiling_start = timed(settle, scene)
+    (path, seen), running, compiling_run = timed(_run, scene, start, integrator, substeps, energy_budget)
     return Result.build(
         scene,
         path,
         seen,
         relaxed=relaxed,
         settings={"integrator": integrator, "dt_s": scene.motion.frame_interval / substeps, "substeps": substeps},
-        timing={"equilibrium_s": settled - began, "run_s": ended - settled},
+        timing={"equilibrium_s": settling, "run_s": running, "compile_s": compiling_start + compiling_run},
     )
 
 

@@ -61,6 +61,10 @@ class System(eqx.Module):
         """The memories to start with."""
         return tuple(e.remember(now) for e in self.effects)
 
+    def guess(self, now: Instant) -> tuple[Any, ...]:
+        """Rough memories: see `Effect.guess`."""
+        return tuple(e.guess(now) for e in self.effects)
+
     def kinetic_energy(self, state: State) -> Scalar:
         """Of the patella [J]."""
         w = state.spin
@@ -69,8 +73,8 @@ class System(eqx.Module):
 
     def start(self, pose: Pose, guide: Guide) -> State:
         """At rest, at the pose of the centre of mass."""
-        patella = Patella.at_rest(pose.position, pose.orientation)
-        return self.at_rest(pose, self.remember(guide.instant(patella, 0.0)))
+        now = guide.instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
+        return self.at_rest(pose, self.remember(now))
 
     @staticmethod
     def at_rest(pose: Pose, memories: tuple[Any, ...]) -> State:

@@ -134,6 +134,10 @@ class Effect(eqx.Module):
         """The memory to start with; None for an effect that remembers nothing."""
         return None
 
+    def guess(self, now: Instant) -> Any:
+        """A rough memory that a few loads at rest make right: cheaper to compile where loads are taken anyway."""
+        return self.remember(now)
+
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """What a result should show of this effect, by the names in `observables`."""
         return {}

@@ -19,7 +19,7 @@ from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.closest import ClosestPoint, Surface
 from pftwin.surfaces.facets import MERGED, Place, follow_facets
 
-SEARCH_STEPS = 10  # Newton steps that find the contacts from nothing
+SEARCH_STEPS = 10  # steps that find the contacts from nothing
 
 
 class ContactMemory(NamedTuple):
@@ -70,18 +70,23 @@ class SphereContact(Effect):
         chart = self.surface.chart
         return chart.to_frame(femur.to_local(centre)), chart.axes.unapply(femur.local_direction(velocity))
 
+    def guess(self, now: Instant) -> ContactMemory:
+        """Both points below the sphere's centre, from where they find their way; no contact has begun yet."""
+        c, _ = self.centre_in_chart(now)
+        foot = self.surface.chart.foot(c)
+        zero = jnp.zeros_like(c.x)
+        return ContactMemory((foot, foot), (zero, zero) if self.law.remembers_approach else None)
+
     def remember(self, now: Instant) -> ContactMemory:
-        """Both points, searched for from nothing; no contact has begun yet."""
+        """Both points, found from nothing; no contact has begun yet."""
         c, _ = self.centre_in_chart(now)
 
         def improve(_: Scalar, places: tuple[Place, Place]) -> tuple[Place, Place]:
             found = follow_facets(self.surface, c, self.radius, places)
             return (found.medial.u, found.medial.v), (found.lateral.u, found.lateral.v)
 
-        foot = self.surface.chart.foot(c)
-        places = jax.lax.fori_loop(0, SEARCH_STEPS, improve, (foot, foot))
-        zero = jnp.zeros_like(c.x)
-        return ContactMemory(places, (zero, zero) if self.law.remembers_approach else None)
+        start = self.guess(now)
+        return start._replace(places=jax.lax.fori_loop(0, SEARCH_STEPS, improve, start.places))
 
     def touches(self, now: Instant, memory: ContactMemory) -> tuple[Touch, Touch, ContactMemory]:
         """The medial and the lateral contact at this instant, and the memory for the next."""

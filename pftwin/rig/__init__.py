@@ -1,0 +1,58 @@
+"""The virtual test rig, the embedded default: four cases, and synthetic measurements of them.
+
+The rig reproduces that of Michaud et al. 2024 as far as it is published. Its measurements are synthetic: produced by a
+plant that differs from the twin (`pftwin.rig.plant`), written as a laboratory's files, read back like a user's.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pftwin.measured import Measured
+    from pftwin.scene import Scene
+
+__all__ = ["case", "measured", "write_files"]
+
+
+def case(n: int, contact: str = "P5", *, chart: str = "plane") -> Scene:
+    """One of the rig's four cases as a scene; see `pftwin.rig.cases.case`."""
+    from pftwin.rig.cases import case as build
+
+    return build(n, contact, chart=chart)
+
+
+def measured(n: int) -> Measured:
+    """What the virtual laboratory measured of a case. Synthetic.
+
+    Raises:
+        InputError: no such case.
+    """
+    from pftwin.rig.cases import recording
+
+    return recording(n).measured
+
+
+def write_files(n: int, folder: Path) -> list[Path]:
+    """Writes the laboratory's files of a case to a folder: markers, forces, and the implant's mesh.
+
+    Raises:
+        InputError: no such case.
+        OutputError: a file cannot be written.
+    """
+    from pftwin.output import written_whole
+    from pftwin.rig.cases import implant_mesh, recording
+    from pftwin.rig.recording import data_folder
+    from pftwin.surfaces.mesh import save_mesh
+
+    recording(n)
+    written = []
+    for name in (f"case{n}_markers.trc", f"case{n}_forces.csv"):
+        target = Path(folder) / name
+        with written_whole(target) as path:
+            Path(path).write_bytes((data_folder() / name).read_bytes())
+        written.append(target)
+    mesh = Path(folder) / "femoral_component.stl"
+    save_mesh(implant_mesh(), mesh)
+    return [*written, mesh]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,6 +14,9 @@ from pftwin.scene_file.host_pose import scalar, vector
 from pftwin.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
 from pftwin.scene_file.setting import Setting
 from pftwin.scene_file.surface_table import SurfaceSection
+
+if TYPE_CHECKING:
+    from pftwin.surfaces.sphere import SphereFit
 
 
 class LawSection(Section):
@@ -68,15 +72,15 @@ class ButtonSection(Section):
     units: LengthUnit = Field(description="unit of the mesh's coordinates")
     tolerance_m: Positive = Field(default=0.02e-3, description="deviation that still counts as sphere [m]")
 
-    def fit(self, setting: Setting, at: tuple[str | int, ...]) -> tuple[list[float], float]:
-        """Centre [m] in the patella's own frame, and radius [m]; a note says how well the sphere fits."""
+    def fit(self, setting: Setting, at: tuple[str | int, ...]) -> SphereFit:
+        """The sphere in the patella's own frame; a note says how well it fits."""
         from pftwin.surfaces.mesh import load_mesh
         from pftwin.surfaces.sphere import fit_sphere
 
         with setting.document.naming(*at, "mesh"):
             sphere = fit_sphere(load_mesh(setting.path(self.mesh), units=self.units), tolerance=self.tolerance_m)
         setting.notes.append(f"{setting.path(self.mesh)}: {sphere}")
-        return [float(v) for v in sphere.center], float(sphere.radius)
+        return sphere
 
 
 class ContactSection(EffectSection):
@@ -104,7 +108,10 @@ class ContactSection(EffectSection):
         surface = self.surface.build(setting, (*at, "surface"))
         center, radius = self.center_m, self.radius_m
         if self.button is not None:
-            center, radius = self.button.fit(setting, (*at, "button"))
+            sphere = self.button.fit(setting, (*at, "button"))
+            center, radius = sphere.center.tolist(), float(sphere.radius)
+            center_here, axis_here = (setting.points("patella", p) for p in (sphere.center, sphere.axis))
+            setting.buttons[self.label] = replace(sphere, center=center_here, axis=axis_here)
         assert radius is not None
         place = vector(setting.points("patella", center))
         return SphereContact(surface, self.law.build(), place, scalar(radius), name=self.label)

@@ -23,6 +23,7 @@ from pftwin.scene_file.side import AxesSection, Side
 
 if TYPE_CHECKING:
     from pftwin.measured import Measured
+    from pftwin.surfaces.sphere import SphereFit
 
 SCHEMA = 1
 
@@ -65,6 +66,7 @@ class LoadedScene:
 
     scene: Scene
     measured: Measured | None
+    button: SphereFit | None  # of the contact whose centre is tracked, where it was fitted to a mesh; patella frame
     notes: tuple[str, ...]
     path: Path
 
@@ -92,7 +94,7 @@ def load_scene_file(path: str | os.PathLike[str], *, contact: str | None = None)
     recording = Recording(file.motion, document, notes)
     motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, recording, side)
     start = start_pose(file.patella.start, recording, side, motion, fixed_femur, femur)
-    setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, contact, notes)
+    setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, contact, notes=notes)
     effects = tuple(
         table.build(setting, (section.kind, i))
         for section in EFFECTS
@@ -106,7 +108,8 @@ def load_scene_file(path: str | os.PathLike[str], *, contact: str | None = None)
     with document.naming():
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
-    return LoadedScene(scene, measured, tuple(notes), document.path)
+    button = None if scene.contact is None else setting.buttons.get(scene.contact.name)
+    return LoadedScene(scene, measured, button, tuple(notes), document.path)
 
 
 def _validated(document: Document) -> Any:

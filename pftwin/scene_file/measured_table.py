@@ -93,6 +93,7 @@ class MeasuredSection(Section):
                 if table.units[label] != "N":
                     raise InputError("no unit of force", where=f"{table.source}, column {label!r}", expected="newtons")
                 if self.smoothing_window is not None:
-                    values = singular_spectrum_filter(values, self.smoothing_window)
+                    # Cables and contacts do not push and pull both ways; smoothing overshoots where they let go.
+                    values = np.maximum(singular_spectrum_filter(values, self.smoothing_window), 0.0)
                 out[name] = np.interp(motion.times, table.times, values)
         return out

@@ -85,6 +85,10 @@ class MotionSection(Section):
     units: Literal["m", "cm", "mm"] | None = Field(
         default=None, description="unit of the markers where their file has none"
     )
+    fixed_points_m: dict[str, Point] = Field(
+        default_factory=dict,
+        description="points fixed in the world that count as markers, as a hip centre [m]",
+    )
     max_gap_s: NotNegative = Field(default=0.1, description="longest gap in a marker that is filled by a spline [s]")
     cutoff_Hz: Positive | None = Field(default=None, description="cut-off of the zero-phase Butterworth filter [Hz]")
     filter_order: Literal[1, 2, 3, 4] = Field(default=2, description="order of one pass of the filter")
@@ -166,23 +170,31 @@ class Recording:
         return self._poses[name]
 
     def _filtered(self, names: list[str]) -> MarkerTrajectories:
-        """The named markers with gaps filled, filtered."""
+        """The named markers with gaps filled, filtered; fixed points among them as they are."""
         motion = self.motion
         if motion.markers is None:
             raise InputError("a cluster needs a file of markers", remedy='markers = "FILE.trc" in [motion]')
         if self._markers is None:
             with self.document.naming("motion", "markers"):
                 self._markers = read_markers(str(self.document.folder / motion.markers), units=motion.units)
-        markers, gaps = fill_gaps(self._markers.select(names), max_gap_s=motion.max_gap_s)
+        seen = [name for name in names if name not in motion.fixed_points_m]
+        markers, gaps = fill_gaps(self._markers.select(seen), max_gap_s=motion.max_gap_s)
         self.notes.extend(f"{g.marker}: filled frames {g.first_frame} to {g.last_frame}" for g in gaps)
-        if motion.cutoff_Hz is None:
-            return markers
+        if motion.cutoff_Hz is not None:
+            markers = self._low_passed(markers, motion.cutoff_Hz)
+        still = {name: motion.fixed_points_m[name] for name in names if name in motion.fixed_points_m}
+        constant = np.tile(np.array([*still.values()]).reshape(1, len(still), 3), (markers.times.size, 1, 1))
+        positions = np.concatenate([markers.positions, constant], axis=1)
+        return MarkerTrajectories(markers.times, (*seen, *still), positions, markers.source)
+
+    def _low_passed(self, markers: MarkerTrajectories, cutoff: float) -> MarkerTrajectories:
+        motion = self.motion
         with self.document.naming("motion", "cutoff_Hz"):
             return markers.with_positions(
                 butterworth_lowpass(
                     markers.positions,
                     markers.rate,
-                    motion.cutoff_Hz,
+                    cutoff,
                     motion.filter_order,
                     correct_two_passes=motion.correct_two_passes,
                 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +12,9 @@ from pftwin.motion import KneeMotion
 from pftwin.scene_file.document import Document
 from pftwin.scene_file.host_pose import HostPose
 from pftwin.scene_file.side import Side
+
+if TYPE_CHECKING:
+    from pftwin.surfaces.sphere import SphereFit
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,7 @@ class Setting:
     motion: KneeMotion
     fixed_femur: HostPose | None  # its pose in the world (mirrored); the scene's world is then the femur's frame
     contact: str | None = None  # polynomial asked for on the command line, in place of the file's
+    buttons: dict[str, SphereFit] = field(default_factory=dict)  # fitted spheres by contact, patella frame
     notes: list[str] = field(default_factory=list)  # for the user to read
 
     def path(self, name: str) -> str:

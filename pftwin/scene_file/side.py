@@ -24,7 +24,11 @@ _RIGHT, _LEFT = ["+x", "+y", "+z"], ["+x", "-y", "+z"]
 
 
 def _three_axes(value: list[str]) -> list[str]:
-    if len(value) != 3 or sorted(a[-1:] for a in value) != ["x", "y", "z"] or any(a[:-1] not in ("", "+", "-") for a in value):
+    if (
+        len(value) != 3
+        or sorted(a[-1:] for a in value) != ["x", "y", "z"]
+        or any(a[:-1] not in ("", "+", "-") for a in value)
+    ):
         raise problem(f"found {value}", expected='three axes with signs, as in ["+y", "+z", "-x"]')
     return value
 

@@ -58,7 +58,6 @@ def journeys():
 def test_the_energy_budget_closes(journeys):
     gaps = [float(change - ledger.work + ledger.heat) for _, change, ledger, _ in journeys]
     _, change, ledger, _ = journeys[-1]
-    print("work, heat, change mJ", *(1e3 * float(x) for x in (ledger.work, ledger.heat, change)), "gaps", gaps)
     assert float(ledger.work) > 5e-3  # joules: the tibia pulls the patella along
     assert float(ledger.heat) > 1e-4
     assert abs(gaps[0]) < 0.02 * float(ledger.work)
@@ -69,7 +68,5 @@ def test_the_energy_budget_closes(journeys):
 def test_the_path_converges_with_the_first_order(journeys):
     finest = np.asarray(journeys[-1][3])
     errors = [np.linalg.norm(np.asarray(j[3]) - finest) for j in journeys[:-1]]
-    ends = [np.linalg.norm(np.asarray(j[0] - journeys[-1][0])) for j in journeys[:-1]]
-    print("mean path error mm", errors, "end", ends, order_of(errors))
     assert errors[0] < 0.05
     assert order_of(errors).mean() == pytest.approx(1, abs=0.25)

@@ -9,8 +9,8 @@ import numpy as np
 from scenes import contact, flat_patch, knee, run, settled, starting_as_it_is, vec
 
 from pftwin.dynamics.linear_implicit import linear_implicit
-from pftwin.dynamics.observe import Status
-from pftwin.dynamics.trajectory import first_guide
+from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.effects.contact_law import Hertz
 from pftwin.effects.damping import LinearDamping
 from pftwin.spatial import Pose, Quaternion
@@ -35,11 +35,31 @@ def test_equilibrium_is_where_damped_motion_ends():
     assert float(rest.velocity.norm()) < 1e-9
     apart = (solution.pose.position - rest.position).norm()
     turn = (solution.pose.orientation.conjugate() * rest.orientation).rotation_vector().norm()
-    print("damped motion ends", 1e3 * float(apart), "mm and", float(turn), "rad away; iterations", solution.iterations)
     assert 1e3 * float(apart) < 1e-5
     assert float(turn) < 1e-6
     lowest = np.linalg.eigvalsh(np.asarray(solution.stiffness))[0]
     assert lowest > 0  # it is a stable one
+
+
+def test_equilibrium_follows_its_parameters():
+    """The implicit function theorem against central differences: a stiffness, and the shape of the whole patch."""
+    scene = knee()
+
+    def where(s):
+        return [s.effects[1].stiffness, s.effects[3].surface.coefficients]
+
+    def pose(factor):
+        k, c = where(scene)
+        moved = starting_equilibrium(eqx.tree_at(where, scene, [k * (1 + factor[0]), c * (1 + factor[1])])).pose
+        return jnp.concatenate([1e3 * moved.position.array(), moved.orientation.array()])
+
+    h, along = 1e-5, jnp.tile(jnp.eye(2), (3, 1))
+    at = along * jnp.repeat(J([h, -h, 0.0]), 2)[:, None]
+    values, slopes = jax.jit(jax.vmap(lambda theta, d: jax.jvp(pose, (theta,), (d,))))(at, along)
+    for i in range(2):
+        difference = np.asarray(values[i] - values[2 + i]) / (2 * h)
+        assert np.abs(difference[:3]).max() > 1  # millimetres per unit of relative change
+        np.testing.assert_allclose(slopes[4 + i], difference, rtol=1e-5, atol=1e-6 * np.abs(difference).max())
 
 
 def test_several_starts_find_the_same_equilibrium():
@@ -97,10 +117,7 @@ def test_a_start_out_of_balance_is_said():
 
 
 def test_a_step_too_large_is_not_finite_and_says_so():
-    """Explicit steps of 10 ms on a tendon of 2e5 N/m."""
-    from pftwin.dynamics.observe import observe
-    from pftwin.dynamics.trajectory import trajectory
-
+    """Explicit steps of 10 ms on a tendon of 1e9 N/m."""
     scene = knee(101)
     stiff = eqx.tree_at(lambda s: s.effects[1].stiffness, scene, J(1e9)).without("contact")
     stiff = stiff.with_effect(contact(Hertz(J(1e12)), flat_patch()))

@@ -10,7 +10,7 @@ from scenes import MASS, RADIUS, G, contact, flat_patch, gravity, knee, run, set
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from pftwin.effects.contact_law import Hertz
+from pftwin.effects.contact_law import HuntCrossley
 from pftwin.effects.damping import LinearDamping
 from pftwin.mocap.poses import PoseSeries
 from pftwin.motion import KneeMotion
@@ -41,7 +41,7 @@ def series(pose, times=T) -> PoseSeries:
 
 
 # A button whose centre is its centre of mass: it does not turn, so Newton's law for a point is the whole reference.
-K_QUADRICEPS, K_PATELLAR, K_CONTACT, DRAG = 300.0, 800.0, 1e6, 0.8
+K_QUADRICEPS, K_PATELLAR, K_CONTACT, DISSIPATION, DRAG = 300.0, 800.0, 1e6, 3.0, 0.8
 ON_FEMUR, ON_TIBIA = np.array([0.12, 0.01, 0.0]), np.array([-0.08, -0.01, 0.0])
 
 
@@ -50,7 +50,7 @@ def button_scene() -> Scene:
         gravity(),
         tendon(K_QUADRICEPS, 0.08, 3.0, origin=ON_FEMUR, body="femur", name="quadriceps"),
         tendon(K_PATELLAR, 0.06, 8.0, origin=ON_TIBIA, body="tibia", name="patellar_tendon"),
-        contact(Hertz(J(K_CONTACT)), flat_patch()),
+        contact(HuntCrossley(J(K_CONTACT), J(DISSIPATION)), flat_patch()),
         LinearDamping(J(DRAG), J(1e-4)),
     )
     motion = KneeMotion.from_poses(series(femur_pose), series(tibia_pose))
@@ -85,7 +85,9 @@ def newton(t, y):
     position, turn = femur_pose(np.array(t))
     normal = turn.apply([0.0, 0.0, 1.0])
     depth = RADIUS - normal @ (x - position)
-    force = force + normal * K_CONTACT * max(depth, 0) ** 1.5 - DRAG * (v - velocity_of(femur_pose, x))
+    sliding = v - velocity_of(femur_pose, x)
+    push = K_CONTACT * max(depth, 0) ** 1.5 * max(1 - 1.5 * DISSIPATION * normal @ sliding, 0)
+    force = force + normal * push - DRAG * sliding
     return np.concatenate([v, force / MASS])
 
 
@@ -112,8 +114,7 @@ def test_against_newtons_law_written_out_in_numpy(button_path):
     reference = solve_ivp(newton, (0, T[-1]), [*x[0], *v[0]], t_eval=T, rtol=1e-7, atol=1e-9, method="LSODA").y[:3].T
     assert np.all(np.ptp(reference - femur_pose(T)[0], axis=0) > 0.005)  # it moves by a centimetre on the femur
     rms = 1e3 * np.sqrt(np.mean(np.sum((x - reference) ** 2, 1)))
-    print("rms error mm", rms)
-    assert rms < 0.05
+    assert rms < 0.015  # 0.0109 at 0.25 ms, halved with the step
 
 
 def moving_knee(velocity, acceleration=(0, 0, 0)) -> Scene:
@@ -155,5 +156,4 @@ def test_dalembert(at_rest):
     turned = eqx.tree_at(lambda s: s.effects[0].acceleration, scene, vec(-a[0], -a[1], -G - a[2]))
     relative, here = centre(moving_knee((0, 0, 0), a)), centre(turned)
     assert np.abs(here - at_rest).max() > 0.2  # it matters
-    print("d'Alembert: largest difference mm", np.abs(relative - here).max(), "effect", np.abs(here - at_rest).max())
     np.testing.assert_allclose(relative, here, atol=0.02)  # first order in the step

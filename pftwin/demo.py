@@ -1,0 +1,141 @@
+"""The main job on the embedded rig: four cases, three polynomials, against the rig's (synthetic) measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from pftwin.metrics import Validation
+    from pftwin.result import Result
+
+CASES = (1, 2, 3, 4)
+CONTACTS = ("P2", "P4", "P5")
+STEP = 1e-3  # the paper's [s]
+
+
+def run_demo(folder: Path, console: Console) -> dict[str, Any]:
+    """Simulates, compares, draws and saves; returns what it printed as plain values.
+
+    Writes to `folder`: case1_P5.nc and its like, case1.png and .svg, table1.csv.
+    """
+    from rich.progress import Progress
+
+    from pftwin import rig
+    from pftwin.dynamics.simulate import simulate
+    from pftwin.metrics import mean_of, validate
+
+    folder.mkdir(parents=True, exist_ok=True)
+    results: dict[int, dict[str, Result]] = {n: {} for n in CASES}
+    validations: dict[str, list[Validation]] = {c: [] for c in CONTACTS}
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task("simulating", total=len(CASES) * len(CONTACTS))
+        for contact in CONTACTS:
+            for n in CASES:
+                progress.update(task, description=f"case {n}, {contact}")
+                result = simulate(rig.case(n, contact), dt=STEP)
+                results[n][contact] = result
+                validations[contact].append(validate(result, rig.measured(n)))
+                result.save(folder / f"case{n}_{contact}.nc")
+                progress.advance(task)
+    means = {c: mean_of(v) for c, v in validations.items()}
+    console.print(_table(means))
+    outcomes = _outcomes(results)
+    console.print(_outcome_table(outcomes))
+    pictures = [str(p) for n in CASES for p in _draw(results[n], n, folder)]
+    _write_csv(means, folder / "table1.csv")
+    console.print(f"results, figures and table1.csv are in {folder}", markup=False, highlight=False)
+    return {
+        "label": rig.measured(1).source,
+        "synthetic": True,
+        "settings": {"integrator": "linear_implicit", "dt_s": STEP},
+        "surface_fits": _fits(),
+        "table1": {c: v.to_dict() for c, v in means.items()},
+        "per_case": {c: [v.to_dict() for v in validations[c]] for c in CONTACTS},
+        "outcomes": outcomes,
+        "figures": pictures,
+    }
+
+
+def _fits() -> dict[str, dict[str, float]]:
+    from pftwin.rig.cases import contact_fit
+
+    fits = {c: contact_fit(c) for c in CONTACTS}
+    return {c: {"r_squared": f.r_squared, "rms_m": f.rms, "max_error_m": f.max_error} for c, f in fits.items()}
+
+
+def _table(means: dict[str, Validation]) -> Table:
+    """The paper's Table 1, ours and theirs side by side."""
+    from rich.table import Table
+
+    table = Table(
+        title="Means over the four cases: pftwin against the virtual rig's SYNTHETIC measurements,\n"
+        "beside Table 1 of Michaud et al. 2024 (their rig, their measurements)"
+    )
+    table.add_column("", no_wrap=True)
+    table.add_column("unit")
+    for contact in means:
+        table.add_column(contact, justify="right")
+        table.add_column(f"paper {contact}", justify="right", style="dim")
+    for rows in zip(*(v.to_rows(c) for c, v in means.items()), strict=True):
+        cells = [text for row in rows for text in (_number(row.value), _number(row.paper))]
+        table.add_row(rows[0].label, rows[0].unit, *cells)
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _outcomes(results: dict[int, dict[str, Result]]) -> list[dict[str, Any]]:
+    """Per case and polynomial: whether and when the patella dislocates, and whether it comes back."""
+    rows = []
+    for n, by_contact in results.items():
+        for contact, result in by_contact.items():
+            tracking = result.dislocations()
+            if tracking is None:
+                continue
+            first = tracking.events[0] if tracking.events else None
+            rows.append(
+                {
+                    "case": n,
+                    "contact": contact,
+                    "dislocates": first is not None,
+                    "text": tracking.describe(),
+                    "re_engaged": tracking.re_engaged,
+                }
+            )
+    return rows
+
+
+def _outcome_table(outcomes: list[dict[str, Any]]) -> Table:
+    from rich.table import Table
+
+    table = Table(title="Tracking (the paper: 1 and 4 track; 2 and 3 dislocate, but not with P2; 2 does not re-engage)")
+    for name in ("case", "contact", "outcome"):
+        table.add_column(name)
+    for row in outcomes:
+        table.add_row(str(row["case"]), row["contact"], row["text"])
+    return table
+
+
+def _draw(results: dict[str, Result], n: int, folder: Path) -> tuple[Path, Path]:
+    from pftwin import rig
+    from pftwin.plots import case_figure, save_figure
+
+    figure = case_figure(results, rig.measured(n), f"Case {n} of the virtual rig")
+    return save_figure(figure, folder / f"case{n}")
+
+
+def _write_csv(means: dict[str, Validation], path: Path) -> None:
+    from pftwin.output import written_whole
+
+    lines = ["row,unit," + ",".join(f"{c},paper_{c}" for c in means)]
+    for rows in zip(*(v.to_rows(c) for c, v in means.items()), strict=True):
+        cells = [f"{x:.6g}" if x is not None else "" for row in rows for x in (row.value, row.paper)]
+        lines.append(",".join([f'"{rows[0].label}"', rows[0].unit, *cells]))
+    with written_whole(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

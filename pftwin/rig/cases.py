@@ -1,0 +1,134 @@
+"""The rig's four cases as scenes, from the recordings in `data/`."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import jax.numpy as jnp
+import numpy as np
+
+from pftwin.effects.base import Effect
+from pftwin.effects.contact_law import Flores
+from pftwin.effects.damping import LinearDamping
+from pftwin.effects.gravity import Gravity
+from pftwin.effects.sphere_contact import SphereContact
+from pftwin.effects.tendon import Tendon
+from pftwin.errors import InputError
+from pftwin.motion import KneeMotion
+from pftwin.rig import geometry as rig
+from pftwin.rig.recording import Recording, read_recording
+from pftwin.scene import PatellaBody, Scene
+from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
+from pftwin.surfaces.closest import Surface
+from pftwin.surfaces.fit import PatchFit, fit_patch, parse_degree
+from pftwin.surfaces.implant import rig_implant, rig_region
+from pftwin.surfaces.mesh import SurfaceMesh
+
+FINE = 6e-6  # chordal deviation of the mesh that patches are fitted to: the paper's FM [m]
+
+
+def number(value: float) -> Scalar:
+    """A leaf in JAX's default float type."""
+    return jnp.asarray(value, dtype=float)
+
+
+def vector(values: tuple[float, float, float]) -> Vec3:
+    """A vector of leaves."""
+    return Vec3(*(number(v) for v in values))
+
+
+@lru_cache(maxsize=1)
+def implant_mesh() -> SurfaceMesh:
+    """The rig's femoral component as the fine mesh."""
+    return rig_implant().mesh(deviation=FINE)
+
+
+@lru_cache(maxsize=32)
+def _fit(degree: int, chart: str, float64: bool) -> PatchFit:
+    mesh = implant_mesh()
+    return fit_patch(mesh, degree=degree, chart=chart, region=rig_region(mesh))
+
+
+def contact_fit(contact: str = "P5", *, chart: str = "plane") -> PatchFit:
+    """The polynomial patch of that name, fitted to the rig's femoral component.
+
+    Raises:
+        InputError: no such polynomial or chart.
+    """
+    if chart not in ("plane", "cylinder"):
+        raise InputError(f"no chart {chart!r}", where="chart", expected='"plane" or "cylinder"')
+    return _fit(parse_degree(contact), chart, number(0.0).dtype == jnp.float64)
+
+
+def _case(n: int) -> rig.Case:
+    if n not in rig.CASES:
+        raise InputError(f"no case {n!r} of the rig", where="case", expected="1, 2, 3 or 4")
+    return rig.CASES[n]
+
+
+def springs(case: rig.Case) -> tuple[Tendon, Tendon]:
+    """Quadriceps and patellar tendon of a case."""
+    x, _, z = rig.INSERTION
+    quadriceps = Tendon(
+        number(rig.QUADRICEPS_STIFFNESS),
+        number(case.quadriceps_length),
+        number(rig.DAMPING_TIME * rig.QUADRICEPS_STIFFNESS),
+        vector(rig.INSERTION),
+        vector((rig.FEMUR_SUPPORT[0], rig.MEDIAL_LATERAL[case.femur_support], rig.FEMUR_SUPPORT[1])),
+        "femur",
+        name="quadriceps",
+    )
+    patellar_tendon = Tendon(
+        number(rig.PATELLAR_TENDON_STIFFNESS),
+        number(rig.PATELLAR_TENDON_LENGTH),
+        number(rig.DAMPING_TIME * rig.PATELLAR_TENDON_STIFFNESS),
+        vector((-x, 0.0, z)),
+        vector((rig.TIBIA_SUPPORT[0], rig.MEDIAL_LATERAL[case.tibia_support], rig.TIBIA_SUPPORT[1])),
+        "tibia",
+        name="patellar_tendon",
+    )
+    return quadriceps, patellar_tendon
+
+
+def effects(case: rig.Case, surface: Surface) -> tuple[Effect, ...]:
+    """What acts on the patella."""
+    law = Flores(number(rig.CONTACT_STIFFNESS), number(rig.RESTITUTION))
+    return (
+        Gravity(number(rig.MASS), vector(rig.GRAVITY)),
+        *springs(case),
+        SphereContact(surface, law, vector((0.0, 0.0, 0.0)), number(rig.BUTTON_RADIUS)),
+        LinearDamping(*(number(c) for c in rig.DRAG), body="femur"),
+    )
+
+
+def patella_body() -> PatellaBody:
+    """The patella with its button."""
+    return PatellaBody(number(rig.MASS), vector(rig.INERTIA), vector(rig.CENTER_OF_MASS))
+
+
+@lru_cache(maxsize=4)
+def recording(n: int) -> Recording:
+    """What the rig's laboratory recorded of a case (synthetic), read and filtered like a user's files."""
+    _case(n)
+    return read_recording(n)
+
+
+def case(n: int, contact: str = "P5", *, chart: str = "plane") -> Scene:
+    """One of the rig's four cases.
+
+    Args:
+        n: 1 to 4. Cases 1 and 4 track, 2 and 3 dislocate in full extension.
+        contact: the polynomial that stands for the trochlea: "P2", "P4", "P5" or any other degree.
+        chart: "plane", as in the paper, or "cylinder".
+
+    Raises:
+        InputError: no such case, polynomial or chart.
+    """
+    surface = contact_fit(contact, chart=chart).patch
+    recorded = recording(n)
+    motion = KneeMotion.from_poses(recorded.femur, recorded.tibia)
+    first = recorded.patella
+    start = Pose(
+        vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0])))
+    )
+    return Scene(patella_body(), effects(_case(n), surface), motion, start, name=f"rig case {n}, {contact}")

@@ -1,0 +1,61 @@
+"""The virtual rig's fixed parts: springs, supports, patella, button, marker clusters.
+
+Published (Michaud et al. 2024, section 2.1): both springs' stiffness, free lengths (L1a, L1b = L1a + 19.6 mm, L2) and
+damping (0.01 s times the stiffness), the four combinations of supports, eight markers, 100 Hz. Chosen by us, since the
+paper does not give them: everything else here. Case 1 and 2 differ in the tibial support alone, as in the paper.
+
+Metres, kilograms, seconds. Femur frame: x proximal, y lateral (right knee), z anterior, origin on the trochlear axis.
+Tibia frame: the femur's in full extension. Patella frame: the same directions, origin in the button's sphere centre.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+RATE = 100.0  # [Hz]
+DURATION = 7.2  # [s]
+
+QUADRICEPS_STIFFNESS = 156.0  # K1 [N/m], published
+QUADRICEPS_LENGTH = 0.1432  # L1a [m], published
+QUADRICEPS_LENGTH_LONG = 0.1628  # L1b [m], published
+PATELLAR_TENDON_STIFFNESS = 629.0  # K2 [N/m], published
+PATELLAR_TENDON_LENGTH = 0.0714  # L2 [m], published
+DAMPING_TIME = 0.01  # c = 0.01 s * K, published
+
+FEMUR_SUPPORT = (0.220, 0.045)  # x and z of the quadriceps' support on the femur
+TIBIA_SUPPORT = (-0.075, 0.045)  # x and z of the patellar tendon's support on the tibia
+MEDIAL_LATERAL = {"FM": -0.005, "FL": 0.025, "TM": 0.003, "TL": 0.019}  # y of each support
+
+INSERTION = (0.020, 0.0, -0.009)  # of the quadriceps on the patella; the tendon's is opposite in x
+CENTER_OF_MASS = (0.0, 0.0, -0.012)
+MASS = 0.120
+INERTIA = (4.0e-5, 3.5e-5, 6.0e-5)
+BUTTON_RADIUS = 0.025
+
+CONTACT_STIFFNESS = 2.0e8  # [N/m^1.5]
+RESTITUTION = 0.5
+DRAG = (3.0, 2.0e-3)  # viscous drag of the lubricated joint [N s/m, N m s/rad]
+
+GRAVITY = (0.0, 0.0, -9.81)  # world: the leg lies supine, z up
+HIP = (0.40, 0.0, 0.0)  # centre of the hip, in the femur and, fixed, in the world
+
+# Markers, in the frame of their segment. The femur has two and the hip, a known point that does not move.
+FEMUR_MARKERS = {"FEM1": (0.150, 0.040, 0.075), "FEM2": (0.165, -0.045, 0.070)}
+TIBIA_MARKERS = {"TIB1": (-0.110, 0.035, 0.060), "TIB2": (-0.190, -0.035, 0.065), "TIB3": (-0.260, 0.030, 0.055)}
+PATELLA_MARKERS = {"PAT1": (0.032, 0.004, 0.024), "PAT2": (-0.016, 0.033, 0.022), "PAT3": (-0.018, -0.031, 0.026)}
+
+
+class Case(NamedTuple):
+    """One of the four configurations."""
+
+    femur_support: str  # FM or FL
+    tibia_support: str  # TM or TL
+    quadriceps_length: float  # free length of the quadriceps spring [m]
+
+
+CASES = {
+    1: Case("FL", "TM", QUADRICEPS_LENGTH),
+    2: Case("FL", "TL", QUADRICEPS_LENGTH),
+    3: Case("FL", "TL", QUADRICEPS_LENGTH_LONG),
+    4: Case("FM", "TL", QUADRICEPS_LENGTH),
+}

@@ -1,0 +1,83 @@
+"""The virtual laboratory: turns the plant's truth into the files that a real laboratory would have.
+
+`python -m pftwin.rig.laboratory [FOLDER]` regenerates the files in `data/` (some minutes). Everything is synthetic.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.mocap.csv_files import write_csv
+from pftwin.mocap.markers import MarkerTrajectories
+from pftwin.mocap.poses import PoseSeries
+from pftwin.mocap.tables import Table
+from pftwin.mocap.trc import write_trc
+from pftwin.rig import geometry as rig
+from pftwin.rig.hand import hand_motion
+from pftwin.rig.recording import FORCES, data_folder
+
+MARKER_NOISE = 0.2e-3  # white, each coordinate [m]
+FORCE_NOISE = 0.15  # white, each load cell [N]
+FORCE_BIAS = 0.05  # standard deviation of a load cell's offset [N]
+
+
+def record(case: int, folder: Path) -> int:
+    """Simulates the plant of a case and writes its markers and forces; returns the plant's number of steps."""
+    from pftwin.rig.plant import run_plant
+
+    femur, tibia = hand_motion(case)
+    _, truth, steps = run_plant(case)
+    seen = PoseSeries(femur.times, truth["position"], truth["quaternion"], source=f"plant, case {case}")
+    random = np.random.default_rng(1000 + case)
+    names, tracks = [], []
+    for body, cluster in (
+        (femur, rig.FEMUR_MARKERS),
+        (tibia, rig.TIBIA_MARKERS),
+        (_in_world(femur, seen), rig.PATELLA_MARKERS),
+    ):
+        for name, place in cluster.items():
+            names.append(name)
+            tracks.append(body.positions + np.einsum("nij,j->ni", body.matrices(), np.array(place)))
+    positions = np.stack(tracks, axis=1)
+    positions = np.round(positions + random.normal(0.0, MARKER_NOISE, positions.shape), 6)
+    write_trc(folder / f"case{case}_markers.trc", MarkerTrajectories(femur.times, tuple(names), positions))
+    write_csv(folder / f"case{case}_forces.csv", _load_cells(femur.times, truth, random))
+    return steps
+
+
+def _in_world(femur: PoseSeries, seen: PoseSeries) -> PoseSeries:
+    """Poses in the world from poses in the femur."""
+    turn = femur.matrices()
+    return PoseSeries.from_matrices(
+        femur.times, femur.positions + np.einsum("nij,nj->ni", turn, seen.positions), turn @ seen.matrices()
+    )
+
+
+def _load_cells(times: NDArray, truth: dict[str, NDArray], random: np.random.Generator) -> Table:
+    columns = [
+        truth[name] + random.normal(0.0, FORCE_BIAS) + random.normal(0.0, FORCE_NOISE, times.size) for name in FORCES
+    ]
+    units = dict.fromkeys(FORCES, "N")
+    return Table(times, FORCES, np.round(np.stack(columns, axis=1), 3), units, source="load cells")
+
+
+def main() -> None:
+    """Regenerates the rig's files."""
+    from pftwin.runtime import configure
+
+    configure()
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else data_folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    for case in rig.CASES:
+        began = time.perf_counter()
+        steps = record(case, folder)
+        print(f"case {case}: {steps} plant steps, {time.perf_counter() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""The plant: what the virtual laboratory measures. It differs from the twin on purpose.
+
+The true smooth implant instead of a polynomial, a memoryless contact law, a little friction, springs that stiffen,
+attachments a millimetre off, other drag, and diffrax at a tight tolerance instead of the twin's integrator.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.dynamics.equilibrium import solve_equilibrium
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.state import Guide, State, System, gyroscopic
+from pftwin.dynamics.trajectory import Trajectory, first_guide
+from pftwin.effects.base import Effect, Instant, Load, applied_at
+from pftwin.effects.contact_law import HuntCrossley
+from pftwin.effects.damping import LinearDamping
+from pftwin.effects.sphere_contact import SphereContact
+from pftwin.effects.tendon import Tendon
+from pftwin.motion import KneeMotion
+from pftwin.rig import geometry as rig
+from pftwin.rig.cases import effects, number, patella_body, vector
+from pftwin.rig.hand import hand_motion
+from pftwin.scene import Scene
+from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
+from pftwin.surfaces.implant import rig_implant
+
+FRICTION = 0.02  # coefficient of the lubricated contact
+STICTION_SPEED = 2e-3  # below it friction fades [m/s]
+STIFFENING = 0.05  # share by which a spring is stiffer when stretched by a quarter of its length
+MISPLACED = 0.6e-3  # standard deviation of an attachment's coordinates: about 1 mm in all [m]
+TOLERANCE = 1e-6
+
+
+class StiffeningTendon(Tendon):
+    """A spring that stiffens: F = K s (1 + 0.05 s / (L0 / 4)) + c dL/dt over the stretch s."""
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """The pull."""
+        line = self.line(now)
+        stretch = jnp.maximum(line.length - self.slack_length, 0.0)
+        more = STIFFENING * stretch / (0.25 * self.slack_length)
+        elastic = self.stiffness * stretch * (1 + more)
+        pull = jnp.where(stretch > 0, jnp.maximum(elastic + self.damping * line.lengthening, 0.0), 0.0)
+        energy = self.stiffness * stretch**2 * (0.5 + more / 3)
+        term = line.term(pull, elastic, self.stiffness * (1 + 2 * more), self.damping)
+        return Load(stiff=(term,), energy=energy), memory
+
+
+class LubricatedContact(SphereContact):
+    """Sphere contact with a little regularised Coulomb friction, sought anew at every instant."""
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """Normal forces, and friction against the sliding of the sphere's skin."""
+        one, two, memory = self.touches(now, self.remember(now))
+        wrench = Wrench.zero()
+        for touch in (one, two):
+            normal = touch.term.direction
+            lever = self.center - self.radius * now.patella.rotation.unapply(normal)
+            at = now.patella.position + now.patella.rotation.apply(lever)
+            slip = now.femur.relative_velocity(now.patella.velocity_at(lever), at)
+            slip = slip - slip.dot(normal) * normal
+            speed = safe_sqrt(slip.squared_norm() + STICTION_SPEED**2)
+            drag = (-FRICTION * touch.term.force / speed) * slip
+            wrench = wrench + Wrench(drag, applied_at(lever, now.patella, drag))
+        return Load(stiff=(one.term, two.term), wrench=wrench, energy=one.energy + two.energy), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Any]:
+        """As the twin's contact."""
+        return super().observe(now, self.remember(now))
+
+
+def plant_scene(case: int) -> Scene:
+    """The true scene behind a case's measurements."""
+    random = np.random.default_rng(7)  # one rig: the same misplaced attachments in all cases
+    surface = jax.tree.map(lambda a: number(a) if isinstance(a, float) else a, rig_implant())
+    scattered = []
+    for effect in effects(rig.CASES[case], surface):
+        scattered.append(_as_built(effect, random))
+    femur, tibia = hand_motion(case)
+    radius = rig.BUTTON_RADIUS + float(surface.trochlear_radius)
+    start = Pose(vector((0.1 * radius, 0.0, 0.99 * radius)), Quaternion.identity())
+    motion = KneeMotion.from_poses(femur, tibia)
+    return Scene(patella_body(), tuple(scattered), motion, start, name=f"plant, case {case}")
+
+
+def _as_built(effect: Effect, random: np.random.Generator) -> Effect:
+    """The effect as it is in the workshop rather than on paper."""
+    if isinstance(effect, Tendon):
+        off = [vector(tuple(random.normal(0.0, MISPLACED, 3))) for _ in range(2)]
+        return StiffeningTendon(
+            effect.stiffness,
+            effect.slack_length,
+            effect.damping,
+            effect.insertion + off[0],
+            effect.origin + off[1],
+            effect.body,
+            name=effect.name,
+        )
+    if isinstance(effect, SphereContact):
+        law = HuntCrossley(effect.law.contact_stiffness, number(1.0))
+        return LubricatedContact(effect.surface, law, effect.center, effect.radius)
+    if isinstance(effect, LinearDamping):
+        return LinearDamping(1.1 * effect.translational, 0.9 * effect.rotational, body=effect.body)
+    return effect
+
+
+def _derivative(time: Scalar, y: tuple[Vec3, Quaternion, Vec3, Vec3], args: tuple[System, KneeMotion]) -> Any:
+    """d/dt of position, orientation, velocity and spin."""
+    system, motion = args
+    position, raw, velocity, spin = y
+    state = State(position, raw.normalised(), velocity, spin, tuple(None for _ in system.effects))
+    loads, _ = system.loads(Guide.sample(motion, time).instant(state.patella(), 0.0), state.memories)
+    total = sum((load.total() for load in loads), start=Wrench.zero())
+    moment, i = total.moment + gyroscopic(system.inertia, spin), system.inertia
+    half = Quaternion(jnp.zeros_like(spin.x), 0.5 * spin.x, 0.5 * spin.y, 0.5 * spin.z)
+    return (
+        velocity,
+        raw * half,
+        (1 / system.mass) * total.force,
+        Vec3(moment.x / i.x, moment.y / i.y, moment.z / i.z),
+    )
+
+
+@eqx.filter_jit
+def _integrate(scene: Scene) -> tuple[State, Any, Scalar]:
+    import diffrax
+
+    system = scene.system()
+    start = solve_equilibrium(system, first_guide(scene), scene.center_of_mass_pose())
+    times = scene.motion.start_time + scene.motion.frame_interval * jnp.arange(scene.motion.n_frames).astype(float)
+    zero = Vec3(*(jnp.zeros_like(start.residual) for _ in range(3)))
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_derivative),
+        diffrax.Tsit5(),
+        t0=times[0],
+        t1=times[-1],
+        dt0=1e-5,
+        y0=(start.pose.position, start.pose.orientation, zero, zero),
+        args=(system, scene.motion),
+        saveat=diffrax.SaveAt(ts=times),
+        stepsize_controller=diffrax.PIDController(rtol=TOLERANCE, atol=TOLERANCE, dtmax=2e-3),
+        max_steps=5_000_000,
+        adjoint=diffrax.ForwardMode(),
+    )
+    position, orientation, velocity, spin = solution.ys
+    memories = tuple(None for _ in system.effects)
+    return State(position, orientation.normalised(), velocity, spin, memories), start, solution.stats["num_steps"]
+
+
+def run_plant(case: int) -> tuple[Scene, dict[str, NDArray], int]:
+    """The truth of a case: patella pose in the femur, and the three forces, at the rig's frames; and the steps taken."""
+    scene = plant_scene(case)
+    states, start, steps = _integrate(scene)
+    seen = eqx.filter_jit(observe)(scene, Trajectory(states, None, start))
+    truth = {
+        "position": seen.patella.position.array(),
+        "quaternion": seen.patella.orientation.array(),
+        "contact": seen.effects["contact"]["force"],
+        "tibial_spring": seen.effects["patellar_tendon"]["tension"],
+        "femoral_spring": seen.effects["quadriceps"]["tension"],
+    }
+    return scene, {name: np.asarray(a) for name, a in truth.items()}, int(steps)

@@ -70,6 +70,10 @@ class Scene(eqx.Module):
             self.patella, tuple(e for e in self.effects if e is not gone), self.motion, self.start, self.name
         )
 
+    def unnamed(self) -> Scene:
+        """The scene without its name, which is no part of a program: scenes of one structure share what is compiled."""
+        return Scene(self.patella, self.effects, self.motion, self.start, "")
+
     @property
     def contact(self) -> SphereContact | None:
         """The first sphere contact, whose centre is the point that results follow; None where there is none."""

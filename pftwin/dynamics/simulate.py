@@ -74,8 +74,9 @@ def simulate(
     check(scene)
     integrator_named(integrator)
     substeps = substeps_for(scene.motion.frame_interval, dt)
-    (start, relaxed), settling, compiling_start = timed(settle, scene)
-    (path, seen), running, compiling_run = timed(_run, scene, start, integrator, substeps, energy_budget)
+    plain = scene.unnamed()
+    (start, relaxed), settling, compiling_start = timed(settle, plain)
+    (path, seen), running, compiling_run = timed(_run, plain, start, integrator, substeps, energy_budget)
     return Result.build(
         scene,
         path,
@@ -99,5 +100,5 @@ def equilibrium(scene: Scene) -> EquilibriumReport:
     from pftwin.equilibrium_report import EquilibriumReport
 
     check(scene)
-    solution, relaxed = settle(scene)
+    solution, relaxed = settle(scene.unnamed())
     return EquilibriumReport.build(scene, solution, relaxed)

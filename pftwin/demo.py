@@ -22,6 +22,7 @@ def run_demo(folder: Path, console: Console) -> dict[str, Any]:
 
     Writes to `folder`: case1_P5.nc and its like, case1.png and .svg, table1.csv.
     """
+    from rich.console import Console
     from rich.progress import Progress
 
     from pftwin import rig
@@ -31,7 +32,7 @@ def run_demo(folder: Path, console: Console) -> dict[str, Any]:
     folder.mkdir(parents=True, exist_ok=True)
     results: dict[int, dict[str, Result]] = {n: {} for n in CASES}
     validations: dict[str, list[Validation]] = {c: [] for c in CONTACTS}
-    with Progress(console=console, transient=True) as progress:
+    with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("simulating", total=len(CASES) * len(CONTACTS))
         for contact in CONTACTS:
             for n in CASES:
@@ -76,18 +77,19 @@ def _table(means: dict[str, Validation]) -> Table:
         "beside Table 1 of Michaud et al. 2024 (their rig, their measurements)"
     )
     table.add_column("", no_wrap=True)
-    table.add_column("unit")
     for contact in means:
-        table.add_column(contact, justify="right")
-        table.add_column(f"paper {contact}", justify="right", style="dim")
+        table.add_column(f"pftwin\n{contact}", justify="right", no_wrap=True)
+        table.add_column(f"paper\n{contact}", justify="right", style="dim", no_wrap=True)
     for rows in zip(*(v.to_rows(c) for c, v in means.items()), strict=True):
         cells = [text for row in rows for text in (_number(row.value), _number(row.paper))]
-        table.add_row(rows[0].label, rows[0].unit, *cells)
+        table.add_row(f"{rows[0].label}, {rows[0].unit}", *cells)
     return table
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+    if value is None:
+        return "-"
+    return f"{value:.1g}" if abs(value) < 0.1 else f"{value:.3g}"
 
 
 def _outcomes(results: dict[int, dict[str, Result]]) -> list[dict[str, Any]]:

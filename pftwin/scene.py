@@ -66,9 +66,7 @@ class Scene(eqx.Module):
     def without(self, name: str) -> Scene:
         """The scene less one effect."""
         gone = self.effect(name)
-        return Scene(
-            self.patella, tuple(e for e in self.effects if e is not gone), self.motion, self.start, self.name
-        )
+        return Scene(self.patella, tuple(e for e in self.effects if e is not gone), self.motion, self.start, self.name)
 
     def unnamed(self) -> Scene:
         """The scene without its name, which is no part of a program: scenes of one structure share what is compiled."""

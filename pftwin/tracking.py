@@ -20,7 +20,7 @@ from pftwin.errors import InputError
 from pftwin.spatial import Vec3
 from pftwin.surfaces.closest import Surface
 
-DISLOCATED = 0.010  # [m] off the groove's bottom: beyond the crests of common implants (sulcus some 20 mm wide)
+DISLOCATED = 0.020  # [m] off the groove's bottom: the sphere's centre is beyond a facet's ridge (15 to 20 mm wide)
 RE_ENGAGED = 0.6  # share of that distance below which the button counts as back: no flicker at the limit
 _SECTIONS, _SAMPLES = 81, 161
 _HALF_WIDTH = 0.020  # where a surface does not say how wide it is [m]

@@ -82,9 +82,7 @@ def _guides(scene: Scene, substeps: int) -> tuple[Guide, Scalar]:
     here, middle = Guide.sample(motion, times), Guide.sample(motion, times + 0.5 * step)
 
     def with_mean_velocity(frame: Any, mid: Any) -> Any:
-        return eqx.tree_at(
-            lambda f: [f.velocity, f.angular_velocity], frame, [mid.velocity, mid.angular_velocity]
-        )
+        return eqx.tree_at(lambda f: [f.velocity, f.angular_velocity], frame, [mid.velocity, mid.angular_velocity])
 
     femur = None if here.femur is None else with_mean_velocity(here.femur, middle.femur)
     return Guide(femur, with_mean_velocity(here.tibia, middle.tibia), times), jnp.asarray(step, times.dtype)

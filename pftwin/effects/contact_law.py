@@ -75,9 +75,7 @@ class ContactLaw(eqx.Module):
         factor = 1 + x * rate
         pushes = factor > 0
         factor = jnp.where(pushes, factor, 0.0)
-        return ContactForce(
-            elastic * factor, elastic, slope * factor, jnp.where(pushes, elastic * x, 0.0), energy
-        )
+        return ContactForce(elastic * factor, elastic, slope * factor, jnp.where(pushes, elastic * x, 0.0), energy)
 
 
 class Hertz(ContactLaw):

@@ -95,9 +95,7 @@ class SphereContact(Effect):
         facets = follow_facets(self.surface, c, self.radius, stop_gradient(memory.places))
         points = (facets.medial, facets.lateral)
         speeds = memory.approach_speeds or (None, None)
-        one, two = (
-            self._touch(now, p, velocity, speed, facets.share) for p, speed in zip(points, speeds, strict=True)
-        )
+        one, two = (self._touch(now, p, velocity, speed, facets.share) for p, speed in zip(points, speeds, strict=True))
         medial, lateral = (
             (p.u + now.step * p.drift_u.dot(velocity), p.v + now.step * p.drift_v.dot(velocity)) for p in points
         )
@@ -147,9 +145,7 @@ class SphereContact(Effect):
         single = jnp.abs(one.closest.v - two.closest.v) < MERGED * self.radius
         on_medial = one.closest.v <= self.surface.chart.foot(c)[1]
         total = one.term.force + two.term.force
-        force = now.femur.local_direction(
-            one.term.force * one.term.direction + two.term.force * two.term.direction
-        )
+        force = now.femur.local_direction(one.term.force * one.term.direction + two.term.force * two.term.direction)
         report = {"force": total, "force_x": force.x, "force_y": force.y, "force_z": force.z}
         off_patch = jnp.zeros_like(total)
         for facet, touch, there in (("medial", one, on_medial), ("lateral", two, ~on_medial)):

@@ -49,9 +49,7 @@ class StrandGroup(Effect):
         stored = (
             self.stiffness
             * self.slack_length
-            * jnp.where(
-                toe, e**3 / (6 * self.toe_strain), 0.5 * (e - reference) ** 2 + self.toe_strain**2 / 24
-            )
+            * jnp.where(toe, e**3 / (6 * self.toe_strain), 0.5 * (e - reference) ** 2 + self.toe_strain**2 / 24)
         )
         return Load(stiff=(line.term(tension, elastic, slope, viscous),), energy=jnp.sum(stored)), memory
 

@@ -42,17 +42,14 @@ def write_files(n: int, folder: Path) -> list[Path]:
         OutputError: a file cannot be written.
     """
     from pftwin.output import written_whole
-    from pftwin.rig.cases import implant_mesh, recording
-    from pftwin.rig.recording import data_folder
-    from pftwin.surfaces.mesh import save_mesh
+    from pftwin.rig.cases import recording
+    from pftwin.rig.recording import IMPLANT_FILE, data_folder
 
     recording(n)
     written = []
-    for name in (f"case{n}_markers.trc", f"case{n}_forces.csv"):
+    for name in (f"case{n}_markers.trc", f"case{n}_forces.csv", IMPLANT_FILE):
         target = Path(folder) / name
         with written_whole(target) as path:
-            Path(path).write_bytes((data_folder() / name).read_bytes())
+            path.write_bytes((data_folder() / name).read_bytes())
         written.append(target)
-    mesh = Path(folder) / "femoral_component.stl"
-    save_mesh(implant_mesh(), mesh)
-    return [*written, mesh]
+    return written

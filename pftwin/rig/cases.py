@@ -16,15 +16,13 @@ from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
 from pftwin.motion import KneeMotion
 from pftwin.rig import geometry as rig
-from pftwin.rig.recording import Recording, read_recording
+from pftwin.rig.recording import IMPLANT_FILE, Recording, data_folder, read_recording
 from pftwin.scene import PatellaBody, Scene
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.fit import PatchFit, fit_patch, parse_degree
-from pftwin.surfaces.implant import rig_implant, rig_region
-from pftwin.surfaces.mesh import SurfaceMesh
-
-FINE = 6e-6  # chordal deviation of the mesh that patches are fitted to: the paper's FM [m]
+from pftwin.surfaces.implant import rig_region
+from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
 
 
 def number(value: float) -> Scalar:
@@ -39,8 +37,8 @@ def vector(values: tuple[float, float, float]) -> Vec3:
 
 @lru_cache(maxsize=1)
 def implant_mesh() -> SurfaceMesh:
-    """The rig's femoral component as the fine mesh."""
-    return rig_implant().mesh(deviation=FINE)
+    """The rig's femoral component as its laboratory has it: a fine mesh in an STL file."""
+    return load_mesh(data_folder() / IMPLANT_FILE, units="m")
 
 
 @lru_cache(maxsize=32)
@@ -128,7 +126,5 @@ def case(n: int, contact: str = "P5", *, chart: str = "plane") -> Scene:
     recorded = recording(n)
     motion = KneeMotion.from_poses(recorded.femur, recorded.tibia)
     first = recorded.patella
-    start = Pose(
-        vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0])))
-    )
+    start = Pose(vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0]))))
     return Scene(patella_body(), effects(_case(n), surface), motion, start, name=f"rig case {n}, {contact}")

@@ -19,8 +19,11 @@ from pftwin.mocap.tables import Table
 from pftwin.mocap.trc import write_trc
 from pftwin.rig import geometry as rig
 from pftwin.rig.hand import hand_motion
-from pftwin.rig.recording import FORCES, data_folder
+from pftwin.rig.recording import FORCES, IMPLANT_FILE, data_folder
+from pftwin.surfaces.implant import rig_implant
+from pftwin.surfaces.mesh import save_mesh
 
+FINE = 6e-6  # chordal deviation of the implant's mesh: the paper's FM [m]
 MARKER_NOISE = 0.2e-3  # white, each coordinate [m]
 FORCE_NOISE = 0.15  # white, each load cell [N]
 FORCE_BIAS = 0.05  # standard deviation of a load cell's offset [N]
@@ -73,6 +76,7 @@ def main() -> None:
     configure()
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else data_folder()
     folder.mkdir(parents=True, exist_ok=True)
+    save_mesh(rig_implant().mesh(deviation=FINE), folder / IMPLANT_FILE)
     for case in rig.CASES:
         began = time.perf_counter()
         steps = record(case, folder)

@@ -24,6 +24,7 @@ from pftwin.rig import geometry as rig
 CUTOFF = 12.0  # second-order Butterworth low-pass of the markers [Hz], as in the paper
 WINDOW = 30  # singular spectrum analysis of the forces, as in the paper
 LABEL = "virtual rig (synthetic measurements)"
+IMPLANT_FILE = "femoral_component.stl"
 FORCES = ("contact", "tibial_spring", "femoral_spring")
 
 

@@ -37,9 +37,7 @@ class ClosestPoint(NamedTuple):
     drift_v: Vec3
 
 
-def newton_step(
-    surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, push: float = 1.0
-) -> ClosestPoint:
+def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, push: float = 1.0) -> ClosestPoint:
     """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), at most `longest` in either coordinate.
 
     A start that is carried along with c's motion is off by so little that one step finds the closest point. Where the

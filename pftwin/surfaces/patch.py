@@ -69,7 +69,6 @@ class PolynomialPatch(eqx.Module):
             jnp.where(db == 0, j.vv, 0.0) * (scale_v * scale_v),
         )
 
-
     def clipped(self, v: Scalar) -> Scalar:
         """The nearest coordinate across the groove that lies on the fitted rectangle."""
         return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])

@@ -7,6 +7,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from pftwin.dynamics.state import System
 from pftwin.effects.base import Effect
@@ -117,13 +118,12 @@ def check(scene: Scene) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
-    where = {"effects": lambda i: scene.effects[i].name}
     for path, leaf in jax.tree_util.tree_leaves_with_path(scene):
-        if isinstance(leaf, jax.core.Tracer):
+        if isinstance(leaf, Tracer):
             continue
         values, parts = np.asarray(leaf, dtype=float), [_part(p) for p in path]
         if parts[0] == "effects":
-            parts = [where["effects"](int(parts[1])), *parts[2:]]
+            parts = [scene.effects[path[1].idx].name, *parts[2:]]
         field = ".".join(str(p) for p in parts)
         if not np.all(np.isfinite(values)):
             raise InputError("not a finite number", where=f"{scene.name}: {field}")

@@ -153,7 +153,7 @@ def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _
 
 @eqx.filter_custom_jvp
 def solve_equilibrium(system: System, guide: Guide, guess: Pose) -> Solution:
-    """The equilibrium nearest to a guess, downhill. Jit-able, vmap-able; differentiable by the implicit function theorem.
+    """The equilibrium nearest to a guess, downhill. Jit and vmap apply; derivatives by the implicit function theorem.
 
     The iteration goes on to a hundredth of the tolerance, or until its count runs out.
     """

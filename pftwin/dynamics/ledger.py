@@ -1,7 +1,7 @@
 """The energy budget's two running sums: work that guided bodies and known pulls put in, heat that damping takes out.
 
-What is left over, (T + V) - (T + V at the start) - work + heat, is the integrator's own: dissipated by the step where it
-is negative. It tends to zero with the step.
+What is left over, (T + V) - (T + V at the start) - work + heat, is the integrator's own: what the
+step itself dissipated where it is negative. It tends to zero with the step.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Status(enum.IntFlag):
 _WORDS = {
     Status.NO_CONTACT: "the button touches nothing",
     Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation",
-    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius: step too large or contact too soft",
+    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius: step too large or law too soft",
     Status.NOT_FINITE: "not finite: step too large",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
@@ -68,7 +68,9 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         loads, _ = system.loads(now, state.memories)
         stored = {e.name: x.energy for e, x in zip(system.effects, loads, strict=True) if x.energy is not None}
         turn = state.orientation
-        femur_to_world = Quaternion.identity() if guide.femur is None else _quaternion(guide)
+        femur_to_world = (
+            Quaternion.identity() if guide.femur is None else Quaternion.from_rotation(guide.femur.rotation)
+        )
         origin = now.femur.to_local(state.position - turn.rotate(scene.patella.center_of_mass))
         relative = femur_to_world.conjugate() * turn
         center = origin + relative.rotate(scene.tracked_point())
@@ -78,11 +80,6 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
     patella, center, seen, kinetic, stored, status = jax.vmap(look)(path.states, guides)
     badly_started = jnp.where(path.start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
     return Observation(patella, center, seen, kinetic, stored, status | badly_started)
-
-
-def _quaternion(guide: Guide) -> Quaternion:
-    """The femur's orientation; its frame keeps the matrix only."""
-    return Quaternion.from_rotation(guide.femur.rotation)
 
 
 def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State) -> Array:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import equinox as eqx
+
 from pftwin.dynamics.equilibrium import Solution, relax
 from pftwin.dynamics.observe import Observation, observe
+from pftwin.dynamics.timing import timed
 from pftwin.dynamics.trajectory import (
     Trajectory,
     first_guide,
@@ -15,7 +17,6 @@ from pftwin.dynamics.trajectory import (
     substeps_for,
     trajectory,
 )
-from pftwin.dynamics.timing import timed
 from pftwin.scene import Scene, check
 from pftwin.spatial import Pose
 

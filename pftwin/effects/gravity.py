@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 
@@ -16,7 +16,7 @@ class Gravity(Effect):
     mass: Scalar  # of the patella [kg]
     acceleration: Vec3  # world [m/s^2]
     name: str = eqx.field(static=True, kw_only=True, default="gravity")
-    observables = {"weight": Observable("N", "weight of the patella")}
+    observables: ClassVar[dict[str, Observable]] = {"weight": Observable("N", "weight of the patella")}
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """The weight."""

@@ -6,7 +6,7 @@ contacts are found: `pftwin.surfaces.facets`.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -48,7 +48,7 @@ class SphereContact(Effect):
     center: Vec3  # of the sphere, patella frame [m]
     radius: Scalar  # [m]
     name: str = eqx.field(static=True, kw_only=True, default="contact")
-    observables = {
+    observables: ClassVar[dict[str, Observable]] = {
         "force": Observable("N", "total normal contact force, sum over the facets"),
         "force_medial": Observable("N", "normal force on the medial contact"),
         "force_lateral": Observable("N", "normal force on the lateral contact"),
@@ -99,7 +99,9 @@ class SphereContact(Effect):
         medial, lateral = (
             (p.u + now.step * p.drift_u.dot(velocity), p.v + now.step * p.drift_v.dot(velocity)) for p in points
         )
-        begun = (one.approach_speed, two.approach_speed) if self.law.remembers_approach else None
+        begun = None
+        if one.approach_speed is not None and two.approach_speed is not None:
+            begun = one.approach_speed, two.approach_speed
         return one, two, ContactMemory((medial, lateral), begun)
 
     def _touch(
@@ -116,7 +118,7 @@ class SphereContact(Effect):
         if isinstance(now.step, float) and now.step == 0:
             at, pull_in = here, 0.0
         else:
-            # While it goes deeper: slopes at the predicted indentation, the force extrapolated back to the step's start.
+            # While it goes deeper: slopes at the predicted indentation, the force extrapolated back to the start.
             # So a touch inside the step is felt, and how deep the step before it ended makes no jump.
             at = self.law.force(ahead, rate, approach_speed)
             pull_in = now.step * jnp.maximum(rate, 0.0) * at.stiffness
@@ -161,6 +163,4 @@ class SphereContact(Effect):
     def about(self, center_of_mass: Vec3) -> SphereContact:
         """Sphere centre counted from the centre of mass; the patch's coefficients one array each."""
         moved = eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)
-        if hasattr(self.surface, "unstacked"):
-            moved = eqx.tree_at(lambda e: e.surface, moved, self.surface.unstacked())
-        return moved
+        return eqx.tree_at(lambda e: e.surface, moved, self.surface.unstacked())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ class StrandGroup(Effect):
     insertion: Vec3
     origin: Vec3
     body: str = eqx.field(static=True)
-    observables = {"tension": Observable("N", "sum of the strands' tensions")}
+    observables: ClassVar[dict[str, Observable]] = {"tension": Observable("N", "sum of the strands' tensions")}
 
     def line(self, now: Instant) -> Line:
         """Where the strands run."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ class Tendon(Effect):
     insertion: Vec3  # on the patella, patella frame [m]
     origin: Vec3  # on the guided body, its frame [m]
     body: str = eqx.field(static=True)
-    observables = {
+    observables: ClassVar[dict[str, Observable]] = {
         "tension": Observable("N", "tension"),
         "length": Observable("m", "length"),
     }

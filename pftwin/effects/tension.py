@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ class PrescribedTension(Effect):
     start_time: float = eqx.field(static=True)
     interval: float = eqx.field(static=True)  # [s]
     body: str = eqx.field(static=True)
-    observables = {"tension": Observable("N", "sum of the prescribed tensions")}
+    observables: ClassVar[dict[str, Observable]] = {"tension": Observable("N", "sum of the prescribed tensions")}
 
     def at(self, time: Scalar | float) -> tuple[Scalar, Vec3]:
         """Tensions and origins at an instant."""

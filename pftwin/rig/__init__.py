@@ -7,7 +7,7 @@ plant that differs from the twin (`pftwin.rig.plant`), written as a laboratory's
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from pftwin.measured import Measured
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["case", "measured", "write_files"]
 
 
-def case(n: int, contact: str = "P5", *, chart: str = "plane") -> Scene:
+def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> Scene:
     """One of the rig's four cases as a scene; see `pftwin.rig.cases.case`."""
     from pftwin.rig.cases import case as build
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,12 +43,12 @@ def implant_mesh() -> SurfaceMesh:
 
 
 @lru_cache(maxsize=32)
-def _fit(degree: int, chart: str, float64: bool) -> PatchFit:
+def _fit(degree: int, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
     mesh = implant_mesh()
     return fit_patch(mesh, degree=degree, chart=chart, region=rig_region(mesh))
 
 
-def contact_fit(contact: str = "P5", *, chart: str = "plane") -> PatchFit:
+def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> PatchFit:
     """The polynomial patch of that name, fitted to the rig's femoral component.
 
     Raises:
@@ -111,7 +112,7 @@ def recording(n: int) -> Recording:
     return read_recording(n)
 
 
-def case(n: int, contact: str = "P5", *, chart: str = "plane") -> Scene:
+def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> Scene:
     """One of the rig's four cases.
 
     Args:

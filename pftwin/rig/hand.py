@@ -6,6 +6,8 @@ A little different in each case. In cases 2 and 3 the leg is extended only in pa
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,5 +75,5 @@ def _wobble(times: NDArray, random: np.random.Generator, size: float) -> NDArray
     return 0.7 * size * total
 
 
-def _quaternions(turn: object) -> NDArray:
+def _quaternions(turn: Any) -> NDArray:
     return np.roll(turn.as_quat(), 1, axis=1)

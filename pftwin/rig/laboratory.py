@@ -65,7 +65,7 @@ def _load_cells(times: NDArray, truth: dict[str, NDArray], random: np.random.Gen
     columns = [
         truth[name] + random.normal(0.0, FORCE_BIAS) + random.normal(0.0, FORCE_NOISE, times.size) for name in FORCES
     ]
-    units = dict.fromkeys(FORCES, "N")
+    units: dict[str, str] = dict.fromkeys(FORCES, "N")
     return Table(times, FORCES, np.round(np.stack(columns, axis=1), 3), units, source="load cells")
 
 

@@ -137,7 +137,7 @@ def _integrate(scene: Scene) -> tuple[State, Any, Scalar]:
     times = scene.motion.start_time + scene.motion.frame_interval * jnp.arange(scene.motion.n_frames).astype(float)
     zero = Vec3(*(jnp.zeros_like(start.residual) for _ in range(3)))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(_derivative),
+        diffrax.ODETerm(_derivative),  # pyright: ignore[reportArgumentType]
         diffrax.Tsit5(),
         t0=times[0],
         t1=times[-1],
@@ -149,13 +149,14 @@ def _integrate(scene: Scene) -> tuple[State, Any, Scalar]:
         max_steps=5_000_000,
         adjoint=diffrax.ForwardMode(),
     )
+    assert solution.ys is not None
     position, orientation, velocity, spin = solution.ys
     memories = tuple(None for _ in system.effects)
     return State(position, orientation.normalised(), velocity, spin, memories), start, solution.stats["num_steps"]
 
 
 def run_plant(case: int) -> tuple[Scene, dict[str, NDArray], int]:
-    """The truth of a case: patella pose in the femur, and the three forces, at the rig's frames; and the steps taken."""
+    """The truth of a case at the rig's frames: patella pose in the femur, three forces; and the steps taken."""
     scene = plant_scene(case)
     states, start, steps = _integrate(scene)
     seen = eqx.filter_jit(observe)(scene, Trajectory(states, None, start))

@@ -32,7 +32,7 @@ class Jet(NamedTuple):
 
 
 class Separation(NamedTuple):
-    """Half the squared distance from a point to the surface, phi(u, v): gradient, Hessian, and the surface's tangents."""
+    """Half the squared distance from a point to the surface, phi(u, v): gradient, Hessian, tangents of the surface."""
 
     gradient: tuple[Scalar, Scalar]
     hessian: tuple[Scalar, Scalar, Scalar]  # uu, uv, vv

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
 
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.charts import Chart, Jet
-
 
 PUSH = 0.04  # of the longest step: what moves a point off a saddle
 FLATTEST = 0.1  # curvatures of the distance below this share of the tangents' own are raised to it
@@ -18,10 +18,29 @@ class Surface(Protocol):
     """Whatever gives a height with two derivatives over a chart: a polynomial patch, a spline, a smooth implant."""
 
     @property
-    def chart(self) -> Chart: ...
-    def jet(self, u: Scalar, v: Scalar) -> Jet: ...
-    def outside(self, u: Scalar, v: Scalar) -> Scalar: ...
-    def clipped(self, v: Scalar) -> Scalar: ...
+    def chart(self) -> Chart:
+        """How (u, v, height) make a point."""
+        ...
+
+    def jet(self, u: Scalar, v: Scalar) -> Jet:
+        """Height, gradient and Hessian."""
+        ...
+
+    def outside(self, u: Scalar, v: Scalar) -> Scalar:
+        """How far beyond the surface's domain a point lies [m]; zero inside."""
+        ...
+
+    def clipped(self, v: Scalar) -> Scalar:
+        """The nearest coordinate across the groove that lies on the domain."""
+        ...
+
+    def profile(self, u: Scalar) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
+        """Height and slope along u as a function of v, at one u."""
+        ...
+
+    def unstacked(self) -> Surface:
+        """The same surface, ready for a loop."""
+        ...
 
 
 class ClosestPoint(NamedTuple):
@@ -44,8 +63,8 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point
     crawls rather than leaps. Where the Hessian is not positive definite (a saddle between two facets, say) the step
     goes downhill with the curvatures' absolute values and a small push across the groove, towards the sign of `push`,
-    so that no start is held by a saddle. The distance returned is that of the surface point reached, never an extrapolation: a point that is still
-    on its way understates an indentation and cannot invent one.
+    so that no start is held by a saddle. The distance returned is that of the surface point reached, never an
+    extrapolation: a point that is still on its way understates an indentation and cannot invent one.
     """
     jet = surface.jet(u, v)
     s = surface.chart.separation(c, u, v, jet)

@@ -14,7 +14,6 @@ keep them right:
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -69,7 +68,7 @@ def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[P
     """
     spacing = SPACING * radius
     _, middle = surface.chart.foot(c)
-    across, along = _profile(surface, u), surface.chart.half_square(c, u)
+    across, along = surface.profile(u), surface.chart.half_square(c, u)
     jet = surface.jet(u, middle)
     s = surface.chart.separation(c, u, middle, jet)
     compliance = 1 / jnp.maximum(s.hessian[0], 0.2 * s.gram[0])  # along the groove much the same across the fan
@@ -100,15 +99,3 @@ def _first(found: list[tuple[Scalar, Place]]) -> Place:
     for condition, (a, b) in reversed(found[:-1]):
         u, v = jnp.where(condition, a, u), jnp.where(condition, b, v)
     return u, v
-
-
-def _profile(surface: Surface, u: Scalar) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
-    """Height and slope along u as a function of v."""
-    if hasattr(surface, "profile"):
-        return surface.profile(u)
-
-    def at(v: Scalar) -> tuple[Scalar, Scalar]:
-        jet = surface.jet(u, v)
-        return jet.f, jet.u
-
-    return at

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -97,6 +98,14 @@ class FemoralComponent(eqx.Module):
     def clipped(self, v: Scalar) -> Scalar:
         """The nearest coordinate across the groove that lies on the component."""
         return jnp.clip(v, -self.half_width, self.half_width)
+
+    def profile(self, u: Scalar) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
+        """Height and slope along u as a function of v, at one u."""
+
+        def at(v: Scalar) -> tuple[Scalar, Scalar]:
+            return jax.jvp(lambda a: self.height(a, v), (u,), (jnp.ones_like(u),))
+
+        return at
 
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
         """How far beyond the component's edge a point lies [m]; zero inside."""

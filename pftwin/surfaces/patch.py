@@ -106,17 +106,18 @@ def _polynomial_jet(c: Sequence[Scalar] | Array, degree: int, a: Scalar, b: Scal
     index = {e: k for k, e in enumerate(exponents(degree))}
     rows = [_horner([c[index[i, j]] for i in range(degree + 1 - j)], a) for j in range(degree + 1)]
     f, fb, fbb = _horner([r[0] for r in rows], b)
-    fa, fab, _ = _horner([r[1] for r in rows if r[1] is not None], b)
-    faa, _, _ = _horner([r[2] for r in rows if r[2] is not None], b)
+    slopes, curvatures = [r[1] for r in rows if r[1] is not None], [r[2] for r in rows if r[2] is not None]
+    fa, fab, _ = _horner(slopes, b) if slopes else (None, None, None)
+    faa = _horner(curvatures, b)[0] if curvatures else None
     nought = jnp.zeros_like(a)
     return Jet(*(nought if d is None else d for d in (f, fa, fb, faa, fab, fbb)))
 
 
-def _horner(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar | None, Scalar | None, Scalar | None]:
+def _horner(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar | None, Scalar | None]:
     """p(x), p'(x) and p''(x); a derivative that vanishes identically is None and costs nothing."""
-    if not c:
-        return None, None, None
-    p, d, half_dd = c[-1], None, None
+    p: Scalar = c[-1]
+    d: Scalar | None = None
+    half_dd: Scalar | None = None
     for coefficient in reversed(c[:-1]):
         if d is not None:
             half_dd = d if half_dd is None else half_dd * x + d

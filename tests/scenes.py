@@ -109,7 +109,7 @@ def _march(sys: System, state: State, step: jax.Array, count: jax.Array, integra
 
 
 @eqx.filter_jit
-def record(sys: System, state: State, step, count: int, integrator: str = "linear_implicit") -> tuple[State, Ledger]:
+def record(sys: System, state: State, step, count: int, integrator: str = "linear_implicit"):
     """States and energy ledger after each of `count` steps."""
     advance, zero = INTEGRATORS[integrator], jnp.zeros(())
 
@@ -156,7 +156,7 @@ def trochlea(degree: int = 5) -> PolynomialPatch:
 
 def knee_motion(n_frames: int = 31, femur: PoseSeries | None = None) -> KneeMotion:
     """The tibia flexes about the knee's centre by 45 deg, and some more, at 100 Hz."""
-    t = 0.01 * np.arange(n_frames)
+    t = np.arange(n_frames, dtype=np.float64) * 0.01
     flexion = np.radians(45 + 20 * np.sin(2 * np.pi * t / 1.8) ** 2)
     tibia = PoseSeries(t, np.zeros((t.size, 3)), np.stack([np.cos(flexion / 2), 0 * t, -np.sin(flexion / 2), 0 * t], 1))
     return KneeMotion.from_poses(femur, tibia)

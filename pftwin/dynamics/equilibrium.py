@@ -181,12 +181,16 @@ def _solve_equilibrium_jvp(primals: Any, tangents: Any) -> tuple[Solution, Solut
     system, guide, guess = primals
     solution = solve_equilibrium(system, guide, guess)
 
-    def residual(a: System, b: Guide) -> list[Scalar]:
-        return _residual(a, b, solution.pose, solution.memories)
+    def slope(factor: Scalar) -> Array:
+        def residual(a: System, b: Guide) -> Array:
+            return jnp.stack(_residual(a, b, solution.pose, solution.memories))
 
-    _, dr = eqx.filter_jvp(residual, (system, guide), tuple(tangents[:2]))
-    k = solution.stiffness
-    d, _ = _solved([[k[i, j] for j in range(i + 1)] for i in range(6)], jnp.zeros_like(solution.residual), dr)
+        scaled = jax.tree.map(lambda a: factor * a, tuple(tangents[:2]))
+        return eqx.filter_jvp(residual, (system, guide), scaled)[1]
+
+    # In a loop and by the library's solver: what is stored is not computed again for every use of its entries.
+    dr = jax.lax.map(slope, jnp.array([1.0, 0.0], solution.residual.dtype))[0]
+    d = list(jnp.linalg.solve(solution.stiffness, dr))
     zeros = [jnp.zeros_like(a) for a in d]
     _, moved = jax.jvp(lambda *step: _moved(solution.pose, list(step)), zeros, d)
     still = jax.tree.map(lambda a: None if not eqx.is_inexact_array(a) else jnp.zeros_like(a), solution)

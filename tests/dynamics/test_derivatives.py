@@ -43,9 +43,10 @@ def bouncing_scene() -> Scene:
         tendon(629, 0.08, 6.0, (-0.02, 0, 0), (-0.1, 0.002, 0.01), "tibia", "patellar_tendon"),
         contact(Flores(J(1e6), J(0.8)), GROOVE),
     )
-    t = INTERVAL * np.arange(N_FRAMES)
+    t = np.arange(N_FRAMES, dtype=np.float64) * INTERVAL
     still = np.tile([1.0, 0, 0, 0], (t.size, 1))
-    pulled = np.stack([-0.02 * (t / t[-1]) ** 2, 0 * t, 0 * t], 1)
+    pulled = np.zeros((t.size, 3))
+    pulled[:, 0] = -0.02 * (t / t[-1]) ** 2
     motion = KneeMotion.from_poses(None, PoseSeries(t, pulled, still))
     start = Pose(vec(0, 0.0004, RADIUS + 0.0045), Quaternion.identity())
     return Scene(PatellaBody(J(MASS), vec(3e-5, 3e-5, 4e-5), vec(0.001, 0, 0)), effects, motion, start)

@@ -19,7 +19,7 @@ from pftwin.spatial import Pose, Quaternion
 
 J = jnp.asarray
 FRAMES = 41
-T = 0.01 * np.arange(FRAMES)
+T = np.arange(FRAMES, dtype=np.float64) * 0.01
 
 
 def femur_pose(t):

@@ -15,6 +15,7 @@ from pftwin.effects.damping import LinearDamping
 from pftwin.mocap.poses import PoseSeries
 from pftwin.motion import KneeMotion
 from pftwin.scene import Scene
+from pftwin.surfaces.patch import PolynomialPatch
 
 J = jnp.asarray
 
@@ -64,7 +65,10 @@ def test_nothing_is_left_of_contact_where_there_is_none(whole):
     scene = knee(5)
     bare = size(scene.without("contact"))
     assert bare < 0.5 * whole
-    coefficients = len(scene.effects[3].surface.coefficients)
+    assert scene.contact is not None
+    patch = scene.contact.surface
+    assert isinstance(patch, PolynomialPatch)
+    coefficients = len(patch.coefficients)
     assert str(program(scene)).count(f"f64[{coefficients}]") > 0
     assert str(program(scene.without("contact"))).count(f"f64[{coefficients}]") == 0
 

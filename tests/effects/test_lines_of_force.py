@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,6 @@ import numpy as np
 import pytest
 from scenes import look, tendon, vec
 
-from pftwin.effects.base import Load
 from pftwin.effects.strands import StrandGroup
 from pftwin.effects.tendon import Tendon
 from pftwin.effects.tension import PrescribedTension
@@ -20,14 +21,14 @@ J = jnp.asarray
 
 
 @eqx.filter_jit
-def load_of(effect, position, velocity=(0, 0, 0), step=0.0, time=0.0) -> Load:
+def load_of(effect, position, velocity=(0, 0, 0), step: Any = 0.0, time: Any = 0.0) -> Any:
     z = [jnp.asarray(x, dtype=float) for x in (*position, *velocity)]
     now = look()
     now = eqx.tree_at(lambda n: (n.patella.position, n.patella.velocity), now, (Vec3(*z[:3]), Vec3(*z[3:])))
     return effect.load(eqx.tree_at(lambda n: (n.step, n.time), now, (step, time)), None)[0]
 
 
-def pull(load: Load) -> float:
+def pull(load) -> float:
     return float(jnp.sum(load.stiff[0].force))
 
 
@@ -58,7 +59,7 @@ def test_slack_is_nothing_in_value_and_gradient(velocity):
     assert [float(g) for g in jax.jit(jax.grad(everything, (0, 1, 2, 3)))(*at)] == [0, 0, 0, 0]
 
 
-def pull_array(load: Load) -> jax.Array:
+def pull_array(load) -> jax.Array:
     return jnp.sum(load.stiff[0].force)
 
 
@@ -89,8 +90,8 @@ def test_it_is_felt_when_the_coming_step_pulls_it_taut():
 def group(rng) -> tuple[Tendon, list[Tendon]]:
     n = 4
     k, slack = J(rng.uniform(1e2, 1e3, n)), J(rng.uniform(0.03, 0.2, n))
-    ends = [Vec3.from_array(J(rng.normal(scale=0.1, size=(n, 3)))) for _ in range(2)]
-    together = Tendon(k, slack, 0.01 * k, *ends, "tibia", name="group")
+    here, there = (Vec3.from_array(J(rng.normal(scale=0.1, size=(n, 3)))) for _ in range(2))
+    together = Tendon(k, slack, 0.01 * k, here, there, "tibia", name="group")
     return together, [jax.tree.map(lambda a, i=i: a[i], together) for i in range(n)]
 
 
@@ -111,7 +112,7 @@ def test_force_and_moment_are_the_gradient_of_energy(which):
         together = StrandGroup(together.stiffness, together.slack_length, 0.5 * like, 0 * like, together.insertion,
                                together.origin, "tibia", name="strands")  # fmt: skip
 
-    def load(d):
+    def load(d) -> Any:
         turn = Quaternion.from_rotation_vector(Vec3(d[3], d[4], d[5]))
         return together.load(_at(d, turn), None)[0]
 
@@ -157,7 +158,7 @@ def test_strands_are_smooth_where_the_toe_region_begins_and_ends(edge):
 
 def test_strand_energy_is_the_work_of_its_pull():
     e = np.linspace(0, 0.12, 4001)  # across the edge of the toe region
-    loads = eqx.filter_jit(jax.vmap(lambda z: load_of(strands(), (0.0, 0.0, z))))(J(0.1 - SLACK * (1 + e)))
+    loads: Any = eqx.filter_jit(jax.vmap(lambda z: load_of(strands(), (0.0, 0.0, z))))(J(0.1 - SLACK * (1 + e)))
     force, energy = loads.stiff[0].force[:, 0], loads.energy
     assert float(np.trapezoid(force, SLACK * e)) == pytest.approx(float(energy[-1]), rel=1e-6)
     slope = np.gradient(np.asarray(force), SLACK * e)

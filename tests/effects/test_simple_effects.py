@@ -21,6 +21,8 @@ def test_weight_and_its_energy():
     weight = Gravity(J(0.12), vec(0, 1.0, -9.81))
     low, high = (weight.load(look(p), None)[0] for p in ((0, 0, 0), (0.3, 0.1, 0.2)))
     np.testing.assert_allclose(low.total().force.array(), [0, 0.12, -0.12 * 9.81])
+    assert low.energy is not None
+    assert high.energy is not None
     assert float(high.energy - low.energy) == pytest.approx(0.12 * (9.81 * 0.2 - 0.1))
     assert low.stiff == ()
 

@@ -33,7 +33,7 @@ def descend(surface, c: Vec3, u, v, count: int = 25):
     """Where Newton's steps end, and the last of them."""
 
     def step(at, _):
-        p = newton_step(surface, c, *at, 0.25 * RADIUS)
+        p = newton_step(surface, c, at[0], at[1], J(0.25 * RADIUS))
         return (p.u, p.v), p
 
     return jax.tree.map(lambda a: a[-1], jax.lax.scan(step, (u, v), None, length=count)[1])
@@ -162,7 +162,7 @@ def path():
 
 
 def forces(law, path):
-    velocity = jnp.gradient(J(path), axis=0) / STEP
+    velocity = J(np.gradient(path, axis=0)) / STEP
     return [np.asarray(a) for a in ride(contact(law, GROOVE).about(vec(0, 0, 0)), J(path), velocity, J(STEP))]
 
 

@@ -1,0 +1,84 @@
+"""What is measured, in which order, and in which process.
+
+Accuracy comes first: it says at which steps speed is worth measuring. Figures per core are taken in processes of their
+own, each pinned to one core before JAX starts its threads.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pftwin.errors import PftwinError
+
+if TYPE_CHECKING:
+    from pftwin.benchmarks.row import Row
+
+TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", "start")
+ON_ONE_CORE = ("batch", "forward", "reverse")
+LEVELS = {"0.01": 1e-5, "0.05": 5e-5}  # rms error: as the rows name it in mm, and in metres
+
+
+def measure_topics(
+    chosen: tuple[str, ...], variants: int, quick: bool, say: Callable[[str], None]
+) -> tuple[list[Row], dict[str, Any]]:
+    """The rows of the chosen topics, and the machine they were measured on.
+
+    Raises:
+        PftwinError: no step meets an accuracy level; a measuring process failed.
+    """
+    import pftwin
+
+    pftwin.configure()
+    from pftwin.benchmarks import accuracy, machine, speed, startup
+    from pftwin.benchmarks.problem import scene_of_case_1
+
+    about, rows = machine.describe(), []
+    if chosen != ("start",):
+        scene = scene_of_case_1()
+        say("measuring accuracy ...")
+        found = accuracy.errors(scene, reference=100 if quick else accuracy.REFERENCE)
+        rows += accuracy.rows(scene, found) if "accuracy" in chosen else []
+        steps = _steps(found)
+        for topic in chosen:
+            if topic in ("one run", "equilibrium", *ON_ONE_CORE):
+                say(f"measuring {topic} ...")
+            if topic == "one run":
+                rows += speed.one_run(scene, steps)
+            elif topic == "equilibrium":
+                rows += speed.equilibrium(scene)
+            elif topic in ON_ONE_CORE:
+                rows += _in_a_process({"topic": topic, "steps": steps, "variants": variants, "quick": quick})
+    if "start" in chosen:
+        say("measuring start ...")
+        rows += startup.rows(repeats=1 if quick else 3)
+    return rows, about
+
+
+def _steps(found: dict[int, Any]) -> dict[str, int]:
+    """The fewest substeps that meet each level."""
+    from pftwin.benchmarks.accuracy import coarsest
+
+    steps = {}
+    for name, level in LEVELS.items():
+        n = coarsest(found, level)
+        if n is None:
+            raise PftwinError(f"no step tried comes within {name} mm of the converged path; try: finer steps")
+        steps[name] = n
+    return steps
+
+
+def _in_a_process(task: dict[str, Any]) -> list[Row]:
+    from pftwin.benchmarks.row import Row
+
+    with tempfile.TemporaryDirectory(prefix="pftwin-benchmark-") as folder:
+        target = Path(folder) / "rows.json"
+        command = [sys.executable, "-m", "pftwin.benchmarks.worker", json.dumps(task), str(target)]
+        if subprocess.run(command, check=False).returncode:
+            raise PftwinError(f"the process that measures {task['topic']!r} failed (its message is above)")
+        return [Row.from_json(row) for row in json.loads(target.read_text(encoding="utf-8"))]

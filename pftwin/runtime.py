@@ -15,7 +15,7 @@ from pftwin.errors import PftwinError
 # compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one through
 # its scheduler. The first switch lets one kernel have many results (batches run 3 times faster), the second compiles a
 # loop of a single run into one function (12 times faster); both halve the compile time. Answers do not change.
-FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=100000")
+FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=400000")
 _OPTION = "--xla_backend_extra_options="
 
 

@@ -62,7 +62,7 @@ class _Iterate(NamedTuple):
 
 
 def _still(guide: Guide, pose: Pose) -> Instant:
-    """The patella at rest at a pose, seen without looking ahead."""
+    """The patella at rest at a pose."""
     return guide.instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
 
 

@@ -23,9 +23,18 @@ class Ledger(eqx.Module):
     heat: Scalar
 
     def entered(
-        self, before: State, after: State, loads: Sequence[Load], applied: Sequence[Scalar], step: Scalar
+        self, before: State, after: State, loads: Sequence[Load], applied: Sequence[Scalar], at: float, step: Scalar
     ) -> Ledger:
-        """With one step's entries. `applied` are the forces that the stiff terms really had, in the loads' order."""
+        """With one step's entries.
+
+        Args:
+            before: state at the step's start.
+            after: at its end.
+            loads: of the step.
+            applied: the forces that the stiff terms really had, in the loads' order.
+            at: where in the step the loads' elastic forces stand: 0 at its start, 1 at its end.
+            step: its length [s].
+        """
         velocity, spin = _middle(before.velocity, after.velocity), _middle(before.spin, after.spin)
         work, heat, forces = self.work, self.heat, iter(applied)
         for load in loads:
@@ -36,7 +45,7 @@ class Ledger(eqx.Module):
                 force = next(forces)
                 guided = term.rate + term.direction.dot(before.velocity) + term.moment.dot(before.spin)
                 rate = guided - term.direction.dot(velocity) - term.moment.dot(spin)
-                elastic = term.elastic + 0.5 * step * term.stiffness * rate
+                elastic = term.elastic + (0.5 - at) * step * term.stiffness * rate
                 work = work + step * jnp.sum(force * guided)
                 heat = heat + step * jnp.sum((force - elastic) * rate)
         return Ledger(work, heat)

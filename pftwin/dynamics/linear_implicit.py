@@ -1,19 +1,21 @@
 r"""The linearly implicit step: one force evaluation, every stiff direction of every effect treated implicitly.
 
-A stiff term pushes with f(s, s') along the wrench direction g. Linearised at the start of the step,
+Forces are evaluated where the step would end at the present velocity, with the guided bodies at the step's end; so the
+lag of a slow, guided motion is of second order. From there each stiff term, a force f(s, s') along the wrench
+direction g, is linearised in the change of velocity dv,
 
-    f_end = f + k h s'_end + c (s'_end - s'),      s'_end - s' = -g . (v_end - v),
+    f_end = f - (h k + c) g . dv,
 
-so the change of velocity solves one symmetric positive definite 6 x 6 system,
+which makes one symmetric positive definite 6 x 6 system (one Newton iteration of backward Euler),
 
-    (M + sum_i w_i g_i g_i^T) dv = h (f_rest + sum_i g_i (f_i + h k_i s'_i)),      w_i = h (h k_i + c_i).
+    (M + sum_i w_i g_i g_i^T) dv = h (f_rest + sum_i g_i f_i),      w_i = h (h k_i + c_i).
 
-No iteration, any number of terms, unconditionally stable along the g_i; order one. Guided bodies keep, within a step,
-the velocity that they have at its middle.
+No iteration, any number of terms, unconditionally stable along the g_i; order one.
 """
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -24,6 +26,7 @@ from pftwin.effects.base import StiffTerm
 from pftwin.spatial import Scalar, Vec3
 
 ORDER = 1
+GUIDED_AT = 1.0  # where in the step the guided bodies are looked at: its end
 
 
 def linear_implicit(
@@ -31,7 +34,8 @@ def linear_implicit(
 ) -> tuple[State, Ledger | None]:
     """The state one step later, and the energy ledger where one is kept."""
     with jax.named_scope("loads"):
-        loads, memories = system.loads(guide.instant(state.patella(), step), state.memories)
+        ahead = advance(state, state.velocity, state.spin, step, state.memories).patella()
+        loads, memories = system.loads(guide.instant(ahead, step, step), state.memories)
     with jax.named_scope("implicit_solve"):
         rest = gyroscopic(system.inertia, state.spin)
         right = [jnp.zeros_like(step)] * 3 + [rest.x, rest.y, rest.z]
@@ -46,15 +50,17 @@ def linear_implicit(
         dv = solve(low, inverse, [step * r for r in right])
     after = advance(state, state.velocity + Vec3(*dv[:3]), state.spin + Vec3(*dv[3:]), step, memories)
     if ledger is not None:
-        terms = [term for load in loads for term in load.stiff]
-        ledger = ledger.entered(state, after, loads, [_applied(t, dv, step) for t in terms], step)
+        ends = [load._replace(stiff=tuple(_at_end(term, dv, step) for term in load.stiff)) for load in loads]
+        ledger = ledger.entered(state, after, ends, [t.force for load in ends for t in load.stiff], 1.0, step)
     return after, ledger
 
 
-def _applied(term: StiffTerm, dv: list[Scalar], step: Scalar) -> Scalar:
-    """The force at the end of the step, with which the solve has reckoned."""
-    slower = term.direction.dot(Vec3(*dv[:3])) + term.moment.dot(Vec3(*dv[3:]))
-    return term.force + step * term.stiffness * (term.rate - slower) - term.damping * slower
+def _at_end(term: StiffTerm, dv: list[Scalar], step: Scalar) -> StiffTerm:
+    """The term as it is at the end of the step, with the forces that the solve has reckoned with."""
+    change = term.direction.dot(Vec3(*dv[:3])) + term.moment.dot(Vec3(*dv[3:]))
+    elastic = term.elastic - step * term.stiffness * change
+    force = term.force - (step * term.stiffness + term.damping) * change
+    return eqx.tree_at(lambda t: (t.force, t.elastic), term, (force, elastic))
 
 
 def _mass_matrix(system: System) -> Lower:
@@ -65,12 +71,11 @@ def _mass_matrix(system: System) -> Lower:
 
 
 def _with_term(matrix: Lower, right: list[Scalar], term: StiffTerm, step: Scalar) -> tuple[Lower, list[Scalar]]:
-    """Adds w g g^T and g (f + h k s'); a group is summed over its leading axis."""
+    """Adds w g g^T and g f; a group is summed over its leading axis."""
     d, m = term.direction, term.moment
     g = [d.x, d.y, d.z, m.x, m.y, m.z]
     weight = step * (step * term.stiffness + term.damping)
-    push = term.force + step * term.stiffness * term.rate
-    add = [jnp.sum(push * a) if jnp.ndim(push) else push * a for a in g]
+    add = [jnp.sum(term.force * a) if jnp.ndim(term.force) else term.force * a for a in g]
     return add_outer(matrix, g, weight), _add(right, add)
 
 

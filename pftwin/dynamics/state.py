@@ -39,10 +39,10 @@ class Guide(eqx.Module):
         femur = None if motion.femur is None else motion.femur.frames(times)
         return Guide(femur, motion.tibia.frames(times), times)
 
-    def instant(self, patella: Patella, step: Scalar | float) -> Instant:
+    def instant(self, patella: Patella, step: Scalar | float, lead: Scalar | float = 0.0) -> Instant:
         """What effects may look at."""
         femur = Ground() if self.femur is None else self.femur
-        return Instant(patella, femur, self.tibia, self.time, step)
+        return Instant(patella, femur, self.tibia, self.time, step, lead)
 
 
 class System(eqx.Module):

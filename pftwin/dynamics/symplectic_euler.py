@@ -12,6 +12,7 @@ from pftwin.dynamics.state import Guide, State, System, advance, gyroscopic
 from pftwin.spatial import Scalar, Vec3
 
 ORDER = 1
+GUIDED_AT = 0.0  # where in the step the guided bodies are looked at: its start
 
 
 def symplectic_euler(
@@ -19,8 +20,7 @@ def symplectic_euler(
 ) -> tuple[State, Ledger | None]:
     """The state one step later, and the energy ledger where one is kept."""
     with jax.named_scope("loads"):
-        # A step of 0 tells the effects not to look ahead: an explicit step takes the force of this very instant.
-        loads, memories = system.loads(guide.instant(state.patella(), 0.0), state.memories)
+        loads, memories = system.loads(guide.instant(state.patella(), step), state.memories)
     velocity, spin = state.velocity, state.spin
     moment = gyroscopic(system.inertia, spin)
     for load in loads:
@@ -32,5 +32,5 @@ def symplectic_euler(
     after = advance(state, velocity, spin, step, memories)
     if ledger is not None:
         applied = [term.force for load in loads for term in load.stiff]
-        ledger = ledger.entered(state, after, loads, applied, step)
+        ledger = ledger.entered(state, after, loads, applied, 0.0, step)
     return after, ledger

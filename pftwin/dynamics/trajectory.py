@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from pftwin.dynamics import linear_implicit, symplectic_euler
 from pftwin.dynamics.equilibrium import Solution, solve_equilibrium
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.linear_implicit import linear_implicit
 from pftwin.dynamics.state import Guide, State, System
-from pftwin.dynamics.symplectic_euler import symplectic_euler
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Scalar
 
-Integrator = Callable[..., tuple[State, Ledger | None]]
-INTEGRATORS: dict[str, Integrator] = {"linear_implicit": linear_implicit, "symplectic_euler": symplectic_euler}
+
+class Integrator(NamedTuple):
+    """A way to take one step."""
+
+    advance: Callable[..., tuple[State, Ledger | None]]
+    order: int
+    guided_at: float  # where in the step it wants the guided bodies: 0 its start, 1 its end
+
+
+INTEGRATORS = {
+    "linear_implicit": Integrator(linear_implicit.linear_implicit, linear_implicit.ORDER, linear_implicit.GUIDED_AT),
+    "symplectic_euler": Integrator(
+        symplectic_euler.symplectic_euler, symplectic_euler.ORDER, symplectic_euler.GUIDED_AT
+    ),
+}
 
 
 class Trajectory(eqx.Module):
@@ -73,19 +85,13 @@ def first_guide(scene: Scene) -> Guide:
     return guide
 
 
-def _guides(scene: Scene, substeps: int) -> tuple[Guide, Scalar]:
-    """Guided bodies at every step's start, moving as at its middle, of shape (n_frames - 1, substeps); and the step."""
+def _guides(scene: Scene, substeps: int, at: float) -> tuple[Guide, Scalar]:
+    """Guided bodies at the place `at` within every step, of shape (n_frames - 1, substeps); and the step."""
     motion = scene.motion
     step = motion.frame_interval / substeps
     count = jnp.arange((motion.n_frames - 1) * substeps).astype(float).reshape(-1, substeps)
-    times = motion.start_time + step * count
-    here, middle = Guide.sample(motion, times), Guide.sample(motion, times + 0.5 * step)
-
-    def with_mean_velocity(frame: Any, mid: Any) -> Any:
-        return eqx.tree_at(lambda f: [f.velocity, f.angular_velocity], frame, [mid.velocity, mid.angular_velocity])
-
-    femur = None if here.femur is None else with_mean_velocity(here.femur, middle.femur)
-    return Guide(femur, with_mean_velocity(here.tibia, middle.tibia), times), jnp.asarray(step, times.dtype)
+    times = motion.start_time + step * (count + at)
+    return Guide.sample(motion, times), jnp.asarray(step, times.dtype)
 
 
 def _carried_by_femur(scene: Scene, state: State) -> State:
@@ -116,11 +122,11 @@ def trajectory(
 
     Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
     """
-    advance = integrator_named(integrator)
+    advance, _, guided_at = integrator_named(integrator)
     system = scene.system()
     if start is None:
         start = starting_equilibrium(scene)
-    guides, step = _guides(scene, substeps)
+    guides, step = _guides(scene, substeps, guided_at)
     state = _carried_by_femur(scene, system.at_rest(start.pose, start.memories))
     zero = jnp.zeros_like(step)
     carry = (state, Ledger(zero, zero) if ledger else None)

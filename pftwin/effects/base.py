@@ -55,7 +55,8 @@ class Instant(eqx.Module):
     femur: Frame | Ground
     tibia: Frame
     time: Scalar | float  # [s]
-    step: Scalar | float  # length of the step about to be taken [s]; 0 when only looking
+    step: Scalar | float  # time until the next look [s], for memories that move along; 0 when only looking
+    lead: Scalar | float = 0.0  # how far this instant lies ahead of the state that an implicit step starts from [s]
 
     def segment(self, name: str) -> Frame | Ground:
         """The frame of "femur", "tibia" or "ground"."""

@@ -107,32 +107,22 @@ class SphereContact(Effect):
     def _touch(
         self, now: Instant, p: ClosestPoint, velocity: Vec3, approach_speed: Scalar | None, share: Scalar
     ) -> Touch:
-        """The law at one closest point, felt already if the step about to be taken ends in contact."""
+        """The law at one closest point."""
         indentation = self.radius - p.distance
         rate = -p.normal.dot(velocity)
-        ahead = jnp.maximum(indentation, indentation + now.step * rate)
         if approach_speed is not None:
             begun = jnp.where(approach_speed > 0, approach_speed, jnp.maximum(rate, 1e-12))
-            approach_speed = jnp.where(ahead > 0, begun, 0.0)
-        here = self.law.force(indentation, rate, approach_speed)
-        if isinstance(now.step, float) and now.step == 0:
-            at, pull_in = here, 0.0
-        else:
-            # While it goes deeper: slopes at the predicted indentation, the force extrapolated back to the start.
-            # So a touch inside the step is felt, and how deep the step before it ended makes no jump.
-            at = self.law.force(ahead, rate, approach_speed)
-            pull_in = now.step * jnp.maximum(rate, 0.0) * at.stiffness
+            approach_speed = jnp.where(indentation > 0, begun, 0.0)
+        # Sliding along a curve, a tangent leads off the surface: linearised about the deeper of where the step starts
+        # and where it leads, contact does not open and close from step to step.
+        deeper = 0.0 if isinstance(now.lead, float) else jnp.maximum(-now.lead * rate, 0.0)
+        law = self.law.force(indentation + deeper, rate, approach_speed)
+        law = law._replace(total=law.total - deeper * law.stiffness, elastic=law.elastic - deeper * law.stiffness)
         world = now.femur.direction(self.surface.chart.axes.apply(p.normal))
-        term = StiffTerm(
-            world,
-            applied_at(self.center, now.patella, world),
-            share * (at.total - pull_in),
-            share * here.elastic,
-            share * at.stiffness,
-            share * at.damping,
-            rate,
-        )
-        return Touch(p, indentation, share, approach_speed, term, share * here.energy)
+        moment = applied_at(self.center, now.patella, world)
+        total, elastic, stiffness, damping, energy = (share * a for a in law)
+        term = StiffTerm(world, moment, total, elastic, stiffness, damping, rate)
+        return Touch(p, indentation, share, approach_speed, term, energy)
 
     def load(self, now: Instant, memory: ContactMemory) -> tuple[Load, ContactMemory]:
         """A stiff term per contact."""

@@ -35,16 +35,15 @@ class Tendon(Effect):
         return line_of_force(now, self.insertion, self.body, self.origin)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """Its pull: taut if it is longer than its slack length now or at the end of the step about to be taken."""
+        """Its pull."""
         line = self.line(now)
         stretch = line.length - self.slack_length
-        reaches = jnp.maximum(stretch, stretch + now.step * line.lengthening) > 0
         pull = self.stiffness * stretch + self.damping * line.lengthening
-        taut = reaches & (pull + now.step * self.stiffness * line.lengthening > 0)
+        taut = (stretch > 0) & (pull > 0)
         tension, k, c = (jnp.where(taut, a, 0.0) for a in (pull, self.stiffness, self.damping))
         stretched = jnp.maximum(stretch, 0.0)
         # A tendon that shortens too fast to pull still gives up what it stores: as heat.
-        elastic = self.stiffness * jnp.where(taut, stretch, stretched)
+        elastic = self.stiffness * stretched
         stored = 0.5 * jnp.sum(self.stiffness * jnp.square(stretched))
         return Load(stiff=(line.term(tension, elastic, k, c),), energy=stored), memory
 

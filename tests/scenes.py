@@ -104,14 +104,14 @@ def march(sys: System, state: State, duration: float, count: int, integrator: st
 
 @eqx.filter_jit
 def _march(sys: System, state: State, step: jax.Array, count: jax.Array, integrator: str) -> State:
-    advance = INTEGRATORS[integrator]
+    advance = INTEGRATORS[integrator].advance
     return jax.lax.fori_loop(0, count, lambda _, s: advance(sys, s, still_guide(), step)[0], state)
 
 
 @eqx.filter_jit
 def record(sys: System, state: State, step, count: int, integrator: str = "linear_implicit"):
     """States and energy ledger after each of `count` steps."""
-    advance, zero = INTEGRATORS[integrator], jnp.zeros(())
+    advance, zero = INTEGRATORS[integrator].advance, jnp.zeros(())
 
     def one(carry, _):
         after = advance(sys, carry[0], still_guide(), step, carry[1])

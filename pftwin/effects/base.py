@@ -83,6 +83,7 @@ class StiffTerm(eqx.Module):
     stiffness: Scalar  # df/ds [N/m]
     damping: Scalar  # df/d(ds/dt) [N s/m]
     rate: Scalar  # ds/dt [m/s]
+    unilateral: bool = eqx.field(static=True, default=False)  # whether an implicit step has to see that f >= 0
 
     def wrench(self) -> Wrench:
         """Force in world axes, moment in patella axes; summed over a group."""

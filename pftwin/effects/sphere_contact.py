@@ -115,13 +115,18 @@ class SphereContact(Effect):
             approach_speed = jnp.where(indentation > 0, begun, 0.0)
         # Sliding along a curve, a tangent leads off the surface: linearised about the deeper of where the step starts
         # and where it leads, contact does not open and close from step to step.
-        deeper = 0.0 if isinstance(now.lead, float) else jnp.maximum(-now.lead * rate, 0.0)
-        law = self.law.force(indentation + deeper, rate, approach_speed)
-        law = law._replace(total=law.total - deeper * law.stiffness, elastic=law.elastic - deeper * law.stiffness)
+        # The viscous part is left to the step as well, which sees that the force does not pull.
+        if isinstance(now.lead, float):
+            law = self.law.force(indentation, rate, approach_speed)
+        else:
+            deeper = jnp.maximum(-now.lead * rate, 0.0)
+            law = self.law.force(indentation + deeper, jnp.zeros_like(rate), approach_speed)
+            back = law.elastic - deeper * law.stiffness
+            law = law._replace(total=back + law.damping * rate, elastic=back)
         world = now.femur.direction(self.surface.chart.axes.apply(p.normal))
         moment = applied_at(self.center, now.patella, world)
         total, elastic, stiffness, damping, energy = (share * a for a in law)
-        term = StiffTerm(world, moment, total, elastic, stiffness, damping, rate)
+        term = StiffTerm(world, moment, total, elastic, stiffness, damping, rate, unilateral=True)
         return Touch(p, indentation, share, approach_speed, term, energy)
 
     def load(self, now: Instant, memory: ContactMemory) -> tuple[Load, ContactMemory]:

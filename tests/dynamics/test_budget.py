@@ -22,7 +22,7 @@ COUNTS = (200, 400, 800, 1600)
 @eqx.filter_jit
 def journey(scene: Scene, start, count, integrator: str):
     """Final position [mm], energies at start and end, and the ledger, after `count` (traced) steps."""
-    sys, advance = scene.system(), INTEGRATORS[integrator]
+    sys, advance = scene.system(), INTEGRATORS[integrator].advance
     step = DURATION / count
 
     def guide_at(t):

@@ -17,7 +17,7 @@ Gimbal lock lies where the floating angle is +-90 deg, far outside any knee: the
 axis. The last angle is then set to 0 and the first takes the whole turn, so that the orientation is right all the same;
 derivatives stay finite.
 
-Sources: Bull et al. 2002, Knee Surg Sports Traumatol Arthrosc 10:50, as Michaud et al. 2024 use it (section 2.5: tilt,
+Sources: Bull et al. 2002, Knee Surg Sports Traumatol Arthrosc 10:184, as Michaud et al. 2024 use it (section 2.5: tilt,
 flexion and roll about x, y and z); Grood and Suntay 1983, J Biomech Eng 105:136.
 """
 

@@ -11,19 +11,23 @@ import sys
 
 from pftwin.errors import PftwinError
 
-# Two switches of XLA's CPU compiler. A time step is a thousand scalar operations with two dozen results. By default XLA
-# compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one through
+# Three switches of XLA's CPU compiler. A time step is a thousand scalar operations with two dozen results. By default
+# XLA compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one through
 # its scheduler. The first switch lets one kernel have many results (batches run 3 times faster), the second compiles a
-# loop of a single run into one function (12 times faster); both halve the compile time. Answers do not change.
+# loop of a single run into one function (12 times faster); both halve the compile time. The third uses the whole width
+# of AVX-512 registers where there are any (batches run 15 to 18 % faster). Answers do not change beyond rounding.
 FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=400000")
+VECTOR_WIDTH = "--xla_cpu_prefer_vector_width=512"
 _OPTION = "--xla_backend_extra_options="
 
 
 def fast_cpu_flags(existing: str = "") -> str:
-    """XLA_FLAGS with the fast CPU switches added to whatever was there."""
+    """XLA_FLAGS with the fast CPU switches added to whatever was there; a value that was given stays."""
     words = existing.split()
     given = [w for w in words if w.startswith(_OPTION)]
     others = [w for w in words if not w.startswith(_OPTION)]
+    if not any(w.split("=")[0] == VECTOR_WIDTH.split("=")[0] for w in others):
+        others.append(VECTOR_WIDTH)
     options = [o for w in given for o in w.removeprefix(_OPTION).split(",") if o]
     chosen = {o.split("=")[0] for o in options}
     options += [o for o in FAST_CPU if o.split("=")[0] not in chosen]

@@ -1,0 +1,46 @@
+"""Settings of the process."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from pftwin.runtime import FAST_CPU, VECTOR_WIDTH, fast_cpu_flags
+
+FAST = f"{VECTOR_WIDTH} --xla_backend_extra_options={','.join(FAST_CPU)}"
+
+
+def test_fast_cpu_flags_are_added_once():
+    assert fast_cpu_flags() == FAST
+    assert fast_cpu_flags(FAST) == FAST
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("--xla_dump_to=here", f"--xla_dump_to=here {FAST}"),
+        ("--xla_cpu_prefer_vector_width=256", FAST.replace("512", "256")),
+        ("--xla_backend_extra_options=a", FAST.replace("options=", "options=a,")),
+        (
+            f"--xla_backend_extra_options={FAST_CPU[1].split('=')[0]}=9",
+            FAST.replace(",".join(FAST_CPU), f"{FAST_CPU[1].split('=')[0]}=9,{FAST_CPU[0]}"),
+        ),
+    ],
+)
+def test_what_the_user_chose_stays(given, expected):
+    assert fast_cpu_flags(given) == expected
+
+
+def test_xla_takes_the_flags():
+    """XLA ends a process that gives it an unknown flag."""
+    code = "import os, pftwin; pftwin.configure(); import jax.numpy as jnp; print(float(jnp.ones(2).sum()))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
+    assert done.stdout.strip() == "2.0", done.stderr
+
+
+def test_too_late_is_an_error():
+    code = "import os; os.environ.pop('XLA_FLAGS', None); import jax; jax.devices(); import pftwin; pftwin.configure()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
+    assert "JAX has already computed something" in done.stderr

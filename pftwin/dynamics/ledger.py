@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.dynamics.state import State
-from pftwin.effects.base import Load
+from pftwin.effects.base import Drag, Load
 from pftwin.spatial import Scalar, Vec3
 
 
@@ -41,6 +41,9 @@ class Ledger(eqx.Module):
             if load.wrench is not None and load.energy is None:
                 w = load.wrench
                 work = work + step * (w.force.dot(velocity) + w.moment.dot(spin))
+            if load.drag is not None:
+                put_in, lost = _dragged(load.drag, before, after, velocity, spin, at)
+                work, heat = work + step * put_in, heat + step * lost
             for term in load.stiff:
                 force = next(forces)
                 guided = term.rate + term.direction.dot(before.velocity) + term.moment.dot(before.spin)
@@ -49,6 +52,15 @@ class Ledger(eqx.Module):
                 work = work + step * jnp.sum(force * guided)
                 heat = heat + step * jnp.sum((force - elastic) * rate)
         return Ledger(work, heat)
+
+
+def _dragged(drag: Drag, before: State, after: State, velocity: Vec3, spin: Vec3, at: float) -> tuple[Scalar, Scalar]:
+    """Power put in by what drags and power lost, with the drag's force as it is at the place `at` within the step."""
+    moving, turning = before.velocity - drag.velocity, before.spin - drag.spin
+    ahead = drag.velocity + at * (after.velocity - before.velocity), drag.spin + at * (after.spin - before.spin)
+    w = Drag(drag.translational, drag.rotational, *ahead).wrench()
+    put_in = w.force.dot(moving) + w.moment.dot(turning)
+    return put_in, -w.force.dot(velocity - moving) - w.moment.dot(spin - turning)
 
 
 def _middle(a: Vec3, b: Vec3) -> Vec3:

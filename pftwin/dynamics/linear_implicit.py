@@ -20,15 +20,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from pftwin.dynamics.end_of_step import Push, end_of_step
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.solve import Lower, add_outer, factor, solve
+from pftwin.dynamics.solve import Lower, add_outer
 from pftwin.dynamics.state import Guide, State, System, advance, gyroscopic
 from pftwin.effects.base import Load, StiffTerm
-from pftwin.spatial import Scalar, Vec3
+from pftwin.spatial import Scalar, Vec3, Wrench
 
 ORDER = 1
 SPAN = 0.07  # typical length of a line of force [m]
 LEVER = 0.02  # typical arm of a force on the patella [m]
+FEW = 4  # two-sided terms up to which a system of one row per term is smaller than one of six
 GUIDED_AT = 1.0  # where in the step the guided bodies are looked at: its end
 
 
@@ -40,22 +42,7 @@ def linear_implicit(
         ahead = advance(state, state.velocity, state.spin, step, state.memories).patella()
         loads, memories = system.loads(guide.instant(ahead, step, step), state.memories)
     with jax.named_scope("implicit_solve"):
-        rest = gyroscopic(system.inertia, state.spin)
-        right = [jnp.zeros_like(step)] * 3 + [rest.x, rest.y, rest.z]
-        matrix = _mass_matrix(system)
-        for load in loads:
-            if load.wrench is not None:
-                w = load.wrench
-                right = _add(right, [w.force.x, w.force.y, w.force.z, w.moment.x, w.moment.y, w.moment.z])
-            for term in load.stiff:
-                matrix, right = _with_term(matrix, right, term, step)
-        matrix = _with_turning(matrix, loads, step)
-        dv = _solved(matrix, right, step)
-        for load in loads:
-            for term in load.stiff:
-                if term.unilateral:
-                    matrix, right = _without_if_pulling(matrix, right, term, dv, step)
-        dv = _solved(matrix, right, step)
+        dv = _change_of_velocity(system, state, loads, step)
     after = advance(state, state.velocity + Vec3(*dv[:3]), state.spin + Vec3(*dv[3:]), step, memories)
     if ledger is not None:
         ends = [load._replace(stiff=tuple(_at_end(term, dv, step) for term in load.stiff)) for load in loads]
@@ -63,25 +50,38 @@ def linear_implicit(
     return after, ledger
 
 
-def _solved(matrix: Lower, right: list[Scalar], step: Scalar) -> list[Scalar]:
-    """The change of velocity."""
-    low, inverse = factor(matrix)
-    return solve(low, inverse, [step * r for r in right])
+def _change_of_velocity(system: System, state: State, loads: list[Load], step: Scalar) -> list[Scalar]:
+    """Six components: world axes, then patella axes."""
+    rest = gyroscopic(system.inertia, state.spin)
+    right = [jnp.zeros_like(step)] * 3 + [rest.x, rest.y, rest.z]
+    for load in loads:
+        for wrench in (load.wrench, None if load.drag is None else load.drag.wrench()):
+            if wrench is not None:
+                right = [a + b for a, b in zip(right, _components(wrench), strict=True)]
+    right = [step * a for a in right]
+    diagonal = _diagonal(system, loads, step)
+    terms = [term for load in loads for term in load.stiff]
+    two_sided = [t for t in terms if not t.unilateral]
+    if any(jnp.ndim(t.force) for t in terms) or len(two_sided) > FEW:
+        mass: Lower = [[jnp.zeros_like(step)] * i + [d] for i, d in enumerate(diagonal)]
+        for term in two_sided:
+            mass, right = _with_term(mass, right, term, step)
+        two_sided = []
+    else:
+        mass = diagonal  # type: ignore[assignment]
+    pushes = [
+        Push(_components(Wrench(t.direction, t.moment)), step * t.force, _weight(t, step), t.unilateral)
+        for t in (*two_sided, *(t for t in terms if t.unilateral))
+    ]
+    return end_of_step(mass, pushes, right)[0]
 
 
-def _without_if_pulling(
-    matrix: Lower, right: list[Scalar], term: StiffTerm, dv: list[Scalar], step: Scalar
-) -> tuple[Lower, list[Scalar]]:
-    """Takes a unilateral term out again if it would end the step with a pull."""
-    change = term.direction.dot(Vec3(*dv[:3])) + term.moment.dot(Vec3(*dv[3:]))
-    end = term.force - (step * term.stiffness + term.damping) * change
-    pulls = jnp.where(end < 0, -1.0, 0.0)
-    gone = eqx.tree_at(
-        lambda t: (t.force, t.stiffness, t.damping),
-        term,
-        (pulls * term.force, pulls * term.stiffness, pulls * term.damping),
-    )
-    return _with_term(matrix, right, gone, step)
+def _components(w: Wrench) -> list[Scalar]:
+    return [w.force.x, w.force.y, w.force.z, w.moment.x, w.moment.y, w.moment.z]
+
+
+def _weight(term: StiffTerm, step: Scalar) -> Scalar:
+    return step * (step * term.stiffness + term.damping)
 
 
 def _at_end(term: StiffTerm, dv: list[Scalar], step: Scalar) -> StiffTerm:
@@ -94,32 +94,27 @@ def _at_end(term: StiffTerm, dv: list[Scalar], step: Scalar) -> StiffTerm:
     return eqx.tree_at(lambda t: (t.force, t.elastic), term, (force, elastic))
 
 
-def _mass_matrix(system: System) -> Lower:
-    zero = jnp.zeros_like(system.mass)
-    i = system.inertia
-    diagonal = [system.mass, system.mass, system.mass, i.x, i.y, i.z]
-    return [[zero] * row + [d] for row, d in enumerate(diagonal)]
+def _diagonal(system: System, loads: list[Load], step: Scalar) -> list[Scalar]:
+    """Mass and moments of inertia, the drags' share, and h^2 times what the forces' turning amounts to.
 
-
-def _with_turning(matrix: Lower, loads: list[Load], step: Scalar) -> Lower:
-    """Adds h^2 times what the forces' turning amounts to: f / span against displacement, f lever against rotation.
-
-    A force f that turns with the body is a spring across its own direction. Only its size matters here: the step stays
-    of the same order whatever is added, and large steps stay stable.
+    A force f that turns with the body is a spring across its own direction: about f / SPAN against displacement,
+    f LEVER against rotation. Only its size matters here: the step stays of the same order whatever is added, and large
+    steps stay stable.
     """
     total = sum((jnp.sum(term.force) for load in loads for term in load.stiff), start=jnp.zeros_like(step))
-    across, about = (step * step / SPAN) * total, (step * step * LEVER) * total
-    return [[*row[:-1], row[-1] + (across if i < 3 else about)] for i, row in enumerate(matrix)]
+    across = system.mass + (step * step / SPAN) * total
+    about = (step * step * LEVER) * total
+    for load in loads:
+        if load.drag is not None:
+            across = across + step * load.drag.translational
+            about = about + step * load.drag.rotational
+    i = system.inertia
+    return [across, across, across, i.x + about, i.y + about, i.z + about]
 
 
-def _with_term(matrix: Lower, right: list[Scalar], term: StiffTerm, step: Scalar) -> tuple[Lower, list[Scalar]]:
-    """Adds w g g^T and g f; a group is summed over its leading axis."""
-    d, m = term.direction, term.moment
-    g = [d.x, d.y, d.z, m.x, m.y, m.z]
-    weight = step * (step * term.stiffness + term.damping)
-    add = [jnp.sum(term.force * a) if jnp.ndim(term.force) else term.force * a for a in g]
-    return add_outer(matrix, g, weight), _add(right, add)
-
-
-def _add(a: list[Scalar], b: list[Scalar]) -> list[Scalar]:
-    return [x + y for x, y in zip(a, b, strict=True)]
+def _with_term(mass: Lower, right: list[Scalar], term: StiffTerm, step: Scalar) -> tuple[Lower, list[Scalar]]:
+    """Adds w g g^T and the impulse along g; a group is summed over its leading axis."""
+    g = _components(Wrench(term.direction, term.moment))
+    impulse = step * term.force
+    add = [jnp.sum(impulse * a) if jnp.ndim(impulse) else impulse * a for a in g]
+    return add_outer(mass, g, _weight(term, step)), [a + b for a, b in zip(right, add, strict=True)]

@@ -94,11 +94,4 @@ def gyroscopic(inertia: Vec3, spin: Vec3) -> Vec3:
 
 def advance(state: State, velocity: Vec3, spin: Vec3, step: Scalar, memories: tuple[Any, ...]) -> State:
     """The state after moving for a step with the given velocities."""
-    turn = Quaternion.from_rotation_vector(step * spin)
-    return State(
-        state.position + step * velocity,
-        (state.orientation * turn).normalised(),
-        velocity,
-        spin,
-        memories,
-    )
+    return State(state.position + step * velocity, state.orientation.turned(step * spin), velocity, spin, memories)

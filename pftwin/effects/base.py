@@ -43,9 +43,13 @@ class Patella(eqx.Module):
         """A patella that does not move."""
         return Patella(position, orientation.rotation(), Vec3.zero(), Vec3.zero())
 
-    def velocity_at(self, p: Vec3) -> Vec3:
-        """World velocity of the patella's point p (patella frame)."""
-        return self.velocity + self.rotation.apply(self.spin.cross(p))
+    def arm(self, p: Vec3) -> Vec3:
+        """From the centre of mass to the patella's point p (patella frame), world axes [m]."""
+        return self.rotation.apply(p)
+
+    def velocity_at(self, arm: Vec3) -> Vec3:
+        """World velocity of the patella's point at `arm` from the centre of mass (world axes)."""
+        return self.velocity + self.rotation.apply(self.spin).cross(arm)
 
 
 class Instant(eqx.Module):
@@ -90,16 +94,36 @@ class StiffTerm(eqx.Module):
         return Wrench((self.force * self.direction).sum(), (self.force * self.moment).sum())
 
 
+class Drag(eqx.Module):
+    """A viscous drag on the whole body, alike in every direction: force -c_t v, moment -c_r w."""
+
+    translational: Scalar  # c_t [N s/m]
+    rotational: Scalar  # c_r [N m s/rad]
+    velocity: Vec3  # v, of the centre of mass relative to what drags, world [m/s]
+    spin: Vec3  # w, relative, patella axes [rad/s]
+
+    def wrench(self) -> Wrench:
+        """Force in world axes, moment in patella axes."""
+        return Wrench(-self.translational * self.velocity, -self.rotational * self.spin)
+
+    def dissipation(self) -> Scalar:
+        """Rate at which work turns into heat [W]."""
+        return self.translational * self.velocity.squared_norm() + self.rotational * self.spin.squared_norm()
+
+
 class Load(NamedTuple):
     """What an effect does to the patella at an instant."""
 
     stiff: tuple[StiffTerm, ...] = ()
+    drag: Drag | None = None
     wrench: Wrench | None = None  # all that is not stiff: force in world axes, moment in patella axes
     energy: Scalar | None = None  # stored [J]
 
     def total(self) -> Wrench:
-        """The whole wrench, stiff terms included."""
+        """The whole wrench, stiff terms and drag included."""
         out = self.wrench if self.wrench is not None else Wrench.zero()
+        if self.drag is not None:
+            out = out + self.drag.wrench()
         for term in self.stiff:
             out = out + term.wrench()
         return out
@@ -110,8 +134,10 @@ class Load(NamedTuple):
         return w.force.dot(patella.velocity) + w.moment.dot(patella.spin)
 
     def dissipation(self) -> Scalar:
-        """Rate at which the stiff terms turn work into heat [W]."""
+        """Rate at which stiff terms and drag turn work into heat [W]."""
         lost = [jnp.sum((t.force - t.elastic) * t.rate) for t in self.stiff]
+        if self.drag is not None:
+            lost.append(self.drag.dissipation())
         return sum(lost, start=jnp.zeros(()))
 
 

@@ -65,8 +65,9 @@ class SphereContact(Effect):
     def centre_in_chart(self, now: Instant) -> tuple[Vec3, Vec3]:
         """The sphere's centre and its velocity relative to the femur, in the chart's frame."""
         patella, femur = now.patella, now.femur
-        centre = patella.position + patella.rotation.apply(self.center)
-        velocity = femur.relative_velocity(patella.velocity_at(self.center), centre)
+        arm = patella.arm(self.center)
+        centre = patella.position + arm
+        velocity = femur.relative_velocity(patella.velocity_at(arm), centre)
         chart = self.surface.chart
         return chart.to_frame(femur.to_local(centre)), chart.axes.unapply(femur.local_direction(velocity))
 
@@ -91,14 +92,12 @@ class SphereContact(Effect):
     def touches(self, now: Instant, memory: ContactMemory) -> tuple[Touch, Touch, ContactMemory]:
         """The medial and the lateral contact at this instant, and the memory for the next."""
         c, velocity = self.centre_in_chart(now)
-        # A Newton step forgets its start to second order, so no derivative needs to pass through it.
-        facets = follow_facets(self.surface, c, self.radius, stop_gradient(memory.places))
+        facets = follow_facets(self.surface, c, self.radius, memory.places)
         points = (facets.medial, facets.lateral)
         speeds = memory.approach_speeds or (None, None)
         one, two = (self._touch(now, p, velocity, speed, facets.share) for p, speed in zip(points, speeds, strict=True))
-        medial, lateral = (
-            (p.u + now.step * p.drift_u.dot(velocity), p.v + now.step * p.drift_v.dot(velocity)) for p in points
-        )
+        way = now.step * velocity
+        medial, lateral = (stop_gradient((p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way))) for p in points)
         begun = None
         if one.approach_speed is not None and two.approach_speed is not None:
             begun = one.approach_speed, two.approach_speed

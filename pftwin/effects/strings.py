@@ -29,12 +29,12 @@ def line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3) -> Lin
     Where the two points coincide the direction is the zero vector, with finite derivatives.
     """
     patella, segment = now.patella, now.segment(body)
-    inserted = patella.position + patella.rotation.apply(insertion)
+    arm = patella.arm(insertion)
     anchor = segment.point(origin)
-    line = anchor - inserted
+    line = anchor - (patella.position + arm)
     length = line.norm()
     direction = line * (1 / _at_least(length))
-    velocity = segment.relative_velocity(patella.velocity_at(insertion), anchor)
+    velocity = segment.relative_velocity(patella.velocity_at(arm), anchor)
     return Line(length, -direction.dot(velocity), direction, applied_at(insertion, patella, direction))
 
 

@@ -63,8 +63,8 @@ class LubricatedContact(SphereContact):
         for touch in (one, two):
             normal = touch.term.direction
             lever = self.center - self.radius * now.patella.rotation.unapply(normal)
-            at = now.patella.position + now.patella.rotation.apply(lever)
-            slip = now.femur.relative_velocity(now.patella.velocity_at(lever), at)
+            arm = now.patella.arm(lever)
+            slip = now.femur.relative_velocity(now.patella.velocity_at(arm), now.patella.position + arm)
             slip = slip - slip.dot(normal) * normal
             speed = safe_sqrt(slip.squared_norm() + STICTION_SPEED**2)
             drag = (-FRICTION * touch.term.force / speed) * slip

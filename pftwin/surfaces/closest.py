@@ -6,12 +6,21 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.charts import Chart, Jet
 
 PUSH = 0.04  # of the longest step: what moves a point off a saddle
 FLATTEST = 0.1  # curvatures of the distance below this share of the tangents' own are raised to it
+SHORT = 0.1  # of the longest step: up to here the surface's Taylor expansion at the start tells where the step ends
+
+
+class Profile(NamedTuple):
+    """A surface along v at one u: functions of v for v on the surface's domain."""
+
+    height_and_slope: Callable[[Scalar], tuple[Scalar, Scalar]]  # the slope is that along u
+    curvature: Callable[[Scalar], Scalar]  # second derivative along u
 
 
 class Surface(Protocol):
@@ -34,8 +43,8 @@ class Surface(Protocol):
         """The nearest coordinate across the groove that lies on the domain."""
         ...
 
-    def profile(self, u: Scalar) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
-        """Height and slope along u as a function of v, at one u."""
+    def profile(self, u: Scalar) -> Profile:
+        """The surface along v at one u."""
         ...
 
     def unstacked(self) -> Surface:
@@ -63,36 +72,41 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point
     crawls rather than leaps. Where the Hessian is not positive definite (a saddle between two facets, say) the step
     goes downhill with the curvatures' absolute values and a small push across the groove, towards the sign of `push`,
-    so that no start is held by a saddle. The distance returned is that of the surface point reached, never an
-    extrapolation: a point that is still on its way understates an indentation and cannot invent one.
+    so that no start is held by a saddle. Distance and normal are those at the end of a short step, by the surface's
+    second-order expansion (off by the step cubed: far below a nanometre when following), and those at the start of a
+    long one: a point that is still on its way understates an indentation and cannot invent one.
+
+    Derivatives are those of the closest point by the implicit function theorem: the Hessian is not differentiated, so
+    first derivatives are exact where the step is short, and second derivatives of the normal are not to be had.
     """
     jet = surface.jet(u, v)
     s = surface.chart.separation(c, u, v, jet)
-    (gu, gv), (huu, huv, hvv), (tu, tv) = s.gradient, s.hessian, s.tangents
-    least_u, least_v = FLATTEST * s.gram[0], FLATTEST * s.gram[2]
+    gu, gv = s.gradient
+    (huu, huv, hvv), gram, (tu, tv) = stop_gradient((s.hessian, s.gram, s.tangents))
     convex = (huu > 0) & (huu * hvv > huv * huv)
     # Raising the second pivot alone keeps a flat valley's direction.
-    auu = jnp.maximum(jnp.where(convex, huu, jnp.abs(huu)), least_u)
-    auv = jnp.where(convex, huv, 0.0)
-    ratio = auv / auu
-    pivot = jnp.maximum(jnp.where(convex, hvv - ratio * huv, jnp.abs(hvv)), least_v)
-    dv = -(gv - ratio * gu) / pivot
-    dv = jnp.where(convex, dv, dv + push * PUSH * longest)
+    over_u = 1 / jnp.maximum(jnp.where(convex, huu, jnp.abs(huu)), FLATTEST * gram[0])
+    ratio = jnp.where(convex, huv, 0.0) * over_u
+    over_v = 1 / jnp.maximum(jnp.where(convex, hvv - ratio * huv, jnp.abs(hvv)), FLATTEST * gram[2])
+    dv = (ratio * gu - gv) * over_v + jnp.where(convex, 0.0, push * PUSH * longest)
     dv = jnp.clip(dv, -longest, longest)
-    du = jnp.clip(-gu / auu - ratio * dv, -longest, longest)
-    reached = surface.jet(u + du, v + dv)
-    point = surface.chart.local_point(u + du, v + dv, reached.f)
-    normal = surface.chart.normal(u + du, reached.f, reached.u, reached.v)
-    away = c - point
-    height = away.dot(normal)
-    drift_v = (tv - ratio * tu) * (1 / pivot)
+    du = jnp.clip(-gu * over_u - ratio * dv, -longest, longest)
+    length = jnp.maximum(jnp.abs(du), jnp.abs(dv))
+    short = jnp.where(length < SHORT * longest, 1.0, 0.0)
+    u_there, v_there = u + short * du, v + short * dv
+    curvatures = stop_gradient((jet.uu, jet.uv, jet.vv))
+    height, slope_u, slope_v = Jet(jet.f, jet.u, jet.v, *curvatures).shifted(short * du, short * dv)
+    normal = surface.chart.normal(u_there, height, slope_u, slope_v)
+    away = c - surface.chart.local_point(u_there, v_there, height)
+    distance = away.norm()
+    drift_v = (tv - ratio * tu) * over_v
     return ClosestPoint(
         u + du,
         v + dv,
-        jnp.where(height < 0, -away.norm(), away.norm()),
+        jnp.where(away.dot(normal) < 0, -distance, distance),
         normal,
-        jnp.maximum(jnp.abs(du), jnp.abs(dv)),
+        length,
         convex,
-        tu * (1 / auu) - ratio * drift_v,
+        tu * over_u - ratio * drift_v,
         drift_v,
     )

@@ -7,22 +7,28 @@ keep them right:
 - They repel: off a saddle (a groove that has become too narrow for the sphere) the medial point is pushed medially, the
   lateral one laterally, so that each ends on its own facet. Where the distance has one minimum they meet in it.
 - They are watched: the distance is sampled on a coarse fan across the groove, and a point that is far from the fan's
-  first (medial) or last (lateral) minimum starts again there. A facet that comes near is found before it touches.
+  first (medial) or last (lateral) minimum starts again there, or where the other point is if that is there already. A
+  facet that comes near is found before it touches.
 - They share: each bears half of the contact law's force where they are one and all of it where they are two, smoothly
   in between, so the force has no jump where facets merge and nothing is counted twice.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 
 from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.charts import Jet
 from pftwin.surfaces.closest import ClosestPoint, Surface, newton_step
 
-SPACING = 0.11  # of the fan's samples across the groove, in radii
-FAN = tuple(SPACING * k for k in range(-6, 7))  # their places, in radii from the sphere's centre
+SPACING = 0.165  # of the fan's samples across the groove, in radii
+FAN = tuple(SPACING * k for k in range(-4, 5))  # their places, in radii from the sphere's centre
 LONGEST = 0.12  # radii: the longest Newton step
 MERGED, APART = 0.02, 0.20  # separations, in radii, between which one contact becomes two
 ASTRAY = 1.2  # spacings from the fan's minimum beyond which a followed point starts again
@@ -45,57 +51,52 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place
         surface: with a chart whose v runs across the groove, medial to lateral.
         c: centre of the sphere, chart frame [m].
         radius: of the sphere [m].
-        places: where the medial and the lateral point were, moved along with the sphere.
+        places: where the medial and the lateral point were, moved along with the sphere. Taken as they are: a Newton
+            step forgets its start to second order, so derivatives do not pass through them.
     """
+    places = stop_gradient(places)
     near = 0.5 * (places[0][0] + places[1][0])
-    seen = scan_facets(surface, c, radius, near)
-    astray = ASTRAY * SPACING * radius
+    # What only decides where a search starts is not differentiated.
+    still, (c_still, radius_still) = _without_derivatives(surface), stop_gradient((c, radius))
+    seen = scan_facets(still, c_still, radius_still, near)
+    astray = ASTRAY * SPACING * radius_still
     points = []
-    for (u, v), (fan_u, fan_v), side in zip(places, seen, (-1.0, 1.0), strict=True):
+    for (u, v), other, fan_v, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
         lost = jnp.abs(surface.clipped(v) - fan_v) > astray
-        start = jnp.where(lost, fan_u, u), jnp.where(lost, fan_v, v)
-        points.append(newton_step(surface, c, *start, LONGEST * radius, push=side))
+        # Where the other point follows the minimum already, its place is better than the fan's.
+        joins = lost & (jnp.abs(surface.clipped(other[1]) - fan_v) <= astray)
+        u = jnp.where(lost, jnp.where(joins, other[0], near), u)
+        v = jnp.where(lost, jnp.where(joins, other[1], fan_v), v)
+        points.append(newton_step(surface, c, u, v, LONGEST * radius_still, push=side))
     medial, lateral = points
     t = jnp.clip((jnp.abs(lateral.v - medial.v) / radius - MERGED) / (APART - MERGED), 0.0, 1.0)
     return Facets(medial, lateral, 0.5 + 0.5 * t * t * (3 - 2 * t))
 
 
-def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[Place, Place]:
-    """Places near the first and the last local minimum of the fan, refined by the parabola through three samples.
+def _without_derivatives(surface: Surface) -> Surface:
+    return jax.tree.map(lambda a: stop_gradient(a) if eqx.is_inexact_array(a) else a, surface)
 
-    Along the groove the distance has one well-shaped minimum, so a u near it suffices. The fan stays on the surface's
-    domain; contacts beyond it are reached from its edge.
+
+def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[Scalar, Scalar]:
+    """Coordinates across the groove of the fan's first and last local minimum of the distance, at one u near both.
+
+    Along the groove the distance has one well-shaped minimum, which each sample takes at its own place by a Newton
+    step of u. The fan stays on the surface's domain; contacts beyond it are reached from its edge.
     """
-    spacing = SPACING * radius
     _, middle = surface.chart.foot(c)
-    across, along = surface.profile(u), surface.chart.half_square(c, u)
-    jet = surface.jet(u, middle)
-    s = surface.chart.separation(c, u, middle, jet)
-    compliance = 1 / jnp.maximum(s.hessian[0], 0.2 * s.gram[0])  # along the groove much the same across the fan
-    phi, places = [], []
-    for k in FAN:
-        v = surface.clipped(middle + k * radius)
-        value, slope = along(v, *across(v))
-        shift = -compliance * slope
-        phi.append(value + 0.5 * shift * slope)
-        places.append((u + shift, v))
-    last = len(FAN) - 1
-    found: list[tuple[Scalar, Place]] = []
-    for k, (at_u, at_v) in enumerate(places):
-        left, right = phi[max(k - 1, 0)], phi[min(k + 1, last)]
-        if k in (0, last):
-            lowest = phi[k] < (right if k == 0 else left)
-        else:
-            lowest = (phi[k] < left) & (phi[k] <= right)
-            bend = jnp.maximum(left - 2 * phi[k] + right, 1e-30)
-            at_v = at_v + spacing * jnp.clip(0.5 * (left - right) / bend, -0.5, 0.5)
-        found.append((lowest, (at_u, at_v)))
-    return _first(found), _first(found[::-1])
-
-
-def _first(found: list[tuple[Scalar, Place]]) -> Place:
-    """The first place of a list at which the condition holds; there is always one."""
-    u, v = found[-1][1]
-    for condition, (a, b) in reversed(found[:-1]):
-        u, v = jnp.where(condition, a, u), jnp.where(condition, b, v)
-    return u, v
+    profile, half_square = surface.profile(u), surface.chart.half_square(c, u)
+    height, slope = profile.height_and_slope(middle)
+    zero = jnp.zeros_like(height)
+    s = surface.chart.separation(c, u, middle, Jet(height, slope, zero, profile.curvature(middle), zero, zero))
+    compliance = 0.5 / jnp.maximum(s.hessian[0], 0.2 * s.gram[0])  # along the groove much the same across the fan
+    places = [surface.clipped(middle + k * radius) for k in FAN]
+    phi = []
+    for v in places:
+        value, gradient = half_square(v, *profile.height_and_slope(v))
+        phi.append(value - compliance * gradient * gradient)
+    falls = [after < before for before, after in pairwise(phi)]
+    first, last = places[-1], places[0]
+    for k in range(len(falls)):
+        first = jnp.where(falls[-1 - k], first, places[-2 - k])
+        last = jnp.where(falls[k], places[k + 1], last)
+    return first, last

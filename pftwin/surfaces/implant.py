@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -21,6 +20,7 @@ import numpy as np
 from pftwin.errors import InputError
 from pftwin.spatial import Rotation, Scalar, Vec3
 from pftwin.surfaces.charts import CylindricalChart, Jet
+from pftwin.surfaces.closest import Profile
 
 if TYPE_CHECKING:
     from pftwin.surfaces.mesh import SurfaceMesh
@@ -99,13 +99,13 @@ class FemoralComponent(eqx.Module):
         """The nearest coordinate across the groove that lies on the component."""
         return jnp.clip(v, -self.half_width, self.half_width)
 
-    def profile(self, u: Scalar) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
-        """Height and slope along u as a function of v, at one u."""
+    def profile(self, u: Scalar) -> Profile:
+        """The surface along v at one u, by forward differentiation."""
 
-        def at(v: Scalar) -> tuple[Scalar, Scalar]:
+        def height_and_slope(v: Scalar) -> tuple[Scalar, Scalar]:
             return jax.jvp(lambda a: self.height(a, v), (u,), (jnp.ones_like(u),))
 
-        return at
+        return Profile(height_and_slope, lambda v: self.jet(u, v).uu)
 
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
         """How far beyond the component's edge a point lies [m]; zero inside."""

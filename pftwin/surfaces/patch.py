@@ -7,7 +7,7 @@ stay continuous (C1), and `outside` says that the edge has been crossed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from jaxtyping import Array
 
 from pftwin.spatial import Scalar
 from pftwin.surfaces.charts import Chart, Jet
+from pftwin.surfaces.closest import Profile
 
 
 def exponents(degree: int) -> list[tuple[int, int]]:
@@ -73,8 +74,8 @@ class PolynomialPatch(eqx.Module):
         """The nearest coordinate across the groove that lies on the fitted rectangle."""
         return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
 
-    def profile(self, u: Scalar) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
-        """The patch along v at one u: a function v -> (height, slope along u), at a fifth of a jet's price.
+    def profile(self, u: Scalar) -> Profile:
+        """The patch along v at one u, at a fifth of a jet's price for each v.
 
         Only for v on the fitted rectangle; u may lie beyond it.
         """
@@ -83,15 +84,23 @@ class PolynomialPatch(eqx.Module):
         scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
         a = (u - self.center[0]) * scale_u
         ai = jnp.clip(a, -1.0, 1.0)
-        rows = [_horner([c[index[i, j]] for i in range(n + 1 - j)], ai)[:2] for j in range(n + 1)]
-        slopes = [slope * scale_u for _, slope in rows if slope is not None]
-        heights = [h if slope is None else h + (a - ai) * slope for h, slope in rows]
+        rows = [_horner([c[index[i, j]] for i in range(n + 1 - j)], ai) for j in range(n + 1)]
+        slopes = [slope * scale_u for _, slope, _ in rows if slope is not None]
+        heights = [h if slope is None else h + (a - ai) * slope for h, slope, _ in rows]
+        inside = jnp.where(a == ai, scale_u * scale_u, 0.0)
 
-        def at(v: Scalar) -> tuple[Scalar, Scalar]:
-            b = (v - self.center[1]) * scale_v
+        def across(v: Scalar) -> Scalar:
+            return (v - self.center[1]) * scale_v
+
+        def height_and_slope(v: Scalar) -> tuple[Scalar, Scalar]:
+            b = across(v)
             return _value(heights, b), _value(slopes, b)
 
-        return at
+        def curvature(v: Scalar) -> Scalar:
+            bends = [bend for *_, bend in rows if bend is not None]
+            return inside * _value(bends, across(v)) if bends else jnp.zeros_like(v)
+
+        return Profile(height_and_slope, curvature)
 
 
 def _value(c: Sequence[Scalar], x: Scalar) -> Scalar:

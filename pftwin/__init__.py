@@ -11,6 +11,7 @@ Programs that want double precision and fast compilation call `pftwin.configure(
 from __future__ import annotations
 
 from importlib import import_module
+from time import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from pftwin.scene_file import load_scene
 
     __version__: str
+
+imported_at = time()  # [s] since the epoch: source that is newer is not what this process runs
 
 _HOME = {
     "InputError": "errors",

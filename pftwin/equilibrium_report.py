@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from pftwin.dynamics.equilibrium import LEVER, Solution, tolerance_of
 from pftwin.dynamics.trajectory import first_guide
 from pftwin.effects.base import Patella
+from pftwin.kept.program import Program
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion
 
@@ -125,7 +125,7 @@ class EquilibriumReport:
         }
 
 
-@eqx.filter_jit
+@Program
 def _look(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
     """Pose of the patella in the femur and observables, with the patella at rest at a pose of its centre of mass."""
     system, guide = scene.system(), first_guide(scene)

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin import tracking
+from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, Status
-from pftwin.dynamics.trajectory import Trajectory
 from pftwin.effects.base import Observable
 from pftwin.equilibrium_report import EquilibriumReport
 from pftwin.motion import KneeMotion, SegmentMotion
@@ -77,8 +78,9 @@ class Result:
     def build(
         cls,
         scene: Scene,
-        path: Trajectory,
+        start: Solution,
         seen: Observation,
+        ledger: Ledger | None,
         *,
         relaxed: bool,
         settings: dict[str, Any],
@@ -88,13 +90,14 @@ class Result:
 
         Args:
             scene: what was simulated.
-            path: its trajectory.
+            start: the equilibrium it started from.
             seen: its observation.
+            ledger: work and heat at the frames, where an account was kept.
             relaxed: whether damped relaxation helped to find the starting equilibrium.
             settings: integrator, "dt_s", "substeps".
-            timing: "equilibrium_s", "run_s".
+            timing: "equilibrium_s", "run_s", "compile_s".
         """
-        seen, ledger = jax.device_get((seen, path.ledger))
+        seen, ledger, start = jax.device_get((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
         contact = scene.contact
         work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
@@ -111,7 +114,7 @@ class Result:
             groups=_groups(scene),
             energies=Energies(_double(seen.kinetic_energy), stored, work, heat),
             flags=np.asarray(seen.status, dtype=np.int32),
-            equilibrium=EquilibriumReport.build(scene, path.start, relaxed, there=first),
+            equilibrium=EquilibriumReport.build(scene, start, relaxed, there=first),
             contact=None if contact is None else contact.name,
             surface=None if contact is None else contact.surface,
             settings=dict(settings),
@@ -239,10 +242,11 @@ def _knee_angles(motion: KneeMotion) -> TibiofemoralAngles:
 
 
 def _orientation(motion: SegmentMotion, times: Floats) -> Quaternion:
-    from scipy.interpolate import PPoly
-
-    spline = PPoly(_double(motion.quaternion_coefficients), _double(motion.knots))
-    q = spline(times)
+    """The spline's quaternions, as `SegmentMotion.frames` has them, on the host in double precision."""
+    knots, c = _double(motion.knots), _double(motion.quaternion_coefficients)
+    interval = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, knots.size - 2)
+    s, c = (times - knots[interval])[:, None], c[:, interval]
+    q = ((c[0] * s + c[1]) * s + c[2]) * s + c[3]
     return Quaternion(*(q / np.linalg.norm(q, axis=1, keepdims=True)).T)
 
 

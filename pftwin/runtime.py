@@ -12,10 +12,11 @@ import sys
 from pftwin.errors import PftwinError
 
 # Three switches of XLA's CPU compiler. A time step is a thousand scalar operations with two dozen results. By default
-# XLA compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one through
-# its scheduler. The first switch lets one kernel have many results (batches run 3 times faster), the second compiles a
-# loop of a single run into one function (12 times faster); both halve the compile time. The third uses the whole width
-# of AVX-512 registers where there are any (batches run 15 to 18 % faster). Answers do not change beyond rounding.
+# XLA compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one
+# through its scheduler. The first switch lets one kernel have many results (batches run 3 times faster), the second
+# compiles a loop of a single run into one function (12 times faster); both halve the compile time. The third uses the
+# whole width of AVX-512 registers where there are any (batches run 15 to 18 % faster). Answers do not change beyond
+# rounding.
 FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=400000")
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width=512"
 _OPTION = "--xla_backend_extra_options="
@@ -35,9 +36,16 @@ def fast_cpu_flags(existing: str = "") -> str:
 
 
 def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | os.PathLike[str] | None = None) -> None:
-    """Sets up the process: double precision, fast CPU compilation, and a folder in which compiled programs persist.
+    """Sets up the process: double precision, fast CPU compilation, and a folder in which things persist.
 
     Call it before the first JAX computation.
+
+    Args:
+        float64: compute in double precision.
+        fast_cpu: switch on the fast CPU compilation.
+        cache_dir: folder in which compiled programs, and what was derived from files (fitted patches, filtered
+            recordings), are kept for later processes. What is found in it is loaded and run, so nobody else must be
+            able to write to it. By default nothing is kept.
 
     Raises:
         PftwinError: JAX has already started, and `fast_cpu` could have no effect any more.
@@ -55,6 +63,9 @@ def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | o
     if float64:
         jax.config.update("jax_enable_x64", True)
     if cache_dir is not None:
+        from pftwin.kept import folder
+
+        folder.use(cache_dir)
         jax.config.update("jax_compilation_cache_dir", str(cache_dir))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
+import numpy as np
 
-from pftwin.dynamics.equilibrium import Solution, relax
+from pftwin.dynamics.equilibrium import Solution, relax, tolerance_of
+from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
-from pftwin.dynamics.timing import timed
 from pftwin.dynamics.trajectory import (
-    Trajectory,
     first_guide,
     integrator_named,
     starting_equilibrium,
     substeps_for,
     trajectory,
 )
+from pftwin.kept.program import Program, Timed
 from pftwin.scene import Scene, check
 from pftwin.spatial import Pose
 
@@ -25,31 +25,39 @@ if TYPE_CHECKING:
     from pftwin.result import Result
 
 
-@eqx.filter_jit
+@Program
 def _solve(scene: Scene, guess: Pose | None) -> Solution:
     return starting_equilibrium(scene, guess)
 
 
-@eqx.filter_jit
+@Program
 def _relaxed(scene: Scene) -> Pose:
     pose = relax(scene.system(), first_guide(scene), scene.center_of_mass_pose())
     return Pose(pose.apply(-scene.patella.center_of_mass), pose.orientation)
 
 
-@eqx.filter_jit
+@Program
 def _run(
-    scene: Scene, start: Solution | None, integrator: str, substeps: int, energy: bool
-) -> tuple[Trajectory, Observation]:
+    scene: Scene, start: Solution, integrator: str, substeps: int, energy: bool
+) -> tuple[Observation, Ledger | None]:
     path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy)
-    return path, observe(scene, path)
+    return observe(scene, path), path.ledger
 
 
-def settle(scene: Scene) -> tuple[Solution, bool]:
+def settle(scene: Scene) -> tuple[Timed, bool]:
     """The equilibrium at the first frame, and whether the damped relaxation had to help."""
-    solution = _solve(scene, None)
-    if bool(solution.converged()):
-        return solution, False
-    return _solve(scene, _relaxed(scene)), True
+    found = _solve.timed(scene, None)
+    if _converged(found.answer):
+        return found, False
+    rest = _relaxed.timed(scene)
+    again = _solve.timed(scene, rest.answer)
+    run, preparation = (sum(t[i] for t in (found, rest, again)) for i in (1, 2))
+    return Timed(again.answer, run, preparation), True
+
+
+def _converged(solution: Solution) -> bool:
+    """`Solution.converged` on the host: no program is compiled for it."""
+    return bool(np.asarray(solution.residual) < tolerance_of(solution.residual.dtype))
 
 
 def simulate(
@@ -76,15 +84,16 @@ def simulate(
     integrator_named(integrator)
     substeps = substeps_for(scene.motion.frame_interval, dt)
     plain = scene.unnamed()
-    (start, relaxed), settling, compiling_start = timed(settle, plain)
-    (path, seen), running, compiling_run = timed(_run, plain, start, integrator, substeps, energy_budget)
+    start, relaxed = settle(plain)
+    (seen, ledger), run, preparation = _run.timed(plain, start.answer, integrator, substeps, bool(energy_budget))
     return Result.build(
         scene,
-        path,
+        start.answer,
         seen,
+        ledger,
         relaxed=relaxed,
         settings={"integrator": integrator, "dt_s": scene.motion.frame_interval / substeps, "substeps": substeps},
-        timing={"equilibrium_s": settling, "run_s": running, "compile_s": compiling_start + compiling_run},
+        timing={"equilibrium_s": start.run, "run_s": run, "compile_s": start.preparation + preparation},
     )
 
 
@@ -102,4 +111,4 @@ def equilibrium(scene: Scene) -> EquilibriumReport:
 
     check(scene)
     solution, relaxed = settle(scene.unnamed())
-    return EquilibriumReport.build(scene, solution, relaxed)
+    return EquilibriumReport.build(scene, solution.answer, relaxed)

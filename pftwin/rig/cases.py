@@ -15,9 +15,10 @@ from pftwin.effects.gravity import Gravity
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
+from pftwin.kept.values import kept
 from pftwin.motion import KneeMotion
 from pftwin.rig import geometry as rig
-from pftwin.rig.recording import IMPLANT_FILE, Recording, data_folder, read_recording
+from pftwin.rig.recording import IMPLANT_FILE, Recording, data_folder, read_recording, recording_files
 from pftwin.scene import PatellaBody, Scene
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.surfaces.closest import Surface
@@ -44,6 +45,10 @@ def implant_mesh() -> SurfaceMesh:
 
 @lru_cache(maxsize=32)
 def _fit(degree: int, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
+    return kept(_fitted, degree, chart, float64, files=(data_folder() / IMPLANT_FILE,))
+
+
+def _fitted(degree: int, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
     mesh = implant_mesh()
     return fit_patch(mesh, degree=degree, chart=chart, region=rig_region(mesh))
 
@@ -59,10 +64,10 @@ def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "p
     return _fit(parse_degree(contact), chart, number(0.0).dtype == jnp.float64)
 
 
-def _case(n: int) -> rig.Case:
+def _case_number(n: int) -> int:
     if n not in rig.CASES:
         raise InputError(f"no case {n!r} of the rig", where="case", expected="1, 2, 3 or 4")
-    return rig.CASES[n]
+    return int(n)
 
 
 def springs(case: rig.Case) -> tuple[Tendon, Tendon]:
@@ -105,11 +110,19 @@ def patella_body() -> PatellaBody:
     return PatellaBody(number(rig.MASS), vector(rig.INERTIA), vector(rig.CENTER_OF_MASS))
 
 
-@lru_cache(maxsize=4)
 def recording(n: int) -> Recording:
     """What the rig's laboratory recorded of a case (synthetic), read and filtered like a user's files."""
-    _case(n)
-    return read_recording(n)
+    return _recorded(_case_number(n), number(0.0).dtype == jnp.float64)[0]
+
+
+@lru_cache(maxsize=8)
+def _recorded(n: int, float64: bool) -> tuple[Recording, KneeMotion]:
+    return kept(_read, n, float64, files=recording_files(n))
+
+
+def _read(n: int, float64: bool) -> tuple[Recording, KneeMotion]:
+    recorded = read_recording(n)
+    return recorded, KneeMotion.from_poses(recorded.femur, recorded.tibia)
 
 
 def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> Scene:
@@ -124,8 +137,8 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
         InputError: no such case, polynomial or chart.
     """
     surface = contact_fit(contact, chart=chart).patch
-    recorded = recording(n)
-    motion = KneeMotion.from_poses(recorded.femur, recorded.tibia)
+    n = _case_number(n)
+    recorded, motion = _recorded(n, number(0.0).dtype == jnp.float64)
     first = recorded.patella
     start = Pose(vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0]))))
-    return Scene(patella_body(), effects(_case(n), surface), motion, start, name=f"rig case {n}, {contact}")
+    return Scene(patella_body(), effects(rig.CASES[n], surface), motion, start, name=f"rig case {n}, {contact}")

@@ -43,15 +43,21 @@ def data_folder() -> Path:
     return Path(str(resources.files("pftwin.rig") / "data"))
 
 
+def recording_files(case: int, folder: Path | None = None) -> tuple[Path, Path]:
+    """Markers and forces of one case."""
+    where = folder or data_folder()
+    return where / f"case{case}_markers.trc", where / f"case{case}_forces.csv"
+
+
 def read_recording(case: int, folder: Path | None = None) -> Recording:
     """Reads, fills, filters and fits the files of one case."""
-    where = folder or data_folder()
-    raw, _ = fill_gaps(read_trc(where / f"case{case}_markers.trc"))
+    markers_file, forces_file = recording_files(case, folder)
+    raw, _ = fill_gaps(read_trc(markers_file))
     markers = raw.with_positions(butterworth_lowpass(raw.positions, raw.rate, CUTOFF))
     femur = segment_poses(_with_hip(markers), {**rig.FEMUR_MARKERS, "HIP": rig.HIP})
     tibia = segment_poses(markers, rig.TIBIA_MARKERS)
     patella = segment_poses(markers, rig.PATELLA_MARKERS)
-    forces = read_csv(where / f"case{case}_forces.csv")
+    forces = read_csv(forces_file)
     contact, tibial, femoral = (
         np.maximum(singular_spectrum_filter(forces.column(name), WINDOW), 0.0) for name in FORCES
     )

@@ -1,0 +1,135 @@
+"""Functions compiled once for each kind of argument, with compilation told apart from running, and kept on disk."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+from jax.core import Tracer
+
+from pftwin.kept import folder, store
+from pftwin.kept.environment import can_keep, debugging, environment, settings
+from pftwin.kept.identity import CannotKeepError, digest, node_types, structure_text, value_text
+from pftwin.kept.reach import reach, source
+
+
+class Timed(NamedTuple):
+    """An answer and what it took."""
+
+    answer: Any
+    run: float  # [s]
+    preparation: float  # compiling, or loading what was kept; 0 where neither was needed [s]
+
+
+class _Ready(NamedTuple):
+    call: Callable[..., list[Any]]  # from arrays to arrays
+    structure: Any  # the answer's
+    loaded: bool  # from disk, rather than compiled here
+
+
+class _Kind(NamedTuple):
+    """What decides the program for some arguments, within a process."""
+
+    structure: Any
+    fixed: tuple[Any, ...]  # of every leaf None, or for one that is no array its type and itself
+    arrays: tuple[Hashable, ...]  # shape and type, weak or strong
+    settings: tuple[Any, ...]
+
+
+class Program:
+    """A function of pytrees, jitted: arrays are its variables, all other leaves and the structure decide the program.
+
+    Where a folder is chosen (`pftwin.configure(cache_dir=...)`), compiled programs are kept in it, and another process
+    neither traces nor compiles. What a program is found by holds all that decides it: pftwin's source, the constants
+    and functions it looks up, versions, settings, compiler flags and processor, and the arguments' kind. Where that
+    cannot be told (effects from outside pftwin, source that changed meanwhile, several devices), nothing is kept.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._ready: dict[_Kind, _Ready] = {}
+        functools.update_wrapper(self, function)
+
+    def __call__(self, *args: Any) -> Any:
+        """The answer."""
+        return self.timed(*args).answer
+
+    def timed(self, *args: Any) -> Timed:
+        """The answer, which is there when this returns, and what it took."""
+        leaves, structure = jax.tree.flatten(args)
+        arrays = [a for a in leaves if eqx.is_array(a)]
+        began = time.perf_counter()
+        if debugging() or any(isinstance(a, Tracer) for a in arrays):
+            answer = jax.block_until_ready(eqx.filter_jit(self._function)(*args))
+            return Timed(answer, time.perf_counter() - began, 0.0)
+        fixed = tuple(None if eqx.is_array(a) else (type(a), a) for a in leaves)
+        kind = _Kind(structure, fixed, tuple(_array_kind(a) for a in arrays), settings())
+        ready = self._ready.get(kind)
+        prepared = began
+        if ready is None:
+            ready = self._ready[kind] = self._prepared(kind, arrays)
+            prepared = time.perf_counter()
+        try:
+            out = jax.block_until_ready(ready.call(*arrays))
+        except Exception:
+            if not ready.loaded:
+                raise
+            ready = self._ready[kind] = self._prepared(kind, arrays, anew=True)  # what was kept does not run
+            prepared = time.perf_counter()
+            out = jax.block_until_ready(ready.call(*arrays))
+        return Timed(jax.tree.unflatten(ready.structure, out), time.perf_counter() - prepared, prepared - began)
+
+    def _prepared(self, kind: _Kind, arrays: list[Any], anew: bool = False) -> _Ready:
+        """Loaded if it was kept, else compiled, and kept."""
+        name = self._name(kind)
+        if name is None:
+            flat, structure = self._flat(kind)
+            compiled = jax.jit(flat).lower(*arrays).compile()
+            return _Ready(compiled, structure(), False)
+        if not anew and (loaded := store.recalled(name, len(arrays))) is not None:
+            return _Ready(*loaded, True)
+        flat, structure = self._flat(kind)
+        call, loaded_here = store.compiled(name, flat, structure, arrays, anew)
+        return _Ready(call, structure(), loaded_here)
+
+    def _flat(self, kind: _Kind) -> tuple[Callable[..., list[Any]], Callable[[], Any]]:
+        """The function from arrays to arrays, and the answer's structure, known once that has been traced."""
+        outer = []
+
+        def flat(*arrays: Any) -> list[Any]:
+            rest = iter(arrays)
+            args = jax.tree.unflatten(kind.structure, [next(rest) if f is None else f[1] for f in kind.fixed])
+            out, structure = jax.tree.flatten(self._function(*args))
+            outer.append(structure)
+            return out
+
+        flat.__name__ = self._function.__name__
+        return flat, lambda: outer[0]
+
+    def _name(self, kind: _Kind) -> str | None:
+        """What the program is kept as; None where nothing is kept."""
+        if folder.chosen() is None or not can_keep():
+            return None
+        try:
+            own = [t for t in node_types(kind.structure) if t.__module__.startswith("pftwin")]
+            return digest(
+                (
+                    source(),
+                    reach(self._function, *sorted(own, key=lambda t: (t.__module__, t.__qualname__))),
+                    environment(),
+                    structure_text(kind.structure),
+                    value_text([None if f is None else (f[1],) for f in kind.fixed]),
+                    repr(kind.arrays),
+                )
+            )
+        except CannotKeepError:
+            return None
+
+
+def _array_kind(array: Any) -> Hashable:
+    aval = getattr(array, "aval", None)
+    return (array.shape, array.dtype) if aval is None else aval

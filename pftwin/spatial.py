@@ -146,7 +146,8 @@ class Quaternion(eqx.Module):
         k = 0.5 + s * (-1 / 48 + s * (1 / 3840 - s * (1 / 645120)))
         q = self * Quaternion(w, k * v.x, k * v.y, k * v.z)
         size = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
-        n = 1.5 - 0.5 * size  # 1 / sqrt(size) near 1: rounding does not add up from step to step
+        # 1 / sqrt(size) near 1, so that rounding does not add up from step to step; without a derivative to speak of.
+        n = 1.5 - 0.5 * jax.lax.stop_gradient(size)
         return Quaternion(n * q.w, n * q.x, n * q.y, n * q.z)
 
     @staticmethod

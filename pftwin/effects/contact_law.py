@@ -64,7 +64,7 @@ class ContactLaw(eqx.Module):
 
         Where indentation is at most 0 all are 0. `approach_speed` [m/s] is needed by laws that remember it.
         """
-        d = jnp.maximum(indentation, 0.0)
+        d = jnp.where(indentation > 0, indentation, 0.0)
         root = _power(d, self.hertz_exponent - 1)
         elastic = self.contact_stiffness * root * d
         slope = self.contact_stiffness * self.hertz_exponent * root

@@ -118,7 +118,7 @@ class SphereContact(Effect):
         if isinstance(now.lead, float):
             law = self.law.force(indentation, rate, approach_speed)
         else:
-            deeper = jnp.maximum(-now.lead * rate, 0.0)
+            deeper = jnp.where(rate < 0, -now.lead * rate, 0.0)
             law = self.law.force(indentation + deeper, jnp.zeros_like(rate), approach_speed)
             back = law.elastic - deeper * law.stiffness
             law = law._replace(total=back + law.damping * rate, elastic=back)

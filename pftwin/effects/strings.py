@@ -40,4 +40,4 @@ def line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3) -> Lin
 
 def _at_least(length: Scalar, least: float = 1e-9) -> Scalar:
     """Keeps a division finite, in value and in derivative, where a line has no length."""
-    return jnp.maximum(length, least)
+    return jnp.where(length > least, length, least)

@@ -65,6 +65,11 @@ class ClosestPoint(NamedTuple):
     drift_v: Vec3
 
 
+def _limited(x: Scalar, most: Scalar) -> Scalar:
+    """x held within +-most; unlike `clip`, with a derivative of a single operation."""
+    return jnp.where(x > most, most, jnp.where(x < -most, -most, x))
+
+
 def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, push: float = 1.0) -> ClosestPoint:
     """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), at most `longest` in either coordinate.
 
@@ -89,9 +94,9 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     ratio = jnp.where(convex, huv, 0.0) * over_u
     over_v = 1 / jnp.maximum(jnp.where(convex, hvv - ratio * huv, jnp.abs(hvv)), FLATTEST * gram[2])
     dv = (ratio * gu - gv) * over_v + jnp.where(convex, 0.0, push * PUSH * longest)
-    dv = jnp.clip(dv, -longest, longest)
-    du = jnp.clip(-gu * over_u - ratio * dv, -longest, longest)
-    length = jnp.maximum(jnp.abs(du), jnp.abs(dv))
+    dv = _limited(dv, longest)
+    du = _limited(-gu * over_u - ratio * dv, longest)
+    length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
     short = jnp.where(length < SHORT * longest, 1.0, 0.0)
     u_there, v_there = u + short * du, v + short * dv
     curvatures = stop_gradient((jet.uu, jet.uv, jet.vv))

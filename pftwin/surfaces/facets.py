@@ -69,8 +69,10 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place
         v = jnp.where(lost, jnp.where(joins, other[1], fan_v), v)
         points.append(newton_step(surface, c, u, v, LONGEST * radius_still, push=side))
     medial, lateral = points
-    t = jnp.clip((jnp.abs(lateral.v - medial.v) / radius - MERGED) / (APART - MERGED), 0.0, 1.0)
-    return Facets(medial, lateral, 0.5 + 0.5 * t * t * (3 - 2 * t))
+    gap = lateral.v - medial.v
+    t = (jnp.where(gap < 0, -gap, gap) / radius - MERGED) * (1 / (APART - MERGED))
+    share = jnp.where(t > 1, 1.0, jnp.where(t > 0, 0.5 + t * t * (1.5 - t), 0.5))
+    return Facets(medial, lateral, share)
 
 
 def _without_derivatives(surface: Surface) -> Surface:

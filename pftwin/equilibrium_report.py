@@ -54,12 +54,12 @@ class EquilibriumReport:
             relaxed: whether damped relaxation had to help.
             there: pose of the patella in the femur and observables; by default they are looked up.
         """
-        pose, seen = jax.device_get(_look(scene, solution.pose) if there is None else there)
+        pose, seen = on_host(_look(scene, solution.pose) if there is None else there)
         # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
-        solution, guess, com = jax.device_get((solution, scene.start, scene.patella.center_of_mass))
-        start = Pose(guess.apply(com), guess.orientation)
-        shift = [a - b for a, b in zip(_row(solution.pose.position), _row(start.position), strict=True)]
-        cosine = abs(float(np.dot(_row(solution.pose.orientation), _row(start.orientation))))
+        solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
+        turn = _row(guess.orientation)
+        start = _row(guess.position) + _turned(turn, _row(com))
+        cosine = abs(float(np.dot(_row(solution.pose.orientation), turn)))
         return EquilibriumReport(
             position=_row(pose.position),
             quaternion=_row(pose.orientation),
@@ -69,7 +69,7 @@ class EquilibriumReport:
             relaxed=bool(relaxed),
             eigenvalues=_eigenvalues(np.asarray(solution.stiffness, dtype=np.float64)),
             facets=_loaded_facets(seen),
-            moved=float(np.linalg.norm(shift)),
+            moved=float(np.linalg.norm(_row(solution.pose.position) - start)),
             turned=2 * float(np.arccos(min(1.0, cosine))),
             effects={
                 name: {key: np.asarray(value, dtype=np.float64) for key, value in report.items()}
@@ -139,10 +139,24 @@ def _look(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
     return Pose(origin, turn), seen
 
 
+def on_host(tree: Any) -> Any:
+    """The same with numpy arrays."""
+    if jax.default_backend() != "cpu":
+        return jax.device_get(tree)  # fetches side by side
+    return jax.tree.map(np.asarray, tree)  # looks at the very same memory, in a fifth of the time
+
+
+def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A vector (3,) turned by a unit quaternion (4,)."""
+    (w, x, y, z), (a, b, c) = q, v
+    t = np.array([y * c - z * b, z * a - x * c, x * b - y * a])  # q x v
+    return v + 2 * (w * t + np.array([y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]]))
+
+
 def _row(v: Any) -> NDArray[np.float64]:
     """Components of a vector or quaternion on the host."""
     parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
-    return np.array([float(p) for p in parts])
+    return np.array(parts, dtype=np.float64)
 
 
 def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, Status
 from pftwin.effects.base import Observable
-from pftwin.equilibrium_report import EquilibriumReport
+from pftwin.equilibrium_report import EquilibriumReport, on_host
 from pftwin.motion import KneeMotion, SegmentMotion
 from pftwin.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
 from pftwin.scene import Scene
@@ -61,7 +61,7 @@ class Result:
     center: Floats  # (n, 3) the button's sphere centre in the femur frame [m]
     position: Floats  # (n, 3) the patella's origin in the femur frame [m]
     quaternion: Floats  # (n, 4) patella to femur, scalar first, continuous in sign
-    knee: TibiofemoralAngles  # (n,) each [rad]
+    motion: KneeMotion  # of femur and tibia, as it was prescribed
     effects: dict[str, dict[str, NDArray[Any]]]  # by effect and observable
     observables: dict[str, dict[str, Observable]]  # their units and long names
     groups: dict[str, int]  # number of elements of the effects that are groups of like ones
@@ -97,7 +97,7 @@ class Result:
             settings: integrator, "dt_s", "substeps".
             timing: "equilibrium_s", "run_s", "compile_s".
         """
-        seen, ledger, start = jax.device_get((seen, ledger, start))
+        seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
         contact = scene.contact
         work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
@@ -108,7 +108,7 @@ class Result:
             center=_rows(seen.center),
             position=_rows(seen.patella.position),
             quaternion=_continuous(_rows(seen.patella.orientation)),
-            knee=_knee_angles(scene.motion),
+            motion=scene.motion,
             effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
             observables={e.name: dict(type(e).observables) for e in scene.effects},
             groups=_groups(scene),
@@ -126,6 +126,11 @@ class Result:
     def angles(self) -> PatellarAngles:
         """Flexion, rotation (internal positive) and tilt (lateral positive) of the patella in the femur, (n,) [rad]."""
         return patellar_angles(Quaternion(*self.quaternion.T))
+
+    @cached_property
+    def knee(self) -> TibiofemoralAngles:
+        """Angles of the tibia in the femur at the recorded frames, (n,) each [rad]."""
+        return _knee_angles(self.motion)
 
     @property
     def shift(self) -> Floats:
@@ -247,7 +252,7 @@ def _orientation(motion: SegmentMotion, times: Floats) -> Quaternion:
     interval = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, knots.size - 2)
     s, c = (times - knots[interval])[:, None], c[:, interval]
     q = ((c[0] * s + c[1]) * s + c[2]) * s + c[3]
-    return Quaternion(*(q / np.linalg.norm(q, axis=1, keepdims=True)).T)
+    return Quaternion(*(q / np.sqrt(np.einsum("ij,ij->i", q, q))[:, None]).T)
 
 
 __all__ = ["Energies", "EquilibriumReport", "Result"]

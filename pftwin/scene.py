@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from functools import lru_cache
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -118,6 +119,29 @@ def check(scene: Scene) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
+    leaves, structure = jax.tree.flatten(scene)
+    values = [np.ones(0) if isinstance(a, Tracer) else np.asarray(a, dtype=float).ravel() for a in leaves]
+    positive, not_negative = _limited(structure)
+    # All at once, for this is done before every run; what is wrong is looked for where something is.
+    finite = np.isfinite(np.concatenate([*values, np.ones(1)])).all()
+    smallest, least = (
+        np.concatenate([*(values[i] for i in which), np.ones(1)]).min() for which in (positive, not_negative)
+    )
+    if not (finite and smallest > 0 and least >= 0):
+        _refuse(scene)
+
+
+@lru_cache(maxsize=64)
+def _limited(structure: Any) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Which leaves of a scene of this structure must be positive, and which not negative."""
+    numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
+    fields = [({_part(p) for p in path}, i) for path, i in jax.tree_util.tree_leaves_with_path(numbered)]
+    positive, not_negative = (tuple(i for parts, i in fields if parts & limit) for limit in (_POSITIVE, _NOT_NEGATIVE))
+    return positive, not_negative
+
+
+def _refuse(scene: Scene) -> None:
+    """Names the first parameter that is wrong."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(scene):
         if isinstance(leaf, Tracer):
             continue

@@ -50,7 +50,7 @@ class Program:
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+        self._function, self._jitted = function, eqx.filter_jit(function)
         self._ready: dict[_Kind, _Ready] = {}
         functools.update_wrapper(self, function)
 
@@ -61,12 +61,13 @@ class Program:
     def timed(self, *args: Any) -> Timed:
         """The answer, which is there when this returns, and what it took."""
         leaves, structure = jax.tree.flatten(args)
-        arrays = [a for a in leaves if eqx.is_array(a)]
+        varies = [eqx.is_array(a) for a in leaves]
+        arrays = [a for a, varied in zip(leaves, varies, strict=True) if varied]
         began = time.perf_counter()
         if debugging() or any(isinstance(a, Tracer) for a in arrays):
-            answer = jax.block_until_ready(eqx.filter_jit(self._function)(*args))
+            answer = jax.block_until_ready(self._jitted(*args))
             return Timed(answer, time.perf_counter() - began, 0.0)
-        fixed = tuple(None if eqx.is_array(a) else (type(a), a) for a in leaves)
+        fixed = tuple(None if varied else (type(a), a) for a, varied in zip(leaves, varies, strict=True))
         kind = _Kind(structure, fixed, tuple(_array_kind(a) for a in arrays), settings())
         ready = self._ready.get(kind)
         prepared = began

@@ -91,20 +91,39 @@ class SegmentMotion(eqx.Module):
             jnp.asarray(CubicSpline(poses.times, poses.quaternions).c, dtype=float),
         )
 
+    def pieces(self, interval: Scalar) -> Piece:
+        """The cubics between knots `interval` and `interval` + 1 (integers of any shape)."""
+        return Piece(
+            self.knots[interval], self.position_coefficients[:, interval], self.quaternion_coefficients[:, interval]
+        )
+
     def frames(self, times: ArrayLike) -> Frame:
         """The frame at times of any shape [s]; its fields have that shape."""
         t = jnp.asarray(times, self.knots.dtype)
         # The knots are uniform (`fit` sees to it), so the interval is found without a search.
         spacing = (self.knots[-1] - self.knots[0]) / (self.knots.shape[0] - 1)
         interval = jnp.clip(jnp.floor((t - self.knots[0]) / spacing).astype(int), 0, self.knots.shape[0] - 2)
-        s = t - self.knots[interval]
-        p, velocity = zip(*(_cubic(self.position_coefficients[:, interval, k], s) for k in range(3)), strict=True)
-        u, change = zip(*(_cubic(self.quaternion_coefficients[:, interval, k], s) for k in range(4)), strict=True)
-        quaternion, rate = Quaternion(*u), Quaternion(*change)
+        return self.pieces(interval).frames(t)
+
+
+class Piece(eqx.Module):
+    """A segment's cubics between two knots, or many such."""
+
+    knot: Scalar  # the first [s]
+    position_coefficients: Array  # (4, ..., 3)
+    quaternion_coefficients: Array  # (4, ..., 4)
+
+    def frames(self, times: Scalar) -> Frame:
+        """The frame at a time for each piece [s]."""
+        s = (times - self.knot)[..., None]
+        p, velocity = _cubic(self.position_coefficients, s)
+        u, change = _cubic(self.quaternion_coefficients, s)
+        quaternion, rate = Quaternion.from_array(u), Quaternion.from_array(change)
         spin = rate * quaternion.conjugate()
         twice = 2 / (quaternion * quaternion.conjugate()).w
         omega = Vec3(twice * spin.x, twice * spin.y, twice * spin.z)
-        return Frame(Vec3(*p), quaternion.normalised().rotation(), Vec3(*velocity), omega)
+        rotation = quaternion.normalised().rotation()
+        return Frame(Vec3.from_array(p), rotation, Vec3.from_array(velocity), omega)
 
 
 def _cubic(c: Array, s: Scalar) -> tuple[Scalar, Scalar]:
@@ -170,6 +189,21 @@ class KneeMotion(eqx.Module):
     def frames(self, times: ArrayLike) -> tuple[Frame | None, Frame]:
         """Frames of femur (None if it is the world) and tibia at times of any shape [s]."""
         return None if self.femur is None else self.femur.frames(times), self.tibia.frames(times)
+
+    def between_frames(self, index: Scalar) -> MotionPiece:
+        """The motion between recorded frames `index` and `index` + 1: what a loop over steps should look things up in."""
+        return MotionPiece(None if self.femur is None else self.femur.pieces(index), self.tibia.pieces(index))
+
+
+class MotionPiece(eqx.Module):
+    """The guided motion of a knee between two recorded frames."""
+
+    femur: Piece | None
+    tibia: Piece
+
+    def frames(self, time: Scalar) -> tuple[Frame | None, Frame]:
+        """Frames of femur (None if it is the world) and tibia."""
+        return None if self.femur is None else self.femur.frames(time), self.tibia.frames(time)
 
 
 def _rounded(value: float) -> float:

@@ -90,8 +90,8 @@ class _Look(NamedTuple):
     convex: Lower  # the stiff terms' own stiffness, positive semidefinite
 
 
-def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -> _Look:
-    """Load, stiffness and memories at a pose; in one loop, so that the effects are compiled once."""
+def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...], neighbours: Scalar) -> _Look:
+    """Load and memories at a pose, and its `neighbours` (0 or 12); in one loop, so that effects are compiled once."""
     dtype = pose.position.x.dtype
     small = _difference(dtype)
     zero = jnp.zeros((), dtype)
@@ -110,7 +110,7 @@ def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -
         return _Look(kept[0], so_far.table.at[k].set(jnp.stack(r)), kept[1])
 
     empty: Lower = [[zero] * (i + 1) for i in range(6)]
-    return jax.lax.fori_loop(0, 13, evaluate, _Look(memories, jnp.zeros((13, 6), dtype), empty))
+    return jax.lax.fori_loop(0, 1 + neighbours, evaluate, _Look(memories, jnp.zeros((13, 6), dtype), empty))
 
 
 def _difference(dtype: Any) -> float:
@@ -134,7 +134,8 @@ def _size(r: list[Scalar]) -> Scalar:
 
 def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _Iterate:
     """One Newton iteration; a pose that meets the tolerance stays."""
-    look = _look(system, guide, at.pose, at.memories)
+    searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
+    look = _look(system, guide, at.pose, at.memories, jnp.where(searching, 0, 12))
     r = [look.table[0, i] for i in range(6)]
     size = _size(r)
     slopes = (look.table[7:] - look.table[1:7]) / (2 * _difference(size.dtype))
@@ -144,7 +145,6 @@ def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _
     d = [jnp.where(definite, a, b) for a, b in zip(exact, safe, strict=True)]
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
-    searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
     done = (size < 0.01 * tolerance) & ~searching
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]

@@ -77,7 +77,8 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         status = _status(scene, seen, state)
         return Pose(origin, relative), center, seen, system.kinetic_energy(state), stored, status
 
-    patella, center, seen, kinetic, stored, status = jax.vmap(look)(path.states, guides)
+    # A loop, which is the same program as one frame's and so is compiled as quickly.
+    patella, center, seen, kinetic, stored, status = jax.lax.map(lambda at: look(*at), (path.states, guides))
     badly_started = jnp.where(path.start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
     return Observation(patella, center, seen, kinetic, stored, status | badly_started)
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.effects.base import Effect, Ground, Instant, Load, Patella
-from pftwin.motion import Frame, KneeMotion
+from pftwin.motion import Frame, KneeMotion, MotionPiece
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 
 
@@ -34,10 +34,9 @@ class Guide(eqx.Module):
     time: Scalar
 
     @staticmethod
-    def sample(motion: KneeMotion, times: Scalar) -> Guide:
-        """Both bodies at the times of shape (n,)."""
-        femur = None if motion.femur is None else motion.femur.frames(times)
-        return Guide(femur, motion.tibia.frames(times), times)
+    def sample(motion: KneeMotion | MotionPiece, times: Scalar) -> Guide:
+        """Both bodies at the times."""
+        return Guide(*motion.frames(times), times)
 
     def instant(self, patella: Patella, step: Scalar | float, lead: Scalar | float = 0.0) -> Instant:
         """What effects may look at."""

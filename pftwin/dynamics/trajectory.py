@@ -85,13 +85,13 @@ def first_guide(scene: Scene) -> Guide:
     return guide
 
 
-def _guides(scene: Scene, substeps: int, at: float) -> tuple[Guide, Scalar]:
-    """Guided bodies at the place `at` within every step, of shape (n_frames - 1, substeps); and the step."""
+def _times(scene: Scene, substeps: int, at: float) -> tuple[Scalar, Scalar]:
+    """When the guided bodies are looked at, at the place `at` within every step: (n_frames - 1, substeps); the step."""
     motion = scene.motion
     step = motion.frame_interval / substeps
     count = jnp.arange((motion.n_frames - 1) * substeps).astype(float).reshape(-1, substeps)
     times = motion.start_time + step * (count + at)
-    return Guide.sample(motion, times), jnp.asarray(step, times.dtype)
+    return times, jnp.asarray(step, times.dtype)
 
 
 def _carried_by_femur(scene: Scene, state: State) -> State:
@@ -126,20 +126,23 @@ def trajectory(
     system = scene.system()
     if start is None:
         start = starting_equilibrium(scene)
-    guides, step = _guides(scene, substeps, guided_at)
+    times, step = _times(scene, substeps, guided_at)
     state = _carried_by_femur(scene, system.at_rest(start.pose, start.memories))
     zero = jnp.zeros_like(step)
     carry = (state, Ledger(zero, zero) if ledger else None)
 
-    def one_step(now: tuple[State, Ledger | None], guide: Guide) -> tuple[tuple[State, Ledger | None], None]:
-        return advance(system, now[0], guide, step, now[1]), None
-
     @jax.checkpoint
-    def one_frame(now: tuple[State, Ledger | None], guide: Guide) -> Any:
-        now, _ = jax.lax.scan(one_step, now, guide)
+    def one_frame(now: tuple[State, Ledger | None], frame: tuple[Scalar, Scalar]) -> Any:
+        index, times = frame
+        motion = scene.motion.between_frames(index)
+
+        def one_step(now: tuple[State, Ledger | None], time: Scalar) -> tuple[tuple[State, Ledger | None], None]:
+            return advance(system, now[0], Guide.sample(motion, time), step, now[1]), None
+
+        now, _ = jax.lax.scan(one_step, now, times)
         return now, now
 
-    _, later = jax.lax.scan(one_frame, carry, guides)
+    _, later = jax.lax.scan(one_frame, carry, (jnp.arange(times.shape[0]), times))
     states, books = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), carry, later)
     return Trajectory(states, books, start)
 

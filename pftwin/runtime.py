@@ -6,6 +6,7 @@ Importing pftwin changes nothing. A program that wants double precision and the 
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 
@@ -60,6 +61,7 @@ def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | o
         os.environ["XLA_FLAGS"] = flags
     import jax
 
+    gc.freeze()  # the hundred thousand objects of these imports stay: never searched for garbage, nor when all ends
     if float64:
         jax.config.update("jax_enable_x64", True)
     if cache_dir is not None:

@@ -8,6 +8,7 @@ down the constants and functions found there.
 from __future__ import annotations
 
 import hashlib
+import os
 import types
 from collections.abc import Iterator
 from functools import cache
@@ -35,20 +36,31 @@ def source() -> str:
     """A hash of pftwin's source files.
 
     Raises:
-        CannotKeepError: they cannot be read, or changed after this process had read them.
+        CannotKeepError: they cannot be read, or one changed after this process had begun to import them.
     """
-    folder, total = Path(pftwin.__file__).parent, hashlib.sha256()
-    files = sorted(folder.rglob("*.py"))
-    if not files:
-        raise CannotKeepError(f"no source in {folder}")
-    for file in files:
-        try:
-            if file.stat().st_mtime > pftwin.imported_at:
-                raise CannotKeepError(f"{file} changed after this process began")
-            content = file.read_bytes()
-        except OSError as error:
-            raise CannotKeepError(f"{file} cannot be read: {error}") from error
-        total.update(f"{file.relative_to(folder)} {len(content)} ".encode() + content)
+    try:
+        newest = max((entry.stat().st_mtime, entry.path) for entry in _files(pftwin.__path__[0]))
+        if newest[0] > pftwin.imported_at:
+            raise CannotKeepError(f"{newest[1]} changed after this process began")
+        return _source_hash()
+    except (OSError, ValueError) as error:
+        raise CannotKeepError(f"the source cannot be read: {error}") from error
+
+
+def _files(folder: str) -> Iterator[os.DirEntry[str]]:
+    for entry in os.scandir(folder):
+        if entry.is_dir():
+            yield from _files(entry.path)
+        elif entry.name.endswith(".py"):
+            yield entry
+
+
+@cache
+def _source_hash() -> str:
+    folder, total = pftwin.__path__[0], hashlib.sha256()
+    for path in sorted(entry.path for entry in _files(folder)):
+        content = Path(path).read_bytes()
+        total.update(f"{os.path.relpath(path, folder)} {len(content)} ".encode() + content)
     return total.hexdigest()
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Literal
 
-import jax.numpy as jnp
+import jax
 import numpy as np
+from jax.dtypes import canonicalize_dtype
 
 from pftwin.effects.base import Effect
 from pftwin.effects.contact_law import Flores
@@ -29,7 +30,7 @@ from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
 
 def number(value: float) -> Scalar:
     """A leaf in JAX's default float type."""
-    return jnp.asarray(value, dtype=float)
+    return jax.device_put(np.asarray(value, canonicalize_dtype(float)))  # as it is: nothing is compiled for it
 
 
 def vector(values: tuple[float, float, float]) -> Vec3:
@@ -61,7 +62,7 @@ def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "p
     """
     if chart not in ("plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="chart", expected='"plane" or "cylinder"')
-    return _fit(parse_degree(contact), chart, number(0.0).dtype == jnp.float64)
+    return _fit(parse_degree(contact), chart, canonicalize_dtype(float) == np.float64)
 
 
 def _case_number(n: int) -> int:
@@ -112,7 +113,7 @@ def patella_body() -> PatellaBody:
 
 def recording(n: int) -> Recording:
     """What the rig's laboratory recorded of a case (synthetic), read and filtered like a user's files."""
-    return _recorded(_case_number(n), number(0.0).dtype == jnp.float64)[0]
+    return _recorded(_case_number(n), canonicalize_dtype(float) == np.float64)[0]
 
 
 @lru_cache(maxsize=8)
@@ -138,7 +139,7 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
     """
     surface = contact_fit(contact, chart=chart).patch
     n = _case_number(n)
-    recorded, motion = _recorded(n, number(0.0).dtype == jnp.float64)
+    recorded, motion = _recorded(n, canonicalize_dtype(float) == np.float64)
     first = recorded.patella
     start = Pose(vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0]))))
     return Scene(patella_body(), effects(rig.CASES[n], surface), motion, start, name=f"rig case {n}, {contact}")

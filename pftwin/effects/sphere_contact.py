@@ -25,7 +25,7 @@ SEARCH_STEPS = 10  # steps that find the contacts from nothing
 class ContactMemory(NamedTuple):
     """What contact carries from step to step."""
 
-    places: tuple[Place, Place]  # (u, v) of the medial and the lateral point, moved along with the sphere [m]
+    places: tuple[Place, Place]  # of the medial and the lateral point
     approach_speeds: tuple[Scalar, Scalar] | None  # at the moment each contact began, 0 while apart [m/s]
 
 
@@ -74,7 +74,7 @@ class SphereContact(Effect):
     def guess(self, now: Instant) -> ContactMemory:
         """Both points below the sphere's centre, from where they find their way; no contact has begun yet."""
         c, _ = self.centre_in_chart(now)
-        foot = self.surface.chart.foot(c)
+        foot = Place(*self.surface.chart.foot(c), jnp.zeros(jnp.shape(c.x), bool))
         zero = jnp.zeros_like(c.x)
         return ContactMemory((foot, foot), (zero, zero) if self.law.remembers_approach else None)
 
@@ -84,7 +84,8 @@ class SphereContact(Effect):
 
         def improve(_: Scalar, places: tuple[Place, Place]) -> tuple[Place, Place]:
             found = follow_facets(self.surface, c, self.radius, places)
-            return (found.medial.u, found.medial.v), (found.lateral.u, found.lateral.v)
+            medial, lateral = (Place(p.u, p.v, p.settled) for p in (found.medial, found.lateral))
+            return medial, lateral
 
         start = self.guess(now)
         return start._replace(places=jax.lax.fori_loop(0, SEARCH_STEPS, improve, start.places))
@@ -97,7 +98,9 @@ class SphereContact(Effect):
         speeds = memory.approach_speeds or (None, None)
         one, two = (self._touch(now, p, velocity, speed, facets.share) for p, speed in zip(points, speeds, strict=True))
         way = now.step * velocity
-        medial, lateral = (stop_gradient((p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way))) for p in points)
+        medial, lateral = (
+            Place(*stop_gradient((p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way))), p.settled) for p in points
+        )
         begun = None
         if one.approach_speed is not None and two.approach_speed is not None:
             begun = one.approach_speed, two.approach_speed

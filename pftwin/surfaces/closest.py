@@ -60,7 +60,7 @@ class ClosestPoint(NamedTuple):
     distance: Scalar  # from the surface to the point along the outward normal, negative inside the bone [m]
     normal: Vec3  # outward unit normal of the surface
     step: Scalar  # length of the step in (u, v) that was taken: how far from converged the start was [m]
-    convex: Scalar  # whether the start lay in the basin of a minimum (positive definite Hessian)
+    settled: Scalar  # whether the step was short and its start in the basin of a minimum (positive definite Hessian)
     drift_u: Vec3  # the closest point's velocity is (drift_u . dc/dt, drift_v . dc/dt)
     drift_v: Vec3
 
@@ -97,7 +97,8 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     dv = _limited(dv, longest)
     du = _limited(-gu * over_u - ratio * dv, longest)
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
-    short = jnp.where(length < SHORT * longest, 1.0, 0.0)
+    near = length < SHORT * longest
+    short = jnp.where(near, 1.0, 0.0)
     u_there, v_there = u + short * du, v + short * dv
     curvatures = stop_gradient((jet.uu, jet.uv, jet.vv))
     height, slope_u, slope_v = Jet(jet.f, jet.u, jet.v, *curvatures).shifted(short * du, short * dv)
@@ -111,7 +112,7 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
         jnp.where(away.dot(normal) < 0, -distance, distance),
         normal,
         length,
-        convex,
+        convex & near,
         tu * over_u - ratio * drift_v,
         drift_v,
     )

@@ -6,9 +6,9 @@ keep them right:
 
 - They repel: off a saddle (a groove that has become too narrow for the sphere) the medial point is pushed medially, the
   lateral one laterally, so that each ends on its own facet. Where the distance has one minimum they meet in it.
-- They are watched: the distance is sampled on a coarse fan across the groove, and a point that is far from the fan's
-  first (medial) or last (lateral) minimum starts again there, or where the other point is if that is there already. A
-  facet that comes near is found before it touches.
+- They are watched: the distance is sampled on a coarse fan across the groove. Where nobody is near the fan's first
+  (medial) minimum the medial point starts again there, and likewise the lateral one near the last, so a facet that
+  comes near is found before it touches. A point whose minimum has vanished goes where the other point is.
 - They share: each bears half of the contact law's force where they are one and all of it where they are two, smoothly
   in between, so the force has no jump where facets merge and nothing is counted twice.
 """
@@ -27,13 +27,19 @@ from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.charts import Jet
 from pftwin.surfaces.closest import ClosestPoint, Surface, newton_step
 
-SPACING = 0.165  # of the fan's samples across the groove, in radii
-FAN = tuple(SPACING * k for k in range(-4, 5))  # their places, in radii from the sphere's centre
+SPACING = 0.11  # of the fan's samples across the groove, in radii
+FAN = tuple(SPACING * k for k in range(-6, 7))  # their places, in radii from the sphere's centre
 LONGEST = 0.12  # radii: the longest Newton step
 MERGED, APART = 0.02, 0.20  # separations, in radii, between which one contact becomes two
 ASTRAY = 1.2  # spacings from the fan's minimum beyond which a followed point starts again
 
-Place = tuple[Scalar, Scalar]  # (u, v)
+
+class Place(NamedTuple):
+    """Where a point that is followed was left, and moved along with the sphere since."""
+
+    u: Scalar
+    v: Scalar
+    settled: Scalar  # whether it had arrived in a minimum
 
 
 class Facets(NamedTuple):
@@ -60,13 +66,15 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place
     still, (c_still, radius_still) = _without_derivatives(surface), stop_gradient((c, radius))
     seen = scan_facets(still, c_still, radius_still, near)
     astray = ASTRAY * SPACING * radius_still
+    in_order = places[0].v <= places[1].v
     points = []
-    for (u, v), other, fan_v, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
-        lost = jnp.abs(surface.clipped(v) - fan_v) > astray
-        # Where the other point follows the minimum already, its place is better than the fan's.
-        joins = lost & (jnp.abs(surface.clipped(other[1]) - fan_v) <= astray)
-        u = jnp.where(lost, jnp.where(joins, other[0], near), u)
-        v = jnp.where(lost, jnp.where(joins, other[1], fan_v), v)
+    for own, other, fan_v, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
+        far, other_far = (jnp.abs(surface.clipped(p.v) - fan_v) > astray for p in (own, other))
+        # Nobody follows the fan's minimum: start there. The other point does: a minimum of one's own, too shallow for
+        # the fan to see, is kept; whoever has none joins the other point, whose place is better than the fan's.
+        new, joins = far & other_far, far & ~other_far & ~(own.settled & in_order)
+        u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
+        v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
         points.append(newton_step(surface, c, u, v, LONGEST * radius_still, push=side))
     medial, lateral = points
     gap = lateral.v - medial.v

@@ -62,7 +62,7 @@ def test_newton_ends_where_scipy_ends(chart):
             assert float(found.distance) * 1e3 == pytest.approx(best.fun, abs=1e-7)
             np.testing.assert_allclose([found.u * 1e3, found.v * 1e3], best.x, atol=1e-4)
             assert float(found.step) < 1e-9
-            assert bool(found.convex)
+            assert bool(found.settled)
 
 
 @eqx.filter_jit

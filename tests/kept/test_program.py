@@ -1,0 +1,198 @@
+"""Compiled programs: kept for the next process, and never used where anything that decides them has changed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scene import small_scene
+
+import pftwin
+from pftwin.dynamics.simulate import simulate
+from pftwin.kept import folder, program, store
+from pftwin.kept.program import Program
+from pftwin.spatial import Vec3, safe_sqrt
+
+PACKAGE = Path(pftwin.__file__).parent
+COUNT = """
+import json, os, sys
+import numpy as np
+import pftwin
+pftwin.configure(cache_dir=sys.argv[1], float64=sys.argv[2] != "single")
+import jax
+events = []
+jax.monitoring.register_event_duration_secs_listener(lambda event, _, **about: events.append(event.rsplit("/")[-1]))
+"""
+TINY = (
+    COUNT
+    + """
+from pftwin.kept.program import Program
+from pftwin.spatial import safe_sqrt
+answer = Program(safe_sqrt).timed(np.array([4.0, 9.0])).answer
+print(json.dumps([events.count("jaxpr_trace_duration") > 0, events.count("backend_compile_duration"), answer.tolist()]))
+"""
+)
+RIG = (
+    COUNT
+    + """
+result = pftwin.simulate(pftwin.rig.case(1, contact="P5"), dt=1e-2)
+parts = [result.center, result.quaternion, result.energies.total, result.energies.heat, result.equilibrium.eigenvalues]
+parts += [v for report in result.effects.values() for v in report.values()]
+heavy = [m for m in ("trimesh", "scipy.signal") if m in sys.modules]
+print(json.dumps([events.count("backend_compile_duration"), heavy, b"".join(p.tobytes() for p in parts).hex()]))
+"""
+)
+
+
+def process(script: str, cache: Path, *, kind: str = "double", package: Path = PACKAGE, flags: str = "") -> list:
+    """What a fresh process prints."""
+    env = {**os.environ, "PYTHONPATH": str(package.parent), "XLA_FLAGS": flags}
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(cache), kind],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=env,
+        cwd=cache.parent,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_a_second_process_gives_the_same_bits_without_compiling(tmp_path):
+    compiled, heavy, first = process(RIG, tmp_path / "cache")
+    assert compiled >= 2
+    assert heavy == ["trimesh", "scipy.signal"]
+    compiled, heavy, second = process(RIG, tmp_path / "cache")
+    assert compiled == 0
+    assert heavy == []
+    assert len(first) > 16 * 721 * 10
+    assert second == first
+
+
+class TestChanges:
+    """A small program in processes of its own."""
+
+    @pytest.fixture
+    def cache(self, tmp_path):
+        assert process(TINY, tmp_path / "cache") == [True, 1, [2.0, 3.0]]
+        return tmp_path / "cache"
+
+    def test_nothing_changed(self, cache):
+        assert process(TINY, cache) == [False, 0, [2.0, 3.0]]
+
+    def test_other_compiler_flags(self, cache):
+        assert process(TINY, cache, flags="--xla_cpu_prefer_vector_width=128") == [True, 1, [2.0, 3.0]]
+
+    def test_single_precision(self, cache):
+        assert process(TINY, cache, kind="single") == [True, 1, [2.0, 3.0]]
+
+    @pytest.mark.parametrize("kind", ["answers", "programs"])
+    @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b + b"x"])
+    def test_a_damaged_file(self, cache, kind, damage):
+        (path,) = (cache / kind).iterdir()
+        path.write_bytes(damage(path.read_bytes()))
+        assert process(TINY, cache) == [True, int(kind == "programs"), [2.0, 3.0]]
+        assert process(TINY, cache) == [False, 0, [2.0, 3.0]]  # mended
+
+    def test_changed_source(self, cache, tmp_path):
+        shutil.copytree(PACKAGE, tmp_path / "pftwin", ignore=shutil.ignore_patterns("__pycache__", "data"))
+        copy = tmp_path / "pftwin"
+        assert process(TINY, cache, package=copy) == [False, 0, [2.0, 3.0]]  # the same source at another place
+        spatial = copy / "spatial.py"
+        text = spatial.read_text()
+        spatial.write_text(text + "\n# a remark\n")
+        assert process(TINY, cache, package=copy) == [True, 0, [2.0, 3.0]]  # traced: it proves to be the same program
+        old = "return jnp.where(positive, jnp.sqrt("
+        assert old in text
+        spatial.write_text(text.replace(old, old.replace("jnp.sqrt(", "2 * jnp.sqrt(")))
+        assert process(TINY, cache, package=copy) == [True, 1, [4.0, 6.0]]
+
+
+@pytest.fixture
+def place(tmp_path):
+    before = folder.chosen()
+    folder.use(tmp_path)
+    yield tmp_path
+    folder.use(before)
+
+
+def test_arrays_are_variables_and_all_else_is_fixed(place):
+    power = Program(Vec3.__mul__)
+    v = Vec3(*(jnp.asarray(float(i)) for i in range(3)))
+    first, again = power.timed(v, 2.0), power.timed(-v, 2.0)
+    assert first.preparation > 0
+    assert again.preparation == 0
+    assert [float(first.answer.z), float(again.answer.z)] == [4.0, -4.0]
+    other = power.timed(v, 3.0)
+    assert other.preparation > 0
+    assert float(other.answer.z) == 6.0
+    assert isinstance(other.answer, Vec3)
+
+
+def test_a_kept_program_that_does_not_run_is_compiled_anew(place, monkeypatch):
+    """Executables that JAX has loaded from its own cache, written down again, load and fail when they run."""
+
+    def fails(*_):
+        raise jax.errors.JaxRuntimeError("NOT_FOUND: a function")
+
+    structure = jax.tree.structure(0)
+    monkeypatch.setattr(store, "recalled", lambda name, arguments: (fails, structure))
+    root = Program(safe_sqrt)
+    assert float(root(jnp.asarray(4.0))) == 2.0
+    assert root.timed(jnp.asarray(9.0))[0] == 3.0
+    assert root.timed(jnp.asarray(9.0)).preparation == 0
+
+
+def test_an_error_of_a_compiled_program_is_the_users(place, monkeypatch):
+    def fails(*_):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(
+        store, "compiled", lambda name, flat, structure, arrays, anew: (flat(*arrays), (fails, False))[1]
+    )
+    with pytest.raises(RuntimeError, match="out of memory"):
+        Program(safe_sqrt)(jnp.asarray(4.0))
+
+
+def test_debugging_is_not_left_out(place):
+    with jax.debug_nans(True), pytest.raises(FloatingPointError):
+        Program(Vec3.__mul__)(Vec3(*(jnp.asarray(np.nan) for _ in range(3))), 2.0)
+
+
+def test_functions_and_effects_from_elsewhere_are_compiled_but_not_kept(place):
+    assert float(Program(lambda x: 2 * x)(jnp.asarray(1.0))) == 2.0
+    assert list(place.iterdir()) == []
+
+
+def test_several_devices_are_left_to_jax(place, monkeypatch):
+    monkeypatch.setattr(program, "can_keep", lambda: False)
+    assert float(Program(safe_sqrt)(jnp.asarray(4.0))) == 2.0
+    assert list(place.iterdir()) == []
+
+
+def test_transformations_go_through():
+    root = Program(safe_sqrt)
+    x = jnp.asarray([4.0, 9.0])
+    assert np.allclose(jax.vmap(root)(x), [2, 3])
+    assert float(jax.grad(root)(x[0])) == 0.25
+
+
+def test_timing_tells_preparation_from_running():
+    scene = small_scene(11)
+    scene = eqx.tree_at(lambda s: s.patella.mass, scene, 1.01 * scene.patella.mass)
+    simulate(scene, dt=2e-3)
+    warm = simulate(scene, dt=2e-3).timing
+    assert warm["compile_s"] == 0
+    assert 0 < warm["run_s"] < 1
+    assert 0 < warm["equilibrium_s"] < 1

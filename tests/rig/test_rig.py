@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from pftwin import rig
 from pftwin.dynamics.simulate import simulate
+from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.errors import InputError
 from pftwin.metrics import validate
 from pftwin.mocap import read_trc
@@ -26,6 +29,22 @@ def test_polynomials_fit_the_implant_as_well_as_the_papers_fit_theirs(contact):
 @pytest.fixture(scope="module")
 def runs():
     return {n: simulate(rig.case(n)) for n in geometry.CASES}
+
+
+def test_every_neighbour_of_a_case_has_its_equilibrium():
+    """Stiffer, softer, longer and shorter tendons, some of which bring a facet that is hardly a minimum into touch."""
+    scene = rig.case(1).unnamed()
+    factors = np.random.default_rng(1).uniform(0.9, 1.1, (256, 4))
+    found = eqx.filter_jit(eqx.filter_vmap(lambda f: starting_equilibrium(_with_springs(scene, f))))(jnp.asarray(factors))
+    assert bool(jnp.all(found.converged()))
+
+
+def _with_springs(scene, factors):
+    def springs(s):
+        tendons = [s.effects[s.index(name)] for name in ("quadriceps", "patellar_tendon")]
+        return [a for t in tendons for a in (t.stiffness, t.slack_length)]
+
+    return eqx.tree_at(springs, scene, [a * factors[i] for i, a in enumerate(springs(scene))])
 
 
 @pytest.mark.parametrize("n", [1, 4])

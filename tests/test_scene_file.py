@@ -29,6 +29,7 @@ from pftwin.effects.base import Patella
 from pftwin.effects.contact_law import Flores, Hertz, HuntCrossley
 from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
+from pftwin.kept import folder
 from pftwin.mocap import PoseSeries, write_trc
 from pftwin.motion import SegmentMotion
 from pftwin.scene import Scene
@@ -419,3 +420,27 @@ def test_the_line_numbers_follow_toml_into_nested_tables() -> None:
     assert lines["t", 0, "sub", "y"] == 5
     assert lines["t", 1, "x", "z"] == 7
     assert lines["t", 1, "sub", "deep", 0, "w"] == 9
+
+
+def test_a_scene_file_is_read_anew_only_where_a_file_has_changed(tmp_path, monkeypatch):
+    derived = []
+    write = folder.write
+    monkeypatch.setattr(folder, "write", lambda kind, key, body: derived.append(key) or write(kind, key, body))
+    before = folder.chosen()
+    folder.use(tmp_path / "kept")
+    try:
+        path = write_toy(tmp_path)
+        first, again = load_scene_file(path), load_scene_file(path)
+        assert len(derived) == 1
+        assert jax.tree.structure(first.scene) == jax.tree.structure(again.scene)
+        for a, b in zip(jax.tree.leaves(first.scene), jax.tree.leaves(again.scene), strict=True):
+            assert np.array_equal(a, b)
+        assert (first.notes, first.path) == (again.notes, again.path)
+        load_scene_file(path, contact="P2")
+        assert len(derived) == 2
+        mesh = tmp_path / "femur.stl"
+        mesh.write_bytes(mesh.read_bytes()[:-1])
+        with pytest.raises(InputError, match="truncated"):
+            load_scene_file(path)
+    finally:
+        folder.use(before)

@@ -14,7 +14,13 @@ from typing import Any
 
 import numpy as np
 
-LIBRARIES = frozenset({"equinox", "jax", "jaxlib", "jaxtyping", "numpy", "optimistix", "diffrax", "optax", "scipy"})
+# Whose versions are part of every key, so that their code need not be.
+LIBRARIES = frozenset(
+    (
+        "annotated_types", "diffrax", "equinox", "ezc3d", "jax", "jaxlib", "jaxtyping", "numpy", "optax", "optimistix",
+        "pydantic", "pydantic_core", "scipy", "trimesh", "typing_extensions",
+    )
+)  # fmt: skip
 
 
 class CannotKeepError(Exception):

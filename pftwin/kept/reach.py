@@ -24,7 +24,7 @@ from pftwin.kept.identity import LIBRARIES, CannotKeepError, is_library, root, t
 def versions() -> str:
     """Of the libraries that numbers come from."""
     found = []
-    for name in sorted(LIBRARIES | {"trimesh"}):
+    for name in sorted(LIBRARIES):
         try:
             found.append(f"{name} {version(name)}")
         except PackageNotFoundError:

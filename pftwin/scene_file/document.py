@@ -53,6 +53,11 @@ class Document:
             ) from None
         return Document(file, data, _line_numbers(lines, data))
 
+    def files(self) -> tuple[Path, ...]:
+        """The file itself and every file that a text in it may name."""
+        named = sorted({text for text in _texts(self.data) if text.isprintable()})
+        return self.path, *(path for text in named if (path := self.folder / text).is_file())
+
     @property
     def folder(self) -> Path:
         """Relative paths in the file start here."""
@@ -124,6 +129,14 @@ def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:
 
 def _keys(dotted: str) -> list[str]:
     return [part.strip("\"'") for part in re.findall(_PART, dotted)]
+
+
+def _texts(data: Any) -> Iterator[str]:
+    if isinstance(data, str):
+        yield data
+    elif isinstance(data, dict | list):
+        for inner in data.values() if isinstance(data, dict) else data:
+            yield from _texts(inner)
 
 
 def _line_numbers(lines: list[str], data: dict[str, Any]) -> dict[Place, int]:

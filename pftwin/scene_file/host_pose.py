@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
+import jax
 import numpy as np
+from jax.dtypes import canonicalize_dtype
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.spatial import Pose, Quaternion, Vec3
@@ -49,14 +50,14 @@ class HostPose:
         from scipy.spatial.transform import Rotation
 
         quaternion = Rotation.from_matrix(self.matrix).as_quat(scalar_first=True, canonical=True)
-        return Pose(vector(self.position), Quaternion.from_array(jnp.asarray(quaternion, dtype=float)))
+        return Pose(vector(self.position), Quaternion(*(scalar(c) for c in quaternion)))
 
 
-def scalar(value: ArrayLike) -> jnp.ndarray:
+def scalar(value: ArrayLike) -> jax.Array:
     """A parameter in JAX's default float type."""
-    return jnp.asarray(value, dtype=float)
+    return jax.device_put(np.asarray(value, canonicalize_dtype(float)))  # as it is: nothing is compiled for it
 
 
 def vector(values: ArrayLike) -> Vec3:
     """Points (..., 3) in JAX's default float type."""
-    return Vec3.from_array(jnp.asarray(values, dtype=float))
+    return Vec3(*(scalar(np.asarray(values)[..., k]) for k in range(3)))

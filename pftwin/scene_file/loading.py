@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from jax.dtypes import canonicalize_dtype
 from pydantic import Field, ValidationError, create_model
 
 from pftwin.errors import InputError
+from pftwin.kept.values import kept
 from pftwin.scene import Scene, check
 from pftwin.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
 from pftwin.scene_file.document import Document
@@ -87,6 +89,12 @@ def load_scene(path: str | os.PathLike[str], *, contact: str | None = None) -> S
 
 def load_scene_file(path: str | os.PathLike[str], *, contact: str | None = None) -> LoadedScene:
     """As `load_scene`, with the measurements that the file names and with notes for the user."""
+    float_type = str(canonicalize_dtype(float))
+    return kept(_loaded, os.fspath(path), contact, float_type, files=Document.read(path).files())
+
+
+def _loaded(path: str, contact: str | None, float_type: str) -> LoadedScene:
+    """The scene with leaves of this float type, which is JAX's default one."""
     document = Document.read(path)
     file = _validated(document)
     side = Side.read(file.side == "left", file.axes, document)

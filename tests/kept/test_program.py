@@ -120,7 +120,8 @@ class TestChanges:
 
 
 @pytest.fixture
-def place(tmp_path):
+def place(tmp_path, monkeypatch):
+    monkeypatch.setattr(pftwin, "imported_at", np.inf)  # whoever edits the source while this runs
     before = folder.chosen()
     folder.use(tmp_path)
     yield tmp_path

@@ -53,7 +53,15 @@ print(json.dumps([events.count("backend_compile_duration"), heavy, b"".join(p.to
 )
 
 
-def process(script: str, cache: Path, *, kind: str = "double", package: Path = PACKAGE, flags: str = "") -> list:
+@pytest.fixture(scope="module")
+def package(tmp_path_factory) -> Path:
+    """A copy of pftwin, so that processes one after the other run the same source, whoever edits it meanwhile."""
+    copy = tmp_path_factory.mktemp("source") / "pftwin"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    return copy
+
+
+def process(script: str, cache: Path, package: Path, *, kind: str = "double", flags: str = "") -> list:
     """What a fresh process prints."""
     env = {**os.environ, "PYTHONPATH": str(package.parent), "XLA_FLAGS": flags}
     done = subprocess.run(
@@ -69,11 +77,11 @@ def process(script: str, cache: Path, *, kind: str = "double", package: Path = P
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_a_second_process_gives_the_same_bits_without_compiling(tmp_path):
-    compiled, heavy, first = process(RIG, tmp_path / "cache")
+def test_a_second_process_gives_the_same_bits_without_compiling(tmp_path, package):
+    compiled, heavy, first = process(RIG, tmp_path / "cache", package)
     assert compiled >= 2
     assert heavy == ["trimesh", "scipy.signal"]
-    compiled, heavy, second = process(RIG, tmp_path / "cache")
+    compiled, heavy, second = process(RIG, tmp_path / "cache", package)
     assert compiled == 0
     assert heavy == []
     assert len(first) > 16 * 721 * 10
@@ -84,39 +92,38 @@ class TestChanges:
     """A small program in processes of its own."""
 
     @pytest.fixture
-    def cache(self, tmp_path):
-        assert process(TINY, tmp_path / "cache") == [True, 1, [2.0, 3.0]]
+    def cache(self, tmp_path, package):
+        assert process(TINY, tmp_path / "cache", package) == [True, 1, [2.0, 3.0]]
         return tmp_path / "cache"
 
-    def test_nothing_changed(self, cache):
-        assert process(TINY, cache) == [False, 0, [2.0, 3.0]]
+    def test_nothing_changed(self, cache, package):
+        assert process(TINY, cache, package) == [False, 0, [2.0, 3.0]]
 
-    def test_other_compiler_flags(self, cache):
-        assert process(TINY, cache, flags="--xla_cpu_prefer_vector_width=128") == [True, 1, [2.0, 3.0]]
+    def test_other_compiler_flags(self, cache, package):
+        assert process(TINY, cache, package, flags="--xla_cpu_prefer_vector_width=128") == [True, 1, [2.0, 3.0]]
 
-    def test_single_precision(self, cache):
-        assert process(TINY, cache, kind="single") == [True, 1, [2.0, 3.0]]
+    def test_single_precision(self, cache, package):
+        assert process(TINY, cache, package, kind="single") == [True, 1, [2.0, 3.0]]
 
     @pytest.mark.parametrize("kind", ["answers", "programs"])
     @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b + b"x"])
-    def test_a_damaged_file(self, cache, kind, damage):
+    def test_a_damaged_file(self, cache, package, kind, damage):
         (path,) = (cache / kind).iterdir()
         path.write_bytes(damage(path.read_bytes()))
-        assert process(TINY, cache) == [True, int(kind == "programs"), [2.0, 3.0]]
-        assert process(TINY, cache) == [False, 0, [2.0, 3.0]]  # mended
+        assert process(TINY, cache, package) == [True, int(kind == "programs"), [2.0, 3.0]]
+        assert process(TINY, cache, package) == [False, 0, [2.0, 3.0]]  # mended
 
-    def test_changed_source(self, cache, tmp_path):
-        shutil.copytree(PACKAGE, tmp_path / "pftwin", ignore=shutil.ignore_patterns("__pycache__", "data"))
-        copy = tmp_path / "pftwin"
-        assert process(TINY, cache, package=copy) == [False, 0, [2.0, 3.0]]  # the same source at another place
+    def test_changed_source(self, cache, package, tmp_path):
+        copy = shutil.copytree(package, tmp_path / "pftwin", ignore=shutil.ignore_patterns("__pycache__", "data"))
+        assert process(TINY, cache, copy) == [False, 0, [2.0, 3.0]]  # the same source at another place
         spatial = copy / "spatial.py"
         text = spatial.read_text()
         spatial.write_text(text + "\n# a remark\n")
-        assert process(TINY, cache, package=copy) == [True, 0, [2.0, 3.0]]  # traced: it proves to be the same program
+        assert process(TINY, cache, copy) == [True, 0, [2.0, 3.0]]  # traced: it proves to be the same program
         old = "return jnp.where(positive, jnp.sqrt("
         assert old in text
         spatial.write_text(text.replace(old, old.replace("jnp.sqrt(", "2 * jnp.sqrt(")))
-        assert process(TINY, cache, package=copy) == [True, 1, [4.0, 6.0]]
+        assert process(TINY, cache, copy) == [True, 1, [4.0, 6.0]]
 
 
 @pytest.fixture

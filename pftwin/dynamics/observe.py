@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.dynamics.packing import map_rows
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.trajectory import Trajectory
 from pftwin.effects.sphere_contact import SphereContact
@@ -78,7 +79,7 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         return Pose(origin, relative), center, seen, system.kinetic_energy(state), stored, status
 
     # A loop, which is the same program as one frame's and so is compiled as quickly.
-    patella, center, seen, kinetic, stored, status = jax.lax.map(lambda at: look(*at), (path.states, guides))
+    patella, center, seen, kinetic, stored, status = map_rows(lambda at: look(*at), (path.states, guides))
     badly_started = jnp.where(path.start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
     return Observation(patella, center, seen, kinetic, stored, status | badly_started)
 

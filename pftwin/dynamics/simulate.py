@@ -40,7 +40,7 @@ def _relaxed(scene: Scene) -> Pose:
 def _run(
     scene: Scene, start: Solution, integrator: str, substeps: int, energy: bool
 ) -> tuple[Observation, Ledger | None]:
-    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy)
+    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy, in_rows=True)
     return observe(scene, path), path.ledger
 
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from pftwin.dynamics import linear_implicit, symplectic_euler
 from pftwin.dynamics.equilibrium import Solution, solve_equilibrium
 from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.errors import InputError
 from pftwin.scene import Scene
@@ -110,6 +111,7 @@ def trajectory(
     substeps: int = 10,
     start: Solution | None = None,
     ledger: bool = False,
+    in_rows: bool = False,
 ) -> Trajectory:
     """The patella's path through the recorded frames, from static equilibrium.
 
@@ -119,6 +121,7 @@ def trajectory(
         substeps: steps between two recorded frames.
         start: an equilibrium to start from; by default it is solved for.
         ledger: whether to keep the energy ledger.
+        in_rows: store each frame as one row: a single run is up to four times faster, a large batch a fifth slower.
 
     Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
     """
@@ -140,9 +143,12 @@ def trajectory(
             return advance(system, now[0], Guide.sample(motion, time), step, now[1]), None
 
         now, _ = jax.lax.scan(one_step, now, times)
-        return now, now
+        return now, layout.row(now) if in_rows else now
 
+    layout = Layout.of(lambda: carry)
     _, later = jax.lax.scan(one_frame, carry, (jnp.arange(times.shape[0]), times))
+    if in_rows:
+        later = layout.unpacked(later)
     states, books = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), carry, later)
     return Trajectory(states, books, start)
 

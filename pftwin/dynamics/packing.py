@@ -1,0 +1,46 @@
+"""What a loop puts out, as one row per turn.
+
+A loop that stores dozens of scalars at every turn spends more time on storing than on computing: each is an operation
+of its own on an array as long as the loop. One row of all of them is one operation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+
+class Layout(NamedTuple):
+    """How the leaves of a value lie in a row."""
+
+    structure: Any
+    leaves: list[jax.ShapeDtypeStruct]
+
+    @staticmethod
+    def of(function: Callable[..., Any], *args: Any) -> Layout:
+        """That of a function's value; nothing is computed."""
+        leaves, structure = jax.tree.flatten(jax.eval_shape(function, *args))
+        return Layout(structure, leaves)
+
+    def row(self, value: Any) -> Array:
+        """All leaves in a row, in JAX's default float type: exact for flags and small integers too."""
+        return jnp.concatenate([jnp.ravel(leaf).astype(float) for leaf in jax.tree.leaves(value)])
+
+    def unpacked(self, table: Array) -> Any:
+        """The value back from rows (n, k): every leaf with a leading axis n."""
+        values, begin = [], 0
+        for leaf in self.leaves:
+            end = begin + leaf.size
+            values.append(table[:, begin:end].reshape(-1, *leaf.shape).astype(leaf.dtype))
+            begin = end
+        return jax.tree.unflatten(self.structure, values)
+
+
+def map_rows(function: Callable[[Any], Any], xs: Any) -> Any:
+    """`jax.lax.map(function, xs)`, stored row by row."""
+    layout = Layout.of(function, jax.tree.map(lambda a: a[0], xs))
+    return layout.unpacked(jax.lax.map(lambda x: layout.row(function(x)), xs))

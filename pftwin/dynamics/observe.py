@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -16,6 +15,8 @@ from pftwin.effects.sphere_contact import SphereContact
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 
+FARTHEST = 0.25  # a way within one step beyond this share of the button's radius leaps over what it should feel
+MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is exact
 DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
 
 
@@ -28,6 +29,7 @@ class Status(enum.IntFlag):
     DEEP_INDENTATION = 4
     NOT_FINITE = 8
     START_NOT_IN_EQUILIBRIUM = 16
+    STEP_TOO_LONG = 32
 
     def describe(self) -> str:
         """The status in words."""
@@ -41,6 +43,7 @@ _WORDS = {
     Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation",
     Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius: step too large or law too soft",
     Status.NOT_FINITE: "not finite: step too large",
+    Status.STEP_TOO_LONG: "the patella moves or turns too far within one step: take a shorter one",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
@@ -75,7 +78,7 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         origin = now.femur.to_local(state.position - turn.rotate(scene.patella.center_of_mass))
         relative = femur_to_world.conjugate() * turn
         center = origin + relative.rotate(scene.tracked_point())
-        status = _status(scene, seen, state)
+        status = _status(scene, seen, state, path.step)
         return Pose(origin, relative), center, seen, system.kinetic_energy(state), stored, status
 
     # A loop, which is the same program as one frame's and so is compiled as quickly.
@@ -84,8 +87,8 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
     return Observation(patella, center, seen, kinetic, stored, status | badly_started)
 
 
-def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State) -> Array:
-    flags = jnp.zeros((), int)
+def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar) -> Array:
+    flags = jnp.where(step * state.spin.norm() > MOST_TURN, int(Status.STEP_TOO_LONG), 0)
     for effect in scene.effects:
         if not isinstance(effect, SphereContact):
             continue
@@ -95,6 +98,7 @@ def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State) -> Ar
             (report["force"] <= 0, Status.NO_CONTACT),
             (report["off_patch"] > 0, Status.LEFT_PATCH),
             (deepest > DEEPEST * effect.radius, Status.DEEP_INDENTATION),
+            (step * state.velocity.norm() > FARTHEST * effect.radius, Status.STEP_TOO_LONG),
         ):
             flags = flags | jnp.where(condition, int(flag), 0)
     finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())

@@ -41,6 +41,7 @@ class Trajectory(eqx.Module):
     states: State
     ledger: Ledger | None
     start: Solution  # the equilibrium it started from
+    step: Scalar  # [s]
 
 
 def substeps_for(interval: float, dt: float) -> int:
@@ -150,7 +151,7 @@ def trajectory(
     if in_rows:
         later = layout.unpacked(later)
     states, books = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), carry, later)
-    return Trajectory(states, books, start)
+    return Trajectory(states, books, start, step)
 
 
 __all__ = [

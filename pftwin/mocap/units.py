@@ -32,6 +32,8 @@ _UNITS: dict[str, tuple[str, float]] = {
     "mm/s": ("m/s", 1e-3),
     "rad/s": ("rad/s", 1.0),
     "deg/s": ("rad/s", math.pi / 180),
+    "J": ("J", 1.0),
+    "mJ": ("J", 1e-3),
     "kg": ("kg", 1.0),
     "Pa": ("Pa", 1.0),
     "MPa": ("Pa", 1e6),

@@ -159,7 +159,7 @@ def run_plant(case: int) -> tuple[Scene, dict[str, NDArray], int]:
     """The truth of a case at the rig's frames: patella pose in the femur, three forces; and the steps taken."""
     scene = plant_scene(case)
     states, start, steps = _integrate(scene)
-    seen = eqx.filter_jit(observe)(scene, Trajectory(states, None, start))
+    seen = eqx.filter_jit(observe)(scene, Trajectory(states, None, start, jnp.zeros(())))
     truth = {
         "position": seen.patella.position.array(),
         "quaternion": seen.patella.orientation.array(),

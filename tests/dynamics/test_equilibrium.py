@@ -129,3 +129,19 @@ def test_a_step_too_large_is_not_finite_and_says_so():
     status = np.asarray(eqx.filter_jit(look)(stiff, starting_as_it_is(stiff)))
     assert int(status[-1]) & int(Status.NOT_FINITE)
     assert not int(status[0]) & int(Status.NOT_FINITE)
+
+
+def test_a_step_that_is_too_long_is_said_to_be():
+    """Turning by 0.4 rad, or moving by half the button's radius, within one step."""
+    scene = knee()
+    path = run(scene, settled(scene))[0]
+    look = eqx.filter_jit(lambda path: observe(scene, path).status)
+
+    def flagged(path) -> np.ndarray:
+        return (np.asarray(look(path)) & int(Status.STEP_TOO_LONG)) != 0
+
+    assert not flagged(path).any()
+    assert flagged(eqx.tree_at(lambda p: (p.states.spin.x, p.step), path, (path.states.spin.x + 40, J(1e-2)))).all()
+    assert flagged(
+        eqx.tree_at(lambda p: (p.states.velocity.z, p.step), path, (path.states.velocity.z - 1, J(1e-2)))
+    ).all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Literal
 
-import jax
 import numpy as np
 from jax.dtypes import canonicalize_dtype
 
@@ -17,25 +16,16 @@ from pftwin.effects.sphere_contact import SphereContact
 from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
 from pftwin.kept.values import kept
+from pftwin.leaves import number, vector
 from pftwin.motion import KneeMotion
 from pftwin.rig import geometry as rig
 from pftwin.rig.recording import IMPLANT_FILE, Recording, data_folder, read_recording, recording_files
 from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
+from pftwin.spatial import Pose, Quaternion
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.fit import PatchFit, fit_patch, parse_degree
 from pftwin.surfaces.implant import rig_region
 from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
-
-
-def number(value: float) -> Scalar:
-    """A leaf in JAX's default float type."""
-    return jax.device_put(np.asarray(value, canonicalize_dtype(float)))  # as it is: nothing is compiled for it
-
-
-def vector(values: tuple[float, float, float]) -> Vec3:
-    """A vector of leaves."""
-    return Vec3(*(number(v) for v in values))
 
 
 @lru_cache(maxsize=1)

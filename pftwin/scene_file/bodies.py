@@ -8,10 +8,11 @@ import numpy as np
 from pydantic import Field
 
 from pftwin.errors import InputError
+from pftwin.leaves import number, vector
 from pftwin.mocap import PoseSeries
 from pftwin.motion import KneeMotion
 from pftwin.scene import PatellaBody
-from pftwin.scene_file.host_pose import HostPose, scalar, vector
+from pftwin.scene_file.host_pose import HostPose
 from pftwin.scene_file.section import Point, Positive, Section
 from pftwin.scene_file.segments import PoseSection, Recording, SegmentSection
 from pftwin.scene_file.side import Side
@@ -36,7 +37,7 @@ class PatellaSection(Section):
     def body(self, side: Side) -> PatellaBody:
         """As the scene wants it."""
         center = vector(side.points("patella", self.center_of_mass_m))
-        return PatellaBody(scalar(self.mass_kg), vector(side.moments(self.inertia_kg_m2)), center)
+        return PatellaBody(number(self.mass_kg), vector(side.moments(self.inertia_kg_m2)), center)
 
 
 class FemurSection(SegmentSection):

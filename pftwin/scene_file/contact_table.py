@@ -9,8 +9,8 @@ from pydantic import Field, model_validator
 
 from pftwin.effects.contact_law import Flores, Hertz, HuntCrossley
 from pftwin.effects.sphere_contact import SphereContact
+from pftwin.leaves import number, vector
 from pftwin.scene_file.effect_tables import EffectSection
-from pftwin.scene_file.host_pose import scalar, vector
 from pftwin.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
 from pftwin.scene_file.setting import Setting
 from pftwin.scene_file.surface_table import SurfaceSection
@@ -36,8 +36,8 @@ class FloresSection(LawSection):
     def build(self) -> Flores:
         """The law."""
         return Flores(
-            scalar(self.contact_stiffness),
-            scalar(self.restitution),
+            number(self.contact_stiffness),
+            number(self.restitution),
             hertz_exponent=self.hertz_exponent,
             approach_speed_floor=self.approach_speed_floor_m_per_s,
         )
@@ -51,7 +51,7 @@ class HuntCrossleySection(LawSection):
 
     def build(self) -> HuntCrossley:
         """The law."""
-        stiffness, dissipation = scalar(self.contact_stiffness), scalar(self.dissipation_s_per_m)
+        stiffness, dissipation = number(self.contact_stiffness), number(self.dissipation_s_per_m)
         return HuntCrossley(stiffness, dissipation, hertz_exponent=self.hertz_exponent)
 
 
@@ -62,7 +62,7 @@ class HertzSection(LawSection):
 
     def build(self) -> Hertz:
         """The law."""
-        return Hertz(scalar(self.contact_stiffness), hertz_exponent=self.hertz_exponent)
+        return Hertz(number(self.contact_stiffness), hertz_exponent=self.hertz_exponent)
 
 
 class ButtonSection(Section):
@@ -114,4 +114,4 @@ class ContactSection(EffectSection):
             setting.buttons[self.label] = replace(sphere, center=center_here, axis=axis_here)
         assert radius is not None
         place = vector(setting.points("patella", center))
-        return SphereContact(surface, self.law.build(), place, scalar(radius), name=self.label)
+        return SphereContact(surface, self.law.build(), place, number(radius), name=self.label)

@@ -9,8 +9,8 @@ from pydantic import Field
 
 from pftwin.effects.damping import LinearDamping
 from pftwin.effects.gravity import Gravity
+from pftwin.leaves import number, vector
 from pftwin.scene_file.effect_tables import Body, EffectSection
-from pftwin.scene_file.host_pose import scalar, vector
 from pftwin.scene_file.section import NotNegative, Point
 from pftwin.scene_file.setting import Setting
 
@@ -24,7 +24,7 @@ class GravitySection(EffectSection):
     def build(self, setting: Setting, at: tuple[str | int, ...]) -> Gravity:
         """The effect."""
         acceleration = setting.world_direction(self.acceleration_m_per_s2)
-        return Gravity(scalar(setting.mass), vector(acceleration), name=self.label)
+        return Gravity(number(setting.mass), vector(acceleration), name=self.label)
 
 
 class DampingSection(EffectSection):
@@ -37,5 +37,5 @@ class DampingSection(EffectSection):
 
     def build(self, setting: Setting, at: tuple[str | int, ...]) -> LinearDamping:
         """The effect."""
-        rates = scalar(self.translational_N_s_per_m), scalar(self.rotational_N_m_s_per_rad)
+        rates = number(self.translational_N_s_per_m), number(self.rotational_N_m_s_per_rad)
         return LinearDamping(*rates, body=self.body, name=self.label)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
-from jax.dtypes import canonicalize_dtype
 from numpy.typing import ArrayLike, NDArray
 
-from pftwin.spatial import Pose, Quaternion, Vec3
+from pftwin.leaves import number, vector
+from pftwin.spatial import Pose, Quaternion
 
 Array = NDArray[np.float64]
 
@@ -50,14 +49,4 @@ class HostPose:
         from scipy.spatial.transform import Rotation
 
         quaternion = Rotation.from_matrix(self.matrix).as_quat(scalar_first=True, canonical=True)
-        return Pose(vector(self.position), Quaternion(*(scalar(c) for c in quaternion)))
-
-
-def scalar(value: ArrayLike) -> jax.Array:
-    """A parameter in JAX's default float type."""
-    return jax.device_put(np.asarray(value, canonicalize_dtype(float)))  # as it is: nothing is compiled for it
-
-
-def vector(values: ArrayLike) -> Vec3:
-    """Points (..., 3) in JAX's default float type."""
-    return Vec3(*(scalar(np.asarray(values)[..., k]) for k in range(3)))
+        return Pose(vector(self.position), Quaternion(*(number(c) for c in quaternion)))

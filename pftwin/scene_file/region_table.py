@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pftwin.errors import InputError
-from pftwin.scene_file.host_pose import HostPose, scalar, vector
+from pftwin.leaves import number, vector
+from pftwin.scene_file.host_pose import HostPose
 from pftwin.scene_file.section import Direction, Pair, Point, Positive, Section, problem
 from pftwin.scene_file.setting import Setting
 
@@ -70,5 +71,5 @@ class RegionSection(Section):
         y, z = lateral / size, anterior / np.linalg.norm(anterior)
         axes = np.stack([np.cross(y, z), y, z], axis=1)
         origin = setting.side.points("femur", frame.apply(self.axis_origin_m))
-        chart = CylindricalChart(vector(origin), Rotation.from_array(scalar(axes)), scalar(self.axis_radius_m or 0.0))
+        chart = CylindricalChart(vector(origin), Rotation.from_array(number(axes)), number(self.axis_radius_m or 0.0))
         return region_about(mesh, chart, angles=(low, high), half_width=self.half_width_m)

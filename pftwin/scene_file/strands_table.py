@@ -13,10 +13,11 @@ from pydantic import Field, model_validator
 
 from pftwin.effects.strands import StrandGroup
 from pftwin.errors import InputError
+from pftwin.leaves import number as leaf
+from pftwin.leaves import vector
 from pftwin.mocap.naming import unknown_name
 from pftwin.mocap.text_files import number, read_lines
 from pftwin.scene_file.effect_tables import Body, EffectSection
-from pftwin.scene_file.host_pose import scalar, vector
 from pftwin.scene_file.section import FileName, NotNegatives, Points, Positives, problem
 from pftwin.scene_file.setting import Setting
 from pftwin.scene_file.tendon_table import group_size
@@ -65,7 +66,7 @@ class StrandsSection(EffectSection):
                 where = setting.document.describe(place)
                 raise InputError(f"{len(values)} values for {n} strands", where=where, expected=f"1 or {n}")
         ends = setting.points("patella", strands.insertion), setting.points(self.body, strands.origin)
-        k, slack, toe, damping = (scalar(np.broadcast_to(v, (n,))) for v in one)
+        k, slack, toe, damping = (leaf(np.broadcast_to(v, (n,))) for v in one)
         insertion, origin = (vector(e) for e in ends)
         return StrandGroup(k, slack, toe, damping, insertion, origin, body=self.body, name=self.label)
 

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from pftwin.errors import InputError
-from pftwin.scene_file.host_pose import HostPose, scalar, vector
+from pftwin.leaves import number, vector
+from pftwin.scene_file.host_pose import HostPose
 from pftwin.scene_file.region_table import RegionSection
 from pftwin.scene_file.section import (
     FileName,
@@ -117,14 +118,14 @@ class PatchSurfaceSection(Section):
         frame = HostPose.of(self.chart.origin_m, self.chart.quaternion_wxyz)
         origin = setting.side.points("femur", frame.position)
         axes = setting.side.matrices["femur"] @ frame.matrix * np.array([1.0, odd, 1.0])
-        where = vector(origin), Rotation.from_array(scalar(axes))
+        where = vector(origin), Rotation.from_array(number(axes))
         chart = (
-            PlaneChart(*where) if self.chart.radius_m is None else CylindricalChart(*where, scalar(self.chart.radius_m))
+            PlaneChart(*where) if self.chart.radius_m is None else CylindricalChart(*where, number(self.chart.radius_m))
         )
         coefficients = [c * odd**j for c, (_, j) in zip(self.coefficients_m, powers, strict=True)]
-        center = scalar(self.center_m[0]), scalar(odd * self.center_m[1])
-        half = scalar(self.half_size_m[0]), scalar(self.half_size_m[1])
-        return PolynomialPatch(chart, scalar(coefficients), center, half, degree)
+        center = number(self.center_m[0]), number(odd * self.center_m[1])
+        half = number(self.half_size_m[0]), number(self.half_size_m[1])
+        return PolynomialPatch(chart, number(coefficients), center, half, degree)
 
 
 class ImplantSurfaceSection(Section):

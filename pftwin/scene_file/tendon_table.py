@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pftwin.effects.tendon import Tendon
+from pftwin.leaves import number, vector
 from pftwin.scene_file.effect_tables import Body, EffectSection
-from pftwin.scene_file.host_pose import scalar, vector
 from pftwin.scene_file.section import NotNegatives, Points, Positives, problem
 from pftwin.scene_file.setting import Setting
 
@@ -42,7 +42,7 @@ class TendonSection(EffectSection):
             damping = stiffness * np.asarray(self.damping_time_s)
         ends = setting.points("patella", self.insertion_m), setting.points(self.body, self.origin_m)
         n = max(len(a) for a in (stiffness, self.slack_length_m, damping, *ends))
-        k, slack, c = (scalar(member_values(a, n)) for a in (stiffness, np.asarray(self.slack_length_m), damping))
+        k, slack, c = (number(member_values(a, n)) for a in (stiffness, np.asarray(self.slack_length_m), damping))
         insertion, origin = (vector(member_values(e, n)) for e in ends)
         return Tendon(k, slack, c, insertion, origin, body=self.body, name=self.label)
 

@@ -9,10 +9,10 @@ from pydantic import Field
 
 from pftwin.effects.tension import PrescribedTension
 from pftwin.errors import InputError
+from pftwin.leaves import number, vector
 from pftwin.mocap import Table, read_csv
 from pftwin.mocap.timebase import uniform_times
 from pftwin.scene_file.effect_tables import Body, EffectSection
-from pftwin.scene_file.host_pose import scalar, vector
 from pftwin.scene_file.section import FileName, Points
 from pftwin.scene_file.setting import Setting
 
@@ -55,7 +55,7 @@ class PrescribedTensionSection(EffectSection):
                 )
         origins = np.broadcast_to(setting.points(self.body, origin), (n, len(lines), 3))
         return PrescribedTension(
-            scalar(tension),
+            number(tension),
             vector(origins),
             vector(setting.points("patella", insertion[0])),
             start_time=float(times[0]),

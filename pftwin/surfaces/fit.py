@@ -10,11 +10,11 @@ import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pftwin.errors import InputError, PftwinWarning
+from pftwin.leaves import number
 from pftwin.surfaces.charts import Chart, CylindricalChart
 from pftwin.surfaces.fit_input import (
     Emphasis,
@@ -118,9 +118,9 @@ def fit_patch(
     coefficients = _solve(_monomials(a, b, n), h, weight, n, where)
     patch = PolynomialPatch(
         chart,
-        jnp.asarray(coefficients),
-        (jnp.asarray(center[0]), jnp.asarray(center[1])),
-        (jnp.asarray(half[0]), jnp.asarray(half[1])),
+        number(coefficients),
+        (number(center[0]), number(center[1])),
+        (number(half[0]), number(half[1])),
         n,
     )
     coverage = _coverage(a, b)

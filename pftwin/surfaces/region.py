@@ -12,13 +12,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.errors import InputError
-from pftwin.spatial import Rotation, Vec3
+from pftwin.leaves import number, vector
+from pftwin.spatial import Rotation
 from pftwin.surfaces.charts import CylindricalChart, PlaneChart
+from pftwin.surfaces.fit_input import as_vector
 from pftwin.surfaces.groove import deepest_points, fit_axis_direction, fit_circle
 
 if TYPE_CHECKING:
@@ -107,8 +108,8 @@ def region_about(
     mesh: SurfaceMesh, cylinder: CylindricalChart, *, angles: tuple[float, float], half_width: float
 ) -> TrochlearRegion:
     """The region about a known axis, the chart's y, without a search; otherwise as `trochlear_region`."""
-    axes = np.asarray(cylinder.axes.array(), dtype=np.float64)
-    origin = np.asarray(cylinder.origin.array(), dtype=np.float64)
+    axes = np.stack([as_vector(e) for e in (cylinder.axes.ex, cylinder.axes.ey, cylinder.axes.ez)], axis=1)
+    origin = as_vector(cylinder.origin)
     points, normals = (mesh.vertices - origin) @ axes, mesh.vertex_normals @ axes
     center = np.zeros(2)
     mask = _rectangle(points, normals, center, 0.0, angles, half_width)
@@ -235,8 +236,8 @@ def _charts(
     tilt = 0.5 * (angles[0] + angles[1])
     c, s = math.cos(tilt), math.sin(tilt)
     turned = axes @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    at = Vec3.from_array(jnp.asarray(origin))
+    at = vector(origin)
     return (
-        PlaneChart(at, Rotation.from_array(jnp.asarray(turned))),
-        CylindricalChart(at, Rotation.from_array(jnp.asarray(axes)), jnp.asarray(radius)),
+        PlaneChart(at, Rotation(*(vector(column) for column in turned.T))),
+        CylindricalChart(at, Rotation(*(vector(column) for column in axes.T)), number(radius)),
     )

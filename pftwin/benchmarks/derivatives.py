@@ -22,12 +22,15 @@ from pftwin.scene import Scene
 from pftwin.surfaces.patch import PolynomialPatch
 
 
-def forward(scene: Scene, steps: dict[str, int], counts: tuple[int, ...]) -> list[Row]:
-    """Four columns (K1, L1, K2, L2) in forward mode, the trajectory included, against the trajectory."""
+def forward(scene: Scene, steps: dict[str, int], counts: dict[str, tuple[int, ...]]) -> list[Row]:
+    """Four columns (K1, L1, K2, L2) in forward mode, the trajectory included, against the trajectory.
+
+    The columns are the outer axis: what they share is computed once, and lies in memory as the vectorised loops want it.
+    """
     near = started_nearby(scene)
     out = []
     for level, n in steps.items():
-        for count in counts:
+        for count in counts[level]:
 
             def path(s: Scene, one: jax.Array, n: int = n) -> Any:
                 return sphere_centre(with_springs(s, one), n)
@@ -35,14 +38,11 @@ def forward(scene: Scene, steps: dict[str, int], counts: tuple[int, ...]) -> lis
             def plain(s: Scene, f: jax.Array) -> Any:
                 return jax.vmap(lambda one: path(s, one))(f)
 
-            def columns(s: Scene, f: jax.Array) -> Any:
-                def one(at: jax.Array) -> Any:
-                    def push(t: jax.Array) -> Any:
-                        return jax.jvp(lambda x: path(s, x), (at,), (t,))
+            def columns(s: Scene, f: jax.Array, plain: Any = plain) -> Any:
+                def push(t: jax.Array) -> Any:
+                    return jax.jvp(lambda x: plain(s, x), (f,), (jnp.broadcast_to(t, f.shape),))
 
-                    return jax.vmap(push, out_axes=(None, 0))(jnp.eye(4, dtype=at.dtype))
-
-                return jax.vmap(one)(f)
+                return jax.vmap(push, out_axes=(None, 0))(jnp.eye(4, dtype=f.dtype))
 
             factors = variants(count)
             a, b = measure_in_turn(compiled(plain, near, factors), compiled(columns, near, factors))

@@ -10,6 +10,9 @@ from typing import Any
 from pftwin.benchmarks.machine import pin_to_one_core
 
 
+COUNTS = {"0.01": (64,), "0.05": (1, 16, 64, 256)}  # variants side by side, by accuracy level [mm]
+
+
 def work(task: dict[str, Any], target: Path) -> None:
     """Measures the task's topic and writes the rows as JSON."""
     pinned = pin_to_one_core()
@@ -23,7 +26,7 @@ def work(task: dict[str, Any], target: Path) -> None:
     if task["topic"] == "batch":
         rows = speed.batch(scene, steps, min(task["variants"], 16) if task["quick"] else task["variants"])
     elif task["topic"] == "forward":
-        rows = derivatives.forward(scene, steps, (1, 4) if task["quick"] else (1, 64, 256))
+        rows = derivatives.forward(scene, steps, {level: (4,) if task["quick"] else COUNTS[level] for level in steps})
     else:
         rows = derivatives.reverse(scene, steps)
     for row in rows:

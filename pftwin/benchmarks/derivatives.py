@@ -25,7 +25,7 @@ from pftwin.surfaces.patch import PolynomialPatch
 def forward(scene: Scene, steps: dict[str, int], counts: dict[str, tuple[int, ...]]) -> list[Row]:
     """Four columns (K1, L1, K2, L2) in forward mode, the trajectory included, against the trajectory.
 
-    The columns are the outer axis: what they share is computed once, and lies in memory as the vectorised loops want it.
+    The columns are the outer axis: what they share is computed once, and lies in memory as vectorised loops want it.
     """
     near = started_nearby(scene)
     out = []

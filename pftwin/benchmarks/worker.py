@@ -9,7 +9,6 @@ from typing import Any
 
 from pftwin.benchmarks.machine import pin_to_one_core
 
-
 COUNTS = {"0.01": (64,), "0.05": (1, 16, 64, 256)}  # variants side by side, by accuracy level [mm]
 
 

@@ -191,7 +191,7 @@ class KneeMotion(eqx.Module):
         return None if self.femur is None else self.femur.frames(times), self.tibia.frames(times)
 
     def between_frames(self, index: Scalar) -> MotionPiece:
-        """The motion between recorded frames `index` and `index` + 1: what a loop over steps should look things up in."""
+        """The motion between recorded frames `index` and `index` + 1: for a loop over steps to look things up in."""
         return MotionPiece(None if self.femur is None else self.femur.pieces(index), self.tibia.pieces(index))
 
 

@@ -34,8 +34,8 @@ def runs():
 def test_every_neighbour_of_a_case_has_its_equilibrium():
     """Stiffer, softer, longer and shorter tendons, some of which bring a facet that is hardly a minimum into touch."""
     scene = rig.case(1).unnamed()
-    factors = np.random.default_rng(1).uniform(0.9, 1.1, (256, 4))
-    found = eqx.filter_jit(eqx.filter_vmap(lambda f: starting_equilibrium(_with_springs(scene, f))))(jnp.asarray(factors))
+    factors = jnp.asarray(np.random.default_rng(1).uniform(0.9, 1.1, (256, 4)))
+    found = eqx.filter_jit(eqx.filter_vmap(lambda f: starting_equilibrium(_with_springs(scene, f))))(factors)
     assert bool(jnp.all(found.converged()))
 
 

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from pftwin.batches import batched
 from pftwin.benchmarks.clock import measure_in_turn
 from pftwin.benchmarks.problem import (
     compiled,
@@ -36,7 +37,7 @@ def forward(scene: Scene, steps: dict[str, int], counts: dict[str, tuple[int, ..
                 return sphere_centre(with_springs(s, one), n)
 
             def plain(s: Scene, f: jax.Array) -> Any:
-                return jax.vmap(lambda one: path(s, one))(f)
+                return batched(lambda one: path(s, one))(f)
 
             def columns(s: Scene, f: jax.Array, plain: Any = plain) -> Any:
                 def push(t: jax.Array) -> Any:

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 
 import pftwin
+from pftwin.batches import batched
 from pftwin.benchmarks.clock import measure
 from pftwin.benchmarks.problem import compiled, duration, sphere_centre, started_nearby, variants, with_springs
 from pftwin.benchmarks.row import Row
@@ -58,10 +59,10 @@ def batch(scene: Scene, steps: dict[str, int], count: int) -> list[Row]:
         given = compiled(starting_equilibrium, near)()
 
         def settled(s: Scene, f: jax.Array, n: int = n) -> Vec3:
-            return jax.vmap(lambda one: sphere_centre(with_springs(s, one), n))(f)
+            return batched(lambda one: sphere_centre(with_springs(s, one), n))(f)
 
         def moving(s: Scene, f: jax.Array, start: Solution, n: int = n) -> Vec3:
-            return jax.vmap(lambda one: sphere_centre(with_springs(s, one), n, start))(f)
+            return batched(lambda one: sphere_centre(with_springs(s, one), n, start))(f)
 
         for name, call in (
             ("each from its own equilibrium", compiled(settled, near, factors)),

@@ -99,9 +99,12 @@ def _diagonal(system: System, loads: list[Load], step: Scalar) -> list[Scalar]:
 
     A force f that turns with the body is a spring across its own direction: about f / SPAN against displacement,
     f LEVER against rotation. Only its size matters here: the step stays of the same order whatever is added, and large
-    steps stay stable.
+    steps stay stable. A contact that would pull at the predicted pose counts for nothing: a negative share would make
+    the body lighter than it is, or its mass negative.
     """
-    total = sum((jnp.sum(term.force) for load in loads for term in load.stiff), start=jnp.zeros_like(step))
+    terms = [term for load in loads for term in load.stiff]
+    pushes = [jnp.sum(jnp.where(t.force > 0, t.force, 0.0)) for t in terms]
+    total = sum(pushes, start=jnp.zeros_like(step))
     across = system.mass + (step * step / SPAN) * total
     about = (step * step * LEVER) * total
     for load in loads:

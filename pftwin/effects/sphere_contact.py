@@ -74,7 +74,7 @@ class SphereContact(Effect):
     def guess(self, now: Instant) -> ContactMemory:
         """Both points below the sphere's centre, from where they find their way; no contact has begun yet."""
         c, _ = self.centre_in_chart(now)
-        foot = Place(*self.surface.chart.foot(c), jnp.zeros(jnp.shape(c.x), bool))
+        foot = Place(*self.surface.chart.foot(c), jnp.zeros_like(c.x))
         zero = jnp.zeros_like(c.x)
         return ContactMemory((foot, foot), (zero, zero) if self.law.remembers_approach else None)
 
@@ -99,7 +99,7 @@ class SphereContact(Effect):
         one, two = (self._touch(now, p, velocity, speed, facets.share) for p, speed in zip(points, speeds, strict=True))
         way = now.step * velocity
         medial, lateral = (
-            Place(*stop_gradient((p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way))), p.settled) for p in points
+            Place(*stop_gradient((p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled))) for p in points
         )
         begun = None
         if one.approach_speed is not None and two.approach_speed is not None:

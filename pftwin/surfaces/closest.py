@@ -13,7 +13,7 @@ from pftwin.surfaces.charts import Chart, Jet
 
 PUSH = 0.04  # of the longest step: what moves a point off a saddle
 FLATTEST = 0.1  # curvatures of the distance below this share of the tangents' own are raised to it
-SHORT = 0.1  # of the longest step: up to here the surface's Taylor expansion at the start tells where the step ends
+SHORT = 0.5  # of the longest step: up to here a point counts as having arrived
 
 
 class Profile(NamedTuple):
@@ -29,6 +29,10 @@ class Surface(Protocol):
     @property
     def chart(self) -> Chart:
         """How (u, v, height) make a point."""
+        ...
+
+    def height(self, u: Scalar, v: Scalar) -> Scalar:
+        """Height alone."""
         ...
 
     def jet(self, u: Scalar, v: Scalar) -> Jet:
@@ -60,7 +64,9 @@ class ClosestPoint(NamedTuple):
     distance: Scalar  # from the surface to the point along the outward normal, negative inside the bone [m]
     normal: Vec3  # outward unit normal of the surface
     step: Scalar  # length of the step in (u, v) that was taken: how far from converged the start was [m]
-    settled: Scalar  # whether the step was short and its start in the basin of a minimum (positive definite Hessian)
+    settled: (
+        Scalar  # 1 if the step was short and its start in the basin of a minimum (positive definite Hessian), else 0
+    )
     drift_u: Vec3  # the closest point's velocity is (drift_u . dc/dt, drift_v . dc/dt)
     drift_v: Vec3
 
@@ -77,9 +83,9 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point
     crawls rather than leaps. Where the Hessian is not positive definite (a saddle between two facets, say) the step
     goes downhill with the curvatures' absolute values and a small push across the groove, towards the sign of `push`,
-    so that no start is held by a saddle. Distance and normal are those at the end of a short step, by the surface's
-    second-order expansion (off by the step cubed: far below a nanometre when following), and those at the start of a
-    long one: a point that is still on its way understates an indentation and cannot invent one.
+    so that no start is held by a saddle. The distance returned is that of the surface point reached, never an
+    extrapolation: a point that is still on its way understates an indentation and cannot invent one. The normal there
+    is that of the surface's second-order expansion about the start, off by the step squared.
 
     Derivatives are those of the closest point by the implicit function theorem: the Hessian is not differentiated, so
     first derivatives are exact where the step is short, and second derivatives of the normal are not to be had.
@@ -97,13 +103,12 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     dv = _limited(dv, longest)
     du = _limited(-gu * over_u - ratio * dv, longest)
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
-    near = length < SHORT * longest
-    short = jnp.where(near, 1.0, 0.0)
-    u_there, v_there = u + short * du, v + short * dv
     curvatures = stop_gradient((jet.uu, jet.uv, jet.vv))
-    height, slope_u, slope_v = Jet(jet.f, jet.u, jet.v, *curvatures).shifted(short * du, short * dv)
-    normal = surface.chart.normal(u_there, height, slope_u, slope_v)
-    away = c - surface.chart.local_point(u_there, v_there, height)
+    height, slope_u, slope_v = Jet(jet.f, jet.u, jet.v, *curvatures).shifted(du, dv)
+    exact = surface.height(*stop_gradient((u + du, v + dv)))
+    height = height + stop_gradient(exact - height)
+    normal = surface.chart.normal(u + du, height, slope_u, slope_v)
+    away = c - surface.chart.local_point(u + du, v + dv, height)
     distance = away.norm()
     drift_v = (tv - ratio * tu) * over_v
     return ClosestPoint(
@@ -112,7 +117,7 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
         jnp.where(away.dot(normal) < 0, -distance, distance),
         normal,
         length,
-        convex & near,
+        jnp.where(convex & (length < SHORT * longest), 1.0, 0.0),
         tu * over_u - ratio * drift_v,
         drift_v,
     )

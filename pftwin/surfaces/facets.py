@@ -39,7 +39,7 @@ class Place(NamedTuple):
 
     u: Scalar
     v: Scalar
-    settled: Scalar  # whether it had arrived in a minimum
+    settled: Scalar  # 1 if it had arrived in a minimum, else 0; a number, which XLA fuses with its neighbours
 
 
 class Facets(NamedTuple):
@@ -72,7 +72,7 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place
         far, other_far = (jnp.abs(surface.clipped(p.v) - fan_v) > astray for p in (own, other))
         # Nobody follows the fan's minimum: start there. The other point does: a minimum of one's own, too shallow for
         # the fan to see, is kept; whoever has none joins the other point, whose place is better than the fan's.
-        new, joins = far & other_far, far & ~other_far & ~(own.settled & in_order)
+        new, joins = far & other_far, far & ~other_far & ~((own.settled > 0) & in_order)
         u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
         v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
         points.append(newton_step(surface, c, u, v, LONGEST * radius_still, push=side))

@@ -53,7 +53,7 @@ def fit_tendons(
     bounds: Bounds = 0.3,
     priors: Mapping[str, tuple[float, float]] | None = None,
     seed: int = 0,
-    use: Sequence[str] | None = None,
+    use: str | Sequence[str] = POSITION,
     noise: Mapping[str, float] | None = None,
     loss: str = "linear",
     springs: Mapping[str, str] = SPRINGS,
@@ -76,7 +76,8 @@ def fit_tendons(
         bounds: to either side as a share of the nominal values, or by name.
         priors: by name, mean and standard deviation of what is known beforehand.
         seed: of all random choices: the same seed gives the same result.
-        use: channels to compare; see `Objective.of`. By default all that were measured.
+        use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
+            measured; see `Objective.of`.
         noise: standard deviations of the measurements by channel; by default estimated from the residuals.
         loss: "linear", "huber" or "soft_l1".
         springs: names of the effects whose tensions the "femoral" and the "tibial" spring forces are.

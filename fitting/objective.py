@@ -68,7 +68,7 @@ class Objective:
         measured: Measured,
         kind: str = "likelihood",
         *,
-        use: Sequence[str] | None = None,
+        use: str | Sequence[str] = POSITION,
         noise: Mapping[str, float] | None = None,
         loss: str = "linear",
         springs: Mapping[str, str] = SPRINGS,
@@ -79,8 +79,8 @@ class Objective:
             scene: the nominal one.
             measured: at the frames of its motion.
             kind: "likelihood" or "paper".
-            use: channels: "position", "orientation", "contact", or effects' names for their forces; by default all
-                that were measured. The paper's objective knows positions only.
+            use: channels: "position", "orientation", or effects' names for their forces ("contact", "quadriceps");
+                "all": all that were measured. By default positions. The paper's objective knows nothing else.
             noise: standard deviation of each channel's measurements [m], [rad], [N]; by default unknown, and estimated
                 from the residuals.
             loss: "linear", or for outliers "huber" or "soft_l1", which need the noise.
@@ -300,13 +300,11 @@ def _chosen(
         c: np.asarray(v, dtype=float).reshape(len(measured.times), -1) for c, v in available.items() if v is not None
     }
     data = {c: v for c, v in data.items() if np.isfinite(v).all(axis=1).any()}
-    if kind == "paper":
-        use = (POSITION,) if use is None else use
-        if tuple(use) != (POSITION,):
-            raise InputError(
-                f"found {', '.join(use)}", where="use", expected="position alone: the paper's objective has no other"
-            )
-    wanted = tuple(data) if use is None else (use,) if isinstance(use, str) else tuple(use)
+    wanted = tuple(data) if use == "all" else (use,) if isinstance(use, str) else tuple(use)
+    if kind == "paper" and wanted != (POSITION,):
+        raise InputError(
+            f"found {', '.join(wanted)}", where="use", expected="position alone: the paper's objective has no other"
+        )
     if missing := [c for c in wanted if c not in data]:
         raise InputError(
             f"no {missing[0]!r} was measured" if missing[0] in available else f"no channel {missing[0]!r}",

@@ -19,6 +19,8 @@ from pftwin.result import Result
 from pftwin.spatial import Scalar, Vec3
 from pftwin.tracking import DISLOCATED
 
+_WINDOW = 5  # frames
+
 
 class Measure(NamedTuple):
     """Unit and meaning of an outcome."""
@@ -43,7 +45,7 @@ MEASURES = {
     "largest_tilt": Measure("rad", "largest patellar tilt, lateral positive"),
     "mean_shift": Measure("m", "mean medial-lateral place of the button's centre in the femur, lateral positive"),
     "largest_shift": Measure("m", "most lateral place of the button's centre in the femur"),
-    "peak_contact_force": Measure("N", "largest normal contact force"),
+    "peak_contact_force": Measure("N", "largest normal contact force (running median of five frames, as all forces)"),
     "mean_contact_force": Measure("N", "mean normal contact force"),
     "medial_share": Measure("1", "share of the contact force, summed over the motion, on the medial facet"),
     "lateral_share": Measure("1", "share of the contact force, summed over the motion, on the lateral facet"),
@@ -59,6 +61,9 @@ MEASURES = {
 
 def measure(at: Course, threshold: float = DISLOCATED) -> dict[str, Scalar]:
     """The outcomes in `MEASURES`, SI. Pure; NaN, all of them, where a frame is not finite.
+
+    Forces and their centre are taken as running medians over five frames: at long steps contact rattles in single
+    frames, by some 20 % where it slides and by orders of magnitude where a dislocated patella lands.
 
     Times, flexions and the number of dislocations jump as amounts change; the others change continuously while the
     patella tracks.
@@ -100,7 +105,7 @@ def _motion(at: Course, threshold: float) -> dict[str, Scalar]:
 
 
 def _load(at: Course) -> dict[str, Scalar]:
-    medial, lateral = at.force
+    medial, lateral = (running_median(f) for f in at.force)
     total = medial + lateral
     whole = jnp.sum(total)
     share = jnp.where(whole > 0, jnp.sum(medial) / jnp.where(whole > 0, whole, 1.0), jnp.nan)
@@ -117,8 +122,15 @@ def _load(at: Course) -> dict[str, Scalar]:
     }
 
 
+def running_median(values: Array) -> Array:
+    """Over five neighbouring frames, (n,); the first and the last frame are repeated beyond the ends."""
+    n, reach = values.shape[0], _WINDOW // 2
+    rows = jnp.clip(jnp.arange(n)[:, None] + jnp.arange(-reach, reach + 1)[None], 0, n - 1)
+    return jnp.sort(values[rows], axis=1)[:, reach]
+
+
 def _path(at: Course) -> dict[str, Scalar]:
-    p = Vec3.from_array(center_of_pressure(at))
+    p = Vec3(*(running_median(a) for a in center_of_pressure(at).T))
     touching = ~jnp.isnan(p.x)
     both = touching[1:] & touching[:-1]
     steps = Vec3(*(jnp.where(both, a[1:] - a[:-1], 0.0) for a in (p.x, p.y, p.z)))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fitting.course import Course, dislocated
-from fitting.outcomes import MEASURES, measure, outcomes
+from fitting.outcomes import MEASURES, measure, outcomes, running_median
 from pftwin import rig, simulate
 from pftwin.dynamics.observe import Status
 from pftwin.errors import InputError
@@ -21,7 +21,7 @@ from pftwin.tracking import follow
 
 @pytest.fixture(scope="module", params=[1, 2])
 def result(request):
-    return simulate(rig.case(request.param), dt=5e-3)
+    return simulate(rig.case(request.param), dt=2.5e-3)
 
 
 def test_dislocation_is_that_of_the_result(result):
@@ -44,10 +44,11 @@ def test_dislocation_is_that_of_the_result(result):
 
 def test_loads_motion_and_path_are_those_of_the_result(result):
     found, report = outcomes(result), result.effects["contact"]
-    medial, lateral = report["force_medial"], report["force_lateral"]
+    medial, lateral = (medfilt5(report[f"force_{side}"]) for side in ("medial", "lateral"))
     total = medial + lateral
-    assert found["peak_contact_force"] == pytest.approx(report["force"].max())
-    assert found["mean_contact_force"] == pytest.approx(report["force"].mean())
+    assert found["peak_contact_force"] == pytest.approx(total.max())
+    assert found["mean_contact_force"] == pytest.approx(total.mean())
+    assert found["mean_contact_force"] == pytest.approx(report["force"].mean(), rel=0.01)
     assert found["medial_share"] == pytest.approx(medial.sum() / total.sum())
     assert found["medial_share"] + found["lateral_share"] == pytest.approx(1)
     assert found["least_lateral_force"] == pytest.approx(lateral.min())
@@ -57,13 +58,26 @@ def test_loads_motion_and_path_are_those_of_the_result(result):
     assert found["one_facet_share"] == pytest.approx(((total > 0) & (share <= 0)).mean())
     assert found["mean_tilt"] == pytest.approx(result.angles.tilt.mean())
     assert found["largest_shift"] == pytest.approx(result.shift.max())
+    medial, lateral = report["force_medial"], report["force_lateral"]
+    total = medial + lateral
     weighted = np.nan_to_num(medial[:, None] * report["point_medial"])
     weighted += np.nan_to_num(lateral[:, None] * report["point_lateral"])
-    path = weighted[total > 0] / total[total > 0, None]
+    assert (total > 0).all()
+    path = np.stack([medfilt5(p) for p in (weighted / total[:, None]).T], axis=1)
     assert found["contact_path_lateral_range"] == pytest.approx(np.ptp(path[:, 1]))
     assert found["contact_path_proximal_range"] == pytest.approx(np.ptp(path[:, 0]))
-    if (total > 0).all():
-        assert found["contact_path_length"] == pytest.approx(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    assert found["contact_path_length"] == pytest.approx(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def medfilt5(force):
+    return np.median([np.pad(force, 2, mode="edge")[i : i + force.size] for i in range(5)], axis=0)
+
+
+def test_one_frames_impact_is_no_peak():
+    force = np.full(20, 8.0)
+    force[[7, 8]] = [4000.0, 60.0]
+    np.testing.assert_allclose(running_median(jnp.asarray(force)), 8.0)
+    np.testing.assert_allclose(running_median(jnp.arange(9.0)), medfilt5(np.arange(9.0)))
 
 
 def made_up(offset, status=0, force=(3.0, 5.0)) -> Course:

@@ -60,6 +60,7 @@ class Estimate:
     scene_name: str
     notes: list[str] = field(default_factory=list)
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
+    springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
     nominal_scene: Scene | None = field(default=None, repr=False)
     measured: Any = field(default=None, repr=False)
 

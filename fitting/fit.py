@@ -123,7 +123,9 @@ def fit_tendons(
             expected="at least one start from which the motion can be simulated",
             remedy="narrower bounds, or a scene that `pftwin simulate` can run",
         )
-    return _estimate(search, state, data, time.perf_counter() - began)
+    estimate = _estimate(search, state, data, began)
+    estimate.springs = dict(springs)
+    return estimate
 
 
 def measured_of(scene: Scene) -> Measured:
@@ -236,7 +238,7 @@ def _run(
     return state
 
 
-def _estimate(search: Method, state: State, measured: Measured, seconds: float) -> Estimate:
+def _estimate(search: Method, state: State, measured: Measured, began: float) -> Estimate:
     problem = search.problem
     parameters, target = problem.parameters, problem.objective
     theta = np.asarray(state["best_theta"])
@@ -278,7 +280,7 @@ def _estimate(search: Method, state: State, measured: Measured, seconds: float) 
         iterations=int(state["iteration"]),
         starts=int(state["starts"]),
         dropped=int(state["dropped"]),
-        seconds=seconds,
+        seconds=time.perf_counter() - began,
         history=state["history"],
         synthetic=target.synthetic,
         source=target.source,

@@ -146,8 +146,8 @@ class Estimate:
             out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
         if self.serial_correlation > SERIAL:
             out.append(
-                f"neighbouring residuals are correlated ({self.serial_correlation:.2f}): the model or the filter leaves "
-                "a trace; intervals allow for the correlation, not for a wrong model"
+                f"neighbouring residuals are correlated ({self.serial_correlation:.2f}): the model or the filter "
+                "leaves a trace; intervals allow for the correlation, not for a wrong model"
             )
         if self.dropped:
             out.append(f"{self.dropped} of {self.starts} starts found no equilibrium or no finite motion")

@@ -10,6 +10,7 @@ equilibria, never from the last iterate's. So a fit that is resumed sees what it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -26,7 +27,7 @@ from fitting.places import Place
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State
-from pftwin.dynamics.trajectory import Trajectory, integrator_named, starting_equilibrium, substeps_for
+from pftwin.dynamics.trajectory import Trajectory, integrator_named, starting_equilibrium, substeps_for, trajectory
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Scalar
 
@@ -82,7 +83,13 @@ def _march(scene: Scene, start: Solution, substeps: Scalar) -> State:
 def _predicted(scene: Scene, guess: Pose, substeps: Scalar, channels: tuple[str, ...]) -> tuple[Array, Pose, Array]:
     """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
     start = starting_equilibrium(scene, guess)
-    states = _march(scene, start, substeps)
+    values = _columns(scene, _march(scene, start, substeps), start, channels)
+    pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
+    return values, pose, start.converged()
+
+
+def _columns(scene: Scene, states: State, start: Solution, channels: tuple[str, ...]) -> Array:
+    """The channels over the frames, side by side (n, c)."""
     motion = scene.motion
     columns = []
     if POSITION in channels or ORIENTATION in channels:
@@ -99,8 +106,7 @@ def _predicted(scene: Scene, guess: Pose, substeps: Scalar, channels: tuple[str,
     if forces:
         seen = observe(scene, Trajectory(states, None, start)).effects
         columns += [seen[name]["force" if "force" in seen[name] else "tension"] for name in forces]
-    pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
-    return jnp.stack(columns, axis=-1), pose, start.converged()
+    return jnp.stack(columns, axis=-1)
 
 
 @eqx.filter_jit
@@ -127,6 +133,27 @@ def _with_slopes(
     return (values, *rest), slopes
 
 
+@eqx.filter_jit
+def _pulled(
+    scene: Scene,
+    theta: Array,
+    guesses: Pose,
+    substeps: int,
+    pulls: Array,
+    places: tuple[Place, ...],
+    channels: tuple[str, ...],
+) -> Array:
+    """Gradients (N, p) of sum(pull * prediction) by reverse mode, for pulls (N, n, c); the steps' number is fixed."""
+
+    def pulled(t: Array, guess: Pose, pull: Array) -> Array:
+        variant = applied(places, scene, t)
+        start = starting_equilibrium(variant, guess)
+        states = trajectory(variant, substeps=substeps, start=start).states
+        return jnp.sum(pull * _columns(variant, states, start, channels))
+
+    return jax.vmap(jax.grad(pulled))(theta, guesses, pulls)
+
+
 @dataclass(eq=False)
 class Evaluator:
     """Predictions of one scene's variants.
@@ -142,6 +169,7 @@ class Evaluator:
     parameters: Parameters
     channels: tuple[str, ...]
     chunk: int = CHUNK
+    pull_chunk: int = 8  # the same for gradients by reverse mode
 
     def __post_init__(self) -> None:
         self._plain_scene = self.scene.unnamed()
@@ -185,6 +213,31 @@ class Evaluator:
         self._recent = [(theta.copy(), substeps, prediction), *self._recent[: _REMEMBERED - 1]]
         return prediction
 
+    def with_pull(
+        self, theta: NDArray[np.float64], substeps: int, pull: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    ) -> tuple[Prediction, NDArray[np.float64]]:
+        """Predictions for (N, p) parameters, and gradients (N, p) of a function of theirs by reverse mode.
+
+        Args:
+            theta: the parameters.
+            substeps: steps between two frames.
+            pull: the function's derivatives by the predictions, from predictions (N, n, c).
+        """
+        theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
+        prediction = self.values(theta, substeps)
+        pulls = pull(np.where(prediction.usable[:, None, None], prediction.values, 0.0))
+        chunk, parts = self.pull_chunk, []
+        for i in range(0, len(theta), chunk):
+            part = theta[i : i + chunk]
+            more = chunk - len(part)
+            full, cotangents = (
+                np.concatenate([a, np.repeat(a[:1], more, axis=0)]) for a in (part, pulls[i : i + chunk])
+            )
+            args = (self._plain_scene, jnp.asarray(full, dtype=float), self.guesses(full), substeps)
+            found = _pulled(*args, jnp.asarray(cotangents, dtype=float), self.parameters.places, self.channels)
+            parts.append(np.asarray(found)[: len(part)])
+        return prediction, np.concatenate(parts)
+
     @property
     def slope_chunk(self) -> int:
         """Variants in one call with derivatives."""
@@ -199,7 +252,8 @@ class Evaluator:
             out = self._run(full, self.guesses(full), substeps, slopes)
             parts.append([None if a is None else a[: len(part)] for a in out[:3]])
         values, slope, found = (None if a[0] is None else np.concatenate(a) for a in zip(*parts, strict=True))
-        assert values is not None and found is not None
+        assert values is not None
+        assert found is not None
         usable = found & np.isfinite(values).all(axis=(1, 2))
         if slope is not None:
             usable &= np.isfinite(slope).all(axis=(1, 2, 3))

@@ -149,8 +149,8 @@ class Genetic(Method):
         if not state["bests"][0]:
             return Request(state["members"].reshape(-1, len(self.problem.parameters)), self.problem.evaluator.coarse)
         if state["children"] is None:
-            self._breed(state)
-        return Request(np.concatenate(state["children"]), self.problem.evaluator.coarse)
+            state["elite"], state["children"] = self._bred(state)
+        return Request(np.concatenate(list(state["children"])), self.problem.evaluator.coarse)
 
     def tell(self, state: State, request: Request, answer: Answer) -> None:
         """The next generation."""
@@ -183,9 +183,10 @@ class Genetic(Method):
         scores = state["scores"][np.isfinite(state["scores"])]
         return float(np.ptp(scores)) if scores.size else np.inf
 
-    def _breed(self, state: State) -> None:
+    def _bred(self, state: State) -> tuple[list[NDArray[np.intp]], list[Floats]]:
+        """Elites' places and children of the populations that have not ended."""
         p = self.problem.parameters
-        state["children"], state["elite"] = [], []
+        elites, broods = [], []
         for k in range(self.populations):
             if state["over"][k]:
                 continue
@@ -195,8 +196,9 @@ class Genetic(Method):
                 state["members"][k], state["scores"][k], p.lower, p.upper, float(state["length"][k]), random
             )
             state["randoms"][k] = random.bit_generator.state
-            state["elite"].append(elite)
-            state["children"].append(children)
+            elites.append(elite)
+            broods.append(children)
+        return elites, broods
 
     def _close_generation(self, state: State, k: int) -> None:
         """The best so far, the length of mutations, and whether this population has come to its end."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -257,7 +258,8 @@ def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, ite
     best = problem.answer(Request(theta, problem.evaluator.fine, "normal"))
     damping = np.full(len(held), 1e-3)
     for _ in range(iterations):
-        assert best.gradient is not None and best.hessian is not None
+        assert best.gradient is not None
+        assert best.hessian is not None
         h = best.hessian[:, others][:, :, others]
         diagonal = np.einsum("kii->ki", h)
         h = h + damping[:, None, None] * diagonal[:, :, None] * np.eye(h.shape[-1])
@@ -265,7 +267,8 @@ def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, ite
         trial[:, others] -= np.linalg.solve(h, best.gradient[:, others, None])[..., 0]
         trial = inside(trial)
         new = problem.answer(Request(trial, problem.evaluator.fine, "normal"))
-        assert new.gradient is not None and new.hessian is not None
+        assert new.gradient is not None
+        assert new.hessian is not None
         better = new.value < best.value
         theta = np.where(better[:, None], trial, theta)
         damping = np.where(better, damping / 5, damping * 10)
@@ -282,7 +285,7 @@ def _crossings(held: Floats, deviance: Floats) -> tuple[float, float]:
     least = int(np.argmin(deviance))
 
     def cross(order: NDArray[np.intp], none: float) -> float:
-        for a, b in zip(order[:-1], order[1:], strict=True):
+        for a, b in itertools.pairwise(order):
             if deviance[a] <= CHI_SQUARED_95 < deviance[b]:
                 roots = np.sqrt(np.maximum(deviance[[a, b]], 0))  # about linear, for the deviance is about a parabola
                 share = (np.sqrt(CHI_SQUARED_95) - roots[0]) / (roots[1] - roots[0])

@@ -82,7 +82,8 @@ class LeastSquares(Method):
 
     def tell(self, state: State, request: Request, answer: Answer) -> None:
         """Accepts what is better."""
-        assert answer.gradient is not None and answer.hessian is not None
+        assert answer.gradient is not None
+        assert answer.hessian is not None
         gradient, hessian = self._unbounded(request.theta, answer)
         if state["looking"]:
             state.update(value=answer.value.copy(), gradient=gradient, hessian=hessian, looking=False)
@@ -106,7 +107,8 @@ class LeastSquares(Method):
     def _unbounded(self, theta: Floats, answer: Answer) -> tuple[Floats, Floats]:
         """Gradient and Hessian by the unbounded parameters."""
         s = self.problem.parameters.slope(theta)
-        assert answer.gradient is not None and answer.hessian is not None
+        assert answer.gradient is not None
+        assert answer.hessian is not None
         return answer.gradient * s, answer.hessian * s[:, :, None] * s[:, None, :]
 
     def _trials(self, state: State) -> tuple[Floats, Floats, Floats]:

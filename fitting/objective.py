@@ -110,7 +110,7 @@ class Objective:
         for i, (channel, values) in enumerate(data.items()):
             width = 3 if channel in (POSITION, ORIENTATION) else 1
             group_of += [0, 1, 2] if kind == "paper" else [i] * width
-            there = np.isfinite(values).all(axis=1) if width == 3 else np.isfinite(values[:, 0])
+            there: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
             present.append(np.repeat(there[:, None], width, axis=1))
         return Objective(
             kind,
@@ -285,7 +285,7 @@ def _rho_slope(z: Floats, loss: str) -> Floats:
 
 
 def _chosen(
-    scene: Scene, measured: Measured, kind: str, use: Sequence[str] | None, springs: Mapping[str, str]
+    scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
 ) -> dict[str, Floats]:
     """The measured channels that are compared, (n, columns) each."""
     available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}

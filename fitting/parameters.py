@@ -196,7 +196,9 @@ def _limits(name: str, nominal: float, given: Any) -> tuple[float, float]:
             raise InputError(f"{name}: found {given!r}", where="bounds", expected="a positive share, such as 0.3")
         if nominal == 0:
             raise InputError(
-                f"{name}: {given:.0%} of its value 0 is nothing", where="bounds", expected=f"{{{name!r}: (lower, upper)}}"
+                f"{name}: {given:.0%} of its value 0 is nothing",
+                where="bounds",
+                expected=f"{{{name!r}: (lower, upper)}}",
             )
         return nominal - given * abs(nominal), nominal + given * abs(nominal)
     try:

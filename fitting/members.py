@@ -28,6 +28,7 @@ from pftwin.spatial import Pose, Scalar
 
 FLAGS = tuple(flag for flag in Status if flag)
 _NEAR = 48  # equilibria that are found from the scene's own start; all others start from the nearest of them
+_FEWEST = 16  # members of a chunk: fewer cost the same
 Floats = NDArray[np.float64]
 
 
@@ -171,7 +172,7 @@ def _in_chunks(
     progress: Callable[[int, int], None] | None,
 ) -> Members:
     n = len(amounts)
-    size = min(chunk, 1 << (n - 1).bit_length())  # of few sizes, so that programs are shared
+    size = min(chunk, max(_FEWEST, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
     if starts is None:
         starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
     done = 0

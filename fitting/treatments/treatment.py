@@ -22,14 +22,16 @@ class Step(eqx.Module):
     """One change of a treatment."""
 
     kind: str = eqx.field(static=True)
-    amounts: dict[str, Scalar]  # SI; a leading axis makes a batch of variants
+    names: tuple[str, ...] = eqx.field(static=True)  # of the amounts; a dictionary's keys would be sorted by jit
+    amounts: tuple[Scalar, ...]  # SI; a leading axis makes a batch of variants
+    parts: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())  # named by the user
     shape: Array | None = None  # what is prepared on the host for a trochleoplasty
-    names: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())  # of parts, where not the usual ones
 
     def __call__(self, scene: Scene) -> Scene:
         """The scene with this change."""
         prepared = {} if self.shape is None else {"shape": self.shape}
-        return KINDS[self.kind].change(scene, **self.amounts, **prepared, **dict(self.names))
+        amounts = dict(zip(self.names, self.amounts, strict=True))
+        return KINDS[self.kind].change(scene, **amounts, **prepared, **dict(self.parts))
 
 
 class Treatment(eqx.Module):
@@ -65,7 +67,7 @@ class Treatment(eqx.Module):
             if name not in ways:
                 raise InputError(f"no amount {name!r}", where=kind, expected=f"one of: {', '.join(ways)}")
             values[name] = _number(value, f"{kind}.{name}")
-        return Treatment((Step(kind, values, None, tuple(sorted(parts.items()))),))
+        return Treatment((Step(kind, tuple(values), tuple(values.values()), tuple(sorted(parts.items()))),))
 
     def then(self, after: Treatment) -> Treatment:
         """This treatment, and another one after it."""
@@ -91,7 +93,7 @@ class Treatment(eqx.Module):
         for step in self.steps:
             if step.kind == "trochleoplasty":
                 shape = trochlea.deepening_shape(trochlea.patch_of(scene, step.kind))
-                step = Step(step.kind, step.amounts, jnp.asarray(shape, dtype=float), step.names)
+                step = Step(step.kind, step.names, step.amounts, step.parts, jnp.asarray(shape, dtype=float))
             step(scene)  # refuses what is not there
             steps.append(step)
         return Treatment(tuple(steps))
@@ -99,29 +101,29 @@ class Treatment(eqx.Module):
     @property
     def names(self) -> tuple[str, ...]:
         """Of the amounts: "tibial_tuberosity_transfer.medialisation"; a kind that comes again is numbered."""
-        return tuple(f"{label}.{name}" for label, step in self._labelled() for name in step.amounts)
+        return tuple(f"{label}.{name}" for label, step in self._labelled() for name in step.names)
 
     @property
     def ways(self) -> tuple[Way, ...]:
         """Unit and words of each amount, in the order of `names`."""
-        return tuple(KINDS[step.kind].amounts[name] for step in self.steps for name in step.amounts)
+        return tuple(KINDS[step.kind].amounts[name] for step in self.steps for name in step.names)
 
     @property
     def values(self) -> tuple[Scalar, ...]:
         """The amounts, in the order of `names`."""
-        return tuple(value for step in self.steps for value in step.amounts.values())
+        return tuple(value for step in self.steps for value in step.amounts)
 
     def with_values(self, values: Any) -> Treatment:
         """The treatment with other amounts: a sequence in the order of `names`."""
         rest = iter(values)
         return Treatment(
-            tuple(Step(s.kind, {name: next(rest) for name in s.amounts}, s.shape, s.names) for s in self.steps)
+            tuple(Step(s.kind, s.names, tuple(next(rest) for _ in s.names), s.parts, s.shape) for s in self.steps)
         )
 
     @property
     def form(self) -> tuple[Any, ...]:
         """What treatments must share to be run in one batch: kinds, amounts' names, and names of parts."""
-        return tuple((s.kind, tuple(s.amounts), s.names) for s in self.steps)
+        return tuple((s.kind, s.names, s.parts) for s in self.steps)
 
     def _labelled(self) -> list[tuple[str, Step]]:
         kinds = [s.kind for s in self.steps]
@@ -152,7 +154,7 @@ def _number(value: ArrayLike, where: str) -> Scalar:
 def _words(step: Step) -> str:
     """One step: "tibial tuberosity 10 mm medially, 5 mm distally"."""
     kind = KINDS[step.kind]
-    said = [_amount(kind.amounts[name], value) for name, value in step.amounts.items()]
+    said = [_amount(kind.amounts[name], value) for name, value in zip(step.names, step.amounts, strict=True)]
     return f"{kind.part} {', '.join(s for s in said if s) or 'as it is'}"
 
 

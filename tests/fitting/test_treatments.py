@@ -211,6 +211,16 @@ def test_treatments_follow_one_another_and_say_so(scene):
     assert "0 to 20 mm medially" in str(Treatment.of("tibial_tuberosity_transfer", medialisation=J([0.0, 0.02])))
 
 
+def test_amounts_keep_their_order_when_traced(scene):
+    treatment = Treatment.of("tibial_tuberosity_transfer", medialisation=0.0, anteriorisation=0.0, distalisation=0.0)
+    origin = scene.effect("patellar_tendon").origin
+
+    def moved(t):
+        return t.with_values([0.003, 0.002, 0.001])(scene).effect("patellar_tendon").origin
+
+    np.testing.assert_allclose(xyz(jax.jit(moved)(treatment)) - xyz(origin), [-1, -3, 2], atol=1e-12)
+
+
 def test_amounts_are_mapped_over(scene):
     batch = Treatment.of("tibial_tuberosity_transfer", medialisation=jnp.linspace(0.0, 0.02, 5))
     y = jax.vmap(lambda t: t(scene).effect("patellar_tendon").origin.y)(batch)

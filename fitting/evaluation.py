@@ -35,6 +35,7 @@ POSITION, ORIENTATION = "position", "orientation"
 CHUNK = 32  # variants evaluated at once by default
 _WIDEST = 512  # variants in one call
 COLUMNS = 256  # variants times parameters in one call with derivatives
+_ROUGH = 5e-4  # error of a search's motion that is too much, rms [m]
 _REMEMBERED = 4  # batches with derivatives
 _CLOUD = 96  # equilibria from the nearest of which a search begins
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # on the rig errors of 0.03 mm and of 0.01 mm [s]
@@ -183,9 +184,24 @@ class Evaluator:
             parts = -(-widest // _WIDEST)
             self.chunk = -(-widest // parts)
 
-    @property
+    @cached_property
     def coarse(self) -> int:
-        """Steps between two frames for a search."""
+        """Steps between two frames for a search: as few as the nominal motion allows."""
+        few = self._few
+        if few < self.fine:
+            rough, good = (self.with_slopes(self.parameters.nominal[None], n) for n in (few, self.fine))
+            if good.usable[0] and not (rough.usable[0] and self._agree(rough.values[0], good.values[0])):
+                return self.fine
+        return few
+
+    def _agree(self, rough: NDArray[np.float64], good: NDArray[np.float64]) -> bool:
+        """Whether long steps are good enough for a search."""
+        if self.channels[0] != POSITION:
+            return bool(np.abs(rough - good).max() <= 0.1 * np.ptp(good, axis=0).max())
+        return bool(np.sqrt(np.mean(np.sum((rough[:, :3] - good[:, :3]) ** 2, axis=1))) <= _ROUGH)
+
+    @property
+    def _few(self) -> int:
         return substeps_for(self.scene.motion.frame_interval, _COARSE_STEP)
 
     @property

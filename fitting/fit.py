@@ -152,7 +152,7 @@ def first_look(problem: Problem, first: Request | None = None) -> None:
         InputError: parameters to which nothing that is compared reacts; measured positions in another frame.
     """
     at = problem.parameters.nominal
-    if first is not None and first.want == "normal" and first.substeps == problem.evaluator.coarse:
+    if first is not None and first.want == "normal":
         problem.evaluator.with_slopes(first.theta, first.substeps)
     seen = problem.prediction(at, problem.evaluator.coarse)
     if not seen.usable[0]:

@@ -43,8 +43,8 @@ def expectations(scores: Floats, parents: int) -> Floats:
     """How many parents every member (N,) should be: in proportion to 1 / sqrt(rank), `parents` in all."""
     ranks = np.empty(len(scores))
     ranks[np.argsort(np.where(np.isfinite(scores), scores, np.inf), kind="stable")] = np.arange(1, len(scores) + 1)
-    share = 1 / np.sqrt(ranks)
-    return parents * share / share.sum()
+    total = np.sum(1 / np.sqrt(np.arange(1, len(scores) + 1)))
+    return parents / np.sqrt(ranks) / total
 
 
 def stochastic_uniform(expected: Floats, parents: int, random: Random) -> NDArray[np.intp]:

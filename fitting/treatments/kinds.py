@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -30,7 +30,7 @@ class Way(NamedTuple):
         """In that unit."""
         return _SHOWN[self.unit][0] * np.asarray(value, dtype=np.float64)
 
-    def from_shown(self, value: ArrayLike) -> np.ndarray:
+    def from_shown(self, value: Any) -> np.ndarray:
         """In SI from that unit."""
         return np.asarray(value, dtype=np.float64) / _SHOWN[self.unit][0]
 

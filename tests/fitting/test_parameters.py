@@ -24,15 +24,18 @@ def test_short_names_are_the_tendons_in_their_order(scene):
     np.testing.assert_allclose(p.nominal, [156.0, 0.1432, 629.0, 0.0714])
     np.testing.assert_allclose(p.lower, 0.7 * p.nominal)
     assert [q.unit for q in p.items] == ["N/m", "m", "N/m", "m"]
-    assert p.places == free_parameters(
-        scene,
-        [
-            "quadriceps.stiffness",
-            "quadriceps.slack_length",
-            "patellar_tendon.stiffness",
-            "patellar_tendon.slack_length",
-        ],
-    ).places
+    assert (
+        p.places
+        == free_parameters(
+            scene,
+            [
+                "quadriceps.stiffness",
+                "quadriceps.slack_length",
+                "patellar_tendon.stiffness",
+                "patellar_tendon.slack_length",
+            ],
+        ).places
+    )
 
 
 @pytest.mark.parametrize(

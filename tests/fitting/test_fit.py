@@ -217,7 +217,7 @@ def test_starts_that_die_are_dropped_and_counted(scene, clean):
     dead = answer._replace(value=np.where(np.arange(8) < 3, np.inf, answer.value))
     search.tell(state, request, dead)
     alive = int(np.isfinite(answer.value[3:]).sum())
-    assert 0 < alive
+    assert alive > 0
     assert len(state["u"]) == alive
     assert state["dropped"] == 8 - alive
     all_dead = search.begin()

@@ -132,7 +132,7 @@ class Objective:
 
     def tolerance(self, value: float) -> float:
         """A decrease that is not worth an iteration."""
-        return 1e-7 * abs(value) if self.kind == "paper" else 1e-4
+        return 1e-7 * abs(value) if self.kind == "paper" else 1e-3
 
     def residuals(self, values: Floats) -> Floats:
         """Predicted less measured (N, n, m), 0 where nothing was measured; turns as 2 sin(angle / 2) times the axis."""

@@ -69,6 +69,7 @@ class EstimatePlots:
             right.invert_yaxis()
             right.set(xlabel="deviation from the nominal value [%]", title="Estimate")
             right.legend(loc="best")
+            figure.suptitle(f"{e.scene_name}, fitted to {'synthetic measurements' if e.synthetic else e.source}")
         return figure
 
     def history(self) -> Figure:

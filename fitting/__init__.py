@@ -1,0 +1,67 @@
+"""Parameters from measurements: fits, how sure they are, and what treatments would do.
+
+    estimate = fitting.fit_tendons(scene, measured)
+    print(estimate.sentence())
+    estimate.save("fit.json")
+
+`fitting` builds on `pftwin`. Names are imported when first used, so that `import fitting` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fitting import outcomes, treatments
+    from fitting.estimate import Estimate
+    from fitting.fit import fit_tendons
+    from fitting.identifiability import plan_experiment, profile_likelihood
+    from fitting.objective import Objective
+    from fitting.optimise import optimise_treatment
+    from fitting.parameters import Parameter, Parameters, free_parameters
+    from fitting.predict import predict
+
+_HOME = {
+    "Estimate": "estimate",
+    "Objective": "objective",
+    "Parameter": "parameters",
+    "Parameters": "parameters",
+    "fit_tendons": "fit",
+    "free_parameters": "parameters",
+    "optimise_treatment": "optimise",
+    "plan_experiment": "identifiability",
+    "predict": "predict",
+    "profile_likelihood": "identifiability",
+}
+_MODULES = ("outcomes", "treatments")
+
+__all__ = [
+    "Estimate",
+    "Objective",
+    "Parameter",
+    "Parameters",
+    "fit_tendons",
+    "free_parameters",
+    "optimise_treatment",
+    "outcomes",
+    "plan_experiment",
+    "predict",
+    "profile_likelihood",
+    "treatments",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        value = getattr(import_module(f"fitting.{_HOME[name]}"), name)
+    elif name in _MODULES:
+        value = import_module(f"fitting.{name}")
+    else:
+        raise AttributeError(f"module 'fitting' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,103 @@
+"""A simulated motion as outcome measures look at it: where the button is in its groove, and what presses where."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.observe import Observation
+from pftwin.errors import InputError
+from pftwin.rotations import patellar_angles, tibiofemoral_angles
+from pftwin.scene import Scene
+from pftwin.spatial import Quaternion
+from pftwin.tracking import DISLOCATED, RE_ENGAGED, groove_line
+
+
+class Groove(NamedTuple):
+    """The bottom of a trochlea's groove in chart coordinates: v over u [m]."""
+
+    u: Array
+    v: Array
+
+    @staticmethod
+    def of(scene: Scene) -> Groove:
+        """Of a scene; on the host. A surface without a groove counts from its middle.
+
+        Raises:
+            InputError: a scene without contact between button and trochlea.
+        """
+        if scene.contact is None:
+            raise InputError(
+                "no contact between a button and a trochlea",
+                where=scene.name or "outcomes",
+                expected="a sphere contact: outcomes are counted from its groove",
+            )
+        line = groove_line(scene.contact.surface)
+        if line is None:
+            middle = float(getattr(scene.contact.surface, "center", (0.0, 0.0))[1])
+            return Groove(jnp.asarray([-1.0, 1.0]), jnp.asarray([middle, middle]))
+        return Groove(jnp.asarray(line.u, dtype=float), jnp.asarray(line.v, dtype=float))
+
+
+class Course(NamedTuple):
+    """A motion as outcomes look at it: arrays over n recorded frames."""
+
+    time: Array  # [s]
+    flexion: Array  # of the knee [rad]
+    offset: Array  # of the button's centre from the groove's bottom, lateral positive [m]
+    tilt: Array  # of the patella, lateral positive [rad]
+    shift: Array  # of the button's centre in the femur, lateral positive [m]
+    force: tuple[Array, Array]  # on the medial and the lateral facet [N]
+    point: tuple[Array, Array]  # (n, 3) of contact on each, femur frame [m]; NaN where nothing touches
+    status: Array  # bits of `pftwin.Status`
+
+
+def course(scene: Scene, seen: Observation, groove: Groove) -> Course:
+    """What outcomes need of an observed motion. Pure."""
+    contact = scene.contact
+    assert contact is not None
+    chart, report, motion = contact.surface.chart, seen.effects[contact.name], scene.motion
+    u, v = chart.foot(chart.to_frame(seen.center))
+    return Course(
+        motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float),
+        knee_flexion(scene),
+        v - jnp.interp(u, groove.u, groove.v),
+        patellar_angles(seen.patella.orientation).tilt,
+        seen.center.y,
+        (report["force_medial"], report["force_lateral"]),
+        (report["point_medial"], report["point_lateral"]),
+        seen.status,
+    )
+
+
+def knee_flexion(scene: Scene) -> Array:
+    """Of the tibia in the femur at the recorded frames, (n,) [rad]."""
+    motion = scene.motion
+    times = motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float)
+    femur, tibia = motion.frames(times)
+    q = Quaternion.from_rotation(tibia.rotation)
+    if femur is not None:
+        q = Quaternion.from_rotation(femur.rotation).conjugate() * q
+    return tibiofemoral_angles(q).flexion
+
+
+def dislocated(offset: Array, threshold: float = DISLOCATED) -> Array:
+    """Frame by frame, whether the button has left its groove, (n,); as `pftwin.tracking.follow`, NaN included."""
+
+    def look(out: Array, far: Array) -> tuple[Array, Array]:
+        out = jnp.where(out, ~(far < RE_ENGAGED * threshold), far > threshold)
+        return out, out
+
+    return jax.lax.scan(look, jnp.zeros_like(offset[0], dtype=bool), jnp.abs(offset))[1]
+
+
+def center_of_pressure(at: Course) -> Array:
+    """(n, 3) in the femur frame [m]; NaN where nothing touches."""
+    (medial, lateral), total = at.force, at.force[0] + at.force[1]
+    loaded = total > 0
+    weights = (f / jnp.where(loaded, total, 1.0) for f in (medial, lateral))
+    parts = [jnp.where((w > 0)[:, None], w[:, None] * p, 0.0) for w, p in zip(weights, at.point, strict=True)]
+    return jnp.where(loaded[:, None], parts[0] + parts[1], jnp.nan)

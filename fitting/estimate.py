@@ -1,0 +1,227 @@
+"""What a fit found, and how sure it is."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.parameters import applied
+from fitting.places import find
+from fitting.uncertainty import NORMAL_95, SERIAL, in_words
+from pftwin.errors import InputError
+from pftwin.output import written_whole
+from pftwin.scene import Scene
+
+if TYPE_CHECKING:
+    from fitting.plots import EstimatePlots
+
+Floats = NDArray[np.float64]
+FORMAT = "pftwin estimate 1"
+_ARRAYS = ("values", "covariance", "lower", "upper", "nominal")
+
+
+@dataclass(eq=False)
+class Estimate:
+    """Parameters with their uncertainty. Arrays are in the order of `names`."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Floats  # (p,)
+    covariance: Floats  # (p, p)
+    lower: Floats  # bounds (p,)
+    upper: Floats
+    nominal: Floats  # where the search began (p,)
+    objective: str
+    objective_value: float
+    objective_unit: str
+    channels: tuple[str, ...]  # what was compared
+    noise: dict[str, float]  # of every channel [m], [rad], [N]
+    noise_known: bool  # given, rather than estimated from the residuals
+    serial_correlation: float  # of neighbouring residuals
+    condition: float  # of the information on relative parameters
+    rmse: dict[str, float]  # of every channel, and of X, Y, Z [m], [rad], [N]
+    method: str
+    seed: int
+    reason: str  # why it stopped
+    evaluations: int
+    iterations: int
+    starts: int
+    dropped: int  # starts without an equilibrium or a finite motion
+    seconds: float
+    history: list[dict[str, float]]  # iteration, evaluations, best, spread
+    synthetic: bool  # whether the measurements are
+    source: str  # of the measurements
+    scene_name: str
+    notes: list[str] = field(default_factory=list)
+    priors: dict[str, tuple[float, float]] = field(default_factory=dict)
+    springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
+    nominal_scene: Scene | None = field(default=None, repr=False)
+    measured: Any = field(default=None, repr=False)
+
+    @property
+    def standard_deviations(self) -> Floats:
+        """(p,)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+
+    @property
+    def intervals(self) -> Floats:
+        """95 % intervals (p, 2)."""
+        return self.values[:, None] + NORMAL_95 * self.standard_deviations[:, None] * np.array([-1.0, 1.0])
+
+    @property
+    def correlation(self) -> Floats:
+        """(p, p)."""
+        sd = np.maximum(self.standard_deviations, 1e-300)
+        return self.covariance / np.outer(sd, sd)
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Parameters that came to rest at a bound: their true value may lie beyond."""
+        near = np.minimum(self.values - self.lower, self.upper - self.values) < 1e-3 * (self.upper - self.lower)
+        return tuple(n for n, there in zip(self.names, near, strict=True) if there)
+
+    @property
+    def scene(self) -> Scene:
+        """The fitted scene.
+
+        Raises:
+            InputError: an estimate from a file, which holds no scene: use `apply`.
+        """
+        if self.nominal_scene is None:
+            raise InputError("an estimate from a file holds no scene", remedy="estimate.apply(scene)")
+        return self.apply(self.nominal_scene)
+
+    def apply(self, scene: Scene, theta: Any = None) -> Scene:
+        """A scene with the estimated values, or with others (p,). Pure in theta; the scene may be another one.
+
+        Raises:
+            InputError: it has no such parameters.
+        """
+        import jax.numpy as jnp
+
+        places = tuple(find(scene, name)[0] for name in self.names)
+        return applied(places, scene, jnp.asarray(self.values, dtype=float) if theta is None else theta)
+
+    def samples(self, count: int, seed: int = 0) -> Floats:
+        """Parameters (count, p) as uncertain as the estimate: normal, kept within the bounds."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        normal = np.random.default_rng(seed).standard_normal((count, len(self.values)))
+        return np.clip(self.values + normal @ root.T, self.lower, self.upper)
+
+    def sentence(self) -> str:
+        """How sure it is, in plain words."""
+        from types import SimpleNamespace
+
+        from fitting.places import Place
+
+        places = tuple(Place("", (_field(n),), None, "value") for n in self.names)
+        named: Any = SimpleNamespace(names=self.names, places=places, lower=self.lower, upper=self.upper)
+        return in_words(named, self.values, self.covariance, self.channels)
+
+    def summary(self) -> str:
+        """A table in text, with what else is to be known."""
+        lines = [f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}"]
+        for i, name in enumerate(self.names):
+            low, high = self.intervals[i]
+            lines.append(
+                f"  {name:<12} {self.values[i]:.6g} +- {self.standard_deviations[i]:.2g} {self.units[i]}"
+                f"  (95 %: {low:.6g} to {high:.6g}; nominal {self.nominal[i]:.6g})"
+            )
+        lines += [self.sentence(), *self.remarks(), f"stopped: {self.reason}"]
+        return "\n".join(lines)
+
+    def remarks(self) -> list[str]:
+        """What to keep in mind about the numbers."""
+        out = list(self.notes)
+        if self.synthetic:
+            out.append("the measurements are synthetic")
+        if self.at_bounds:
+            out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
+        if self.serial_correlation > SERIAL:
+            out.append(
+                f"neighbouring residuals are correlated ({self.serial_correlation:.2f}): the model or the filter "
+                "leaves a trace; intervals allow for the correlation, not for a wrong model"
+            )
+        if self.dropped:
+            out.append(f"{self.dropped} of {self.starts} starts found no equilibrium or no finite motion")
+        return out
+
+    @property
+    def plot(self) -> EstimatePlots:
+        """Figures."""
+        from fitting.plots import EstimatePlots
+
+        return EstimatePlots(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON; what can be derived from others comes along for readers."""
+        skipped = ("nominal_scene", "measured")
+        plain = {k: v for k, v in _shallow(self).items() if k not in skipped}
+        for key in _ARRAYS:
+            plain[key] = np.asarray(plain[key]).tolist()
+        return {
+            "format": FORMAT,
+            **plain,
+            "standard_deviations": self.standard_deviations.tolist(),
+            "intervals_95": self.intervals.tolist(),
+            "correlation": self.correlation.tolist(),
+            "sentence": self.sentence(),
+            "remarks": self.remarks(),
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes JSON, whole or not at all.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        target = Path(path)
+        with written_whole(target) as temporary:
+            temporary.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+        return target
+
+    @staticmethod
+    def load(path: str | os.PathLike[str], scene: Scene | None = None) -> Estimate:
+        """An estimate that was saved.
+
+        Args:
+            path: of the JSON file.
+            scene: the nominal scene, where `.scene` is wanted.
+
+        Raises:
+            InputError: no such file, or no estimate.
+        """
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            if content.get("format") != FORMAT:
+                raise ValueError(f"its format is {content.get('format')!r}")
+            known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
+            for key in _ARRAYS:
+                known[key] = np.asarray(known[key], dtype=float)
+            for key in ("names", "units", "channels"):
+                known[key] = tuple(known[key])
+            known["priors"] = {k: (v[0], v[1]) for k, v in known["priors"].items()}
+        except FileNotFoundError:
+            raise InputError("there is no such file", where=path, expected="what `pftwin fit -o` wrote") from None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"no estimate: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
+        return Estimate(**known, nominal_scene=scene)
+
+
+def _shallow(estimate: Estimate) -> dict[str, Any]:
+    return {k: getattr(estimate, k) for k in estimate.__dataclass_fields__}
+
+
+def _field(name: str) -> str:
+    """What kind of number a name stands for, as far as sentences need it."""
+    return "stiffness" if name.endswith(".stiffness") or (name[:1] == "K" and name[1:].isdigit()) else name
+
+
+__all__ = ["Estimate"]

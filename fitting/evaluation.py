@@ -1,0 +1,329 @@
+"""What many parameter vectors predict, in one compiled call; with derivatives by every parameter if wanted.
+
+Predictions only: which measurements they are compared with, and how, is decided on the host (`fitting.objective`), so
+one program serves every objective, and every method and phase of a fit. The number of steps between two frames is a
+variable of the program, not part of it.
+
+A prediction is a pure function of the parameters: searches for equilibrium start from the nearest of a fixed cloud of
+equilibria, never from the last iterate's. So a fit that is resumed sees what it would have seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from fitting.parameters import Parameters, applied
+from fitting.places import Place
+from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.state import Guide, State
+from pftwin.dynamics.trajectory import Trajectory, integrator_named, starting_equilibrium, substeps_for, trajectory
+from pftwin.scene import Scene
+from pftwin.spatial import Pose, Quaternion, Scalar
+
+POSITION, ORIENTATION = "position", "orientation"
+CHUNK = 32  # variants evaluated at once by default
+_WIDEST = 512  # variants in one call
+COLUMNS = 256  # variants times parameters in one call with derivatives
+_ROUGH = 5e-4  # error of a search's motion that is too much, rms [m]
+_REMEMBERED = 4  # batches with derivatives
+_CLOUD = 96  # equilibria from the nearest of which a search begins
+_COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # on the rig errors of 0.03 mm and of 0.01 mm [s]
+_SEED = 20240418  # of the cloud, the same for every fit
+
+
+class Prediction(NamedTuple):
+    """Of N variants. Numbers that could not be had are NaN.
+
+    values: (N, n, c) the channels side by side: position 3 [m], orientation 4, forces 1 each [N].
+    slopes: (N, n, c, p) their derivatives by the parameters, where asked for.
+    usable: (N,) whether the equilibrium was found and all numbers are finite.
+    """
+
+    values: NDArray[np.float64]
+    slopes: NDArray[np.float64] | None
+    usable: NDArray[np.bool_]
+
+
+def _march(scene: Scene, start: Solution, substeps: Scalar) -> State:
+    """States at the recorded frames, as `trajectory` has them, with any number of steps between two (0: none)."""
+    advance, _, guided_at = integrator_named("linear_implicit")
+    system, motion = scene.system(), scene.motion
+    step = motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
+    first = system.at_rest(start.pose, start.memories)
+    if motion.femur is not None:
+        femur = motion.femur.frames(jnp.asarray(motion.start_time, dtype=float))
+        carried = femur.velocity_at(first.position), first.orientation.unrotate(femur.angular_velocity)
+        first = eqx.tree_at(lambda s: (s.velocity, s.spin), first, carried)
+
+    def one_frame(now: State, frame: Scalar) -> tuple[State, State]:
+        piece = motion.between_frames(frame)
+        began = motion.start_time + motion.frame_interval * frame.astype(float)
+
+        def one_step(k: Scalar, now: State) -> State:
+            time = began + step * (k.astype(float) + guided_at)
+            return advance(system, now, Guide.sample(piece, time), step, None)[0]
+
+        now = jax.lax.fori_loop(0, substeps, one_step, now)
+        return now, now
+
+    _, later = jax.lax.scan(one_frame, first, jnp.arange(motion.n_frames - 1))
+    return jax.tree.map(lambda a, rest: jnp.concatenate([a[None], rest]), first, later)
+
+
+def _predicted(scene: Scene, guess: Pose, substeps: Scalar, channels: tuple[str, ...]) -> tuple[Array, Pose, Array]:
+    """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
+    start = starting_equilibrium(scene, guess)
+    values = _columns(scene, _march(scene, start, substeps), start, channels)
+    pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
+    return values, pose, start.converged()
+
+
+def _columns(scene: Scene, states: State, start: Solution, channels: tuple[str, ...]) -> Array:
+    """The channels over the frames, side by side (n, c)."""
+    motion = scene.motion
+    columns = []
+    if POSITION in channels or ORIENTATION in channels:
+        lever = scene.tracked_point() - scene.patella.center_of_mass
+        centre, turn = states.position + states.orientation.rotate(lever), states.orientation
+        if motion.femur is not None:
+            times = motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float)
+            femur = motion.femur.frames(times)
+            centre = femur.to_local(centre)
+            turn = Quaternion.from_rotation(femur.rotation).conjugate() * turn
+        columns += [centre.x, centre.y, centre.z] if POSITION in channels else []
+        columns += [turn.w, turn.x, turn.y, turn.z] if ORIENTATION in channels else []
+    forces = [c for c in channels if c not in (POSITION, ORIENTATION)]
+    if forces:
+        seen = observe(scene, Trajectory(states, None, start, jnp.zeros(()))).effects
+        columns += [seen[name]["force" if "force" in seen[name] else "tension"] for name in forces]
+    return jnp.stack(columns, axis=-1)
+
+
+@eqx.filter_jit
+def _plain(
+    scene: Scene, theta: Array, guesses: Pose, substeps: Array, places: tuple[Place, ...], channels: tuple[str, ...]
+) -> Any:
+    return jax.vmap(lambda t, g: _predicted(applied(places, scene, t), g, substeps, channels))(theta, guesses)
+
+
+@eqx.filter_jit
+def _with_slopes(
+    scene: Scene, theta: Array, guesses: Pose, substeps: Array, places: tuple[Place, ...], channels: tuple[str, ...]
+) -> Any:
+    """As `_plain`, and the derivatives (p, N, n, c). Columns outside, variants inside: the fastest order in memory."""
+
+    def batch(thetas: Array) -> Any:
+        out = jax.vmap(lambda t, g: _predicted(applied(places, scene, t), g, substeps, channels))(thetas, guesses)
+        return out[0], out[1:]
+
+    def push(direction: Array) -> Any:
+        return jax.jvp(batch, (theta,), (jnp.broadcast_to(direction, theta.shape),))
+
+    (values, rest), (slopes, _) = jax.vmap(push, out_axes=(None, 0))(jnp.eye(len(places), dtype=theta.dtype))
+    return (values, *rest), slopes
+
+
+@eqx.filter_jit
+def _pulled(
+    scene: Scene,
+    theta: Array,
+    guesses: Pose,
+    substeps: int,
+    pulls: Array,
+    places: tuple[Place, ...],
+    channels: tuple[str, ...],
+) -> Array:
+    """Gradients (N, p) of sum(pull * prediction) by reverse mode, for pulls (N, n, c); the steps' number is fixed."""
+
+    def pulled(t: Array, guess: Pose, pull: Array) -> Array:
+        variant = applied(places, scene, t)
+        start = starting_equilibrium(variant, guess)
+        states = trajectory(variant, substeps=substeps, start=start).states
+        return jnp.sum(pull * _columns(variant, states, start, channels))
+
+    return jax.vmap(jax.grad(pulled))(theta, guesses, pulls)
+
+
+@dataclass(eq=False)
+class Evaluator:
+    """Predictions of one scene's variants.
+
+    Args:
+        scene: the nominal one.
+        parameters: what varies.
+        channels: what is predicted, in this order: "position", "orientation", or effects' names for their forces.
+        chunk: variants evaluated by one call of a compiled program; others are split, and the last part is filled up.
+    """
+
+    scene: Scene
+    parameters: Parameters
+    channels: tuple[str, ...]
+    chunk: int = CHUNK
+    pull_chunk: int = 8  # the same for gradients by reverse mode
+
+    def __post_init__(self) -> None:
+        self._plain_scene = self.scene.unnamed()
+        self._with_plain = True
+        self._recent: list[tuple[NDArray[np.float64], int, Prediction]] = []
+
+    def prepare(self, widest: int | None) -> None:
+        """Sets the batch: the largest number of plain values that will be asked for at once; None: none will be."""
+        self._with_plain = widest is not None
+        if widest is not None:
+            parts = -(-widest // _WIDEST)
+            self.chunk = -(-widest // parts)
+
+    @cached_property
+    def coarse(self) -> int:
+        """Steps between two frames for a search: as few as the nominal motion allows."""
+        few = self._few
+        if few < self.fine:
+            rough, good = (self.with_slopes(self.parameters.nominal[None], n) for n in (few, self.fine))
+            if good.usable[0] and not (rough.usable[0] and self._agree(rough.values[0], good.values[0])):
+                return self.fine
+        return few
+
+    def _agree(self, rough: NDArray[np.float64], good: NDArray[np.float64]) -> bool:
+        """Whether long steps are good enough for a search."""
+        if self.channels[0] != POSITION:
+            return bool(np.abs(rough - good).max() <= 0.1 * np.ptp(good, axis=0).max())
+        return bool(np.sqrt(np.mean(np.sum((rough[:, :3] - good[:, :3]) ** 2, axis=1))) <= _ROUGH)
+
+    @property
+    def _few(self) -> int:
+        return substeps_for(self.scene.motion.frame_interval, _COARSE_STEP)
+
+    @property
+    def fine(self) -> int:
+        """Steps between two frames for an answer."""
+        return substeps_for(self.scene.motion.frame_interval, _FINE_STEP)
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Columns of each channel."""
+        return tuple({POSITION: 3, ORIENTATION: 4}.get(c, 1) for c in self.channels)
+
+    def values(self, theta: NDArray[np.float64], substeps: int) -> Prediction:
+        """Predictions for (N, p) parameters."""
+        return self._in_chunks(theta, substeps, self.chunk, slopes=False)
+
+    def with_slopes(self, theta: NDArray[np.float64], substeps: int) -> Prediction:
+        """Predictions and their derivatives for (N, p) parameters; the last few batches are remembered."""
+        theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
+        for before, steps, prediction in self._recent:
+            if steps == substeps and len(rows := _rows_of(theta, before)) == len(theta):
+                assert prediction.slopes is not None
+                return Prediction(prediction.values[rows], prediction.slopes[rows], prediction.usable[rows])
+        prediction = self._in_chunks(theta, substeps, self.slope_chunk, slopes=True)
+        self._recent = [(theta.copy(), substeps, prediction), *self._recent[: _REMEMBERED - 1]]
+        return prediction
+
+    def with_pull(
+        self, theta: NDArray[np.float64], substeps: int, pull: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    ) -> tuple[Prediction, NDArray[np.float64]]:
+        """Predictions for (N, p) parameters, and gradients (N, p) of a function of theirs by reverse mode.
+
+        Args:
+            theta: the parameters.
+            substeps: steps between two frames.
+            pull: the function's derivatives by the predictions, from predictions (N, n, c).
+        """
+        theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
+        prediction = self.values(theta, substeps)
+        pulls = pull(np.where(prediction.usable[:, None, None], prediction.values, 0.0))
+        chunk, parts = self.pull_chunk, []
+        for i in range(0, len(theta), chunk):
+            part = theta[i : i + chunk]
+            more = chunk - len(part)
+            full, cotangents = (
+                np.concatenate([a, np.repeat(a[:1], more, axis=0)]) for a in (part, pulls[i : i + chunk])
+            )
+            args = (self._plain_scene, jnp.asarray(full, dtype=float), self.guesses(full), substeps)
+            found = _pulled(*args, jnp.asarray(cotangents, dtype=float), self.parameters.places, self.channels)
+            parts.append(np.asarray(found)[: len(part)])
+        return prediction, np.concatenate(parts)
+
+    @property
+    def slope_chunk(self) -> int:
+        """Variants in one call with derivatives."""
+        return max(1, min(CHUNK, COLUMNS // len(self.parameters)))
+
+    def _in_chunks(self, theta: NDArray[np.float64], substeps: int, chunk: int, *, slopes: bool) -> Prediction:
+        theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
+        parts = []
+        for i in range(0, len(theta), chunk):
+            part = theta[i : i + chunk]
+            full = np.concatenate([part, np.repeat(part[:1], chunk - len(part), axis=0)])
+            out = self._run(full, self.guesses(full), substeps, slopes)
+            parts.append([None if a is None else a[: len(part)] for a in out[:3]])
+        values, slope, found = (None if a[0] is None else np.concatenate(a) for a in zip(*parts, strict=True))
+        assert values is not None
+        assert found is not None
+        usable = found & np.isfinite(values).all(axis=(1, 2))
+        if slope is not None:
+            usable &= np.isfinite(slope).all(axis=(1, 2, 3))
+        return Prediction(values, slope, usable)
+
+    def _run(self, theta: NDArray, guesses: Pose, substeps: int, slopes: bool) -> tuple[Any, Any, Any, Any]:
+        """Values (N, n, c), slopes (N, n, c, p) or None, whether in equilibrium at the start (N,), starting poses."""
+        args = (self._plain_scene, jnp.asarray(theta, dtype=float), guesses, jnp.asarray(substeps))
+        if slopes:
+            (values, poses, found), columns = _with_slopes(*args, self.parameters.places, self.channels)
+            return np.asarray(values), np.moveaxis(np.asarray(columns), 0, -1), np.asarray(found), poses
+        values, poses, found = _plain(*args, self.parameters.places, self.channels)
+        return np.asarray(values), None, np.asarray(found), poses
+
+    def guesses(self, theta: NDArray[np.float64]) -> Pose:
+        """Where the searches for equilibrium begin: at the nearest member of the cloud, (N,) poses."""
+        where, poses = self._cloud
+        return _picked(poses, _nearest(self._share(theta), where))
+
+    def _share(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (theta - self.parameters.lower) / (self.parameters.upper - self.parameters.lower)
+
+    @cached_property
+    def _cloud(self) -> tuple[NDArray[np.float64], Pose]:
+        """Equilibria all over the bounds: shares of the range (m, p) and poses (m,). The nominal one always belongs."""
+        slopes = not self._with_plain
+        chunk = self.slope_chunk if slopes else self.chunk
+        start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
+        members = self.parameters.spread(_CLOUD, np.random.default_rng(_SEED))
+        members = np.concatenate([self.parameters.nominal[None], members])
+        where, poses, guess = np.zeros((0, len(self.parameters))), [], start
+        for i in range(0, len(members), chunk):
+            part = members[i : i + chunk]
+            part = np.concatenate([part, np.repeat(part[:1], chunk - len(part), axis=0)])
+            _, _, found, pose = self._run(part, _picked(guess, np.zeros(chunk, int)), 0, slopes)
+            pose = jax.tree.map(np.asarray, pose)
+            if not poses:  # the nominal one: if even that was not found, the scene's start has to do
+                guess = jax.tree.map(lambda a: a[:1], pose) if found[0] else start
+                where, poses = self._share(part[:1]), [guess]
+            keep = np.flatnonzero(found)
+            where = np.concatenate([where, self._share(part[keep])])
+            poses.append(jax.tree.map(lambda a, keep=keep: a[keep], pose))
+        return where, jax.tree.map(lambda *a: np.concatenate(a), *poses)
+
+
+def _picked(poses: Pose, which: NDArray[np.intp]) -> Pose:
+    return jax.tree.map(lambda a: jnp.asarray(a[which], dtype=float), poses)
+
+
+def _rows_of(theta: NDArray[np.float64], among: NDArray[np.float64]) -> list[int]:
+    """Where the very same parameters stand; fewer than asked for if some are not there."""
+    at = {row.tobytes(): i for i, row in enumerate(among)}
+    return [at[row.tobytes()] for row in theta if row.tobytes() in at]
+
+
+def _nearest(points: NDArray[np.float64], among: NDArray[np.float64]) -> NDArray[np.intp]:
+    return np.argmin(np.sum((points[:, None] - among[None]) ** 2, axis=-1), axis=1)

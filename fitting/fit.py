@@ -1,0 +1,301 @@
+"""`fit_tendons`: one verb for every method, and the loop on the host that they share."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fitting import checkpoint as checkpoints
+from fitting.estimate import Estimate
+from fitting.evaluation import POSITION
+from fitting.method import Method, State
+from fitting.objective import SPRINGS, Objective
+from fitting.parameters import Bounds, free_parameters
+from fitting.problem import Problem, Request
+from fitting.uncertainty import uncertainty
+from pftwin.errors import InputError, PftwinError
+from pftwin.measured import Measured
+from pftwin.output import check_place
+from pftwin.scene import Scene, check
+
+METHODS = ("least_squares", "gradient", "genetic", "cma_es", "differential_evolution")
+SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
+_UNFELT = 1e-7  # effect of a parameter's whole range, in metres or newtons, that nothing could see
+_FAR = 0.1  # distance of measured from predicted positions that speaks of another frame [m]
+_BETWEEN_CHECKPOINTS = 1.0  # [s]
+_RIG_CASE = re.compile(r"^rig case (\d)\b")
+
+
+class Progress(NamedTuple):
+    """How far a fit is."""
+
+    method: str
+    iteration: int
+    of: int  # at most
+    best: float
+    spread: float
+    elapsed: float  # [s]
+    left: float  # at most, at the pace so far [s]
+
+
+def fit_tendons(
+    scene: Scene,
+    measured: Measured | None = None,
+    *,
+    method: str = "least_squares",
+    objective: str = "likelihood",
+    free: Sequence[str] = SPRING_PARAMETERS,
+    bounds: Bounds = 0.3,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    seed: int = 0,
+    use: str | Sequence[str] = POSITION,
+    noise: Mapping[str, float] | None = None,
+    loss: str = "linear",
+    springs: Mapping[str, str] = SPRINGS,
+    progress: Callable[[Progress], None] | None = None,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    **options: Any,
+) -> Estimate:
+    """Parameters of a scene from measurements of its motion, and how sure they are.
+
+    Args:
+        scene: the nominal one; its values are where the search begins.
+        measured: at the scene's frames; by default the rig's, if the scene is one of its cases.
+        method: "least_squares" (multi-start Levenberg-Marquardt), "gradient" (Adam, then L-BFGS, by reverse mode, for
+            many parameters), "genetic" (after Matlab's `ga`), "cma_es", "differential_evolution" (need the extra
+            `evosax`).
+        objective: "likelihood", or "paper": the sum over X, Y, Z of the root mean square error of the sphere's centre
+            in the femur frame, without forces.
+        free: names of parameters; see `free_parameters`.
+        bounds: to either side as a share of the nominal values, or by name.
+        priors: by name, mean and standard deviation of what is known beforehand.
+        seed: of all random choices: the same seed gives the same result.
+        use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
+            measured; see `Objective.of`.
+        noise: standard deviations of the measurements by channel; by default estimated from the residuals.
+        loss: "linear", "huber" or "soft_l1".
+        springs: names of the effects whose tensions the "femoral" and the "tibial" spring forces are.
+        progress: called after every iteration.
+        checkpoint: file in which the state is kept while the fit runs.
+        resume: go on from that file.
+        options: of the method: `starts` (least squares), `generations`, `population`, `populations` (genetic and
+            evosax), `iterations` (gradient).
+
+    Returns:
+        The estimate. After an interrupt (Ctrl-C) it holds the best so far, and says so; the checkpoint can be resumed.
+
+    Raises:
+        InputError: what cannot give a right answer: see `free_parameters` and `Objective.of`; a parameter to which
+            nothing that was measured reacts; all starts failing; a checkpoint of another problem.
+    """
+    check(scene)
+    if method not in METHODS:
+        raise InputError(f"no method {method!r}", where="method", expected=f"one of: {', '.join(METHODS)}")
+    if resume and checkpoint is None:
+        raise InputError("nothing to resume from", where="resume", expected="a checkpoint file")
+    if checkpoint is not None:
+        check_place(checkpoint)
+    data = measured_of(scene) if measured is None else measured
+    parameters = free_parameters(scene, free, bounds, priors)
+    if objective == "paper" and priors:
+        raise InputError("the paper's objective has no noise to weigh priors against", where="priors")
+    target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
+    problem = Problem.of(scene, parameters, target)
+    search = _method(method, problem, seed, options)
+    problem.evaluator.prepare(search.widest)
+    began = time.perf_counter()
+    state = None
+    identity = problem.fingerprint(method, seed, search.settings())
+    if resume and checkpoint is not None:
+        state = checkpoints.load(Path(checkpoint), identity)
+    first_look(problem, search.ask(search.begin()) if state is None else None)
+    state = _run(search, state, identity, progress, None if checkpoint is None else Path(checkpoint))
+    if state["best_theta"] is None:
+        raise InputError(
+            f"all {state['starts']} starts failed: no equilibrium, or no finite motion",
+            where=scene.name,
+            expected="at least one start from which the motion can be simulated",
+            remedy="narrower bounds, or a scene that `pftwin simulate` can run",
+        )
+    estimate = _estimate(search, state, data, began)
+    estimate.springs = dict(springs)
+    return estimate
+
+
+def measured_of(scene: Scene) -> Measured:
+    """The rig's measurements of a scene that is one of its cases.
+
+    Raises:
+        InputError: any other scene.
+    """
+    if match := _RIG_CASE.match(scene.name):
+        from pftwin import rig
+
+        return rig.measured(int(match.group(1)))
+    raise InputError("nothing to compare with", where="measured", expected="measurements of this scene's motion")
+
+
+def first_look(problem: Problem, first: Request | None = None) -> None:
+    """Refuses what no search could answer, by one look at the nominal parameters.
+
+    Args:
+        problem: the fit's.
+        first: what the method will ask for first: if the nominal point is among it, all is evaluated at once.
+
+    Raises:
+        InputError: parameters to which nothing that is compared reacts; measured positions in another frame.
+    """
+    at = problem.parameters.nominal
+    if first is not None and first.want == "normal":
+        problem.evaluator.with_slopes(first.theta, first.substeps)
+    seen = problem.prediction(at, problem.evaluator.coarse)
+    if not seen.usable[0]:
+        return  # the scene itself does not run; other starts may
+    assert seen.slopes is not None
+    span = problem.parameters.upper - problem.parameters.lower
+    effect = np.abs(seen.slopes[0] * span).max(axis=(0, 1))
+    if (unfelt := np.flatnonzero(effect < _UNFELT)).size:
+        names = ", ".join(problem.parameters.names[i] for i in unfelt)
+        raise InputError(
+            f"nothing that is compared ({', '.join(problem.objective.channels)}) reacts to {names}",
+            where="free",
+            expected="parameters that make a difference",
+            remedy="leave them out, or measure something that reacts to them",
+        )
+    if problem.objective.channels[0] == POSITION:
+        off = seen.values[0, :, :3] - problem.objective.measured[:, :3]
+        far = float(np.nanmedian(np.linalg.norm(off, axis=1)))
+        if far > _FAR:
+            raise InputError(
+                f"measured positions lie {1e3 * far:.0f} mm from the scene's",
+                where=problem.objective.source,
+                expected="the button's centre in the femur frame, in metres",
+                remedy="the frame and units of the scene",
+            )
+
+
+def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> Method:
+    if name == "least_squares":
+        from fitting.least_squares import LeastSquares as Chosen
+    elif name == "gradient":
+        from fitting.gradient import Gradient as Chosen
+    elif name == "genetic":
+        from fitting.genetic import Genetic as Chosen
+    elif name == "cma_es":
+        from fitting.strategies import CmaEs as Chosen
+    else:
+        from fitting.strategies import DifferentialEvolution as Chosen
+    known = Chosen.options
+    for key, value in options.items():
+        if key not in known:
+            raise InputError(f"{name} has no option {key!r}", where="options", expected=f"one of: {', '.join(known)}")
+        if not (isinstance(value, int) and value >= 1):
+            raise InputError(f"found {value!r}", where=key, expected="a whole number of at least 1")
+    return Chosen(problem, seed, **options)
+
+
+def _run(
+    search: Method, state: State | None, identity: str, report: Callable[[Progress], None] | None, path: Path | None
+) -> State:
+    """Iterates until the method stops or someone interrupts."""
+    if state is None:
+        state = {**search.begin(), "iteration": 0, "evaluations": 0, "history": [], "interrupted": False}
+        state.setdefault("starts", search.starts)
+    state["interrupted"] = False
+    began, first, saved = time.perf_counter(), state["iteration"], time.perf_counter()
+    try:
+        while state["stopped"] is None:
+            request = search.ask(state)
+            answer = search.problem.answer(request)
+            search.tell(state, request, answer)
+            state["iteration"] += 1
+            state["evaluations"] += len(request.theta)
+            entry = {"iteration": state["iteration"], "evaluations": state["evaluations"]}
+            state["history"].append({**entry, "best": state["best_value"], "spread": search.spread(state)})
+            now = time.perf_counter()
+            if path is not None and (now - saved > _BETWEEN_CHECKPOINTS or state["stopped"]):
+                checkpoints.save(path, identity, state)
+                saved = now
+            if report is not None:
+                done = state["iteration"] - first
+                left = max(search.most_iterations - state["iteration"], 0) * (now - began) / done
+                best, spread = state["best_value"], search.spread(state)
+                report(
+                    Progress(search.name, state["iteration"], search.most_iterations, best, spread, now - began, left)
+                )
+    except KeyboardInterrupt:
+        state["interrupted"] = True
+        if path is not None:
+            checkpoints.save(path, identity, state)
+        if state["best_theta"] is None:
+            raise
+    return state
+
+
+def _estimate(search: Method, state: State, measured: Measured, began: float) -> Estimate:
+    problem = search.problem
+    parameters, target = problem.parameters, problem.objective
+    theta = np.asarray(state["best_theta"])
+    seen = problem.prediction(theta, problem.evaluator.fine)
+    if not seen.usable[0]:
+        raise PftwinError(
+            "the best parameters found with long time steps give no finite motion with short ones; "
+            "try: narrower bounds, or method='least_squares'"
+        )
+    value = problem.objective.value(seen)[0] + parameters.prior_terms(theta)[0]
+    assert seen.slopes is not None
+    r = target.residuals(seen.values)[0]
+    j = target.slopes(seen.slopes, seen.values)[0]
+    noise = target.noise or target.noise_of(r, len(parameters))
+    known = target.known(noise)
+    sure = uncertainty(known, parameters, r, j, theta)
+    interrupted = "interrupted; the best so far"
+    return Estimate(
+        names=parameters.names,
+        units=tuple(p.unit for p in parameters.items),
+        values=theta,
+        covariance=sure.covariance,
+        lower=parameters.lower,
+        upper=parameters.upper,
+        nominal=parameters.nominal,
+        objective=target.kind,
+        objective_value=float(value),
+        objective_unit=target.unit,
+        channels=target.channels,
+        noise={k: float(v) for k, v in noise.items()},
+        noise_known=target.noise is not None,
+        serial_correlation=sure.serial,
+        condition=sure.condition,
+        rmse=_rmse(target, r),
+        method=search.name,
+        seed=search.seed,
+        reason=interrupted if state["interrupted"] else str(state["stopped"]),
+        evaluations=int(state["evaluations"]),
+        iterations=int(state["iteration"]),
+        starts=int(state["starts"]),
+        dropped=int(state["dropped"]),
+        seconds=time.perf_counter() - began,
+        history=state["history"],
+        synthetic=target.synthetic,
+        source=target.source,
+        scene_name=problem.scene.name,
+        priors={p.name: p.prior for p in parameters.items if p.prior is not None},
+        nominal_scene=problem.scene,
+        measured=measured,
+    )
+
+
+def _rmse(target: Objective, r: Any) -> dict[str, float]:
+    present = target.present
+    known = target.known(dict.fromkeys(target.channels, 1.0))
+    out = dict(zip(target.channels, np.sqrt(known.mean_squares(r[None])[0]).tolist(), strict=True))
+    if POSITION in target.channels:
+        for i, axis in enumerate("XYZ"):
+            out[axis] = float(np.sqrt(np.sum(r[:, i] ** 2) / present[:, i].sum()))
+    return out

@@ -1,0 +1,302 @@
+"""What an experiment can tell, before it is made: the Cramer-Rao bound of a design, and what to measure besides."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimate import Estimate
+from fitting.evaluation import ORIENTATION, POSITION, Evaluator
+from fitting.fit import SPRING_PARAMETERS, measured_of
+from fitting.objective import SPRINGS, Objective
+from fitting.parameters import Bounds, Parameters, free_parameters
+from fitting.problem import Problem, Request
+from fitting.uncertainty import in_words, inverted, percent
+from pftwin.effects.strands import StrandGroup
+from pftwin.effects.tendon import Tendon
+from pftwin.errors import InputError
+from pftwin.measured import Measured
+from pftwin.scene import Scene, check
+
+Floats = NDArray[np.float64]
+
+NOISE = {POSITION: 2e-4, ORIENTATION: 5e-3}  # of motion capture [m], [rad]
+FORCE_NOISE = 0.15  # of a load cell [N]
+CHI_SQUARED_95 = 3.841458820694124  # quantile for one degree of freedom
+_UNFELT = 1e-6  # noise-scaled effect of a whole range, all frames together
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a design can tell at best about parameters (p,), and what more would help."""
+
+    names: tuple[str, ...]
+    values: Floats
+    channels: tuple[str, ...]  # what is measured
+    noise: dict[str, float]
+    covariance: Floats  # (p, p): no unbiased estimate has a smaller one
+    condition: float
+    unfelt: tuple[str, ...]  # parameters to which nothing that is measured reacts
+    additions: dict[str, Floats]  # relative standard deviations (p,) with one more channel, best first
+    words: str
+
+    @property
+    def relative(self) -> Floats:
+        """Smallest relative standard deviations (p,)."""
+        scale = np.where(self.values == 0, 1.0, np.abs(self.values))
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0)) / scale
+
+    def sentence(self) -> str:
+        """In plain words."""
+        text = f"at best, {self.words}"
+        if self.unfelt:
+            text += f"; nothing reacts to {', '.join(self.unfelt)}"
+        if self.additions:
+            best = next(iter(self.additions))
+            before, after = float(self.relative.max()), float(self.additions[best].max())
+            if after < 0.8 * before:
+                what = best if best in (POSITION, ORIENTATION) else f"the force of {best}"
+                text += (
+                    f"; {what} measured as well helps most: the worst standard deviation falls from "
+                    f"{percent(before)} to {percent(after)}"
+                )
+            else:
+                text += "; no single further measurement helps much"
+        return text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "names": list(self.names),
+            "values": self.values.tolist(),
+            "channels": list(self.channels),
+            "noise": self.noise,
+            "covariance": self.covariance.tolist(),
+            "relative_standard_deviations": self.relative.tolist(),
+            "condition": self.condition,
+            "unfelt": list(self.unfelt),
+            "additions": {k: v.tolist() for k, v in self.additions.items()},
+            "sentence": self.sentence(),
+        }
+
+
+def plan_experiment(
+    scene: Scene,
+    *,
+    free: Sequence[str] = SPRING_PARAMETERS,
+    use: Sequence[str] = (POSITION,),
+    noise: Mapping[str, float] | None = None,
+    candidates: Sequence[str] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Bounds = 0.3,
+) -> Plan:
+    """The Cramer-Rao bound at the scene's parameters, before anything is measured or fitted.
+
+    Args:
+        scene: with the motion that is to be recorded.
+        free: parameters that are to be found.
+        use: channels that will be measured: "position", "orientation", effects' names for their forces.
+        noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white.
+        candidates: channels that might be measured besides; by default every other one that the scene has.
+        priors: by name, mean and standard deviation of what is known beforehand.
+        bounds: as for a fit: what "no reaction" is measured by.
+
+    Raises:
+        InputError: unknown parameters or channels; a scene that cannot be simulated; a noise that is not positive.
+    """
+    check(scene)
+    parameters = free_parameters(scene, free, bounds, priors)
+    all_channels = channels_of(scene)
+    more = [c for c in all_channels if c not in use] if candidates is None else list(candidates)
+    for channel in (*use, *more):
+        if channel not in all_channels:
+            raise InputError(f"no channel {channel!r}", where="use", expected=f"one of: {', '.join(all_channels)}")
+    if not use:
+        raise InputError("nothing is measured", where="use", expected=f"some of: {', '.join(all_channels)}")
+    wanted = tuple(c for c in all_channels if c in use or c in more)
+    sigma = {c: NOISE.get(c, FORCE_NOISE) for c in wanted} | dict(noise or {})
+    if bad := [c for c in wanted if not (np.isfinite(sigma[c]) and sigma[c] > 0)]:
+        raise InputError(f"{bad[0]}: found {sigma[bad[0]]!r}", where="noise", expected="a positive number")
+    information, unfelt = _information(scene, parameters, wanted, sigma, tuple(use))
+    prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
+    base = sum(information[c] for c in use) + prior
+    covariance = inverted(base)
+    scale = np.where(parameters.nominal == 0, 1.0, np.abs(parameters.nominal))
+    values = np.linalg.eigvalsh(base * np.outer(scale, scale))
+    additions = {c: np.sqrt(np.diagonal(inverted(base + information[c]))) / scale for c in more}
+    return Plan(
+        parameters.names,
+        parameters.nominal,
+        tuple(c for c in wanted if c in use),
+        {c: sigma[c] for c in wanted},
+        covariance,
+        float(values[-1] / values[0]) if values[0] > 0 else np.inf,
+        unfelt,
+        dict(sorted(additions.items(), key=lambda item: float(item[1].max()))),
+        in_words(parameters, parameters.nominal, covariance, tuple(c for c in wanted if c in use)),
+    )
+
+
+def channels_of(scene: Scene) -> tuple[str, ...]:
+    """Everything that could be measured: poses, and the forces of contact, tendons and ligaments."""
+    contact = scene.contact
+    forces = [e.name for e in scene.effects if isinstance(e, Tendon | StrandGroup)]
+    return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *forces)
+
+
+def _information(
+    scene: Scene, parameters: Parameters, channels: tuple[str, ...], noise: dict[str, float], use: tuple[str, ...]
+) -> tuple[dict[str, Floats], tuple[str, ...]]:
+    """Fisher information of every channel (p, p), and the parameters that the used ones do not feel."""
+    evaluator = Evaluator(scene, parameters, channels)
+    evaluator.prepare(None)
+    seen = evaluator.with_slopes(parameters.nominal[None], evaluator.fine)
+    if not seen.usable[0] or seen.slopes is None:
+        raise InputError("the scene's motion cannot be simulated", where=scene.name, remedy="pftwin simulate")
+    out, column = {}, 0
+    for channel, width in zip(channels, evaluator.widths, strict=True):
+        j = seen.slopes[0, :, column : column + width] / noise[channel]
+        if channel == ORIENTATION:
+            j = 2 * j  # of a unit quaternion: half the turn
+        flat = j.reshape(-1, j.shape[-1])
+        out[channel] = flat.T @ flat
+        column += width
+    span = parameters.upper - parameters.lower
+    felt = np.sqrt(sum(np.diagonal(out[c]) for c in use)) * span
+    return out, tuple(n for n, size in zip(parameters.names, felt, strict=True) if size < _UNFELT)
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """How much worse the best fit gets as one parameter is held at values away from its estimate."""
+
+    name: str
+    values: Floats  # (k,)
+    deviance: Floats  # (k,) twice the loss of log-likelihood
+    theta: Floats  # (k, p) the others' best values
+    interval: tuple[float, float]  # 95 %; infinite where the profile does not rise that far
+
+    def is_closed(self) -> bool:
+        """Whether both ends were found."""
+        return bool(np.isfinite(self.interval).all())
+
+
+def profile_likelihood(
+    estimate: Estimate,
+    name: str,
+    *,
+    measured: Measured | None = None,
+    points: int = 15,
+    reach: float = 3.0,
+    iterations: int = 6,
+) -> Profile:
+    """The profile likelihood of one parameter, all points of the profile fitted at once.
+
+    Where residuals are correlated in time it is scaled to the estimate's variance, which allows for that.
+
+    Args:
+        estimate: of a likelihood; with its scene.
+        name: of the parameter.
+        measured: the measurements; by default those of the estimate.
+        points: of the profile.
+        reach: how far to either side, in standard deviations (kept within the bounds).
+        iterations: of Gauss-Newton on the others.
+
+    Raises:
+        InputError: no such parameter; an estimate without a scene, or of the paper's objective, which is no likelihood.
+    """
+    if name not in estimate.names:
+        raise InputError(f"no parameter {name!r}", where="name", expected=f"one of: {', '.join(estimate.names)}")
+    if estimate.nominal_scene is None:
+        raise InputError("an estimate from a file holds no scene", where="estimate", expected="one from `fit_tendons`")
+    data = measured or estimate.measured or measured_of(estimate.nominal_scene)
+    if estimate.objective == "paper":
+        raise InputError("the paper's objective is no likelihood", where="estimate", remedy="objective='likelihood'")
+    limits: dict[str, Any] = {
+        n: (lo, up) for n, lo, up in zip(estimate.names, estimate.lower, estimate.upper, strict=True)
+    }
+    parameters = free_parameters(estimate.nominal_scene, estimate.names, limits, estimate.priors)
+    target = Objective.of(
+        estimate.nominal_scene, data, use=estimate.channels, noise=estimate.noise, springs=_springs(estimate)
+    )
+    problem = Problem.of(estimate.nominal_scene, parameters, target)
+    problem.evaluator.prepare(None)
+    i = estimate.names.index(name)
+    sd = estimate.standard_deviations[i]
+    low, high = (
+        np.clip(estimate.values[i] + sign * reach * sd, estimate.lower[i], estimate.upper[i]) for sign in (-1, 1)
+    )
+    held = np.linspace(low, high, points)
+    theta = _conditional(problem, estimate, i, held, iterations)
+    at = problem.answer(Request(np.asarray(estimate.values)[None], problem.evaluator.fine, "normal"))
+    assert at.hessian is not None
+    values = problem.answer(Request(theta, problem.evaluator.fine, "normal")).value
+    deviance = 2 * (values - min(float(at.value[0]), float(np.min(values))))
+    deviance *= inverted(at.hessian[0])[i, i] / estimate.covariance[i, i]
+    return Profile(name, held, deviance, theta, _crossings(held, deviance))
+
+
+def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, iterations: int) -> Floats:
+    """The others' best values with parameter i held (k, p), by damped Gauss-Newton from the linear prediction."""
+    parameters = problem.parameters
+    covariance = estimate.covariance
+    theta = estimate.values + (held - estimate.values[i])[:, None] * covariance[i] / covariance[i, i]
+    margin = 1e-6 * (parameters.upper - parameters.lower)
+    others = np.arange(len(parameters)) != i
+
+    def inside(t: Floats) -> Floats:
+        t = np.clip(t, parameters.lower + margin, parameters.upper - margin)
+        t[:, i] = held
+        return t
+
+    theta = inside(theta)
+    best = problem.answer(Request(theta, problem.evaluator.fine, "normal"))
+    damping = np.full(len(held), 1e-3)
+    for _ in range(iterations):
+        assert best.gradient is not None
+        assert best.hessian is not None
+        h = best.hessian[:, others][:, :, others]
+        diagonal = np.einsum("kii->ki", h)
+        h = h + damping[:, None, None] * diagonal[:, :, None] * np.eye(h.shape[-1])
+        trial = theta.copy()
+        trial[:, others] -= np.linalg.solve(h, best.gradient[:, others, None])[..., 0]
+        trial = inside(trial)
+        new = problem.answer(Request(trial, problem.evaluator.fine, "normal"))
+        assert new.gradient is not None
+        assert new.hessian is not None
+        better = new.value < best.value
+        theta = np.where(better[:, None], trial, theta)
+        damping = np.where(better, damping / 5, damping * 10)
+        best = type(best)(
+            np.where(better, new.value, best.value),
+            np.where(better[:, None], new.gradient, best.gradient),
+            np.where(better[:, None, None], new.hessian, best.hessian),
+        )
+    return theta
+
+
+def _crossings(held: Floats, deviance: Floats) -> tuple[float, float]:
+    """Where the deviance passes the 95 % quantile, to either side of its least."""
+    least = int(np.argmin(deviance))
+
+    def cross(order: NDArray[np.intp], none: float) -> float:
+        for a, b in itertools.pairwise(order):
+            if deviance[a] <= CHI_SQUARED_95 < deviance[b]:
+                roots = np.sqrt(np.maximum(deviance[[a, b]], 0))  # about linear, for the deviance is about a parabola
+                share = (np.sqrt(CHI_SQUARED_95) - roots[0]) / (roots[1] - roots[0])
+                return float(held[a] + share * (held[b] - held[a]))
+        return none
+
+    return cross(np.arange(least, -1, -1), -np.inf), cross(np.arange(least, len(held)), np.inf)
+
+
+def _springs(estimate: Estimate) -> dict[str, str]:
+    return estimate.springs or dict(SPRINGS)
+
+
+__all__ = ["Plan", "Profile", "channels_of", "plan_experiment", "profile_likelihood"]

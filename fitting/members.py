@@ -1,0 +1,198 @@
+"""Members of a batch, simulated together: a compiled function of amounts, parameters and starts, run in chunks.
+
+Memory does not grow with the number of members: a chunk's trajectories are gone when its outcomes are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from fitting.course import Groove, course
+from fitting.outcomes import measure
+from fitting.treatments import Treatment
+from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
+from pftwin.effects.strands import StrandGroup
+from pftwin.effects.tendon import Tendon
+from pftwin.scene import Scene
+from pftwin.spatial import Pose, Scalar
+
+FLAGS = tuple(flag for flag in Status if flag)
+_NEAR = 48  # equilibria that are found from the scene's own start; all others start from the nearest of them
+_FEWEST = 16  # members of a chunk: fewer cost the same
+Floats = NDArray[np.float64]
+
+
+class Recipe(NamedTuple):
+    """How a member is made of its numbers, and how it is run. Hashable where static, arrays elsewhere."""
+
+    scene: Scene
+    treatment: Treatment
+    fitted: Callable[[Scene, Any], Scene] | None  # puts parameters into the scene
+    groove: Groove
+    substeps: int
+    threshold: float
+    trajectories: bool
+
+    def made(self, amounts: Array, theta: Array) -> Scene:
+        """One member's scene: parameters first, then the treatment."""
+        scene = self.scene if self.fitted is None else self.fitted(self.scene, theta)
+        return self.treatment.with_values(list(amounts))(scene)
+
+
+class Members(NamedTuple):
+    """What members came out as: (n, ...) on the host."""
+
+    outcomes: dict[str, Floats]
+    flags: NDArray[np.int64]  # (n, flags) frames with each of `FLAGS`
+    sensible: NDArray[np.bool_]  # whether the member's scene can be simulated at all
+    courses: dict[str, Floats]  # (n, frames, ...), where trajectories are wanted
+
+
+def _sensible(scene: Scene) -> Scalar:
+    """Whether lengths and stiffnesses are positive: amounts may be larger than what they are taken from."""
+    good = jnp.asarray(True)
+    for effect in scene.effects:
+        if isinstance(effect, Tendon | StrandGroup):
+            good = good & jnp.all((effect.stiffness > 0) & (effect.slack_length > 0))
+    contact = scene.contact
+    return good if contact is None else good & (contact.radius > 0)
+
+
+@eqx.filter_jit
+def _run(recipe: Recipe, amounts: Array, thetas: Array, starts: Pose) -> Any:
+    def one(a: Array, theta: Array, start: Pose) -> Any:
+        scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
+        seen = observe(scene, trajectory(scene, substeps=recipe.substeps))
+        at = course(scene, seen, recipe.groove)
+        flags = jnp.stack([jnp.sum((at.status & int(flag)) != 0) for flag in FLAGS])
+        courses = {}
+        if recipe.trajectories:
+            courses = {
+                "sphere_center": seen.center.array(),
+                "groove_offset": at.offset,
+                "patella_tilt": at.tilt,
+                "force_medial": at.force[0],
+                "force_lateral": at.force[1],
+            }
+        return measure(at, recipe.threshold), flags, _sensible(scene), courses
+
+    return jax.vmap(one)(amounts, thetas, starts)
+
+
+@eqx.filter_jit
+def _settle(recipe: Recipe, amounts: Array, thetas: Array) -> tuple[Pose, Array]:
+    """Equilibria from the scene's own start: poses of the patella's frame, and whether they are ones."""
+
+    def one(a: Array, theta: Array) -> tuple[Pose, Array]:
+        scene = recipe.made(a, theta)
+        found = starting_equilibrium(scene)
+        origin = found.pose.apply(-scene.patella.center_of_mass)
+        return Pose(origin, found.pose.orientation), found.converged()
+
+    return jax.vmap(one)(amounts, thetas)
+
+
+def run(
+    recipe: Recipe,
+    amounts: Floats,
+    thetas: Floats,
+    chunk: int,
+    threads: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> Members:
+    """All members, `chunk` at a time, `threads` chunks at once. No member's failure stops the others.
+
+    Args:
+        recipe: of every member.
+        amounts: (n, k).
+        thetas: (n, p).
+        chunk: most members of a chunk; a study of fewer is one smaller chunk.
+        threads: chunks that run at once, in as many threads over one compiled function.
+        progress: called with the number of members done and of all.
+    """
+    recipe = recipe._replace(scene=recipe.scene.unnamed())
+    starts = _starts(recipe, amounts, thetas)
+    found = _in_chunks(recipe, amounts, thetas, starts, chunk, threads, progress)
+    badly = found.flags[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] > 0
+    if badly.any() and starts is not None:  # where the neighbour's equilibrium led nowhere, the scene's own start may
+        again = _in_chunks(recipe, amounts[badly], thetas[badly], None, chunk, threads, None)
+        jax.tree.map(lambda old, new: old.__setitem__(badly, new), found, again)
+    return found
+
+
+def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
+    """For every member a pose to start the search for equilibrium from, (n,); None: the scene's own."""
+    if len(amounts) <= _NEAR:
+        return None
+    points = np.concatenate([amounts, thetas], axis=1)
+    spread = np.ptp(points, axis=0)
+    points = points[:, spread > 0] / spread[spread > 0]
+    chosen, nearest = _spread_out(points, _NEAR)
+    padded = np.resize(chosen, _NEAR)
+    poses, good = jax.tree.map(np.asarray, _settle(recipe, jnp.asarray(amounts[padded]), jnp.asarray(thetas[padded])))
+    if not good.any():
+        return None
+    usable = good[: len(chosen)]
+    if not usable.all():  # nobody starts from a search that failed
+        distance = np.stack([np.sum((points - points[i]) ** 2, axis=1) for i in chosen[usable]])
+        nearest = np.flatnonzero(usable)[np.argmin(distance, axis=0)]
+    return jax.tree.map(lambda a: a[nearest], poses)
+
+
+def _spread_out(points: Floats, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Up to `count` points far from each other, each next the farthest (Gonzalez 1985); and whose is near."""
+    chosen, nearest = [0], np.zeros(len(points), dtype=np.int64)
+    distance = np.sum((points - points[0]) ** 2, axis=1)
+    while len(chosen) < min(count, len(points)) and distance.max(initial=0.0) > 0:
+        far = int(np.argmax(distance))
+        closer = np.sum((points - points[far]) ** 2, axis=1)
+        nearest[closer < distance] = len(chosen)
+        distance = np.minimum(distance, closer)
+        chosen.append(far)
+    return np.array(chosen), nearest
+
+
+def _in_chunks(
+    recipe: Recipe,
+    amounts: Floats,
+    thetas: Floats,
+    starts: Pose | None,
+    chunk: int,
+    threads: int,
+    progress: Callable[[int, int], None] | None,
+) -> Members:
+    n = len(amounts)
+    size = min(chunk, max(_FEWEST, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
+    if starts is None:
+        starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
+    done = 0
+
+    def part(first: int) -> Members:
+        rows = np.minimum(np.arange(first, first + size), n - 1)  # the last chunk is filled with its last member
+        values, parameters = (jnp.asarray(a[rows], dtype=float) for a in (amounts, thetas))
+        poses = jax.tree.map(lambda a: jnp.asarray(a[rows], dtype=float), starts)
+        got = jax.tree.map(np.asarray, _run(recipe, values, parameters, poses))
+        nonlocal done
+        done += min(size, n - first)
+        if progress is not None:
+            progress(min(done, n), n)
+        return Members(*jax.tree.map(lambda a: a[: n - first], got))
+
+    firsts = range(0, n, size)
+    parts = [part(firsts[0])]  # compiles
+    if threads > 1 and len(firsts) > 2:
+        with ThreadPoolExecutor(threads) as pool:
+            parts += pool.map(part, firsts[1:])
+    else:
+        parts += [part(first) for first in firsts[1:]]
+    return jax.tree.map(lambda *a: np.concatenate(a), *parts)

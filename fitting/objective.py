@@ -1,0 +1,348 @@
+"""How far predictions are from measurements: the paper's sum of errors, or a likelihood.
+
+With S the mean square of a group of residuals over its n measured numbers, the objective is a sum over groups of
+
+| objective | groups | term |
+|---|---|---|
+| paper (Michaud et al. 2024, section 2.6) | X, Y, Z of the sphere's centre in the femur frame | sqrt(S) [m] |
+| likelihood, noise known | every channel: position, orientation, each force | n S / (2 noise^2) |
+| likelihood, noise unknown | the same | (n / 2) log S: the likelihood at its best noise |
+
+Every term is a concave function of S. So weighted least squares with the weights that its slope gives (iteratively
+reweighted, as robust losses are) never makes the objective worse than its quadratic model promises.
+
+Missing measurements (NaN) are left out. All of this runs on the host, in numpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.evaluation import ORIENTATION, POSITION, Prediction
+from pftwin.errors import InputError
+from pftwin.measured import Measured
+from pftwin.scene import Scene
+
+Floats = NDArray[np.float64]
+
+OBJECTIVES = ("likelihood", "paper")
+LOSSES = ("linear", "huber", "soft_l1")
+SPRINGS = {"femoral": "quadriceps", "tibial": "patellar_tendon"}  # the effects whose forces the two springs' are
+_AXES = ("X", "Y", "Z")
+_SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below this are rounding [m], [rad]; forces 1e-5 [N]
+_SAME_TIME = 0.1  # share of a frame's interval: the rounding of printed times
+_HUBER = 1.345  # where the loss turns linear, in units of the noise
+
+
+class Normal(NamedTuple):
+    """An objective and its quadratic model, of N variants: infinite and zero where a prediction is not usable."""
+
+    value: Floats  # (N,)
+    gradient: Floats  # (N, p)
+    hessian: Floats  # (N, p, p), Gauss-Newton
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """Measurements of a scene's motion, and how predictions are compared with them; from `Objective.of`."""
+
+    kind: str
+    channels: tuple[str, ...]  # as the evaluator predicts them
+    measured: Floats  # (n, c) beside the predictions' columns
+    present: NDArray[np.bool_]  # (n, m) which residuals there are
+    groups: tuple[str, ...]
+    group_of: NDArray[np.intp]  # (m,) the group of every residual column
+    noise: dict[str, float] | None  # by group; None: unknown
+    loss: str
+    synthetic: bool
+    source: str
+
+    @staticmethod
+    def of(
+        scene: Scene,
+        measured: Measured,
+        kind: str = "likelihood",
+        *,
+        use: str | Sequence[str] = POSITION,
+        noise: Mapping[str, float] | None = None,
+        loss: str = "linear",
+        springs: Mapping[str, str] = SPRINGS,
+    ) -> Objective:
+        """The comparison of a scene with measurements.
+
+        Args:
+            scene: the nominal one.
+            measured: at the frames of its motion.
+            kind: "likelihood" or "paper".
+            use: channels: "position", "orientation", or effects' names for their forces ("contact", "quadriceps");
+                "all": all that were measured. By default positions. The paper's objective knows nothing else.
+            noise: standard deviation of each channel's measurements [m], [rad], [N]; by default unknown, and estimated
+                from the residuals.
+            loss: "linear", or for outliers "huber" or "soft_l1", which need the noise.
+            springs: names of the effects whose tensions the "femoral" and "tibial" spring forces are.
+
+        Raises:
+            InputError: other times than the scene's (number, rate or start); no measured variable for this objective;
+                an unknown objective, channel or loss; a noise that is missing or not positive.
+        """
+        if kind not in OBJECTIVES:
+            raise InputError(f"no objective {kind!r}", where="objective", expected=f"one of: {', '.join(OBJECTIVES)}")
+        if loss not in LOSSES:
+            raise InputError(f"no loss {loss!r}", where="loss", expected=f"one of: {', '.join(LOSSES)}")
+        _check_times(scene, measured)
+        data = _chosen(scene, measured, kind, use, springs)
+        channels = tuple(data)
+        if noise is not None:
+            _check_noise(noise, channels)
+        if loss != "linear" and (noise is None or kind == "paper"):
+            raise InputError(
+                f"the loss {loss!r} tells outliers by the measurements' noise, which is not known here",
+                where="loss",
+                expected='a likelihood with noise, such as noise={"position": 2e-4}',
+            )
+        groups = _AXES if kind == "paper" else channels
+        group_of, present = [], []
+        for i, (channel, values) in enumerate(data.items()):
+            width = 3 if channel in (POSITION, ORIENTATION) else 1
+            group_of += [0, 1, 2] if kind == "paper" else [i] * width
+            there: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
+            present.append(np.repeat(there[:, None], width, axis=1))
+        return Objective(
+            kind,
+            channels,
+            np.concatenate(list(data.values()), axis=1),
+            np.concatenate(present, axis=1),
+            tuple(groups),
+            np.array(group_of),
+            None if noise is None or kind == "paper" else {c: float(noise[c]) for c in channels},
+            loss,
+            measured.synthetic,
+            measured.source,
+        )
+
+    @property
+    def unit(self) -> str:
+        """Of the objective's value."""
+        return "m" if self.kind == "paper" else "nats"
+
+    def tolerance(self, value: float) -> float:
+        """A decrease that is not worth an iteration."""
+        return 1e-7 * abs(value) if self.kind == "paper" else 1e-3
+
+    def residuals(self, values: Floats) -> Floats:
+        """Predicted less measured (N, n, m), 0 where nothing was measured; turns as 2 sin(angle / 2) times the axis."""
+        return self._compared(values[..., None], offset=True)[..., 0]
+
+    def slopes(self, slopes: Floats, values: Floats) -> Floats:
+        """Derivatives (N, n, m, p) of the residuals from those of the predictions (N, n, c, p)."""
+        return self._compared(slopes, offset=False, values=values)
+
+    def mean_squares(self, residuals: Floats) -> Floats:
+        """Of every group, over what was measured (N, groups)."""
+        return self._by_group(np.sum(residuals**2, axis=1)) / self._counts
+
+    def value(self, prediction: Prediction) -> Floats:
+        """The objective (N,); infinite where a prediction is not usable."""
+        with np.errstate(all="ignore"):
+            value = self._value(self.residuals(prediction.values))
+        return np.where(prediction.usable & np.isfinite(value), value, np.inf)
+
+    def normal(self, prediction: Prediction) -> Normal:
+        """The objective with gradient and Gauss-Newton Hessian by the parameters."""
+        assert prediction.slopes is not None
+        usable = prediction.usable
+        values = np.where(usable[:, None, None], prediction.values, 0.0)
+        r = self.residuals(values)
+        j = self.slopes(np.where(usable[:, None, None, None], prediction.slopes, 0.0), values)
+        weights = self._weights(r)
+        n, p = len(r), j.shape[-1]
+        flat, weighted = j.reshape(n, -1, p), (weights[..., None] * j).reshape(n, -1, p)
+        gradient = np.einsum("ikp,ik->ip", weighted, r.reshape(n, -1))
+        hessian = np.swapaxes(weighted, 1, 2) @ flat
+        value = np.where(usable, self._value(r), np.inf)
+        return Normal(value, np.where(usable[:, None], gradient, 0), np.where(usable[:, None, None], hessian, 0))
+
+    def pull(self, values: Floats) -> Floats:
+        """Derivatives of the objective by the predictions (N, n, c), for reverse mode."""
+        r = self.residuals(values)
+        weighted = self._weights(r) * r
+        out, column, row = np.zeros(values.shape), 0, 0
+        for channel in self.channels:
+            if channel == ORIENTATION:
+                q = values[..., column : column + 4]
+                turn = self._turn(q, column)
+                out[..., column : column + 4] = np.einsum("ijkl,ijk->ijl", turn, weighted[..., row : row + 3])
+                column, row = column + 4, row + 3
+            else:
+                width = 3 if channel == POSITION else 1
+                out[..., column : column + width] = weighted[..., row : row + width]
+                column, row = column + width, row + width
+        return out
+
+    def noise_of(self, residuals: Floats, parameters: int) -> dict[str, float]:
+        """The noise of every channel as these residuals (n, m) have it, free parameters accounted for."""
+        squares = np.array([np.sum(residuals[:, self._column_channel == i] ** 2) for i in range(len(self.channels))])
+        counts = np.array([self.present[:, self._column_channel == i].sum() for i in range(len(self.channels))])
+        total = counts.sum()
+        return {
+            c: float(np.sqrt(s / max(k - parameters * k / total, 1.0)))
+            for c, s, k in zip(self.channels, squares, counts, strict=True)
+        }
+
+    def known(self, noise: Mapping[str, float]) -> Objective:
+        """The same measurements as a likelihood with known noise, for covariances."""
+        group_of = self._column_channel
+        return Objective(
+            "likelihood",
+            self.channels,
+            self.measured,
+            self.present,
+            self.channels,
+            group_of,
+            dict(noise),
+            "linear",
+            self.synthetic,
+            self.source,
+        )
+
+    @property
+    def _column_channel(self) -> NDArray[np.intp]:
+        widths = [3 if c in (POSITION, ORIENTATION) else 1 for c in self.channels]
+        return np.repeat(np.arange(len(self.channels)), widths)
+
+    @property
+    def _counts(self) -> Floats:
+        return self._by_group(self.present.sum(axis=0).astype(float))
+
+    def _by_group(self, columns: Floats) -> Floats:
+        """Sums over the columns (..., m) of every group (..., groups)."""
+        return np.stack([columns[..., self.group_of == g].sum(axis=-1) for g in range(len(self.groups))], axis=-1)
+
+    @property
+    def _floor(self) -> Floats:
+        return np.array([_SMALLEST.get(POSITION if g in _AXES else g, 1e-5) ** 2 for g in self.groups])
+
+    def _value(self, r: Floats) -> Floats:
+        s = self.mean_squares(r)
+        if self.noise is None:
+            s = s + self._floor
+            return np.sqrt(s).sum(axis=-1) if self.kind == "paper" else 0.5 * (self._counts * np.log(s)).sum(axis=-1)
+        return 0.5 * _rho(np.square(r / self._noise_columns), self.loss).sum(axis=(1, 2))
+
+    def _weights(self, r: Floats) -> Floats:
+        """Twice the objective's derivative by every squared residual (N, n, m) or (N, 1, m)."""
+        if self.noise is not None:
+            return _rho_slope(np.square(r / self._noise_columns), self.loss) / self._noise_columns**2
+        s = self.mean_squares(r) + self._floor
+        slope = 1 / (self._counts * np.sqrt(s)) if self.kind == "paper" else 1 / s
+        return slope[:, None, self.group_of]
+
+    @property
+    def _noise_columns(self) -> Floats:
+        assert self.noise is not None
+        return np.array([self.noise[g] for g in self.groups])[self.group_of]
+
+    def _turn(self, q: Floats, column: int) -> Floats:
+        """The matrices (N, n, 3, 4) from predicted quaternions to turns relative to the measured ones."""
+        w, x, y, z = self.measured[:, column : column + 4].T
+        rows = np.stack([np.stack(a, -1) for a in ((-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w))], axis=1)
+        sign = np.where(np.einsum("ijk,jk->ij", q, self.measured[:, column : column + 4]) < 0, -2.0, 2.0)
+        return np.nan_to_num(sign[..., None, None] * rows)
+
+    def _compared(self, a: Floats, *, offset: bool, values: Floats | None = None) -> Floats:
+        """Columns of predictions or of their derivatives (N, n, c, k) as residuals' (N, n, m, k)."""
+        quaternions = a[..., 0] if values is None else values
+        out, column = [], 0
+        for channel in self.channels:
+            if channel == ORIENTATION:
+                turn = self._turn(quaternions[..., column : column + 4], column)
+                out.append(turn @ a[..., column : column + 4, :])
+                column += 4
+                continue
+            width = 3 if channel == POSITION else 1
+            part = a[..., column : column + width, :]
+            out.append(part - self.measured[:, column : column + width, None] if offset else part)
+            column += width
+        return np.where(self.present[:, :, None], np.concatenate(out, axis=2), 0.0)
+
+
+def _rho(z: Floats, loss: str) -> Floats:
+    """The loss of squared, noise-scaled residuals."""
+    if loss == "huber":
+        return np.where(z <= _HUBER**2, z, 2 * _HUBER * np.sqrt(np.maximum(z, _HUBER**2)) - _HUBER**2)
+    return 2 * (np.sqrt(1 + z) - 1) if loss == "soft_l1" else z
+
+
+def _rho_slope(z: Floats, loss: str) -> Floats:
+    if loss == "huber":
+        return np.where(z <= _HUBER**2, 1.0, _HUBER / np.sqrt(np.maximum(z, _HUBER**2)))
+    return 1 / np.sqrt(1 + z) if loss == "soft_l1" else np.ones_like(z)
+
+
+def _chosen(
+    scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
+) -> dict[str, Floats]:
+    """The measured channels that are compared, (n, columns) each."""
+    available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}
+    contact = scene.contact
+    names = {e.name for e in scene.effects}
+    if contact is not None:
+        available[contact.name] = measured.contact_force
+    for spring, force in (("femoral", measured.femoral_spring_force), ("tibial", measured.tibial_spring_force)):
+        if springs.get(spring) in names:
+            available[springs[spring]] = force
+    data = {
+        c: np.asarray(v, dtype=float).reshape(len(measured.times), -1) for c, v in available.items() if v is not None
+    }
+    data = {c: v for c, v in data.items() if np.isfinite(v).all(axis=1).any()}
+    wanted = tuple(data) if use == "all" else (use,) if isinstance(use, str) else tuple(use)
+    if kind == "paper" and wanted != (POSITION,):
+        raise InputError(
+            f"found {', '.join(wanted)}", where="use", expected="position alone: the paper's objective has no other"
+        )
+    if missing := [c for c in wanted if c not in data]:
+        raise InputError(
+            f"no {missing[0]!r} was measured" if missing[0] in available else f"no channel {missing[0]!r}",
+            where=measured.source,
+            expected=f"one of: {', '.join(data)}" if data else "at least one measured frame",
+        )
+    if not wanted:
+        raise InputError(
+            f"no measured variable for the objective {kind!r}", where=measured.source, expected="positions or forces"
+        )
+    return {c: data[c] for c in data if c in wanted}
+
+
+def _check_times(scene: Scene, measured: Measured) -> None:
+    ours, theirs, interval = scene.motion.times, measured.times, scene.motion.frame_interval
+    if theirs.size != ours.size:
+        rate = (theirs.size - 1) / (theirs[-1] - theirs[0]) if theirs.size > 1 else 0.0
+        raise InputError(
+            f"{theirs.size} frames at {rate:.4g} Hz",
+            where=measured.source,
+            expected=f"the scene's {ours.size} frames at {1 / interval:.4g} Hz",
+            remedy="the measurements of the scene's motion, resampled at its frames",
+        )
+    if (bad := np.flatnonzero(np.abs(theirs - ours) > _SAME_TIME * interval)).size:
+        i = int(bad[0])
+        raise InputError(
+            f"frame {i + 1} was measured at {theirs[i]:.6g} s",
+            where=measured.source,
+            expected=f"{ours[i]:.6g} s as in the scene's motion",
+            remedy="measurements with the clock and rate of the scene's motion",
+        )
+
+
+def _check_noise(noise: Mapping[str, float], channels: tuple[str, ...]) -> None:
+    for channel in channels:
+        if channel not in noise:
+            raise InputError(
+                f"no noise of {channel!r}", where="noise", expected=f"a standard deviation of: {', '.join(channels)}"
+            )
+        if not (np.isfinite(noise[channel]) and noise[channel] > 0):
+            raise InputError(f"{channel}: found {noise[channel]!r}", where="noise", expected="a positive number")

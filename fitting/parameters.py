@@ -1,0 +1,208 @@
+"""The free parameters of a fit: which numbers of a scene, within which bounds, with what known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fitting.places import Place, find
+from pftwin.errors import InputError
+from pftwin.scene import Scene
+from pftwin.spatial import Scalar
+
+Bounds = float | Mapping[str, float | tuple[float, float]]
+DEFAULT_BOUNDS = 0.3
+_EDGE = 1e-9  # share of the range by which iterates keep clear of the bounds
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One free number.
+
+    Args:
+        name: as the user wrote it ("K1", "quadriceps.origin.y").
+        place: where it lives in the scene.
+        nominal: its value in the scene that is fitted, where searches begin.
+        lower, upper: bounds.
+        prior: mean and standard deviation of what is known beforehand; None where nothing is.
+        unit: of all of them.
+    """
+
+    name: str
+    place: Place
+    nominal: float
+    lower: float
+    upper: float
+    prior: tuple[float, float] | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The free parameters in their order; vectors of them have shape (..., p)."""
+
+    items: tuple[Parameter, ...]
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """As the user wrote them."""
+        return tuple(p.name for p in self.items)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Where they live."""
+        return tuple(p.place for p in self.items)
+
+    @property
+    def lower(self) -> NDArray[np.float64]:
+        """Lower bounds (p,)."""
+        return np.array([p.lower for p in self.items])
+
+    @property
+    def upper(self) -> NDArray[np.float64]:
+        """Upper bounds (p,)."""
+        return np.array([p.upper for p in self.items])
+
+    @property
+    def nominal(self) -> NDArray[np.float64]:
+        """Where searches begin (p,)."""
+        return np.array([p.nominal for p in self.items])
+
+    def apply(self, scene: Scene, theta: Any) -> Scene:
+        """The scene with these values (p,). Pure: jit, vmap and derivatives apply."""
+        return applied(self.places, scene, theta)
+
+    def vector(self, scene: Scene) -> NDArray[np.float64]:
+        """The values in a scene (p,)."""
+        return np.array([float(place.read(scene)) for place in self.places])
+
+    def to_bounded(self, u: ArrayLike) -> NDArray[np.float64]:
+        """From any real numbers (..., p) to values within the bounds: lower + range / (1 + exp(-u))."""
+        share = 0.5 * (1 + np.tanh(0.5 * np.asarray(u, dtype=float)))
+        return self.lower + (self.upper - self.lower) * np.clip(share, _EDGE, 1 - _EDGE)
+
+    def to_unbounded(self, theta: ArrayLike) -> NDArray[np.float64]:
+        """The inverse of `to_bounded`."""
+        share = np.clip((np.asarray(theta, dtype=float) - self.lower) / (self.upper - self.lower), _EDGE, 1 - _EDGE)
+        return np.log(share) - np.log1p(-share)
+
+    def slope(self, theta: ArrayLike) -> NDArray[np.float64]:
+        """Derivative of `to_bounded` at values within the bounds (..., p)."""
+        theta = np.asarray(theta, dtype=float)
+        return (theta - self.lower) * (self.upper - theta) / (self.upper - self.lower)
+
+    def spread(self, count: int, random: np.random.Generator) -> NDArray[np.float64]:
+        """Points all over the box (count, p): a Latin hypercube."""
+        strata = np.stack([random.permutation(count) for _ in self.items], axis=1)
+        share = (strata + random.uniform(size=strata.shape)) / count
+        return self.lower + (self.upper - self.lower) * share
+
+    def prior_terms(self, theta: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
+        """What is known beforehand, at theta (..., p): half its square sum (...), gradient (..., p), curvature (p,)."""
+        mean = np.array([0.0 if p.prior is None else p.prior[0] for p in self.items])
+        precision = np.array([0.0 if p.prior is None else p.prior[1] ** -2 for p in self.items])
+        off = theta - mean
+        return 0.5 * np.sum(precision * off**2, axis=-1), precision * off, precision
+
+
+def applied(places: tuple[Place, ...], scene: Scene, theta: Any) -> Scene:
+    """The scene with values (p,) at the places; those that are given by a force go last, since stiffness decides."""
+    order = sorted(range(len(places)), key=lambda i: places[i].meaning != "value")
+    values: list[Scalar] = [theta[i] for i in range(len(places))]
+    for i in order:
+        scene = places[i].written(scene, values[i])
+    return scene
+
+
+def free_parameters(
+    scene: Scene,
+    names: Sequence[str],
+    bounds: Bounds = DEFAULT_BOUNDS,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+) -> Parameters:
+    """The parameters that these names stand for.
+
+    Args:
+        scene: whose numbers are the nominal values.
+        names: "K1", "L1", "K2", "L2": stiffness and slack length of the first and the second tendon; "L2.strain",
+            "L2.force": the slack length as strain or force at the scene's start pose; "quadriceps.stiffness",
+            "patellar_tendon.origin.y", "contact.radius", "contact.surface.coefficients[3]", or all coefficients at
+            once without the index.
+        bounds: to either side as a share of the nominal value; or by name such a share or (lower, upper), the others
+            +-30 %.
+        priors: by name the mean and standard deviation of what is known beforehand.
+
+    Raises:
+        InputError: an unknown or repeated name; bounds that are empty, exclude the nominal value, or are a share of
+            nothing; a prior that is none.
+    """
+    if isinstance(names, str) or not names:
+        raise InputError(f"found {names!r}", where="free", expected='names of parameters, such as ("K1", "L1")')
+    for given, what in ((bounds, "bounds"), (priors, "priors")):
+        if isinstance(given, Mapping) and (stray := [n for n in given if not _named(n, names)]):
+            raise InputError(f"{stray[0]!r} is not free", where=what, expected=f"one of: {', '.join(names)}")
+    items: list[Parameter] = []
+    for name in names:
+        places = find(scene, name)
+        for place in places:
+            own = name if len(places) == 1 else f"{name}[{place.index}]"
+            if any(p.place == place or _same_number(p.place, place) for p in items):
+                raise InputError(f"{own!r} is named twice", where="free", expected="every number once")
+            items.append(_parameter(scene, own, name, place, bounds, priors or {}))
+    return Parameters(tuple(items))
+
+
+def _named(name: str, names: Sequence[str]) -> bool:
+    return name in names or name.partition("[")[0] in names
+
+
+def _same_number(a: Place, b: Place) -> bool:
+    return a[:3] == b[:3]
+
+
+def _parameter(
+    scene: Scene, own: str, name: str, place: Place, bounds: Bounds, priors: Mapping[str, tuple[float, float]]
+) -> Parameter:
+    nominal = float(place.read(scene))
+    given: Any = bounds
+    if isinstance(bounds, Mapping):
+        given = bounds.get(own, bounds.get(name, DEFAULT_BOUNDS))
+    lower, upper = _limits(own, nominal, given)
+    if not (np.isfinite([lower, upper]).all() and lower < upper):
+        raise InputError(f"{own}: bounds {lower:g} to {upper:g} are empty", where="bounds", expected="lower < upper")
+    if not lower <= nominal <= upper:
+        raise InputError(
+            f"{own}: bounds {lower:g} to {upper:g} exclude the scene's value {nominal:g}, where the search begins",
+            where="bounds",
+            expected="bounds around it",
+            remedy="wider bounds, or a scene with another value",
+        )
+    prior = priors.get(own, priors.get(name))
+    if prior is not None and not (len(prior) == 2 and np.isfinite(prior).all() and prior[1] > 0):
+        raise InputError(f"{own}: found {prior!r}", where="priors", expected="a mean and a positive standard deviation")
+    return Parameter(own, place, nominal, lower, upper, prior, place.unit)
+
+
+def _limits(name: str, nominal: float, given: Any) -> tuple[float, float]:
+    if isinstance(given, int | float):
+        if not (0 < given < np.inf):
+            raise InputError(f"{name}: found {given!r}", where="bounds", expected="a positive share, such as 0.3")
+        if nominal == 0:
+            raise InputError(
+                f"{name}: {given:.0%} of its value 0 is nothing",
+                where="bounds",
+                expected=f"{{{name!r}: (lower, upper)}}",
+            )
+        return nominal - given * abs(nominal), nominal + given * abs(nominal)
+    try:
+        lower, upper = (float(v) for v in given)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: found {given!r}", where="bounds", expected="a share or (lower, upper)") from None
+    return lower, upper

@@ -1,0 +1,37 @@
+"""Treatments: what a surgeon or an engineer could change, as functions from a scene to a scene.
+
+Every function is pure and differentiable in its amounts, which are in metres and radians. A `Treatment` is a value that
+names one or several of them with their amounts, and prints itself in words.
+"""
+
+from __future__ import annotations
+
+from fitting.treatments.kinds import KINDS
+from fitting.treatments.patella import button_position, lateral_release, mpfl_graft
+from fitting.treatments.tendons import (
+    patellar_tendon_length_change,
+    quadriceps_lengthening,
+    tibial_tuberosity_transfer,
+)
+from fitting.treatments.treatment import Treatment
+from fitting.treatments.trochlea import (
+    deepening_shape,
+    femoral_component_rotation,
+    femoral_component_translation,
+    trochleoplasty,
+)
+
+__all__ = [
+    "KINDS",
+    "Treatment",
+    "button_position",
+    "deepening_shape",
+    "femoral_component_rotation",
+    "femoral_component_translation",
+    "lateral_release",
+    "mpfl_graft",
+    "patellar_tendon_length_change",
+    "quadriceps_lengthening",
+    "tibial_tuberosity_transfer",
+    "trochleoplasty",
+]

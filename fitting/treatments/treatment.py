@@ -1,0 +1,166 @@
+"""A treatment as a value: which changes, by how much, in which order; in words, and over any number of amounts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike
+
+from fitting.treatments import trochlea
+from fitting.treatments.kinds import KINDS, Way
+from pftwin.errors import InputError
+from pftwin.scene import Scene
+from pftwin.spatial import Scalar
+
+
+class Step(eqx.Module):
+    """One change of a treatment."""
+
+    kind: str = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)  # of the amounts; a dictionary's keys would be sorted by jit
+    amounts: tuple[Scalar, ...]  # SI; a leading axis makes a batch of variants
+    parts: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())  # named by the user
+    shape: Array | None = None  # what is prepared on the host for a trochleoplasty
+
+    def __call__(self, scene: Scene) -> Scene:
+        """The scene with this change."""
+        prepared = {} if self.shape is None else {"shape": self.shape}
+        amounts = dict(zip(self.names, self.amounts, strict=True))
+        return KINDS[self.kind].change(scene, **amounts, **prepared, **dict(self.parts))
+
+
+class Treatment(eqx.Module):
+    """Changes of a scene, one after the other, each with its amounts. Amounts are leaves: vmap, jvp and grad apply.
+
+    treatment = Treatment.of("tibial_tuberosity_transfer", medialisation=0.010)
+    treated = treatment.then(Treatment.of("trochleoplasty", deepening=0.002))(scene)
+    """
+
+    steps: tuple[Step, ...] = ()
+
+    @staticmethod
+    def of(kind: str, amounts: Mapping[str, ArrayLike] | None = None, /, **more: Any) -> Treatment:
+        """A treatment of one kind.
+
+        Args:
+            kind: a name in `KINDS`.
+            amounts: by name, in metres, radians or shares; likewise as keywords. A keyword that is no amount
+                (`tendon=`, `strands=`) names the scene's part.
+            **more: see `amounts`.
+
+        Raises:
+            InputError: no such kind or amount; an amount that is not finite, or no number.
+        """
+        if kind not in KINDS:
+            raise InputError(f"no treatment {kind!r}", where="Treatment", expected=f"one of: {', '.join(KINDS)}")
+        ways, given = KINDS[kind].amounts, {**(amounts or {}), **more}
+        parts = {k: v for k, v in given.items() if k in ("tendon", "strands") and isinstance(v, str)}
+        values = {}
+        for name, value in given.items():
+            if name in parts:
+                continue
+            if name not in ways:
+                raise InputError(f"no amount {name!r}", where=kind, expected=f"one of: {', '.join(ways)}")
+            values[name] = _number(value, f"{kind}.{name}")
+        return Treatment((Step(kind, tuple(values), tuple(values.values()), tuple(sorted(parts.items()))),))
+
+    def then(self, after: Treatment) -> Treatment:
+        """This treatment, and another one after it."""
+        return Treatment((*self.steps, *after.steps))
+
+    def __call__(self, scene: Scene) -> Scene:
+        """The treated scene.
+
+        Raises:
+            InputError: the scene lacks the part that a step changes.
+        """
+        for step in self.steps:
+            scene = step(scene)
+        return scene
+
+    def prepared(self, scene: Scene) -> Treatment:
+        """The treatment with what it needs to know of an untreated scene, ready to be traced.
+
+        Raises:
+            InputError: the scene lacks a part that a step changes.
+        """
+        steps = []
+        for step in self.steps:
+            if step.kind == "trochleoplasty":
+                shape = trochlea.deepening_shape(trochlea.patch_of(scene, step.kind))
+                step = Step(step.kind, step.names, step.amounts, step.parts, jnp.asarray(shape, dtype=float))
+            step(scene)  # refuses what is not there
+            steps.append(step)
+        return Treatment(tuple(steps))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the amounts: "tibial_tuberosity_transfer.medialisation"; a kind that comes again is numbered."""
+        return tuple(f"{label}.{name}" for label, step in self._labelled() for name in step.names)
+
+    @property
+    def ways(self) -> tuple[Way, ...]:
+        """Unit and words of each amount, in the order of `names`."""
+        return tuple(KINDS[step.kind].amounts[name] for step in self.steps for name in step.names)
+
+    @property
+    def values(self) -> tuple[Scalar, ...]:
+        """The amounts, in the order of `names`."""
+        return tuple(value for step in self.steps for value in step.amounts)
+
+    def with_values(self, values: Any) -> Treatment:
+        """The treatment with other amounts: a sequence in the order of `names`."""
+        rest = iter(values)
+        return Treatment(
+            tuple(Step(s.kind, s.names, tuple(next(rest) for _ in s.names), s.parts, s.shape) for s in self.steps)
+        )
+
+    @property
+    def form(self) -> tuple[Any, ...]:
+        """What treatments must share to be run in one batch: kinds, amounts' names, and names of parts."""
+        return tuple((s.kind, s.names, s.parts) for s in self.steps)
+
+    def _labelled(self) -> list[tuple[str, Step]]:
+        kinds = [s.kind for s in self.steps]
+        return [
+            (k if kinds.count(k) == 1 else f"{k}_{kinds[: i + 1].count(k)}", self.steps[i]) for i, k in enumerate(kinds)
+        ]
+
+    def describe(self) -> str:
+        """In words, with amounts as people read them."""
+        return "; ".join(_words(step) for step in self.steps) or "no treatment"
+
+    def __str__(self) -> str:
+        return self.describe()
+
+
+def _number(value: ArrayLike, where: str) -> Scalar:
+    if isinstance(value, Tracer):
+        return value
+    try:
+        finite = bool(np.isfinite(np.asarray(value, dtype=np.float64)).all())
+    except (TypeError, ValueError):
+        finite = False
+    if not finite:
+        raise InputError(f"found {value!r}", where=where, expected="a finite number, in metres, radians or as a share")
+    return jnp.asarray(value, dtype=float)
+
+
+def _words(step: Step) -> str:
+    """One step: "tibial tuberosity 10 mm medially, 5 mm distally"."""
+    kind = KINDS[step.kind]
+    said = [_amount(kind.amounts[name], value) for name, value in zip(step.names, step.amounts, strict=True)]
+    return f"{kind.part} {', '.join(s for s in said if s) or 'as it is'}"
+
+
+def _amount(way: Way, value: Scalar) -> str:
+    shown = way.shown(value)
+    if shown.ndim:
+        return f"{shown.min():g} to {shown.max():g} {way.shown_unit} {way.more}"
+    number = float(shown)
+    return f"{abs(number):.4g} {way.shown_unit} {way.more if number > 0 else way.less}" if number else ""

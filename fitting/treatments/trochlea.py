@@ -1,0 +1,142 @@
+"""Treatments of the trochlea: deepening its groove, and where a femoral component sits."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from fitting.treatments.parts import Amount, contact_of, toward
+from pftwin.errors import InputError
+from pftwin.scene import Scene
+from pftwin.spatial import Quaternion, Rotation, Vec3
+from pftwin.surfaces.patch import PolynomialPatch, exponents
+from pftwin.tracking import groove_line
+
+LOWEST_DEGREE = 4  # of a patch that can be deepened in its groove and stay as it is at its ridges
+_GRID = 61  # points to a side on which the shape is fitted
+
+
+def deepening_shape(surface: PolynomialPatch) -> NDArray[np.float64]:
+    """What a deepening by one metre adds to a patch's coefficients; on the host, once for a surface.
+
+    The groove is lowered along its line and less and less towards the ridges, as (1 - d^2 / w^2)^2 with d the
+    distance across the groove from its line and w that of the nearer edge of the patch: a smooth bump, flat at its
+    top, so the groove's line stays where it is, and flat at its edge. The patch's polynomials take the bump by least
+    squares, scaled so that the line is lowered by one on average.
+
+    Returns:
+        (n,) coefficients, dimensionless.
+
+    Raises:
+        InputError: a patch without a groove, or of a degree below 4, which cannot be changed in its middle alone.
+    """
+    if surface.degree < LOWEST_DEGREE:
+        raise InputError(
+            f"a patch of degree {surface.degree} cannot be deepened in its groove alone",
+            where="trochleoplasty",
+            expected=f"degree {LOWEST_DEGREE} or more",
+            remedy='a scene with contact "P5"',
+        )
+    line = groove_line(surface)
+    if line is None:
+        raise InputError("the surface has no groove", where="trochleoplasty", expected="a trochlea with a groove")
+    (u0, v0), (half_u, half_v) = (tuple(float(x) for x in pair) for pair in (surface.center, surface.half_size))
+    a, b = (g.ravel() for g in np.meshgrid(*[np.linspace(-1, 1, _GRID)] * 2, indexing="ij"))
+    bottom = (line.at(u0 + half_u * a) - v0) / half_v
+    reach = 1 - np.abs(bottom)
+    bump = np.maximum(1 - ((b - bottom) / reach) ** 2, 0.0) ** 2
+    c, *_ = np.linalg.lstsq(_basis(surface.degree, a, b), -bump, rcond=None)
+    on_line = _basis(surface.degree, (line.u - u0) / half_u, (line.v - v0) / half_v) @ c
+    return -c / on_line.mean()
+
+
+def _basis(degree: int, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([a**i * b**j for i, j in exponents(degree)], axis=1)
+
+
+def patch_of(scene: Scene, treatment: str) -> PolynomialPatch:
+    """The trochlea as a polynomial patch.
+
+    Raises:
+        InputError: no contact, or a surface of another kind.
+    """
+    surface = contact_of(scene, treatment).surface
+    if not isinstance(surface, PolynomialPatch):
+        raise InputError(
+            f"the trochlea is a {type(surface).__name__}", where=treatment, expected="a polynomial patch (P4, P5, ...)"
+        )
+    return surface
+
+
+def trochleoplasty(scene: Scene, deepening: Amount = 0.0, *, shape: Array | None = None) -> Scene:
+    """The scene with a deeper trochlear groove [m]; see `deepening_shape`. Linear in the depth.
+
+    Args:
+        scene: whose trochlea is a polynomial patch of degree 4 or more.
+        deepening: of the groove's bottom, on average along its line.
+        shape: `deepening_shape` of the untreated surface, where the scene is traced (jit); else it is found here.
+
+    Raises:
+        InputError: another kind of surface, no groove, or a traced surface without its shape.
+    """
+    patch = patch_of(scene, "trochleoplasty")
+    if shape is None:
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(patch)):
+            raise InputError(
+                "the groove of a traced surface cannot be looked for",
+                where="trochleoplasty",
+                remedy="shape=deepening_shape(surface), found before tracing",
+            )
+        shape = jax.numpy.asarray(deepening_shape(patch), dtype=float)
+    assert not isinstance(patch.coefficients, tuple)
+    deeper = patch.coefficients + deepening * shape
+    return _with_surface(scene, eqx.tree_at(lambda p: p.coefficients, patch, deeper))
+
+
+def femoral_component_rotation(
+    scene: Scene, external_rotation: Amount = 0.0, flexion: Amount = 0.0, varus: Amount = 0.0
+) -> Scene:
+    """The scene with the trochlea turned on the femur, about the origin of the femur's frame [rad].
+
+    The three make one rotation vector, so their order does not matter.
+
+    Args:
+        scene: whose femur frame has x proximal, y lateral and z anterior.
+        external_rotation: about the femur's long axis; the trochlea's front turns laterally.
+        flexion: about the medial-lateral axis; its front turns distally.
+        varus: about the anterior-posterior axis; its distal end turns medially.
+
+    Raises:
+        InputError: a scene without a trochlea.
+    """
+    chart = contact_of(scene, "femoral_component_rotation").surface.chart
+    zero = 0.0 * chart.origin.x
+    turn = Quaternion.from_rotation_vector(Vec3(zero - external_rotation, zero - flexion, zero + varus)).rotation()
+    axes = Rotation(*(turn.apply(e) for e in (chart.axes.ex, chart.axes.ey, chart.axes.ez)))
+    return _with_chart(scene, turn.apply(chart.origin), axes)
+
+
+def femoral_component_translation(
+    scene: Scene, medialisation: Amount = 0.0, distalisation: Amount = 0.0, anteriorisation: Amount = 0.0
+) -> Scene:
+    """The scene with the trochlea moved on the femur, along the femur's axes [m].
+
+    Raises:
+        InputError: a scene without a trochlea.
+    """
+    chart = contact_of(scene, "femoral_component_translation").surface.chart
+    return _with_chart(scene, chart.origin + toward(medialisation, distalisation, anteriorisation), chart.axes)
+
+
+def _with_surface(scene: Scene, surface: PolynomialPatch) -> Scene:
+    return scene.with_effect(eqx.tree_at(lambda c: c.surface, contact_of(scene, "treatment"), surface))
+
+
+def _with_chart(scene: Scene, origin: Vec3, axes: Rotation) -> Scene:
+    contact = contact_of(scene, "treatment")
+    moved = eqx.tree_at(lambda c: (c.surface.chart.origin, c.surface.chart.axes), contact, (origin, axes))
+    return scene.with_effect(moved)

@@ -1,0 +1,127 @@
+"""Covariance of a fit from the Gauss-Newton Hessian and the noise; what it means in words."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.evaluation import POSITION
+from fitting.objective import Objective
+from fitting.parameters import Parameters
+
+Floats = NDArray[np.float64]
+
+NORMAL_95 = 1.959963984540054  # quantile of the normal distribution for 95 % intervals
+SERIAL = 0.2  # correlation of neighbouring residuals above which they are no independent numbers
+POORLY = 0.02  # a relative standard deviation worth a remark
+
+
+class Uncertainty(NamedTuple):
+    """How sure a fit is."""
+
+    covariance: Floats  # (p, p)
+    information: Floats  # (p, p) of measurements and priors, as if noise were independent
+    condition: float  # of the information on relative parameters
+    serial: float  # correlation of neighbouring residuals, over all channels
+
+
+def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floats, theta: Floats) -> Uncertainty:
+    """From residuals (n, m) and their derivatives (n, m, p) at theta, with an objective of known noise.
+
+    Where neighbouring residuals are correlated the covariance is Newey and West's (1987), which counts what correlated
+    residuals repeat; else it is the inverse of the information.
+    """
+    assert objective.noise is not None
+    sigma = np.array([objective.noise[c] for c in objective.channels])[objective.group_of]
+    present = objective.present
+    z, a = np.where(present, r / sigma, 0.0), np.where(present[..., None], j / sigma[:, None], 0.0)
+    precision = np.diag(parameters.prior_terms(theta)[2])
+    information = np.einsum("tmp,tmq->pq", a, a) + precision
+    serial = serial_correlation(z, present)
+    inverse = inverted(information)
+    if serial > SERIAL:
+        score = np.einsum("tmp,tm->tp", a, z)
+        middle = _long_run(score - score.mean(axis=0), serial) + precision
+        covariance = inverse @ middle @ inverse
+    else:
+        covariance = inverse
+    scale = np.where(theta == 0, parameters.upper - parameters.lower, np.abs(theta))
+    values = np.linalg.eigvalsh(information * np.outer(scale, scale))
+    condition = float(values[-1] / values[0]) if values[0] > 0 else np.inf
+    return Uncertainty(0.5 * (covariance + covariance.T), information, condition, serial)
+
+
+def inverted(information: Floats) -> Floats:
+    """The inverse of an information matrix, infinite variances where it has none to give."""
+    d = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(d, d))
+    values = np.maximum(values, 1e-15)
+    return (vectors / values) @ vectors.T / np.outer(d, d)
+
+
+def serial_correlation(z: Floats, present: NDArray[np.bool_]) -> float:
+    """Of neighbouring residuals (n, m), over all columns."""
+    both = present[1:] & present[:-1]
+    squares = np.sum(z[present] ** 2)
+    return float(np.sum((z[1:] * z[:-1])[both]) / squares) if squares > 0 and both.any() else 0.0
+
+
+def _long_run(score: Floats, serial: float) -> Floats:
+    """The long-run covariance of a score's sum (n, p), with Bartlett's weights over some correlation lengths."""
+    length = 1 / max(1e-3, -np.log(min(max(serial, 0.05), 0.995)))
+    lags = int(np.clip(np.ceil(4 * length), 1, len(score) // 6))
+    total = score.T @ score
+    for lag in range(1, lags + 1):
+        across = score[lag:].T @ score[:-lag]
+        total += (1 - lag / (lags + 1)) * (across + across.T)
+    return total
+
+
+def relative(parameters: Parameters, values: Floats, covariance: Floats) -> Floats:
+    """The covariance of relative deviations: those of the logarithms."""
+    scale = np.where(values == 0, parameters.upper - parameters.lower, values)
+    return covariance / np.outer(scale, scale)
+
+
+def in_words(parameters: Parameters, values: Floats, covariance: Floats, channels: tuple[str, ...]) -> str:
+    """What the data fix and what they do not."""
+    rel = relative(parameters, values, covariance)
+    sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
+    subject = "positions" if channels == (POSITION,) else f"{', '.join(channels)}"
+    verb = "fix" if channels == (POSITION,) or len(channels) > 1 else "fixes"
+    stiff = [i for i, p in enumerate(parameters.places) if p.path[-1] == "stiffness"]
+    parts, rest = [], list(range(len(sd)))
+    weak = ""
+    if len(stiff) == 2:
+        a, b = stiff
+        ratio = np.sqrt(max(rel[a, a] + rel[b, b] - 2 * rel[a, b], 0))
+        common = 0.5 * np.sqrt(max(rel[a, a] + rel[b, b] + 2 * rel[a, b], 0))
+        if common > 3 * ratio:
+            pair = f"{parameters.names[a]}/{parameters.names[b]}"
+            parts.append(f"{pair} to {percent(ratio)}")
+            rest = [i for i in rest if i not in stiff]
+            weak = f", the common scale of {parameters.names[a]} and {parameters.names[b]} only to {percent(common)}"
+            forces = [c for c in channels if c not in (POSITION, "orientation")]
+            if common > POORLY and not forces:
+                weak += ": measure one force to fix both"
+    parts += [f"{parameters.names[i]} to {percent(sd[i])}" for i in rest]
+    text = f"{subject} {verb} {_listed(parts)}{weak}" if parts else f"{subject} {verb} nothing{weak}"
+    if not weak and len(sd) > 1:
+        values_, vectors = np.linalg.eigh(rel)
+        if np.sqrt(values_[-1]) > POORLY and np.sqrt(values_[-1]) > 1.3 * sd.max():
+            worst = [parameters.names[i] for i in np.argsort(-np.abs(vectors[:, -1]))[:2]]
+            text += f"; the weakest combination is of {worst[0]} and {worst[1]}"
+    return text
+
+
+def percent(share: float) -> str:
+    """A share in words."""
+    if not np.isfinite(share) or share > 10:
+        return "no useful accuracy"
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def _listed(parts: list[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

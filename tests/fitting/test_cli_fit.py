@@ -1,0 +1,73 @@
+"""`pftwin fit` and `pftwin plan-experiment`: what they write, say and refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from toy_scene_files import SCENE, write_toy
+from typer.testing import CliRunner, Result
+
+from pftwin.cli import app
+
+MEASURED = """
+[measured]
+patella = { body = "patella" }
+"""
+
+
+def pftwin(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "160", "NO_COLOR": "1"})
+
+
+def refused(*arguments: object) -> str:
+    result = pftwin(*arguments)
+    assert result.exit_code == 2, result.output
+    assert "Traceback" not in result.output
+    return result.stderr
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_toy(tmp_path_factory.mktemp("toy"), SCENE + MEASURED)
+
+
+def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
+    output = tmp_path / "fit.json"
+    result = pftwin("fit", toy, "-o", output, "--free", "K1,L1", "--starts", 2, "--json", "-")
+    assert result.exit_code == 0, result.output
+    printed, written = json.loads(result.stdout), json.loads(output.read_text())
+    assert {k: printed[k] for k in written} == written
+    assert written["names"] == ["K1", "L1"]
+    assert "positions fix" in written["sentence"]
+    assert {Path(p).name for p in printed["files"]} == {"fit.json"} | {
+        f"fit_{what}.{kind}" for what in ("fit", "correlation", "history") for kind in ("png", "svg")
+    }
+    assert all(Path(p).stat().st_size > 1000 for p in printed["files"])
+    assert "95 % interval" in result.stderr
+
+
+def test_plan_experiment_says_what_helps(toy):
+    result = pftwin("plan-experiment", toy, "--free", "K1,L1", "--noise", "position=1e-4", "--json", "-")
+    assert result.exit_code == 0, result.output
+    plan = json.loads(result.stdout)
+    assert plan["noise"]["position"] == 1e-4
+    assert plan["sentence"].startswith("at best, ")
+    for name in ("orientation", "contact"):
+        assert all(a <= b for a, b in zip(plan["additions"][name], plan["relative_standard_deviations"], strict=True))
+
+
+def test_mistakes_at_the_command_line(toy, tmp_path):
+    assert "estimates are JSON" in refused("fit", toy, "-o", tmp_path / "fit.nc")
+    assert "such as" in refused("fit", toy, "-o", tmp_path / "fit.json", "--free", "quadricep.stifness")
+    assert "no method" in refused("fit", toy, "-o", tmp_path / "fit.json", "--method", "simplex")
+    assert 'such as "position=2e-4"' in refused("fit", toy, "-o", tmp_path / "fit.json", "--noise", "small")
+    assert "nothing to resume" in refused("fit", toy, "-o", tmp_path / "fit.json", "--resume")
+    assert "no channel" in refused("plan-experiment", toy, "--use", "magic")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scene_without_measurements(tmp_path):
+    scene = write_toy(tmp_path, SCENE)
+    assert "nothing to compare with" in refused("fit", scene, "-o", tmp_path / "fit.json")

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fitting.genetic import (
+    STALL,
+    Genetic,
+    children_of,
+    default_population,
+    elite_count,
+    expectations,
+    mutation,
+    scattered_crossover,
+    stalled,
+    stochastic_uniform,
+)
+from fitting.problem import Answer
+
+seeds = st.integers(0, 2**32 - 1)
+LOWER, UPPER = np.array([1.0, -2.0, 10.0]), np.array([2.0, -1.0, 1e3])
+
+
+def population(seed: int, n: int = 20):
+    random = np.random.default_rng(seed)
+    return random.uniform(LOWER, UPPER, (n, 3)), random.normal(size=n), random
+
+
+@settings(deadline=None)
+@given(seeds, st.floats(1e-5, 1.0))
+def test_mutation_keeps_the_bounds_and_moves(seed, length):
+    members, _, random = population(seed)
+    members[0], members[1] = LOWER, UPPER
+    children = mutation(members, LOWER, UPPER, length, random)
+    assert ((children >= LOWER) & (children <= UPPER)).all()
+    assert (children[2:] != members[2:]).any(axis=1).all()
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_crossover_takes_every_number_from_a_parent(seed):
+    members, _, random = population(seed)
+    children = scattered_crossover(members[:10], members[10:], random)
+    assert ((children == members[:10]) | (children == members[10:])).all()
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_the_elite_survives_and_children_keep_the_bounds(seed):
+    members, scores, random = population(seed, 50)
+    elite, children = children_of(members, scores, LOWER, UPPER, 1.0, random)
+    assert len(elite) == elite_count(50) == 3
+    assert set(elite) == set(np.argsort(scores)[:3])
+    assert len(elite) + len(children) == 50
+    assert ((children >= LOWER) & (children <= UPPER)).all()
+
+
+@settings(deadline=None)
+@given(seeds, st.randoms())
+def test_expectations_go_with_the_member_not_with_its_place(seed, shuffle):
+    _, scores, _ = population(seed)
+    order = list(range(len(scores)))
+    shuffle.shuffle(order)
+    np.testing.assert_array_equal(expectations(scores[order], 30), expectations(scores, 30)[order])
+
+
+def test_expectations_fall_with_the_root_of_the_rank():
+    found = expectations(np.array([3.0, 1.0, 2.0, np.nan]), 7)
+    np.testing.assert_allclose(found.sum(), 7)
+    np.testing.assert_allclose(found / found[1], 1 / np.sqrt([3, 1, 2, 4]))
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_selection_differs_from_expectation_by_less_than_one(seed):
+    _, scores, random = population(seed)
+    expected = expectations(scores, 30)
+    counts = np.bincount(stochastic_uniform(expected, 30, random), minlength=20)
+    assert counts.sum() == 30
+    assert (np.abs(counts - expected) < 1 + 1e-9).all()
+
+
+def test_selection_is_random_in_order():
+    expected = expectations(np.arange(20.0), 30)
+    chosen = stochastic_uniform(expected, 30, np.random.default_rng(0))
+    assert (np.diff(chosen) < 0).any()
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_the_same_seed_breeds_the_same_children(seed):
+    one, other = (children_of(*population(seed)[:2], LOWER, UPPER, 0.5, np.random.default_rng(seed)) for _ in "ab")
+    np.testing.assert_array_equal(one[1], other[1])
+
+
+def test_stalling_looks_at_fifty_generations():
+    assert not stalled(np.ones(STALL))
+    assert stalled(np.ones(STALL + 1))
+    falling = np.linspace(2, 1, STALL + 1)
+    assert not stalled(falling)
+    assert not stalled(np.full(STALL + 1, np.inf))
+
+
+def test_matlabs_population():
+    assert (default_population(4), default_population(5), default_population(6)) == (50, 50, 200)
+
+
+class _Bowl:
+    """A problem without a knee: a bowl with holes in which nothing can be evaluated."""
+
+    class evaluator:  # noqa: N801
+        coarse = fine = 1
+
+    class parameters:  # noqa: N801
+        lower, upper, nominal = LOWER, UPPER, 0.5 * (LOWER + UPPER)
+
+        def __len__(self) -> int:
+            return 3
+
+    parameters = parameters()
+
+    def answer(self, request):
+        share = (request.theta - LOWER) / (UPPER - LOWER)
+        value = np.sum((share - 0.3) ** 2, axis=1)
+        return Answer(np.where(share[:, 0] < 0.25, np.nan, value))
+
+
+def evolved(seed: int, populations: int = 1, generations: int = 40):
+    problem = _Bowl()
+    search = Genetic(problem, seed, populations=populations, generations=generations)  # pyright: ignore
+    state = search.begin()
+    while state["stopped"] is None:
+        request = search.ask(state)
+        search.tell(state, request, problem.answer(request))
+    return state
+
+
+def test_nan_is_never_the_best_and_the_bowl_is_found():
+    state = evolved(0)
+    share = (state["best_theta"] - LOWER) / (UPPER - LOWER)
+    assert np.isfinite(state["best_value"])
+    assert state["dropped"] > 0
+    np.testing.assert_allclose(share, 0.3, atol=0.02)
+
+
+def test_the_best_never_gets_worse():
+    bests = np.array(evolved(1)["bests"][0])
+    assert (np.diff(bests) <= 0).all()
+
+
+def test_populations_side_by_side_do_not_disturb_each_other():
+    alone, together = evolved(2, 1), evolved(2, 3)
+    assert alone["bests"][0] == together["bests"][0]
+    assert together["bests"][1] != together["bests"][0]
+
+
+def test_all_failing_stops():
+    problem = _Bowl()
+    problem.answer = lambda request: Answer(np.full(len(request.theta), np.nan))
+    search = Genetic(problem, 0)  # pyright: ignore
+    state = search.begin()
+    request = search.ask(state)
+    search.tell(state, request, problem.answer(request))
+    assert state["stopped"] == "all starts failed"
+    assert state["best_theta"] is None
+
+
+@pytest.mark.parametrize("populations", [1, 4])
+def test_generations_have_a_limit(populations):
+    assert len(evolved(0, populations, 5)["bests"][0]) == 6

@@ -1,0 +1,105 @@
+"""The smallest treatment: right at its limit, honest where nothing helps, and clear about bad requests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scenes
+
+from fitting.optimise import Limit, optimise_treatment
+from fitting.outcomes import outcomes
+from fitting.treatments import Treatment
+from pftwin import rig, simulate
+from pftwin.errors import InputError
+
+DT = 5e-3
+
+
+@pytest.fixture(scope="module")
+def knee():
+    return scenes.knee(13)
+
+
+def offset(scene, **amounts):
+    treated = Treatment.of("tibial_tuberosity_transfer", **amounts)(scene)
+    return outcomes(simulate(treated, dt=DT))["largest_offset"]
+
+
+@pytest.fixture(scope="module")
+def bound(knee):
+    """What 7.3 mm of medialisation brings the offset to."""
+    return offset(knee, medialisation=7.3e-3)
+
+
+def test_one_amount_ends_where_its_limit_is_just_met(knee, bound):
+    plan = optimise_treatment(knee, Limit("largest_offset", at_most=bound), {"medialisation": (0.0, 0.02)}, dt=DT)
+    assert plan.met
+    assert 1e3 * float(plan.treatment.values[0]) == pytest.approx(7.3, abs=0.01)
+    assert plan.outcomes["largest_offset"] <= bound
+    assert plan.outcomes["largest_offset"] == pytest.approx(offset(knee, medialisation=float(plan.treatment.values[0])))
+    assert "7.3 mm medially" in plan.describe()
+
+
+@pytest.mark.slow
+def test_two_amounts_share_the_work(knee, bound):
+    ranges = {"medialisation": (0.0, 0.02), "distalisation": (0.0, 0.02)}
+    plan = optimise_treatment(knee, Limit("largest_offset", at_most=bound), ranges, dt=DT)
+    assert plan.met
+    assert plan.outcomes["largest_offset"] <= bound
+    both = np.array([float(v) for v in plan.treatment.values])
+    assert np.linalg.norm(both) < 7.3e-3
+    for turn in (-0.1, 0.1):  # no other mixture of the same size does better
+        c, s = np.cos(turn), np.sin(turn)
+        other = 0.998 * np.array([[c, -s], [s, c]]) @ both
+        if (other >= 0).all():
+            assert offset(knee, medialisation=other[0], distalisation=other[1]) > bound
+
+
+def test_nothing_is_done_where_nothing_is_needed(knee):
+    plan = optimise_treatment(knee, Limit("largest_offset", at_most=0.015), dt=DT)
+    assert plan.met
+    assert float(plan.treatment.values[0]) == 0
+
+
+def test_what_cannot_be_met_is_said(knee):
+    limits = [Limit("peak_contact_force", at_most=0.5), Limit("dislocation_margin", at_least=0.001)]
+    plan = optimise_treatment(knee, limits, {"medialisation": (0.0, 0.02)}, dt=DT)
+    assert not plan.met
+    assert "no amount within the range meets the limits" in plan.describe()
+    assert "peak contact force at most 0.5 N" in plan.describe()
+    assert "dislocation margin" not in plan.describe()
+
+
+@pytest.mark.slow
+def test_case_2_needs_some_4_mm():
+    plan = optimise_treatment(rig.case(2), Limit("dislocation_margin", at_least=0.001), dt=DT)
+    assert plan.met
+    assert 1e-3 < float(plan.treatment.values[0]) < 4e-3
+    assert 0.001 <= plan.outcomes["dislocation_margin"] < 0.004
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda s: Limit("pain", at_most=1.0), r"no limit on 'pain'.*largest_offset"),
+        (lambda s: Limit("dislocation_time", at_least=1.0), "no limit on 'dislocation_time'"),
+        (lambda s: Limit("largest_offset"), "either at_most or at_least"),
+        (lambda s: Limit("largest_offset", at_most=1.0, at_least=0.0), "either at_most or at_least"),
+        (lambda s: Limit("largest_offset", at_most=np.nan), "either at_most or at_least"),
+        (lambda s: optimise_treatment(s, []), r"limits: found \(\)"),
+        (
+            lambda s: optimise_treatment(s, LIMIT, {"medialisation": (0.01, 0.01)}),
+            r"ranges: medialisation.*\(least, most\)",
+        ),
+        (lambda s: optimise_treatment(s, LIMIT, {"medialisation": "wide"}), "found 'wide'"),
+        (lambda s: optimise_treatment(s, LIMIT, {"deepening": (0.0, 0.01)}), "no amount 'deepening'"),
+        (lambda s: optimise_treatment(s, LIMIT, dict.fromkeys("abcd", (0.0, 1.0))), r"4 amounts.*at most 3"),
+        (lambda s: optimise_treatment(s.without("patellar_tendon"), LIMIT), "no tendon or strands named"),
+    ],
+)
+def test_bad_requests_are_named(knee, make, message):
+    with pytest.raises(InputError, match=message):
+        make(knee)
+
+
+LIMIT = Limit("largest_offset", at_most=0.01)

@@ -1,0 +1,187 @@
+"""Predictions: the same as single runs, whatever the chunks; members that fail are marked; what is wrong is named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scenes
+
+from fitting.outcomes import MEASURES, outcomes
+from fitting.predict import predict
+from fitting.treatments import Treatment, tibial_tuberosity_transfer
+from fitting.variants import grid
+from pftwin import rig, simulate
+from pftwin.dynamics.observe import Status
+from pftwin.errors import InputError
+
+TRANSFER = "tibial_tuberosity_transfer"
+MEDIAL = f"{TRANSFER}_medialisation"
+DT = 5e-3
+
+
+@pytest.fixture(scope="module")
+def case_2():
+    """Case 2 with its tuberosity up to 20 mm medial."""
+    return predict(rig.case(2), grid(TRANSFER, medialisation=1e-3 * np.arange(0, 21, 2)), dt=DT)
+
+
+def test_medialisation_cures_case_2(case_2):
+    out = case_2["dislocations"].values > 0
+    np.testing.assert_array_equal(case_2[MEDIAL].values[out], [0.0, 0.002])
+    assert (np.diff(case_2["largest_offset"].values[~out]) < 0).all()
+    assert (np.diff(case_2["medial_share"].values[~out]) > 0).all()
+    assert case_2["dislocation_flexion"].values[0] == pytest.approx(13.2, abs=0.5)
+    assert case_2["dislocation_flexion"].attrs["units"] == "deg"
+    assert not case_2["failed"].values.any()
+
+
+def test_a_member_is_what_simulate_gives(case_2):
+    one = outcomes(simulate(tibial_tuberosity_transfer(rig.case(2), 0.010), dt=DT))
+    member = case_2.isel(variant=5)
+    for name, measure in MEASURES.items():
+        expected = np.degrees(one[name]) if measure.unit == "rad" else one[name]
+        np.testing.assert_allclose(member[name], expected, rtol=1e-6, atol=1e-9, err_msg=name)
+
+
+def test_case_1_is_case_2_after_the_transfer():
+    one, two = rig.case(1), rig.case(2)
+    moved = eqx.tree_at(lambda s: (s.motion, s.start), two, (one.motion, one.start))
+    variants = [Treatment.of(TRANSFER, medialisation=m) for m in (0.0, 0.016)]
+    found = predict([one, moved], variants, dt=DT)
+    assert list(found["scene"].values) == [one.name] * 2 + [two.name] * 2
+    for name in MEASURES:
+        np.testing.assert_allclose(found[name][3], found[name][0], rtol=1e-6, atol=1e-9, err_msg=name)
+    assert float(found["largest_offset"][2]) > float(found["largest_offset"][0])
+    assert float(found["dislocations"][0]) == 0
+
+
+@pytest.fixture(scope="module")
+def knee():
+    return scenes.knee(13)
+
+
+@dataclass(eq=False)
+class Fitted:
+    """An estimate of two numbers."""
+
+    names: tuple[str, ...] = ("K1", "L2")
+    units: tuple[str, ...] = ("N/m", "m")
+    values: np.ndarray = field(default_factory=lambda: np.array([160.0, 0.0715]))
+    synthetic: bool = True
+    source: str = "a test"
+
+    def apply(self, scene, theta=None):
+        stiffness, length = self.values if theta is None else theta
+        q, p = (scene.effect(n) for n in ("quadriceps", "patellar_tendon"))
+        scene = scene.with_effect(eqx.tree_at(lambda t: t.stiffness, q, jnp.asarray(stiffness)))
+        return scene.with_effect(eqx.tree_at(lambda t: t.slack_length, p, jnp.asarray(length)))
+
+    def samples(self, count, seed=0):
+        random = np.random.default_rng(seed)
+        return self.values + np.array([3.0, 1e-4]) * random.standard_normal((count, 2))
+
+
+VARIANTS = [
+    grid(TRANSFER, medialisation=np.linspace(0, 0.012, 4), distalisation=[0.0, 0.003]),
+    Treatment.of("quadriceps_lengthening", lengthening=0.004),
+    Treatment.of(TRANSFER, medialisation=0.5e-3, distalisation=0.001),
+]
+
+
+@pytest.fixture(scope="module")
+def sampled(knee):
+    return predict(knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, threads=1)
+
+
+def test_variants_stand_in_the_order_they_were_given(sampled):
+    assert sampled.sizes["variant"] == 10
+    assert sampled.sizes["sample"] == 7
+    assert sampled["treatment"].values[8] == "quadriceps tendon 4 mm longer"
+    assert sampled["treatment"].values[3] == "tibial tuberosity 4 mm medially, 3 mm distally"
+    np.testing.assert_allclose(sampled[MEDIAL].values[-2:], [0.0, 0.5e-3])
+    np.testing.assert_allclose(sampled["quadriceps_lengthening_lengthening"].values, [0] * 8 + [0.004, 0])
+    assert sampled[MEDIAL].attrs["units"] == "m"
+    assert sampled.attrs["synthetic"] == 1
+    assert "synthetic" in sampled.attrs["note"]
+
+
+def test_samples_spread_around_the_estimate(sampled, knee):
+    np.testing.assert_allclose(sampled["parameters"].values[0], [160.0, 0.0715])
+    shift = sampled["mean_shift"].values
+    assert np.ptp(shift, axis=1).min() > 1e-7
+    treated = Treatment.of(TRANSFER, medialisation=0.004, distalisation=0.003)(Fitted().apply(knee))
+    assert shift[3, 0] == pytest.approx(outcomes(simulate(treated, dt=DT))["mean_shift"], abs=1e-9)
+    draw = Fitted().apply(knee, Fitted().samples(6, 3)[1])
+    treated = Treatment.of("quadriceps_lengthening", lengthening=0.004)(draw)
+    assert shift[8, 2] == pytest.approx(outcomes(simulate(treated, dt=DT))["mean_shift"], abs=1e-9)
+
+
+def test_chunks_do_not_change_the_answer(sampled, knee):
+    calls = []
+    small = predict(
+        knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, chunk=8, threads=2, progress=lambda *a: calls.append(a)
+    )
+    for name in MEASURES:
+        np.testing.assert_allclose(small[name], sampled[name], rtol=1e-7, atol=1e-9, err_msg=name)
+    np.testing.assert_array_equal(small["status_frames"], sampled["status_frames"])
+    assert max(calls) == (70, 70)
+
+
+def test_members_that_cannot_be_simulated_are_marked(knee):
+    lengths = [-0.001, -0.0715, -0.5, 0.0]
+    found = predict(knee, grid("patellar_tendon_length_change", lengthening=lengths), dt=DT)
+    np.testing.assert_array_equal(found["failed"].values, [False, True, True, False])
+    for name in MEASURES:
+        assert np.isnan(found[name].values[1:3]).all()
+    assert np.isfinite(found["peak_contact_force"].values[[0, 3]]).all()
+    assert found["status_frames"].sizes == {"variant": 4, "flag": len(Status)}
+
+
+def test_trajectories_come_along_where_wanted(knee, tmp_path):
+    found = predict(knee, grid(TRANSFER, medialisation=[0.0, 0.01]), dt=DT, trajectories=True)
+    assert found["sphere_center"].dims == ("variant", "time", "axis")
+    result = simulate(tibial_tuberosity_transfer(knee, 0.01), dt=DT)
+    np.testing.assert_allclose(found["sphere_center"].values[1], result.center, atol=1e-9)
+    np.testing.assert_allclose(found["force_lateral"].values[1], result.effects["contact"]["force_lateral"], atol=1e-5)
+    np.testing.assert_allclose(found["patella_tilt"].values[1], np.degrees(result.angles.tilt), atol=1e-6)
+    found.to_netcdf(tmp_path / "variants.nc", engine="h5netcdf")
+
+
+def test_grid_has_all_combinations():
+    both = grid(TRANSFER, medialisation=[0.0, 0.01, 0.02], distalisation=[0.0, 0.005])
+    np.testing.assert_allclose(both.values[0], [0, 0, 0.01, 0.01, 0.02, 0.02])
+    np.testing.assert_allclose(both.values[1], [0, 0.005] * 3)
+    composed = Treatment.of(TRANSFER, medialisation=0.01).then(Treatment.of("trochleoplasty", deepening=0.0))
+    deeper = grid(composed, {"trochleoplasty.deepening": [0.0, 0.002]})
+    np.testing.assert_allclose(deeper.values[0], [0.01, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: predict([], None), "nothing to predict"),
+        (lambda s: predict(s, []), "nothing to predict"),
+        (lambda s: predict(s, ["transfer"]), r"found 'transfer'.*expected: treatments"),
+        (lambda s: predict([s, "case 2"]), r"found 'case 2'.*expected: scenes"),
+        (lambda s: predict(s, samples=5), r"samples of nothing uncertain.*estimate"),
+        (lambda s: predict(s, dt=0.0), r"dt: found 0\.0; expected: a positive"),
+        (lambda s: predict(s, threshold=-1.0), r"threshold: found -1\.0"),
+        (lambda s: predict(s, chunk=0), "chunk: found 0; expected: a whole number, at least 1"),
+        (lambda s: predict(s, Treatment.of("mpfl_graft", shortening=0.001)), "no tendon or strands named 'mpfl'"),
+        (lambda s: predict(s.without("contact")), "no contact between a button and a trochlea"),
+        (
+            lambda s: predict(s, grid(TRANSFER, medialisation=np.linspace(0, 0.01, 5000)), trajectories=True),
+            r"trajectories of 5000 members.*at most 4096",
+        ),
+        (lambda s: grid(TRANSFER, medialization=[0.0]), "no amount 'medialization'"),
+        (lambda s: grid(TRANSFER, medialisation=[]), r"found \[\]"),
+        (lambda s: grid(TRANSFER, medialisation=[0.0, np.inf]), "a list of finite numbers"),
+    ],
+)
+def test_what_is_wrong_is_named(knee, call, message):
+    with pytest.raises(InputError, match=message):
+        call(knee)

@@ -1,0 +1,136 @@
+"""`pftwin treat`: from a scene and an estimate to a table, a NetCDF file, JSON and a figure."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fitting.estimate import Estimate
+from pftwin.cli import app
+from pftwin.cli.treat import _values
+from pftwin.errors import InputError
+from pftwin.result_files import load_dataset
+
+RUNNER = CliRunner(env={"COLUMNS": "200"})
+
+
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory):
+    """An estimate of case 2's stiffness K1 and slack length L2, as `pftwin fit` writes it."""
+    path = tmp_path_factory.mktemp("fit") / "fit.json"
+    estimate = Estimate(
+        names=("K1", "L2"),
+        units=("N/m", "m"),
+        values=np.array([157.0, 0.0713]),
+        covariance=np.diag([2.0**2, 2e-4**2]),
+        lower=np.array([109.0, 0.05]),
+        upper=np.array([203.0, 0.093]),
+        nominal=np.array([156.0, 0.0714]),
+        objective="paper",
+        objective_value=1e-3,
+        objective_unit="m",
+        channels=("position",),
+        noise={},
+        noise_known=False,
+        serial_correlation=0.0,
+        condition=10.0,
+        rmse={},
+        method="least_squares",
+        seed=0,
+        reason="converged",
+        evaluations=1,
+        iterations=1,
+        starts=1,
+        dropped=0,
+        seconds=1.0,
+        history=[],
+        synthetic=True,
+        source="the virtual rig",
+        scene_name="rig case 2, P5",
+    )
+    return estimate.save(path)
+
+
+@pytest.fixture(scope="module")
+def treated(fit, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("treated")
+    command = ["treat", "--case", "2", "--estimate", str(fit), "--medialise", "0:16:8", "--samples", "4"]
+    outcome = RUNNER.invoke(
+        app, [*command, "--dt", "0.005", "-o", str(folder / "v.nc"), "--json", str(folder / "v.json")]
+    )
+    assert outcome.exit_code == 0, outcome.output
+    return outcome, folder
+
+
+def test_table_says_from_where_on_nothing_dislocates(treated):
+    outcome, _ = treated
+    assert "without dislocation from 8 mm of tibial tuberosity transfer medialisation on" in outcome.stdout
+    assert "medialisation [mm]" in outcome.stdout
+    assert "100 % of draws" in outcome.stdout
+    assert "the rig is virtual: its recorded motion is synthetic" in outcome.stdout
+    assert "estimated from synthetic measurements" in outcome.stdout
+
+
+def test_files_hold_the_outcomes(treated):
+    _, folder = treated
+    data = load_dataset(folder / "v.nc")
+    np.testing.assert_allclose(data["tibial_tuberosity_transfer_medialisation"], [0, 0.008, 0.016])
+    assert data.sizes["sample"] == 5
+    np.testing.assert_array_equal(data["dislocations"].values[:, 0], [1, 0, 0])
+    np.testing.assert_allclose(data["parameters"].values[0], [157.0, 0.0713])
+    plain = json.loads((folder / "v.json").read_text())
+    assert plain["variants"][1]["largest_offset"] == pytest.approx(float(data["largest_offset"][1, 0]))
+    assert plain["units"]["largest_offset"] == "m"
+    low, high = plain["bands_95"]["largest_offset"]
+    assert low[1] <= plain["variants"][1]["largest_offset"] <= high[1]
+    assert (folder / "v.png").stat().st_size > 10_000
+    svg = (folder / "v.svg").read_text()
+    assert "synthetic" in svg
+    assert "95 % of 4 draws" in svg
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0:20:5", [0, 5, 10, 15, 20]),
+        ("0:1:0.1", np.arange(11) / 10),
+        ("5", [5]),
+        ("0,-3", [0, -3]),
+        ("2:4", [2, 3, 4]),
+    ],
+)
+def test_ranges_include_their_end(text, expected):
+    np.testing.assert_allclose(_values(text, "--medialise"), expected)
+
+
+@pytest.mark.parametrize("text", ["", "a", "0:20:0", "20:0:1", "0:1:2:3", "nan", "0:inf:1", "0:1e9:1"])
+def test_ranges_that_are_none_are_refused(text):
+    with pytest.raises(InputError, match="--medialise"):
+        _values(text, "--medialise")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--case", "2"], "no treatment given"),
+        (["--case", "2", "--tighten-mpfl", "1"], "no tendon or strands named 'mpfl'"),
+        (["--case", "2", "--contact", "P2", "--deepen", "2"], "expected: degree 4 or more"),
+        (["--case", "2", "--medialise", "0:1000:0.01", "--distalise", "0:99:1"], "combinations"),
+        (["--case", "2", "--medialise", "1", "--estimate", "nothing.json"], "nothing.json: there is no such file"),
+        (["--medialise", "1"], "neither a scene file nor --case"),
+    ],
+)
+def test_mistakes_are_one_line(arguments, message, tmp_path):
+    outcome = RUNNER.invoke(app, ["treat", *arguments, "-o", str(tmp_path / "v.nc")])
+    assert outcome.exit_code == 2
+    assert message in " ".join(outcome.stderr.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_are_netcdf(tmp_path):
+    outcome = RUNNER.invoke(app, ["treat", "--case", "2", "--medialise", "1", "-o", str(tmp_path / "v.csv")])
+    assert outcome.exit_code == 2
+    assert "v.nc" in outcome.stderr

@@ -10,7 +10,9 @@ equilibria, never from the last iterate's. So a fit that is resumed sees what it
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -33,6 +35,7 @@ from pftwin.spatial import Pose, Quaternion, Scalar
 
 POSITION, ORIENTATION = "position", "orientation"
 CHUNK = 32  # variants evaluated at once by default
+_WITH_SLOPES = 16  # the same with derivatives
 _WIDEST = 512  # variants in one call
 COLUMNS = 256  # variants times parameters in one call with derivatives
 _ROUGH = 5e-4  # error of a search's motion that is too much, rms [m]
@@ -257,16 +260,23 @@ class Evaluator:
     @property
     def slope_chunk(self) -> int:
         """Variants in one call with derivatives."""
-        return max(1, min(CHUNK, COLUMNS // len(self.parameters)))
+        return max(1, min(_WITH_SLOPES, COLUMNS // len(self.parameters)))
 
     def _in_chunks(self, theta: NDArray[np.float64], substeps: int, chunk: int, *, slopes: bool) -> Prediction:
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
-        parts = []
-        for i in range(0, len(theta), chunk):
-            part = theta[i : i + chunk]
+        self._cloud  # noqa: B018 (before threads ask for it)
+
+        def one(part: NDArray[np.float64]) -> list[Any]:
             full = np.concatenate([part, np.repeat(part[:1], chunk - len(part), axis=0)])
             out = self._run(full, self.guesses(full), substeps, slopes)
-            parts.append([None if a is None else a[: len(part)] for a in out[:3]])
+            return [None if a is None else a[: len(part)] for a in out[:3]]
+
+        pieces = [theta[i : i + chunk] for i in range(0, len(theta), chunk)]
+        if len(pieces) == 1:
+            parts = [one(pieces[0])]
+        else:  # XLA runs a loop of small operations on one core; the second takes another piece
+            with ThreadPoolExecutor(min(len(pieces), os.cpu_count() or 1)) as pool:
+                parts = list(pool.map(one, pieces))
         values, slope, found = (None if a[0] is None else np.concatenate(a) for a in zip(*parts, strict=True))
         assert values is not None
         assert found is not None

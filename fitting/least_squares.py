@@ -5,8 +5,8 @@ residuals and their Jacobian with it. Mapped over starts it takes the Jacobian o
 needs, in the slower order of loops, with the number of time steps fixed; and nothing of it can be seen, saved or
 interrupted on the way. Here the host asks for a batch with derivatives and does the small algebra itself.
 
-The batch never changes its size, so there is one program. As starts are given up, those that stay try several dampings
-at once in the lanes that become free.
+The batch of the compiled program never changes its size, so there is one program. Where fewer starts are left than it
+has lanes, each tries several dampings at once.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class LeastSquares(Method):
     def _trials(self, state: State) -> tuple[Floats, Floats, Floats]:
         """Points (P, L, p), their dampings (P, L), and the decrease that the quadratic model promises (P, L)."""
         u, g, h = state["u"], state["gradient"], state["hessian"]
-        lanes = max(1, self.starts // len(u))
+        lanes = max(1, self.problem.evaluator.slope_chunk // len(u))
         ladder = 10.0 ** (np.arange(lanes) - lanes // 2)
         damping = state["damping"][:, None] * ladder
         diagonal = np.diagonal(h, axis1=1, axis2=2)

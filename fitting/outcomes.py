@@ -19,8 +19,6 @@ from pftwin.result import Result
 from pftwin.spatial import Scalar, Vec3
 from pftwin.tracking import DISLOCATED
 
-_WINDOW = 5  # frames
-
 
 class Measure(NamedTuple):
     """Unit and meaning of an outcome."""
@@ -123,10 +121,16 @@ def _load(at: Course) -> dict[str, Scalar]:
 
 
 def running_median(values: Array) -> Array:
-    """Over five neighbouring frames, (n,); the first and the last frame are repeated beyond the ends."""
-    n, reach = values.shape[0], _WINDOW // 2
-    rows = jnp.clip(jnp.arange(n)[:, None] + jnp.arange(-reach, reach + 1)[None], 0, n - 1)
-    return jnp.sort(values[rows], axis=1)[:, reach]
+    """Over five neighbouring frames, (n,); the first and the last frame are repeated beyond the ends.
+
+    By comparisons: a sort of so few costs ten times as much. NaN spreads to the neighbours.
+    """
+    n = values.shape[0]
+    padded = jnp.concatenate([values[:1], values[:1], values, values[-1:], values[-1:]])
+    a, b, c, d, e = (padded[i : i + n] for i in range(5))
+    low = jnp.maximum(jnp.minimum(a, b), jnp.minimum(c, d))
+    high = jnp.minimum(jnp.maximum(a, b), jnp.maximum(c, d))
+    return jnp.maximum(jnp.minimum(e, low), jnp.minimum(jnp.maximum(e, low), high))
 
 
 def _path(at: Course) -> dict[str, Scalar]:

@@ -77,7 +77,8 @@ def test_one_frames_impact_is_no_peak():
     force = np.full(20, 8.0)
     force[[7, 8]] = [4000.0, 60.0]
     np.testing.assert_allclose(running_median(jnp.asarray(force)), 8.0)
-    np.testing.assert_allclose(running_median(jnp.arange(9.0)), medfilt5(np.arange(9.0)))
+    noise = np.random.default_rng(0).standard_normal(500)
+    np.testing.assert_array_equal(running_median(jnp.asarray(noise)), medfilt5(noise))
 
 
 def made_up(offset, status=0, force=(3.0, 5.0)) -> Course:

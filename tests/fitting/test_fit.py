@@ -125,7 +125,7 @@ def test_derivatives_through_touch_and_lift_off(scene, channels):
         assert error < 0.02
         before = slice(0, int(np.argmax(away)))
         error = np.abs(slopes[0, before, :, i] - numeric[before]).max() / np.abs(numeric[before]).max()
-        assert error < 0.015  # just before, two facets merge within three frames: see the changelog on derivatives
+        assert error < 0.02  # just before, two facets merge within three frames: see the changelog on derivatives
 
 
 def test_long_steps_that_will_not_do_are_not_used(scene):

@@ -14,7 +14,7 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from fitting.method import Method, State
+from fitting.method import Method, State, lenient
 from fitting.problem import Answer, Problem, Request
 
 Floats = NDArray[np.float64]
@@ -108,7 +108,8 @@ class Gradient(Method):
         # The starts' objectives differ by orders of magnitude; Adam minds their gradients' direction alone.
         optimiser = _adam(self.adam_iterations)
         u, inner = jnp.asarray(state["u"]), _state_of(optimiser, state["u"], state["adam"])
-        updates, inner = optimiser.update(jnp.asarray(np.where(alive[:, None], gradient, 0.0)), inner, u)
+        with lenient():
+            updates, inner = optimiser.update(jnp.asarray(np.where(alive[:, None], gradient, 0.0)), inner, u)
         state["adam"], state["u"] = _leaves(inner), np.asarray(u + updates)
 
     def _along(self, state: State) -> Floats:
@@ -126,7 +127,8 @@ class Gradient(Method):
         optimiser = _lbfgs()
         point = jnp.asarray(at[i])
         inner = _state_of(optimiser, at[i], state["lbfgs"])
-        updates, inner = optimiser.update(jnp.asarray(gradient[i]), inner, point)
+        with lenient():
+            updates, inner = optimiser.update(jnp.asarray(gradient[i]), inner, point)
         direction = np.asarray(updates)
         longest = np.abs(direction).max()
         state["direction"] = direction * min(1.0, 1.0 / max(longest, 1e-300))

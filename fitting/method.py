@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, ClassVar
+
+import jax
 
 from fitting.problem import Answer, Problem, Request
 
@@ -46,3 +50,10 @@ class Method(ABC):
     def blank() -> State:
         """What every state has."""
         return {"best_value": float("inf"), "best_theta": None, "dropped": 0, "stopped": None}
+
+
+@contextmanager
+def lenient() -> Iterator[None]:
+    """JAX's default rules for mixed types and ranks: libraries for optimisation need them."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.genetic import STALL, TOLERANCE, default_population, stalled
-from fitting.method import Method, State
+from fitting.method import Method, State, lenient
 from fitting.problem import Answer, Problem, Request
 from pftwin.errors import MissingExtraError
 
@@ -31,7 +31,7 @@ def _algorithm(name: str, population: int, parameters: int) -> Any:
     except ImportError as error:
         raise MissingExtraError("evosax", extra="evosax", feature=f"the method {name!r}") from error
     kind = algorithms.CMA_ES if name == "cma_es" else algorithms.DifferentialEvolution
-    with _lenient():
+    with lenient():  # evosax mixes types and ranks
         return kind(population_size=population, solution=jnp.zeros(parameters))
 
 
@@ -49,7 +49,7 @@ class _Strategy(Method):
         self.most_iterations = 1 + (100 * p if generations is None else generations)
         self.starts = self.widest = self.population
         self._algorithm = _algorithm(self.name, self.population, p)
-        with _lenient():
+        with lenient():
             self._params = self._algorithm.default_params
             if self.name == "cma_es":
                 self._params = self._params.replace(std_init=jnp.asarray(_SPREAD))
@@ -64,7 +64,7 @@ class _Strategy(Method):
         first = random.uniform(size=(self.population, len(self.problem.parameters)))
         state = {**self.blank(), "leaves": None, "trial": first, "bests": [], "scores": np.zeros(0), "generation": 0}
         if self.name == "cma_es":
-            with _lenient():
+            with lenient():
                 mean = jnp.asarray(self._share(self.problem.parameters.nominal), dtype=float)
                 self._store(state, self._algorithm.init(self._key(0, 0), mean, self._params))
             state["trial"] = None
@@ -73,7 +73,7 @@ class _Strategy(Method):
     def ask(self, state: State) -> Request:
         """The next population."""
         if state["trial"] is None:
-            with _lenient():
+            with lenient():
                 trial, inner = self._algorithm.ask(self._key(state["generation"], 1), self._inner(state), self._params)
             self._store(state, inner)
             state["trial"] = np.asarray(trial, dtype=np.float64)
@@ -86,7 +86,7 @@ class _Strategy(Method):
         finite = np.isfinite(value)
         fitness = jnp.asarray(np.where(finite, value, 1e30), dtype=float)
         trial, key = jnp.asarray(state["trial"], dtype=float), self._key(state["generation"], 2)
-        with _lenient():
+        with lenient():
             if state["leaves"] is None:
                 inner = self._algorithm.init(key, trial, fitness, self._params)
             else:
@@ -134,7 +134,7 @@ class _Strategy(Method):
 @lru_cache(maxsize=8)
 def _structure(name: str, population: int, parameters: int) -> Any:
     algorithm = _algorithm(name, population, parameters)
-    with _lenient():
+    with lenient():
         params, key = algorithm.default_params, jax.random.key(0)
         if name == "cma_es":
             return jax.tree.structure(algorithm.init(key, jnp.zeros(parameters), params))
@@ -158,16 +158,3 @@ def mirrored(x: Floats) -> Floats:
     """Points of the unit box from any: mirrored at its sides as often as needed."""
     folded = np.mod(x, 2.0)
     return np.where(folded > 1, 2 - folded, folded)
-
-
-class _lenient:  # noqa: N801 (reads as a with-statement)
-    """evosax mixes types and ranks as JAX allows by default."""
-
-    def __enter__(self) -> None:
-        self._promotion, self._rank = jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow")
-        self._promotion.__enter__()
-        self._rank.__enter__()
-
-    def __exit__(self, *error: Any) -> None:
-        self._rank.__exit__(*error)
-        self._promotion.__exit__(*error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,6 +25,7 @@ _PANELS = (
     ("medial_share", 100.0, "share of force on the medial facet [%]"),
 )
 _MOST_LINES = 6
+_LINE = 110  # characters under the title
 Floats = NDArray[np.float64]
 
 
@@ -105,7 +107,7 @@ def outcome_figure(data: Dataset, title: str | None = None) -> Figure:
         handles, labels = panels[0].get_legend_handles_labels()
         if len(labels) > 1:
             figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)))
-        figure.suptitle("\n".join([title or data.attrs["title"], _note(data)]))
+        figure.suptitle("\n".join([title or data.attrs["title"], *textwrap.wrap(_note(data), _LINE)]))
     return figure
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-from jax.core import Tracer
+from jax.core import ShapedArray, Tracer
 
 from pftwin.kept import folder, store
 from pftwin.kept.environment import can_keep, debugging, environment, settings
@@ -60,15 +60,11 @@ class Program:
 
     def timed(self, *args: Any) -> Timed:
         """The answer, which is there when this returns, and what it took."""
-        leaves, structure = jax.tree.flatten(args)
-        varies = [eqx.is_array(a) for a in leaves]
-        arrays = [a for a, varied in zip(leaves, varies, strict=True) if varied]
+        kind, arrays = _kind_of(args)
         began = time.perf_counter()
         if debugging() or any(isinstance(a, Tracer) for a in arrays):
             answer = jax.block_until_ready(self._jitted(*args))
             return Timed(answer, time.perf_counter() - began, 0.0)
-        fixed = tuple(None if varied else (type(a), a) for a, varied in zip(leaves, varies, strict=True))
-        kind = _Kind(structure, fixed, tuple(_array_kind(a) for a in arrays), settings())
         ready = self._ready.get(kind)
         prepared = began
         if ready is None:
@@ -83,6 +79,27 @@ class Program:
             prepared = time.perf_counter()
             out = jax.block_until_ready(ready.call(*arrays))
         return Timed(jax.tree.unflatten(ready.structure, out), time.perf_counter() - prepared, prepared - began)
+
+    def at_hand(self, *args: Any) -> bool:
+        """Whether arguments of this kind need no compilation: it was done here, or by a former process."""
+        kind, arrays = _kind_of(args)
+        if debugging() or kind in self._ready:
+            return True
+        name = self._name(kind)
+        loaded = None if name is None else store.recalled(name, len(arrays))
+        if loaded is not None:
+            self._ready[kind] = _Ready(*loaded, True)
+        return loaded is not None
+
+    def prepare(self, *args: Any) -> None:
+        """Compiles for arguments of this kind, or loads what was kept. Arrays may be `jax.ShapeDtypeStruct`s."""
+        kind, arrays = _kind_of(args)
+        if kind not in self._ready:
+            self._ready[kind] = self._prepared(kind, arrays)
+
+    def shape(self, *args: Any) -> Any:
+        """The answer with a `jax.ShapeDtypeStruct` in the place of every array; nothing is compiled."""
+        return eqx.filter_eval_shape(self._function, *args)
 
     def _prepared(self, kind: _Kind, arrays: list[Any], anew: bool = False) -> _Ready:
         """Loaded if it was kept, else compiled, and kept."""
@@ -131,6 +148,21 @@ class Program:
             return None
 
 
+def _varies(leaf: Any) -> bool:
+    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+
+
+def _kind_of(args: tuple[Any, ...]) -> tuple[_Kind, list[Any]]:
+    """The arguments' kind, and those that are arrays."""
+    leaves, structure = jax.tree.flatten(args)
+    varies = [_varies(a) for a in leaves]
+    arrays = [a for a, varied in zip(leaves, varies, strict=True) if varied]
+    fixed = tuple(None if varied else (type(a), a) for a, varied in zip(leaves, varies, strict=True))
+    return _Kind(structure, fixed, tuple(_array_kind(a) for a in arrays), settings()), arrays
+
+
 def _array_kind(array: Any) -> Hashable:
+    if isinstance(array, jax.ShapeDtypeStruct):
+        return ShapedArray(array.shape, array.dtype, weak_type=array.weak_type)
     aval = getattr(array, "aval", None)
     return (array.shape, array.dtype) if aval is None else aval

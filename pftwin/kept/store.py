@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import pickle
 import secrets
+import threading
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -88,9 +89,19 @@ def _loaded(program: str, arguments: int, answers: int) -> Call | None:
 def _not_in_the_cache_of_jax() -> Iterator[None]:
     """Nothing compiled meanwhile is written to JAX's cache, where it would only be a second copy."""
     setting = "jax_persistent_cache_min_compile_time_secs"
-    least = jax.config.values[setting]
-    jax.config.update(setting, 1e9)
+    with _lock:
+        if not _compiling:
+            _compiling.append(jax.config.values[setting])
+            jax.config.update(setting, 1e9)
+        _compiling.append(None)
     try:
         yield
     finally:
-        jax.config.update(setting, least)
+        with _lock:
+            _compiling.pop()
+            if len(_compiling) == 1:  # the last of several threads
+                jax.config.update(setting, _compiling.pop())
+
+
+_lock = threading.Lock()
+_compiling: list[Any] = []  # the setting as it was, and one more entry for every thread that compiles

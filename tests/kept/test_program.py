@@ -204,3 +204,36 @@ def test_timing_tells_preparation_from_running():
     assert warm["compile_s"] == 0
     assert 0 < warm["run_s"] < 1
     assert 0 < warm["equilibrium_s"] < 1
+
+
+def test_a_program_can_be_prepared_from_shapes():
+    """It is then the one that runs: for arrays of that kind nothing is left to compile, for others everything."""
+    scaled = Program(lambda x, n: x * n)
+    assert not scaled.at_hand(jnp.ones(3), 2)
+    scaled.prepare(jax.ShapeDtypeStruct((3,), jnp.dtype(float)), 2)
+    assert scaled.at_hand(jnp.ones(3), 2)
+    assert not scaled.at_hand(jnp.ones(4), 2)
+    ready = scaled.timed(jnp.ones(3), 2)
+    assert ready.preparation == 0
+    np.testing.assert_array_equal(ready.answer, 2 * np.ones(3))
+    assert scaled.shape(jnp.ones(3), 2) == jax.ShapeDtypeStruct((3,), jnp.dtype(float))
+
+
+def test_both_programs_of_a_first_simulation_are_those_that_were_compiled_side_by_side():
+    scene = small_scene(9)
+    simulate_module = sys.modules["pftwin.dynamics.simulate"]
+    before = len(simulate_module._run._ready)
+    first = simulate(scene, dt=3e-3)
+    assert len(simulate_module._run._ready) == before + 1
+    assert first.timing["compile_s"] > 0
+    assert simulate(scene, dt=3e-3).timing["compile_s"] == 0
+
+
+def test_threads_that_compile_at_once_leave_the_cache_of_jax_as_it_was():
+    setting = "jax_persistent_cache_min_compile_time_secs"
+    before = jax.config.values[setting]
+    with store._not_in_the_cache_of_jax():
+        with store._not_in_the_cache_of_jax():
+            assert jax.config.values[setting] > 1e6
+        assert jax.config.values[setting] > 1e6
+    assert jax.config.values[setting] == before

@@ -80,7 +80,7 @@ def test_missing_frames_are_left_out(scene, truth):
     center = truth.center.copy()
     center[5:9] = np.nan
     found = fitting.fit_tendons(scene, Measured(truth.times, center), **FEW)
-    np.testing.assert_allclose(found.values, TRUTH, rtol=1e-5)
+    np.testing.assert_allclose(found.values, TRUTH, rtol=1e-3)
 
 
 def test_a_robust_loss_minds_an_outlier_less(scene, truth):

@@ -8,10 +8,10 @@ direction g, is linearised in the change of velocity dv,
 
 which makes one symmetric positive definite 6 x 6 system (one Newton iteration of backward Euler),
 
-    (M + sum_i w_i g_i g_i^T) dv = h (f_rest + sum_i g_i f_i),      w_i = h (h k_i + c_i).
+    (M + sum_i w_i g_i g_i^T) dv = h (f_rest + sum_i g_i f_i),      w_i = h (h k_i + c_i),
 
-A contact that would end the step with a pull is taken out and the system solved once more. No iteration beyond that,
-any number of terms, unconditionally stable along the g_i; order one.
+solved for the end forces first (`pftwin.dynamics.end_of_step`), without those contacts that would end the step with a
+pull. No iteration beyond that, any number of terms, unconditionally stable along the g_i; order one.
 """
 
 from __future__ import annotations

@@ -26,10 +26,18 @@ from numpy.typing import NDArray
 
 from fitting.parameters import Parameters, applied
 from fitting.places import Place
+from pftwin.batches import batched
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State
-from pftwin.dynamics.trajectory import Trajectory, integrator_named, starting_equilibrium, substeps_for, trajectory
+from pftwin.dynamics.trajectory import (
+    Trajectory,
+    integrator_named,
+    starting_equilibrium,
+    starting_state,
+    substeps_for,
+    trajectory,
+)
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Scalar
 
@@ -63,11 +71,6 @@ def _march(scene: Scene, start: Solution, substeps: Scalar) -> State:
     advance, _, guided_at = integrator_named("linear_implicit")
     system, motion = scene.system(), scene.motion
     step = motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
-    first = system.at_rest(start.pose, start.memories)
-    if motion.femur is not None:
-        femur = motion.femur.frames(jnp.asarray(motion.start_time, dtype=float))
-        carried = femur.velocity_at(first.position), first.orientation.unrotate(femur.angular_velocity)
-        first = eqx.tree_at(lambda s: (s.velocity, s.spin), first, carried)
 
     def one_frame(now: State, frame: Scalar) -> tuple[State, State]:
         piece = motion.between_frames(frame)
@@ -80,6 +83,7 @@ def _march(scene: Scene, start: Solution, substeps: Scalar) -> State:
         now = jax.lax.fori_loop(0, substeps, one_step, now)
         return now, now
 
+    first = starting_state(scene, start)
     _, later = jax.lax.scan(one_frame, first, jnp.arange(motion.n_frames - 1))
     return jax.tree.map(lambda a, rest: jnp.concatenate([a[None], rest]), first, later)
 
@@ -117,7 +121,7 @@ def _columns(scene: Scene, states: State, start: Solution, channels: tuple[str, 
 def _plain(
     scene: Scene, theta: Array, guesses: Pose, substeps: Array, places: tuple[Place, ...], channels: tuple[str, ...]
 ) -> Any:
-    return jax.vmap(lambda t, g: _predicted(applied(places, scene, t), g, substeps, channels))(theta, guesses)
+    return batched(lambda t, g: _predicted(applied(places, scene, t), g, substeps, channels))(theta, guesses)
 
 
 @eqx.filter_jit
@@ -127,7 +131,7 @@ def _with_slopes(
     """As `_plain`, and the derivatives (p, N, n, c). Columns outside, variants inside: the fastest order in memory."""
 
     def batch(thetas: Array) -> Any:
-        out = jax.vmap(lambda t, g: _predicted(applied(places, scene, t), g, substeps, channels))(thetas, guesses)
+        out = batched(lambda t, g: _predicted(applied(places, scene, t), g, substeps, channels))(thetas, guesses)
         return out[0], out[1:]
 
     def push(direction: Array) -> Any:

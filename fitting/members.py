@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fitting.course import Groove, course
 from fitting.outcomes import measure
 from fitting.treatments import Treatment
+from pftwin.batches import batched
 from pftwin.dynamics.observe import Status, observe
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.strands import StrandGroup
@@ -86,7 +87,7 @@ def _run(recipe: Recipe, amounts: Array, thetas: Array, starts: Pose) -> Any:
             }
         return measure(at, recipe.threshold), flags, _sensible(scene), courses
 
-    return jax.vmap(one)(amounts, thetas, starts)
+    return batched(one)(amounts, thetas, starts)
 
 
 @eqx.filter_jit

@@ -24,3 +24,13 @@ def dm_knee() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no DM implant data at {folder}: set PFTWIN_DATA to the folder that holds dm_knee/")
     return folder
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a small knee's files, `scene.toml` among them."""
+    from toy_scene_files import write_toy
+
+    folder = tmp_path_factory.mktemp("toy")
+    write_toy(folder)
+    return folder

@@ -6,18 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from toy_scene_files import LIGHT, SCENE, changed, refused, write_toy
+from toy_scene_files import LIGHT, SCENE, changed, refused
 
 from pftwin.errors import InputError
 from pftwin.scene_file import load_scene
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("toy")
-    write_toy(folder)
-    return folder
-
 
 MISTAKES = [
     ("schema = 1", "", "bad.toml, schema: is missing; expected: schema = 1"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -211,3 +212,9 @@ def refused(folder: Path, text: str) -> str:
     message = str(caught.value)
     assert message.startswith(str(folder / "bad.toml"))
     return message.replace(f"{folder}/", "")
+
+
+def same(a: object, b: object, **tolerance: float) -> None:
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_allclose(np.asarray(x), np.asarray(y), **({"atol": 1e-9, "rtol": 1e-9} | tolerance))

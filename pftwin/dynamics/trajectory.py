@@ -96,8 +96,9 @@ def _times(scene: Scene, substeps: int, at: float) -> tuple[Scalar, Scalar]:
     return times, jnp.asarray(step, times.dtype)
 
 
-def _carried_by_femur(scene: Scene, state: State) -> State:
+def starting_state(scene: Scene, start: Solution) -> State:
     """At rest on the femur: one that moves at the first frame already carries the patella along, not runs into it."""
+    state = scene.system().at_rest(start.pose, start.memories)
     if scene.motion.femur is None:
         return state
     femur = scene.motion.femur.frames(jnp.asarray(scene.motion.start_time, dtype=float))
@@ -131,7 +132,7 @@ def trajectory(
     if start is None:
         start = starting_equilibrium(scene)
     times, step = _times(scene, substeps, guided_at)
-    state = _carried_by_femur(scene, system.at_rest(start.pose, start.memories))
+    state = starting_state(scene, start)
     zero = jnp.zeros_like(step)
     carry = (state, Ledger(zero, zero) if ledger else None)
 
@@ -161,6 +162,7 @@ __all__ = [
     "first_guide",
     "integrator_named",
     "starting_equilibrium",
+    "starting_state",
     "substeps_for",
     "trajectory",
 ]

@@ -61,7 +61,7 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place
             step forgets its start to second order, so derivatives do not pass through them.
     """
     places = stop_gradient(places)
-    near = 0.5 * (places[0][0] + places[1][0])
+    near = 0.5 * (places[0].u + places[1].u)
     # What only decides where a search starts is not differentiated.
     still, (c_still, radius_still) = _without_derivatives(surface), stop_gradient((c, radius))
     seen = scan_facets(still, c_still, radius_still, near)

@@ -79,8 +79,8 @@ def test_an_unknown_noise_is_estimated(scene, truth):
 def test_missing_frames_are_left_out(scene, truth):
     center = truth.center.copy()
     center[5:9] = np.nan
-    found = fitting.fit_tendons(scene, Measured(truth.times, center), **FEW)
-    np.testing.assert_allclose(found.values, TRUTH, rtol=1e-3)
+    found = fitting.fit_tendons(scene, Measured(truth.times, center), noise={"position": 1e-8}, **FEW)
+    np.testing.assert_allclose(found.values, TRUTH, rtol=1e-5)
 
 
 def test_a_robust_loss_minds_an_outlier_less(scene, truth):
@@ -123,9 +123,10 @@ def test_derivatives_through_touch_and_lift_off(scene, channels):
         numeric = (plus - minus) / (2 * step[i])
         error = np.sqrt(np.mean((slopes[0, ..., i] - numeric) ** 2) / np.mean(numeric**2))
         assert error < 0.02
-        before = slice(0, int(np.argmax(away)))
+        # Some frames before lift-off two facets merge in haste: see the changelog on derivatives.
+        before = slice(0, int(np.argmax(away)) - 4)
         error = np.abs(slopes[0, before, :, i] - numeric[before]).max() / np.abs(numeric[before]).max()
-        assert error < 0.02  # just before, two facets merge within three frames: see the changelog on derivatives
+        assert error < 2e-3
 
 
 def test_long_steps_that_will_not_do_are_not_used(scene):

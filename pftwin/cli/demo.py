@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, write_json
+from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, write_json
 from pftwin.errors import OutputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from fitting.paper_study import PaperStudy
 
 
 def demo(
@@ -17,7 +23,7 @@ def demo(
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the results.")] = Path("demo"),
     json: JsonOption = None,
 ) -> None:
-    """Run the virtual rig's four cases with P2, P4 and P5, and compare them with its measurements.
+    """Simulate the virtual rig's cases, fit its springs, predict a treatment; beside measurements and the paper.
 
     Example: `pftwin demo --out demo`
     """
@@ -26,7 +32,101 @@ def demo(
     start_computing()
     from pftwin.demo import run_demo
 
-    write_json(run_demo(folder, out(json)), json)
+    console = out(json)
+    outcome = run_demo(folder, console)
+    study = _paper_study(folder, console)
+    figures = [*outcome["figures"], *study.pop("figures")]
+    write_json({**outcome, "figures": figures, "section_2_6": study}, json)
+
+
+def _paper_study(folder: Path, console: Console) -> dict[str, Any]:
+    """The paper's section 2.6: springs fitted to case 2, cases 2 and 1 simulated with them; as plain values."""
+    from fitting.paper_study import FITS, STEP, paper_study
+    from fitting.paper_study_files import save
+    from fitting.paper_study_tables import facts, notes
+
+    with err().status("fitting ...") as spinner:
+        study = paper_study(dt=STEP, progress=lambda what: spinner.update(f"{what} ..."))
+        spinner.update("drawing ...")
+        written = save(study, folder)
+    for table in (_table_2(study), *(_springs(study, fit) for fit in FITS), _outcomes(study)):
+        console.print(table)
+    for note in notes(study):
+        console.print(note, markup=False, highlight=False)
+    console.print(f"written to {folder}: {', '.join(p.name for p in written)}", markup=False, highlight=False)
+    return {**facts(study), "figures": [str(p) for p in written if p.suffix in (".png", ".svg")]}
+
+
+def _table_2(study: PaperStudy) -> Table:
+    from rich.table import Table
+
+    from fitting.paper_study import CASES, PATHOLOGY
+    from fitting.paper_study_tables import table_2
+
+    table = Table(
+        title="Springs fitted to the motion of case 2 (pathology); cases 2 and 1 (treatment) simulated with them:\n"
+        "pftwin against the virtual rig's SYNTHETIC measurements, beside section 3 and Table 2 of\n"
+        "Michaud et al. 2024 (their rig, their measurements; errors of springs without signs)"
+    )
+    table.add_column("", no_wrap=True)
+    for n in CASES:
+        called = f"case {n}, {'fitted' if n == PATHOLOGY else 'predicted'}"
+        table.add_column(f"{called}\npaper's objective", justify="right", no_wrap=True)
+        table.add_column(f"{called}\nlikelihood", justify="right", no_wrap=True)
+        table.add_column(f"paper\ncase {n}", justify="right", style="dim", no_wrap=True)
+    for row in table_2(study):
+        signed = row.unit == "%"
+        cells = [
+            _number(v, signed=signed and v is not row.paper[n])
+            for n in CASES
+            for v in (*(value for (case, _), value in row.values.items() if case == n), row.paper[n])
+        ]
+        table.add_row(f"{row.label}, {row.unit}", *cells)
+    return table
+
+
+def _springs(study: PaperStudy, fit: str) -> Table:
+    from rich.table import Table
+
+    from fitting.paper_study_tables import SPRINGS, spring_rows
+
+    table = Table(title=f"Springs, {SPRINGS[fit]}, to SYNTHETIC measurements of case 2")
+    table.add_column("", no_wrap=True)
+    for name in ("nominal", "straight line\nof the plant", "fitted", "95 % interval", "covers"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for name in ("error of\nnominal, %", "error of\nthe line, %"):
+        table.add_column(name, justify="right", no_wrap=True)
+    if fit == "paper":
+        table.add_column("paper's error\nof nominal, %", justify="right", style="dim", no_wrap=True)
+    for row in spring_rows(study, fit):
+        cells = [f"{v:.5g}" for v in (row.nominal, row.line, row.fitted)]
+        cells += [f"{row.low:.4g} to {row.high:.4g}", row.covered, f"{row.error:+.1f}", f"{row.error_of_line:+.1f}"]
+        cells += [] if row.paper_error is None else [f"{row.paper_error:.0f}"]
+        table.add_row(f"{row.name}, {row.unit}", *cells)
+    return table
+
+
+def _outcomes(study: PaperStudy) -> Table:
+    from rich.table import Table
+
+    from fitting.paper_study import PAPER
+    from fitting.paper_study_tables import outcome_rows
+
+    published = "; ".join(f"case {n} {text}" for n, text in PAPER.outcomes.items())
+    table = Table(title=f"Outcome of pathology and treatment (the paper, measured and predicted: {published})")
+    for name in ("case", "springs", "outcome", "as measured"):
+        table.add_column(name)
+    for row in outcome_rows(study):
+        agrees = "" if row.as_measured is None else "yes" if row.as_measured else "NO"
+        table.add_row(str(row.case), row.springs, row.text, agrees)
+    return table
+
+
+def _number(value: float | None, *, signed: bool = False) -> str:
+    if value is None:
+        return "-"
+    digits = ".1g" if abs(value) < 0.1 else ".3g" if abs(value) < 1000 else ".0f"
+    return f"{value:{'+' if signed else ''}{digits}}"
 
 
 def check_folder(folder: Path) -> None:

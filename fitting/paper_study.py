@@ -1,0 +1,190 @@
+"""Section 2.6 of Michaud et al. 2024 on the virtual rig: springs fitted to a pathology, its treatment predicted.
+
+K1, L1, K2 and L2 are fitted to the patella's motion in case 2, where it dislocates, without forces. With the fitted
+values case 2 and case 1, the pathology and its treatment by medialising the tibial tuberosity, are simulated and
+compared with what was measured of each: the paper's Table 2.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from fitting.fit import SPRING_PARAMETERS, fit_tendons
+from fitting.straight_springs import (
+    PATELLAR_TENDON,
+    QUADRICEPS,
+    StraightSpring,
+    nearest_line,
+    recorded_line,
+    recorded_pulls,
+)
+from pftwin.tracking import Tracking, follow, groove_offset
+
+if TYPE_CHECKING:
+    from fitting.estimate import Estimate
+    from pftwin.metrics import Validation
+    from pftwin.result import Result
+
+PATHOLOGY, TREATMENT = 2, 1  # cases of the rig
+CASES = (PATHOLOGY, TREATMENT)
+NOMINAL, LINES = "nominal", "straight lines"
+FITS = ("paper", "likelihood")  # objectives; the first is the paper's own
+STEP = 1e-3  # of the simulations, the paper's [s]
+
+
+class PaperFigures(NamedTuple):
+    """What the paper reports of its own rig."""
+
+    errors: dict[str, float]  # of the fitted springs, without signs [% of the nominal value]
+    seconds: float  # that the fit took
+    table_2: dict[int, dict[str, float]]  # by case, and by the fields of `pftwin.metrics.Validation`
+    outcomes: dict[int, str]
+
+
+def _column(*values: float) -> dict[str, float]:
+    rows = ("tibial_spring", "femoral_spring", "internal_rotation", "flexion", "tilt", "x", "y", "z", "mean_distance")
+    return dict(zip((*rows, "initial_configuration", "real_time_factor"), values, strict=True))
+
+
+# Michaud et al. 2024, section 3 and Table 2. The table has a row of contact forces too; we have no values of it.
+PAPER = PaperFigures(
+    errors={"K1": 8.0, "L1": 13.0, "K2": 5.0, "L2": 3.0},
+    seconds=1233.0,
+    table_2={
+        PATHOLOGY: _column(1.12, 2.45, 0.61, 2.07, 3.63, 1.75, 2.22, 0.96, 1.66, 0.75, 4.66),
+        TREATMENT: _column(1.16, 2.51, 0.67, 0.88, 5.44, 1.64, 0.87, 2.17, 2.61, 0.73, 3.95),
+    },
+    outcomes={PATHOLOGY: "dislocates and does not re-engage", TREATMENT: "tracks"},
+)
+
+
+class Run(NamedTuple):
+    """A simulation of a case with some springs, beside what was measured of that case."""
+
+    case: int
+    springs: str  # "paper" or "likelihood": those of that fit; "nominal"; "straight lines"
+    result: Result
+    validation: Validation
+    predicted: Tracking
+    measured: Tracking
+
+    @property
+    def as_measured(self) -> bool:
+        """Whether the patella dislocates or not, and comes back or not, as it was measured."""
+        return same_outcome(self.predicted, self.measured)
+
+    @property
+    def objective(self) -> float:
+        """The paper's: the sum of the root mean square errors in X, Y and Z [mm]."""
+        v = self.validation
+        return v.x + v.y + v.z
+
+
+def same_outcome(one: Tracking, other: Tracking) -> bool:
+    """Whether both dislocate, or neither does, and both have come back in the end, or neither has."""
+    return bool(one.events) == bool(other.events) and one.re_engaged == other.re_engaged
+
+
+@dataclass(frozen=True, eq=False)
+class PaperStudy:
+    """Fits, and simulations of both cases with several springs."""
+
+    compiling: float  # before the fits, for both [s]
+    fits: dict[str, Estimate]  # by objective
+    nearest: dict[str, StraightSpring]  # to the plant's law, by the spring's name
+    recorded: dict[str, StraightSpring]  # through recorded forces and lengths
+    runs: dict[str, dict[int, Run]]  # by springs and case
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """K1, L1, K2, L2 as published."""
+        return self.fits["paper"].nominal
+
+    def errors(self, fit: str) -> np.ndarray:
+        """Of a fit's springs against the nominal ones [%]."""
+        return 100 * (self.fits[fit].values / self.nominal - 1)
+
+    def errors_of_line(self, fit: str) -> np.ndarray:
+        """Of a fit's springs against the straight lines nearest to the plant's [%]."""
+        return 100 * (self.fits[fit].values / values_of(self.nearest) - 1)
+
+
+def values_of(lines: dict[str, StraightSpring]) -> np.ndarray:
+    """K1, L1, K2, L2."""
+    return np.array([v for name in (QUADRICEPS, PATELLAR_TENDON) for v in lines[name][:2]])
+
+
+def paper_study(*, dt: float = STEP, progress: Callable[[str], None] | None = None, **options: Any) -> PaperStudy:
+    """Fits case 2 by the paper's objective and by likelihood, and simulates cases 2 and 1 with what was found.
+
+    Args:
+        dt: step of the simulations [s].
+        progress: told what is being done.
+        options: of `fit_tendons`, such as `starts` and `seed`.
+
+    Raises:
+        InputError: as `fit_tendons`.
+    """
+    from pftwin import rig
+
+    say = progress or (lambda what: None)
+    say("compiling the fit")
+    compiling = compile_fit()
+    scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
+    fits: dict[str, Estimate] = {}
+    for objective in FITS:
+        say(f"fitting {', '.join(SPRING_PARAMETERS)} to case {PATHOLOGY} ({objective})")
+        found = fit_tendons(scene, measured, objective=objective, free=SPRING_PARAMETERS, **options)
+        if found.reason.startswith("interrupted"):
+            raise KeyboardInterrupt
+        fits[objective] = found
+    pulls = recorded_pulls(PATHOLOGY)
+    nearest = {name: nearest_line(pull) for name, pull in pulls.items()}
+    recorded = {name: recorded_line(pull) for name, pull in pulls.items()}
+    springs = {f: e.values for f, e in fits.items()}
+    springs |= {NOMINAL: fits[FITS[0]].nominal, LINES: values_of(nearest)}
+    say(f"simulating cases {PATHOLOGY} and {TREATMENT}")
+    runs = {s: {n: simulated(n, s, theta, dt) for n in CASES} for s, theta in springs.items()}
+    return PaperStudy(compiling, fits, nearest, recorded, runs)
+
+
+def compile_fit() -> float:
+    """Compiles the one program that both fits run, by a look at the nominal springs; the seconds that it took."""
+    from fitting.objective import Objective
+    from fitting.parameters import free_parameters
+    from fitting.problem import Problem
+    from pftwin import rig
+
+    scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
+    began = time.perf_counter()
+    problem = Problem.of(scene, free_parameters(scene, SPRING_PARAMETERS), Objective.of(scene, measured))
+    problem.evaluator.prepare(None)  # as least squares does: derivatives come with every look
+    problem.prediction(problem.parameters.nominal, problem.evaluator.fine)
+    return time.perf_counter() - began
+
+
+def simulated(case: int, springs: str, theta: np.ndarray, dt: float = STEP) -> Run:
+    """A case of the rig with K1, L1, K2, L2 = theta (4,) [N/m, m], compared with its measurements.
+
+    Raises:
+        InputError: no such case; values that no spring can have.
+    """
+    import jax.numpy as jnp
+
+    from fitting.parameters import free_parameters
+    from pftwin import rig, simulate, validate
+
+    nominal, measured = rig.case(case), rig.measured(case)
+    scene = free_parameters(nominal, SPRING_PARAMETERS).apply(nominal, jnp.asarray(theta, dtype=float))
+    result = simulate(scene, dt=dt)
+    predicted = result.dislocations()
+    assert predicted is not None
+    assert result.surface is not None
+    _, offset = groove_offset(result.surface, measured.center)
+    seen = follow(measured.times, offset, result.knee.flexion)
+    return Run(case, springs, result, validate(result, measured), predicted, seen)

@@ -117,6 +117,8 @@ def outcome_rows(study: PaperStudy) -> Iterator[OutcomeRow]:
 
 def notes(study: PaperStudy) -> Iterator[str]:
     """What the errors mean, one paragraph each."""
+    from pftwin.rig.plant import MISPLACED
+
     names = study.fits[FITS[0]].names
     nearest, recorded = (100 * (values_of(v) / study.nominal - 1) for v in (study.nearest, study.recorded))
     off = " and ".join(f"{line.misfit:.2f} N" for line in study.nearest.values())
@@ -127,9 +129,9 @@ def notes(study: PaperStudy) -> Iterator[str]:
         f"{_shares(names, nearest)} against nominal."
     )
     yield (
-        "Slack lengths shift too since the plant's attachments are misplaced by 0.6 mm (standard deviation of each "
-        "coordinate): lines through the recorded forces over the lengths between the twin's attachments have "
-        f"{_shares(names, recorded)}."
+        f"Slack lengths shift too since the plant's attachments are misplaced by {1e3 * MISPLACED:.1f} mm (standard "
+        "deviation of each coordinate): lines through the recorded forces over the lengths between the twin's "
+        f"attachments have {_shares(names, recorded)}."
     )
     sums = ", ".join(f"{run[PATHOLOGY].objective:.1f} mm {SPRINGS[s]}" for s, run in study.runs.items())
     yield (

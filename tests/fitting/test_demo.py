@@ -1,0 +1,38 @@
+"""The whole of `pftwin demo`: what it leaves and says, and that the paper's section 2.6 meets its targets."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fitting.paper_study import LINES, NOMINAL
+from pftwin.cli import app
+
+PUBLISHED = [156.0, 0.1432, 629.0, 0.0714]
+
+
+@pytest.mark.slow
+def test_the_whole_demo(tmp_path: Path):
+    output, told = tmp_path / "demo", tmp_path / "demo.json"
+    result = CliRunner().invoke(app, ["demo", "--out", str(output), "--json", str(told)], env={"COLUMNS": "160"})
+    assert result.exit_code == 0, result.output
+    assert "SYNTHETIC" in result.output
+    said = json.loads(told.read_text())
+    assert all(Path(p).stat().st_size > 10_000 for p in said["figures"])
+    assert {Path(p).stem for p in said["figures"]} >= {"case1", "case4", "pathology_fitted", "treatment_predicted"}
+    study = said["section_2_6"]
+    table = {row["row"]: row for row in study["table2"]}
+    assert table["mean distance"]["case1_by_paper"] <= 2.6  # [mm], as in the paper
+    assert table["mean distance"]["case1_by_likelihood"] <= 2.6
+    assert all(row["as_measured"] is not False for row in study["outcomes"])
+    by_paper, lines = (study["objective_mm"][s]["2"] for s in ("paper", LINES))
+    assert by_paper < lines < study["objective_mm"][NOMINAL]["2"]
+    for fit in study["fits"].values():
+        assert fit["reason"] == "converged"
+        np.testing.assert_allclose(fit["nominal"], PUBLISHED)
+    # One program serves both fits: neither takes a good part of the time that compiling or loading it takes.
+    assert table["time of the fit"]["case2_by_paper"] < study["compiling_s"]

@@ -1,0 +1,198 @@
+"""The paper's section 2.6: Table 2 is put together right, outcomes are called right."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.estimate import Estimate
+from fitting.paper_study import (
+    CASES,
+    FITS,
+    LINES,
+    NOMINAL,
+    PAPER,
+    PATHOLOGY,
+    TREATMENT,
+    PaperStudy,
+    same_outcome,
+    simulated,
+    values_of,
+)
+from fitting.paper_study_files import save
+from fitting.paper_study_tables import facts, notes, outcome_rows, spring_rows, table_2
+from fitting.straight_springs import nearest_line, recorded_line, recorded_pulls
+from pftwin.tracking import follow
+
+PUBLISHED = np.array([156.0, 0.1432, 629.0, 0.0714])
+FOUND = {"paper": np.array([1.1, 1.05, 0.9, 1.01]), "likelihood": np.array([1.2, 1.0, 1.0, 0.98])}
+
+
+def estimate(objective: str, share: np.ndarray, sd: float, seconds: float) -> Estimate:
+    """An estimate as a fit leaves it, with relative standard deviations of sd."""
+    return Estimate(
+        names=("K1", "L1", "K2", "L2"),
+        units=("N/m", "m", "N/m", "m"),
+        values=PUBLISHED * share,
+        covariance=np.diag((sd * PUBLISHED) ** 2),
+        lower=0.7 * PUBLISHED,
+        upper=1.3 * PUBLISHED,
+        nominal=PUBLISHED,
+        objective=objective,
+        objective_value=0.0,
+        objective_unit="m",
+        channels=("position",),
+        noise={"position": 1e-3},
+        noise_known=False,
+        serial_correlation=0.9,
+        condition=1e5,
+        rmse={},
+        method="least_squares",
+        seed=0,
+        reason="converged",
+        evaluations=100,
+        iterations=10,
+        starts=32,
+        dropped=0,
+        seconds=seconds,
+        history=[],
+        synthetic=True,
+        source="virtual rig",
+        scene_name="rig case 2, P5",
+    )
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    """Both cases of the rig with the published springs."""
+    return {n: simulated(n, NOMINAL, PUBLISHED) for n in CASES}
+
+
+@pytest.fixture(scope="module")
+def study(nominal):
+    """With made-up fits, whose runs differ from the nominal ones in one number each."""
+    pulls = recorded_pulls(PATHOLOGY)
+    lines = [{name: line(pull) for name, pull in pulls.items()} for line in (nearest_line, recorded_line)]
+    runs = {NOMINAL: nominal, LINES: nominal}
+    for i, fit in enumerate(FITS):
+        changed = {n: replace(run.validation, mean_distance=10.0 * n + i) for n, run in nominal.items()}
+        runs[fit] = {n: run._replace(springs=fit, validation=changed[n]) for n, run in nominal.items()}
+    fits = {fit: estimate(fit, FOUND[fit], 0.02 * (i + 1), 1.0 + i) for i, fit in enumerate(FITS)}
+    return PaperStudy(12.0, fits, *lines, runs)
+
+
+def test_the_springs_errors_stand_beside_the_papers(study):
+    rows = {row.label: row for row in table_2(study)}
+    expected = {"K1": (10.0, 20.0, 8), "L1": (5.0, 0.0, 13), "K2": (-10.0, 0.0, 5), "L2": (1.0, -2.0, 3)}
+    for name, (by_paper, by_likelihood, published) in expected.items():
+        row = rows[f"{name} error of nominal"]
+        assert row.unit == "%"
+        assert row.values[PATHOLOGY, "paper"] == pytest.approx(by_paper)
+        assert row.values[PATHOLOGY, "likelihood"] == pytest.approx(by_likelihood, abs=1e-9)
+        assert row.values[TREATMENT, "paper"] is None
+        assert row.paper == {PATHOLOGY: published, TREATMENT: None}
+    assert rows["time of the fit"].values[PATHOLOGY, "likelihood"] == 2.0
+    assert rows["time of the fit"].paper[PATHOLOGY] == 1233
+
+
+def test_each_case_is_compared_with_its_own_measurements_beside_the_papers(study, nominal):
+    rows = {row.label: row for row in table_2(study)}
+    distance = rows["mean distance"]
+    assert distance.values == {(2, "paper"): 20.0, (2, "likelihood"): 21.0, (1, "paper"): 10.0, (1, "likelihood"): 11.0}
+    assert distance.paper == {2: 1.66, 1: 2.61}
+    assert rows["contact force RMSE"].paper == {2: None, 1: None}
+    for label, field in (("tilt RMSE", "tilt"), ("tibial spring RMSE", "tibial_spring")):
+        for n in CASES:
+            assert rows[label].values[n, "paper"] == getattr(nominal[n].validation, field)
+            assert rows[label].paper[n] == PAPER.table_2[n][field]
+    assert nominal[1].validation.scene == "rig case 1, P5"
+
+
+def test_errors_of_the_line_and_what_intervals_cover(study):
+    line = values_of(study.nearest)
+    rows = {fit: {row.name: row for row in spring_rows(study, fit)} for fit in FITS}
+    for i, name in enumerate(("K1", "L1", "K2", "L2")):
+        for fit in FITS:
+            row = rows[fit][name]
+            assert row.error_of_line == pytest.approx(100 * (PUBLISHED[i] * FOUND[fit][i] / line[i] - 1))
+            assert row.error == pytest.approx(100 * (FOUND[fit][i] - 1))
+    l1 = rows["paper"]["L1"]
+    assert (l1.unit, l1.nominal, l1.paper_error) == ("mm", pytest.approx(143.2), 13)
+    assert (l1.high - l1.low) / 143.2 == pytest.approx(2 * 1.96 * 0.02, rel=1e-3)
+    # Nominal values are 10, 5, 10 and 1 % off, half widths 3.9 %; the lines are 17, 3, 10 and 1 % above nominal.
+    assert [rows["paper"][n].covered for n in ("K1", "L1", "K2", "L2")] == [
+        "neither",
+        "line",
+        "neither",
+        "nominal and line",
+    ]
+
+
+def test_pathology_and_treatment_are_predicted_as_measured(study, nominal):
+    assert nominal[PATHOLOGY].predicted.events
+    assert nominal[PATHOLOGY].measured.events
+    assert nominal[PATHOLOGY].predicted.re_engaged is False
+    assert not nominal[TREATMENT].predicted.events
+    assert not nominal[TREATMENT].measured.events
+    assert all(run.as_measured for run in nominal.values())
+    rows = list(outcome_rows(study))
+    assert [row.as_measured for row in rows] == 2 * [None, True, True, True]
+    assert [row.text.split(";")[0].split(" at ")[0] for row in rows] == 4 * ["lateral dislocation"] + 4 * [
+        "normal tracking"
+    ]
+
+
+def test_a_wrong_outcome_is_called_wrong(study, nominal):
+    times = np.linspace(0.0, 1.0, 101)
+    never, stays = follow(times, 0 * times), follow(times, np.where(times > 0.5, 0.03, 0.0))
+    returns = follow(times, np.where((times > 0.3) & (times < 0.6), 0.03, 0.0))
+    outcomes = (never, stays, returns)
+    assert [[same_outcome(a, b) for b in outcomes] for a in outcomes] == np.eye(3, dtype=bool).tolist()
+    wrong = nominal[PATHOLOGY]._replace(predicted=nominal[TREATMENT].predicted)
+    runs = study.runs | {"paper": {**study.runs["paper"], PATHOLOGY: wrong}}
+    rows = list(outcome_rows(replace(study, runs=runs)))
+    assert [row.as_measured for row in rows[:3]] == [None, False, True]
+
+
+def test_the_paths_errors_are_the_papers_objective(nominal):
+    for run in nominal.values():
+        off = 1e3 * (run.result.center - _measured(run.case))
+        assert run.objective == pytest.approx(np.sqrt(np.mean(off**2, axis=0)).sum())
+
+
+def _measured(case: int) -> np.ndarray:
+    from pftwin import rig
+
+    return rig.measured(case).center
+
+
+def test_a_fit_that_did_not_converge_is_said_to(study):
+    assert len(list(notes(study))) == 4
+    stuck = replace(study.fits["paper"], reason="iterations ran out", values=1.3 * PUBLISHED)
+    last = list(notes(replace(study, fits=study.fits | {"paper": stuck})))[4]
+    assert "iterations ran out; at a bound: K1, L1, K2, L2" in last
+
+
+def test_files(study, tmp_path):
+    written = save(study, tmp_path)
+    assert {p.name for p in written} == {p.name for p in tmp_path.iterdir()}
+    assert all(p.stat().st_size > 100 for p in written)
+    rows = list(csv.DictReader((tmp_path / "table2.csv").open()))
+    distance = next(r for r in rows if r["row"] == "mean distance")
+    assert [distance[f"case1_{what}"] for what in ("by_paper", "by_likelihood", "published")] == ["10", "11", "2.61"]
+    assert len(rows) == 4 + 2 + 12
+    springs = list(csv.DictReader((tmp_path / "springs.csv").open()))
+    assert [(r["objective"], r["name"]) for r in springs] == [(f, n) for f in FITS for n in ("K1", "L1", "K2", "L2")]
+    assert Estimate.load(tmp_path / "fit.json").objective == "paper"
+    assert Estimate.load(tmp_path / "fit_likelihood.json").values == pytest.approx(study.fits["likelihood"].values)
+
+
+def test_facts_say_that_the_measurements_are_synthetic(study):
+    plain = facts(study)
+    assert plain["synthetic"] is True
+    assert {row["row"]: row["case1_by_paper"] for row in plain["table2"]}["mean distance"] == 10.0
+    assert plain["springs"]["paper"][0]["paper_error"] == 8.0
+    assert len(plain["outcomes"]) == 8

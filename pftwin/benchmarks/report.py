@@ -28,11 +28,11 @@ def _cells(row: Row) -> tuple[str, str, str, str, str]:
     return row.what, f"{figure(row.value)} {row.unit}", target, verdict, row.note
 
 
-def table(rows: Sequence[Row]) -> Table:
+def table(rows: Sequence[Row], title: str = "pftwin benchmarks") -> Table:
     """For the terminal."""
     from rich.table import Table
 
-    out = Table(title="pftwin benchmarks", title_justify="left")
+    out = Table(title=title, title_justify="left")
     for heading in HEADINGS:
         out.add_column(heading, justify="right" if heading in ("measured", "target") else "left")
     last = None
@@ -81,5 +81,5 @@ def from_json(path: Path) -> tuple[list[Row], dict[str, Any]]:
         raise InputError(
             f"not a benchmark's JSON ({type(err).__name__})",
             where=str(path),
-            remedy="write one with: python -m pftwin.benchmarks --out FILE.json",
+            remedy="write one with the same command and --out FILE.json",
         ) from err

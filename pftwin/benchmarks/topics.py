@@ -53,7 +53,7 @@ def measure_topics(
             elif topic == "equilibrium":
                 rows += speed.equilibrium(scene)
             elif topic in ON_ONE_CORE:
-                rows += _in_a_process({"topic": topic, "steps": steps, "variants": variants, "quick": quick})
+                rows += in_a_process({"topic": topic, "steps": steps, "variants": variants, "quick": quick})
     if "start" in chosen:
         say("measuring start ...")
         rows += startup.rows(repeats=1 if quick else 3)
@@ -73,12 +73,21 @@ def _steps(found: dict[int, Any]) -> dict[str, int]:
     return steps
 
 
-def _in_a_process(task: dict[str, Any]) -> list[Row]:
+def in_a_process(task: dict[str, Any], module: str = "pftwin.benchmarks.worker") -> list[Row]:
+    """The rows that a worker writes about a task, measured in a process of its own.
+
+    Args:
+        task: what the worker is told, plain data with a "topic".
+        module: is run with the task as JSON and the file for its rows.
+
+    Raises:
+        PftwinError: the process failed.
+    """
     from pftwin.benchmarks.row import Row
 
     with tempfile.TemporaryDirectory(prefix="pftwin-benchmark-") as folder:
         target = Path(folder) / "rows.json"
-        command = [sys.executable, "-m", "pftwin.benchmarks.worker", json.dumps(task), str(target)]
+        command = [sys.executable, "-m", module, json.dumps(task), str(target)]
         if subprocess.run(command, check=False).returncode:
             raise PftwinError(f"the process that measures {task['topic']!r} failed (its message is above)")
         return [Row.from_json(row) for row in json.loads(target.read_text(encoding="utf-8"))]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fitting.objective import Objective
     from fitting.optimise import optimise_treatment
     from fitting.parameters import Parameter, Parameters, free_parameters
+    from fitting.posterior import Posterior, sample_posterior
     from fitting.predict import predict
 
 _HOME = {
@@ -27,12 +28,14 @@ _HOME = {
     "Objective": "objective",
     "Parameter": "parameters",
     "Parameters": "parameters",
+    "Posterior": "posterior",
     "fit_tendons": "fit",
     "free_parameters": "parameters",
     "optimise_treatment": "optimise",
     "plan_experiment": "identifiability",
     "predict": "predict",
     "profile_likelihood": "identifiability",
+    "sample_posterior": "posterior",
 }
 _MODULES = ("outcomes", "treatments")
 
@@ -41,6 +44,7 @@ __all__ = [
     "Objective",
     "Parameter",
     "Parameters",
+    "Posterior",
     "fit_tendons",
     "free_parameters",
     "optimise_treatment",
@@ -48,6 +52,7 @@ __all__ = [
     "plan_experiment",
     "predict",
     "profile_likelihood",
+    "sample_posterior",
     "treatments",
 ]
 

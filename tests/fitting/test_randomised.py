@@ -1,0 +1,138 @@
+"""Sampling densities that are known: normal, tempered, cut off, bent, and not those of their proposals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bent_problems import bent, cubic, linear, problem
+from scipy import stats
+
+from fitting.density import Density, tempering
+from fitting.independence import sampled
+from fitting.randomised import proposals
+from pftwin.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def line():
+    """A linear problem's function, and its exact posterior: mean and covariance."""
+    random = np.random.default_rng(0)
+    design = (random.normal(size=(60, 3, 2)) + np.array([1.0, 0.8])) / 0.3
+    measured = design @ np.array([1.0, 2.0]) + random.normal(size=(60, 3))
+    flat = design.reshape(-1, 2)
+    covariance = np.linalg.inv(flat.T @ flat)
+    return linear(design, measured), covariance @ flat.T @ measured.ravel(), covariance
+
+
+def drawn(density, draws=2000, seed=0):
+    made = proposals(density, 4 * (draws + 10), np.random.default_rng(seed))
+    found = sampled(*made[:3], chains=4, warmup=10, seed=seed)
+    assert found.theta.shape == (4, draws, 2)
+    return found, made
+
+
+def assert_moments(density, mean, covariance):
+    flat = drawn(density)[0].theta.reshape(-1, 2)
+    sd = np.sqrt(np.diagonal(covariance))
+    np.testing.assert_allclose((flat.mean(axis=0) - mean) / sd, 0.0, atol=0.05)
+    np.testing.assert_allclose(np.cov(flat.T) / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.06)
+
+
+def test_a_linear_problem_has_its_exact_posterior_wherever_the_frame_is_from(line):
+    function, mean, covariance = line
+    for centre in (mean, mean + 3 * np.sqrt(np.diagonal(covariance))):
+        density = Density.about(problem(function), centre)
+        assert_moments(density, mean, covariance)
+    found, made = drawn(density, 50)
+    assert (found.acceptance == 1).all()  # proposals are the posterior itself
+    assert made.outside == made.unsolved == 0
+
+
+def test_a_prior_belongs_to_it(line):
+    function, mean, covariance = line
+    sd = np.sqrt(covariance[0, 0])
+    prior = (mean[0] + 2 * sd, sd)
+    exact = np.linalg.inv(np.linalg.inv(covariance) + np.diag([1 / sd**2, 0.0]))
+    shifted = exact @ (np.linalg.solve(covariance, mean) + np.array([prior[0] / sd**2, 0.0]))
+    assert_moments(Density.about(problem(function, prior=prior), mean), shifted, exact)
+
+
+def test_tempering_gives_the_estimates_covariance(line):
+    function, mean, covariance = line
+    widen = np.array([[4.0, 1.0], [1.0, 0.7]])
+    wanted = widen @ covariance @ widen.T
+    assert_moments(Density.about(problem(function), mean, wanted), mean, wanted)
+    a = tempering(np.linalg.inv(covariance), wanted)
+    np.testing.assert_allclose(a.T @ np.linalg.inv(covariance) @ a, np.linalg.inv(wanted), rtol=1e-9)
+    units = np.diag([1e3, 1e-4])
+    other = tempering(np.linalg.inv(units @ covariance @ units), units @ wanted @ units)
+    np.testing.assert_allclose(other, units @ a @ np.linalg.inv(units), rtol=1e-6)
+    np.testing.assert_allclose(tempering(np.linalg.inv(covariance), covariance), np.eye(2), atol=1e-9)
+
+
+def test_bounds_cut_a_density(line):
+    function, mean, covariance = line
+    sd = np.sqrt(np.diagonal(covariance))
+    lower, upper = mean - np.array([0.5, 50]) * sd, mean + np.array([1.0, 50]) * sd
+    found, made = drawn(Density.about(problem(function, lower, upper), mean))
+    a = (found.theta[:, ::3, 0].ravel() - mean[0]) / sd[0]
+    assert stats.kstest(a, stats.truncnorm(-0.5, 1.0).cdf).pvalue > 1e-3
+    assert made.outside > 0.3 * found.theta[..., 0].size
+
+
+@pytest.mark.parametrize("width", [0.3, 0.01])
+def test_a_thin_bent_density(width):
+    """a is standard normal, b its square and some noise: mean of b 1, variance 2 + width squared."""
+    found, made = drawn(Density.about(problem(bent(width)), np.array([0.3, 0.09])))
+    a, b = found.theta.reshape(-1, 2).T
+    assert a.mean() == pytest.approx(0.0, abs=0.06)
+    assert a.var() == pytest.approx(1.0, rel=0.07)
+    assert b.mean() == pytest.approx(1.0, rel=0.07)
+    assert b.var() == pytest.approx(2 + width**2, rel=0.15)
+    assert (b - a**2).std() == pytest.approx(width, rel=0.05)
+    assert made.unsolved == 0
+    assert (found.acceptance > 0.9).all()
+
+
+def test_acceptance_mends_what_proposals_are_not():
+    grid = np.linspace(-4, 4, 4001)
+    weights = np.exp(-0.5 * ((grid - 1) ** 2 + (grid**3 / 4) ** 2))
+    weights /= weights.sum()
+    mean, square = weights @ grid, weights @ grid**2
+    density = Density.about(problem(cubic), np.array([0.8, 0.0]))
+    found, made = drawn(density, 4000)
+    a = found.theta[..., 0].ravel()
+    assert a.mean() == pytest.approx(mean, abs=0.025)
+    assert a.var() == pytest.approx(square - mean**2, rel=0.06)
+    assert (found.acceptance < 0.98).all()
+    np.testing.assert_allclose(made.log_density, density(made.theta).log_density)
+
+
+def test_what_cannot_be_simulated_is_never_sampled(line):
+    function, mean, covariance = line
+    half = problem(function, usable=lambda theta: theta[:, 0] > mean[0] - 0.2 * np.sqrt(covariance[0, 0]))
+    found, made = drawn(Density.about(half, mean), 500)
+    assert (found.theta[..., 0] > mean[0] - 0.2 * np.sqrt(covariance[0, 0])).all()
+    assert made.unsolved > 0
+
+
+def test_nothing_to_sample_is_said(line):
+    function, mean, covariance = line
+    sd = np.sqrt(np.diagonal(covariance))
+    narrow = Density.about(problem(function, mean + 5 * sd, mean + 5.1 * sd), mean + 5.05 * sd)
+    with pytest.raises(InputError, match="beyond the bounds or cannot be simulated"):
+        proposals(narrow, 100, np.random.default_rng(0))
+    with pytest.raises(InputError, match="at the estimate cannot be simulated"):
+        Density.about(problem(function, usable=lambda theta: np.zeros(len(theta), bool)), mean)
+    flat = problem(lambda t: (np.zeros((len(t), 1, 3)), np.ones((len(t), 1, 3, 2))))
+    with pytest.raises(InputError, match="leave a combination of the parameters open"):
+        Density.about(flat, mean)
+    with pytest.raises(InputError, match="leave a combination of the parameters open"):
+        tempering(np.eye(2), np.ones((2, 2)))
+
+
+def test_the_same_seed_gives_the_same_draws(line):
+    density = Density.about(problem(line[0]), line[1])
+    one, again, other = (drawn(density, 20, seed)[0].theta for seed in (4, 4, 5))
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).any()

@@ -66,7 +66,8 @@ def _row(what: str, target: float, fit: Callable[[], Estimate], runs: int) -> Ro
 
     times: Times = measure(once, runs=runs, seconds=0.0)
     last, spent = found[-1], sorted(cpu[1:])[len(cpu[1:]) // 2]
-    note = f"{last.evaluations:,} evaluations, {spent:.2f} s of processor time; {last.reason}; paper {PAPER.seconds:,.0f} s"
+    note = f"{last.evaluations:,} evaluations, {spent:.2f} s of processor time; {last.reason}"
+    note += f"; paper {PAPER.seconds:,.0f} s"
     details = {**times.details(), "cpu_s": spent, "evaluations": last.evaluations, "memory_MiB": peak()}
     return Row("speed", what, times.median, "s", target, "at most", note, details)
 

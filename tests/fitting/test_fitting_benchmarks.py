@@ -139,7 +139,7 @@ def test_the_table_has_every_method_and_says_where_ours_stands(rows, comparison)
     assert len(places) == 2
     for k, row in enumerate(places):
         medians = {name: np.median(fine[:, k]) for name, fine in comparison.fine.items()}
-        better = sum(value < medians["least_squares"] for value in medians.values())
+        better = int(sum(value < medians["least_squares"] for value in medians.values()))
         assert row.value == 1 + better
         assert row.passed is (better == 0)
     text = markdown(rows)

@@ -36,6 +36,7 @@ def comparison_figure(courses: Mapping[str, Sequence[Course]], budget: tuple[flo
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     from pftwin.plots import STYLE
 
@@ -44,7 +45,7 @@ def comparison_figure(courses: Mapping[str, Sequence[Course]], budget: tuple[flo
         raise InputError("no run found anything", where="comparison_figure", expected="at least one")
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.5))
-        panels = figure.subplots(2, 2, sharey=True)
+        panels = figure.subplots(2, 2, sharex="col", sharey=True)
         for row, own in zip(panels, (True, False), strict=True):
             shown = [e for e in ENTRANTS if e.own == own and e.name in courses]
             for axes, count, mark, name in zip(row, _COUNTS, budget, _NAMES, strict=True):
@@ -55,8 +56,9 @@ def comparison_figure(courses: Mapping[str, Sequence[Course]], budget: tuple[flo
                     _curve(axes, courses[entrant.name], count, min(values), entrant.label, **line)
                 axes.axvline(mark, color="black", linestyle=":", linewidth=0.8)
                 axes.set(xscale="log", yscale="log", xlabel=name)
+                axes.xaxis.set_minor_formatter(NullFormatter())
             row[0].set(ylabel="objective above the best seen [mm]", title="Ours" if own else "Others'")
-            row[1].legend(loc="upper right", fontsize=8.0)
+            row[1].legend(loc="lower left", fontsize=8.0)  # curves fall
         seeds = max(len(runs) for runs in courses.values())
         figure.suptitle(
             "Paper's objective on case 2, SYNTHETIC measurements: best so far.\n"

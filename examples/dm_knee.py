@@ -73,6 +73,7 @@ class Knee:
     patch: PatchFit
     sphere: SphereFit
     patella: PoseSeries  # recorded, in the femur's frame, anatomical axes
+    tibia: PoseSeries  # likewise
     tensions: Table  # recorded
 
 
@@ -223,7 +224,7 @@ def build(folder: Path, *, degree: int = 6, cap_tolerance: float = 0.02e-3) -> K
     recorded = Pose(vec3(patella.positions[0]), Quaternion.from_array(array(patella.quaternions[0])))
     scene = Scene(body, effects, KneeMotion.from_poses(None, tibia), recorded, name="DM knee")
     tensions = read_csv(folder / "passive_flexion_tensions.csv").between(start, end)
-    return Knee(scene, patch, sphere, patella, tensions)
+    return Knee(scene, patch, sphere, patella, tibia, tensions)
 
 
 def compare(knee: Knee, result: Result) -> Comparison:
@@ -232,18 +233,32 @@ def compare(knee: Knee, result: Result) -> Comparison:
     Raises:
         InputError: a simulation that is not finite throughout.
     """
-    if pftwin.Status.NOT_FINITE in result.status:
-        raise InputError("the simulation did not stay finite", where=result.scene_name, remedy="a smaller time step")
-    recorded = Turn.from_quat(knee.patella.quaternions, scalar_first=True)
-    simulated = Turn.from_quat(result.quaternion, scalar_first=True)
-    center = knee.patella.positions + np.einsum("nij,j->ni", recorded.as_matrix(), knee.sphere.center)
-    angles = (recorded.inv() * simulated).as_rotvec(degrees=True) @ AXES  # back to the data's axes
+    offset, angles = pose_errors(knee, result)
     tensions = {
         kind: np.stack([result.effects[kind.lower()]["tension"], knee.tensions.column(name)], axis=1)
         for kind, name in LIGAMENTS.items()
     }
     force = np.stack([result.effects["contact"]["force"], demanded_force(knee)], axis=1)
-    return Comparison(result.center - center, angles, force, tensions)
+    return Comparison(offset, angles, force, tensions)
+
+
+def recorded_center(knee: Knee) -> NDArray[np.float64]:
+    """Of the button's sphere, in the femur (n, 3) [m]."""
+    return knee.patella.positions + np.einsum("nij,j->ni", knee.patella.matrices(), knee.sphere.center)
+
+
+def pose_errors(knee: Knee, result: Result) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offset (n, 3) [m] and angles (n, 3) [deg] of the simulated patella; see `Comparison`.
+
+    Raises:
+        InputError: a simulation that is not finite throughout.
+    """
+    if pftwin.Status.NOT_FINITE in result.status:
+        raise InputError("the simulation did not stay finite", where=result.scene_name, remedy="a smaller time step")
+    recorded = Turn.from_quat(knee.patella.quaternions, scalar_first=True)
+    simulated = Turn.from_quat(result.quaternion, scalar_first=True)
+    angles = (recorded.inv() * simulated).as_rotvec(degrees=True) @ AXES  # back to the data's axes
+    return result.center - recorded_center(knee), angles
 
 
 def pulls_at_recorded_poses(knee: Knee) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -86,12 +86,16 @@ def sample_posterior(
 
 def _diagnosed(draws: Floats) -> tuple[Floats, Floats]:
     """R-hat and effective sample sizes (p,) of draws (chains, draws, p), after Vehtari et al. (2021)."""
+    import jax
     import jax.numpy as jnp
     from blackjax import diagnostics
 
-    x = jnp.asarray(draws, dtype=float)
+    @jax.jit
+    def all_of(x: jax.Array) -> tuple[jax.Array, ...]:
+        return diagnostics.rhat(x), diagnostics.ess_bulk(x), diagnostics.ess_tail(x)
+
     with lenient():
-        r_hat, bulk, tail = (np.asarray(f(x)) for f in (diagnostics.rhat, diagnostics.ess_bulk, diagnostics.ess_tail))
+        r_hat, bulk, tail = (np.asarray(a) for a in all_of(jnp.asarray(draws, dtype=float)))
     p = draws.shape[-1]
     return r_hat.reshape(p), np.minimum(bulk, tail).reshape(p)
 

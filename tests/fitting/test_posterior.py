@@ -1,0 +1,131 @@
+"""Posterior sampling against the intervals of a small knee's fit; densities that are known: test_randomised."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from small_scene import small_scene
+
+import fitting
+import pftwin
+from fitting import independence
+from pftwin.errors import InputError, MissingExtraError
+from pftwin.measured import Measured
+from pftwin.result_files import load_dataset
+
+SPRINGS = ("K1", "L1", "K2", "L2")
+TRUTH = np.array([156.0, 0.1432, 629.0, 0.0714]) * np.array([1.05, 0.98, 0.96, 1.01])
+NOISE = 1e-4  # [m]
+FORCE_NOISE = 0.02  # [N]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return small_scene()
+
+
+@pytest.fixture(scope="module")
+def truth(scene):
+    return pftwin.simulate(fitting.free_parameters(scene, SPRINGS).apply(scene, TRUTH), dt=1 / 600)
+
+
+def fitted(scene, truth, noise):
+    """With one spring's force measured as well: positions alone leave the common scale of both stiffnesses open."""
+    force = truth.effects["quadriceps"]["tension"]
+    force = force + FORCE_NOISE * np.random.default_rng(9).normal(size=force.shape)
+    measured = Measured(truth.times, truth.center + noise, femoral_spring_force=force, synthetic=True)
+    return fitting.fit_tendons(scene, measured, use=("position", "quadriceps"), starts=4)
+
+
+@pytest.fixture(scope="module")
+def estimate(scene, truth):
+    return fitted(scene, truth, np.random.default_rng(0).normal(0.0, NOISE, truth.center.shape))
+
+
+@pytest.fixture(scope="module")
+def posterior(estimate):
+    seen = []
+    found = fitting.sample_posterior(estimate, draws=250, progress=lambda *now: seen.append(now))
+    assert seen[-1] == (1100, 1100)
+    return found
+
+
+def test_posterior_and_intervals_of_a_knee_agree(posterior, estimate):
+    assert posterior.converged, posterior.summary()
+    assert posterior.draws.shape == (4, 250, 4)
+    np.testing.assert_allclose(posterior.standard_deviations, estimate.standard_deviations, rtol=0.15)
+    np.testing.assert_allclose((posterior.means - estimate.values) / estimate.standard_deviations, 0.0, atol=0.2)
+    assert not posterior.tempered
+    assert "agrees with the estimate's 95 % intervals within" in posterior.sentence()
+    assert "the measurements are synthetic" in posterior.summary()
+
+
+def test_intervals_that_are_wrong_are_found_out(posterior, estimate):
+    from dataclasses import replace
+
+    wrong = replace(posterior, estimate=replace(estimate, covariance=0.5 * estimate.covariance))
+    assert "differs from the estimate's 95 % intervals by up to" in wrong.sentence()
+    assert "trust the posterior's" in wrong.sentence()
+    few = replace(posterior, effective=np.full(4, 20.0))
+    assert "more draws" in few.sentence()
+
+
+def test_correlated_residuals_temper_it_to_the_estimates_covariance(scene, truth):
+    random, shape = np.random.default_rng(2), truth.center.shape
+    noise = np.zeros(shape)
+    for i in range(1, shape[0]):
+        noise[i] = 0.8 * noise[i - 1] + 0.6 * NOISE * random.normal(size=3)
+    found = fitted(scene, truth, noise)
+    assert found.serial_correlation > 0.4
+    posterior = fitting.sample_posterior(found, draws=250, seed=1)
+    assert posterior.tempered
+    np.testing.assert_allclose(posterior.standard_deviations, found.standard_deviations, rtol=0.15)
+    assert "tempered to the estimate's covariance" in posterior.summary()
+
+
+def test_what_is_saved(posterior, estimate, tmp_path):
+    data = load_dataset(posterior.save(tmp_path / "posterior.nc"))
+    np.testing.assert_array_equal(data["theta"], posterior.draws)
+    assert list(data["parameter"].values) == list(SPRINGS)
+    assert data.attrs["synthetic"] == 1
+    np.testing.assert_array_equal(data["estimate"], estimate.values)
+    plain = posterior.to_dict()
+    assert plain["sentence"] == posterior.sentence()
+    assert len(plain["quantiles"]) == len(plain["levels"])
+    files = posterior.plot.save(tmp_path / "fit")
+    assert sorted(f.name for f in files) == ["fit_posterior.png", "fit_posterior.svg"]
+    assert "synthetic measurements" in files[1].read_text() or "synthetic measurements" in files[0].read_text()
+
+
+def test_an_estimate_from_a_file_needs_its_scene_and_measurements(estimate, scene, truth, tmp_path):
+    path = estimate.save(tmp_path / "fit.json")
+    with pytest.raises(InputError, match="holds no scene"):
+        fitting.sample_posterior(fitting.Estimate.load(path))
+    with pytest.raises(InputError, match="nothing to compare with"):
+        fitting.sample_posterior(fitting.Estimate.load(path, scene))
+    again = fitting.Estimate.load(path, scene)
+    short = {"draws": 20, "chains": 2, "warmup": 2}
+    one = fitting.sample_posterior(again, measured=estimate.measured, **short)
+    np.testing.assert_array_equal(one.draws, fitting.sample_posterior(estimate, **short).draws)
+
+
+@pytest.mark.parametrize("options", [{"draws": 0}, {"chains": 1}, {"warmup": 0}, {"draws": 1.5}])
+def test_numbers_out_of_range(estimate, options):
+    with pytest.raises(InputError, match=f"{next(iter(options))}: found"):
+        fitting.sample_posterior(estimate, **options)
+
+
+def test_the_papers_objective_has_no_posterior(estimate):
+    from dataclasses import replace
+
+    with pytest.raises(InputError, match="no likelihood"):
+        fitting.sample_posterior(replace(estimate, objective="paper"))
+
+
+def test_the_missing_extra_is_named(estimate, monkeypatch):
+    independence.accepting.cache_clear()
+    monkeypatch.setitem(sys.modules, "blackjax.mcmc", None)
+    with pytest.raises(MissingExtraError, match=r"pftwin\[posterior\]"):
+        fitting.sample_posterior(estimate)

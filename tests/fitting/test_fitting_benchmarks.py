@@ -265,6 +265,7 @@ def test_efficiency_has_a_row_for_every_target():
     assert sum(r.target == efficiency.OVER_BOUND for r in rows) == 4
     assert sum(r.target == efficiency.PERCENT for r in rows) == 3 + 4
     assert all(r.passed for r in rows if r.target == efficiency.OVER_BOUND)
+    assert "one spring force" in to_json(rows, MACHINE)
 
 
 def test_a_biased_estimator_is_seen():

@@ -3,12 +3,14 @@
 The grid finds where limits can be met at all, also where outcomes jump (dislocation). From its best amounts sequential
 quadratic programming (scipy's SLSQP) goes on with forward-mode derivatives of the smooth outcomes; a step that leads
 nowhere better is not taken, so the answer always meets the limits by a simulation of its own.
+
+An estimate is uncertain. With draws from its uncertainty the limits have to hold for the estimate and, all of them
+together, for a stated share of the draws.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,36 +19,15 @@ from numpy.typing import NDArray
 from fitting.limits import Limit
 from fitting.predict import STEP, Fitted, predict
 from fitting.refine import Search, refined
+from fitting.treatment_plan import Plan
 from fitting.treatments import Treatment
-from fitting.variants import grid
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 from pftwin.tracking import DISLOCATED
 
 _GRID = {1: 41, 2: 15, 3: 8}  # points to a side, by the number of amounts
+_AT_ONCE = 8  # points of the grid whose draws are simulated together
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What was found."""
-
-    met: bool  # whether any amounts within the range meet all limits
-    treatment: Treatment  # the smallest that does; where none does, the one that breaks them least
-    outcomes: dict[str, float]  # with it, SI
-    limits: tuple[Limit, ...]
-    simulations: int
-
-    def describe(self) -> str:
-        """In a sentence or two."""
-        if self.met:
-            said = [f"{lim.outcome.replace('_', ' ')} {self.outcomes[lim.outcome]:.4g}" for lim in self.limits]
-            return f"smallest that meets the limits: {self.treatment.describe()} ({', '.join(said)})"
-        broken = [lim.describe() for lim in self.limits if not lim.room(self.outcomes[lim.outcome]) >= 0]
-        return (
-            f"no amount within the range meets the limits; nearest: {self.treatment.describe()}, "
-            f"which breaks {'; '.join(broken)}"
-        )
 
 
 def optimise_treatment(
@@ -56,6 +37,9 @@ def optimise_treatment(
     treatment: str | Treatment = "tibial_tuberosity_transfer",
     estimate: Fitted | None = None,
     *,
+    samples: int = 0,
+    confidence: float = 0.9,
+    seed: int = 0,
     dt: float = STEP,
     threshold: float = DISLOCATED,
 ) -> Plan:
@@ -72,38 +56,83 @@ def optimise_treatment(
             treatment has them. By default medialisation from 0 to 20 mm.
         treatment: its kind, or a treatment that has these amounts.
         estimate: parameters in the place of the scene's own.
+        samples: draws from the estimate's uncertainty.
+        confidence: share of the draws in which all limits are to hold, besides for the estimate itself; a draw that
+            cannot be simulated keeps none.
+        seed: of the draws.
         dt: longest time step [s].
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
 
     Returns:
-        A plan; where no amount within the range meets the limits it says so and holds the nearest.
+        A plan, with the share of draws in which its limits hold; where no amount within the range meets the limits it
+        says so and holds the nearest.
 
     Raises:
-        InputError: no limits, ranges that are empty, four amounts or more, a scene without what is to be changed.
+        InputError: no limits, ranges that are empty, four amounts or more, a scene without what is to be changed;
+            samples without an estimate; a confidence that is no share.
     """
     wanted = (limits,) if isinstance(limits, Limit) else tuple(limits)
     ranges = dict(ranges or {"medialisation": (0.0, 0.020)})
     lower, upper = _checked(wanted, ranges)
+    draws = _draws(estimate, samples, confidence, seed)
     if isinstance(treatment, str):
         treatment = Treatment.of(treatment, dict.fromkeys(ranges, 0.0))
+    search = Search(scene, treatment, tuple(ranges), estimate, wanted, draws, confidence, dt, threshold)
     axes = [np.linspace(a, b, _GRID[len(ranges)]) for a, b in zip(lower, upper, strict=True)]
-    data = predict(scene, grid(treatment, dict(zip(ranges, axes, strict=True))), estimate, dt=dt, threshold=threshold)
     amounts = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
-    values = {lim.outcome: _si(data[lim.outcome]) for lim in wanted}
     scale = np.maximum(np.abs(lower), np.abs(upper))
-    room = np.stack([lim.room(values[lim.outcome]) / lim.size for lim in wanted], axis=1)
-    room = np.where(np.isfinite(room), room, -np.inf)
-    effort = np.linalg.norm(amounts / scale, axis=1)
-    fine = (room >= 0).all(axis=1)
-    search = Search(scene, treatment, tuple(ranges), estimate, wanted, dt, threshold)
-    if not fine.any():
-        best = amounts[int(np.argmax(room.min(axis=1)))]
-        found = search.outcomes(best)
-        return Plan(False, search.treated(best), found, wanted, len(amounts) + search.count)
-    best = amounts[fine][int(np.argmin(effort[fine]))]
-    if np.linalg.norm(best / scale) > 0:
-        best = refined(search, best, lower, upper, scale)
-    return Plan(True, search.treated(best), search.outcomes(best), wanted, len(amounts) + search.count)
+    amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
+    options: dict[str, Any] = {"dt": dt, "threshold": threshold}
+    room = _room(predict(scene, search.treated(amounts), estimate, **options), wanted)
+    fine = np.flatnonzero(room >= 0)
+    simulated = len(amounts)
+
+    def plan(met: bool, at: Floats) -> Plan:
+        share = search.share(at) if samples else None
+        outcomes = search.outcomes(at)
+        count = simulated + search.count
+        return Plan(met, search.treated(at), outcomes, wanted, count, samples, confidence, share)
+
+    if not fine.size:
+        return plan(False, amounts[int(np.argmax(room))])
+    surest, most = fine[-1], -1.0
+    for i in range(0, len(fine), _AT_ONCE):
+        part = fine[i : i + _AT_ONCE]
+        shares = np.ones(len(part))
+        if samples:
+            data = predict(scene, search.treated(amounts[part]), estimate, samples=samples, seed=seed, **options)
+            shares = (_room(data, wanted)[:, 1:] >= 0).mean(axis=1)
+            simulated += len(part) * (1 + samples)
+        if shares.max() > most:
+            surest, most = part[int(np.argmax(shares))], float(shares.max())
+        for k in part[shares >= (confidence if samples else 1.0) - 1e-9]:
+            if (search.room(amounts[k]) >= 0).all():  # by a simulation of its own
+                best = amounts[k]
+                return plan(True, refined(search, best, lower, upper, scale) if best.any() else best)
+    return plan(False, amounts[surest])
+
+
+def _room(data: Any, limits: tuple[Limit, ...]) -> Floats:
+    """Least room of all limits of every variant (and draw), in their sizes; minus infinity where one has no number."""
+    rooms = np.stack([lim.room(_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
+    return np.where(np.isfinite(rooms), rooms, -np.inf)
+
+
+def _draws(estimate: Fitted | None, samples: int, confidence: float, seed: int) -> Floats:
+    """(samples, p)."""
+    if not (isinstance(samples, int) and samples >= 0):
+        raise InputError(f"found {samples!r}", where="samples", expected="a whole number, at least 0")
+    if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
+        raise InputError(
+            f"found {confidence!r}", where="confidence", expected="a share above 0 and up to 1, such as 0.9"
+        )
+    if samples and estimate is None:
+        raise InputError(
+            "samples of nothing uncertain", where="samples", remedy="optimise_treatment(..., estimate=..., samples=...)"
+        )
+    if estimate is None or not samples:
+        return np.zeros((0, 0))
+    return np.asarray(estimate.samples(samples, seed), dtype=np.float64)
 
 
 def _checked(limits: tuple[Limit, ...], ranges: dict[str, tuple[float, float]]) -> tuple[Floats, Floats]:

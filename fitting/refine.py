@@ -1,7 +1,12 @@
-"""Refining a treatment: single simulations with forward-mode derivatives, and sequential quadratic programming."""
+"""Refining a treatment: simulations with forward-mode derivatives, and sequential quadratic programming.
+
+With draws from an estimate's uncertainty every point is simulated for the estimate and for all draws side by side; that
+limits hold in a share of the draws is a limit itself: on the quantile of the least room that a draw leaves.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import equinox as eqx
@@ -17,25 +22,31 @@ from fitting.members import Recipe
 from fitting.outcomes import MEASURES, measure
 from fitting.predict import Fitted
 from fitting.treatments import Treatment
+from pftwin.batches import batched
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.trajectory import substeps_for, trajectory
+from pftwin.errors import InputError
 from pftwin.scene import Scene
 
 _ITERATIONS = 30
 _ROOM = 1e-6  # of a limit's size: what the search keeps clear of it, so that its answer keeps the limit
 _HALVINGS = 12
+_NONE = -1e3  # room where there is no number
 _CLOSE = 1e-4  # of the effort: where halving ends
 Floats = NDArray[np.float64]
 
 
 @eqx.filter_jit
-def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, theta: Array, amounts: Array) -> Any:
-    """Outcomes at some amounts, and their derivatives by them."""
+def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array, amounts: Array) -> Any:
+    """Outcomes at some amounts (draws,), and their derivatives by them (amounts, draws)."""
 
     def found(x: Array) -> Any:
-        scene = recipe.made(fixed.at[jnp.asarray(places)].set(x), theta)
-        seen = observe(scene, trajectory(scene, substeps=recipe.substeps))
-        return measure(course(scene, seen, recipe.groove), recipe.threshold)
+        def one(theta: Array) -> Any:
+            scene = recipe.made(fixed.at[jnp.asarray(places)].set(x), theta)
+            seen = observe(scene, trajectory(scene, substeps=recipe.substeps))
+            return measure(course(scene, seen, recipe.groove), recipe.threshold)
+
+        return batched(one)(thetas)
 
     # Columns side by side: one pass of the loop serves them all.
     push = jax.vmap(lambda t: jax.jvp(found, (amounts,), (t,)), out_axes=(None, 0))
@@ -43,7 +54,19 @@ def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, theta: Array,
 
 
 class Search:
-    """Single simulations with derivatives, each amounts' kept."""
+    """Simulations with derivatives, each amounts' kept.
+
+    Args:
+        scene: untreated.
+        treatment: with amounts that are not searched for at their values.
+        names: of those that are.
+        estimate: parameters in the place of the scene's own.
+        limits: to be kept.
+        draws: further parameters (S, p), as uncertain as the estimate.
+        confidence: share of the draws in which all limits have to hold.
+        dt: longest time step [s].
+        threshold: beyond which the button counts as dislocated [m].
+    """
 
     def __init__(
         self,
@@ -52,53 +75,79 @@ class Search:
         names: tuple[str, ...],
         estimate: Fitted | None,
         limits: tuple[Limit, ...],
+        draws: Floats,
+        confidence: float,
         dt: float,
         threshold: float,
     ) -> None:
         own = treatment.names
-        self._places = tuple(next(i for i, n in enumerate(own) if name in (n, n.rpartition(".")[2])) for name in names)
+        places = {n.rpartition(".")[2]: i for i, n in enumerate(own)} | {n: i for i, n in enumerate(own)}
+        if stray := [n for n in names if n not in places]:
+            raise InputError(f"no amount {stray[0]!r}", where="ranges", expected=f"one of: {', '.join(own)}")
+        self._places = tuple(places[n] for n in names)
         self._fixed = jnp.stack([jnp.asarray(v, dtype=float) for v in treatment.values])
         self._treatment = treatment
         substeps = substeps_for(scene.motion.frame_interval, dt)
         fitted = None if estimate is None else estimate.apply
         prepared = treatment.prepared(scene)
         self._recipe = Recipe(scene.unnamed(), prepared, fitted, Groove.of(scene), substeps, threshold, False)
-        self._theta = jnp.asarray(np.zeros(0) if estimate is None else estimate.values, dtype=float)
+        values = np.zeros((1, 0)) if estimate is None else np.asarray(estimate.values, dtype=np.float64)[None]
+        self._thetas = jnp.asarray(np.concatenate([values, draws]) if len(draws) else values, dtype=float)
         self._limits = limits
+        self._draws, self._needed = len(draws), math.ceil(confidence * len(draws) - 1e-9)
         self._known: dict[bytes, Any] = {}
 
     @property
     def count(self) -> int:
         """Simulations so far."""
-        return len(self._known)
+        return len(self._known) * (1 + self._draws)
 
     def _at(self, amounts: Floats) -> Any:
         key = np.asarray(amounts, dtype=np.float64).tobytes()
         if key not in self._known:
-            numbers = (self._fixed, self._theta, jnp.asarray(amounts, dtype=float))
+            numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
             self._known[key] = jax.tree.map(np.asarray, _looked(self._recipe, self._places, *numbers))
         return self._known[key]
 
     def outcomes(self, amounts: Floats) -> dict[str, float]:
-        """By name, SI."""
-        return {name: float(self._at(amounts)[0][name]) for name in MEASURES}
+        """The estimate's by name, SI."""
+        return {name: float(self._at(amounts)[0][name][0]) for name in MEASURES}
+
+    def _rooms(self, amounts: Floats) -> Floats:
+        """Of each limit for the estimate and the draws, in its size (limits, 1 + draws)."""
+        found = self._at(amounts)[0]
+        rooms = np.stack([lim.room(found[lim.outcome]) / lim.size for lim in self._limits])
+        return np.where(np.isfinite(rooms), rooms, _NONE)
+
+    def share(self, amounts: Floats) -> float:
+        """Of the draws: in how many all limits hold."""
+        return float((self._rooms(amounts)[:, 1:] >= 0).all(axis=0).mean())
 
     def room(self, amounts: Floats) -> Floats:
-        """Of each limit, in its size."""
-        found = self._at(amounts)[0]
-        room = np.array([float(lim.room(found[lim.outcome])) / lim.size for lim in self._limits])
-        return np.where(np.isfinite(room), room, -1e3)
+        """Of each limit for the estimate, in its size; behind them, with draws, of the share that is needed."""
+        rooms = self._rooms(amounts)
+        if not self._draws:
+            return rooms[:, 0]
+        return np.append(rooms[:, 0], np.sort(rooms[:, 1:].min(axis=0))[-self._needed])
 
     def slope(self, amounts: Floats) -> Floats:
-        """(limits, amounts)."""
+        """(limits, amounts); with draws one row more, of the draw that decides whether the share is reached."""
         slopes = self._at(amounts)[1]
-        rows = [(-1 if lim.at_most is not None else 1) * slopes[lim.outcome] / lim.size for lim in self._limits]
-        return np.nan_to_num(np.stack(rows))
+        all_ = np.stack([(-1 if x.at_most is not None else 1) * slopes[x.outcome] / x.size for x in self._limits])
+        rows = all_[:, :, 0]
+        if self._draws:
+            rooms = self._rooms(amounts)[:, 1:]
+            draw = int(np.argsort(rooms.min(axis=0))[-self._needed])
+            rows = np.concatenate([rows, all_[None, int(np.argmin(rooms[:, draw])), :, 1 + draw]])
+        return np.nan_to_num(rows)
 
-    def treated(self, amounts: Floats) -> Treatment:
-        """The treatment with these amounts."""
-        values = self._fixed.at[jnp.asarray(self._places)].set(jnp.asarray(amounts, dtype=float))
-        return self._treatment.with_values(list(values))
+    def treated(self, amounts: Any) -> Treatment:
+        """The treatment with these amounts: (k,), or a list of variants (n, k)."""
+        columns = np.moveaxis(np.asarray(amounts, dtype=np.float64), -1, 0)
+        values: list[Any] = [jnp.broadcast_to(v, columns.shape[1:]) for v in self._fixed]
+        for place, column in zip(self._places, columns, strict=True):
+            values[place] = jnp.asarray(column, dtype=float)
+        return self._treatment.with_values(values)
 
 
 def refined(search: Search, start: Floats, lower: Floats, upper: Floats, scale: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import numpy as np
 import pytest
 import scenes
@@ -95,6 +96,15 @@ def test_case_2_needs_some_4_mm():
         (lambda s: optimise_treatment(s, LIMIT, {"deepening": (0.0, 0.01)}), "no amount 'deepening'"),
         (lambda s: optimise_treatment(s, LIMIT, dict.fromkeys("abcd", (0.0, 1.0))), r"4 amounts.*at most 3"),
         (lambda s: optimise_treatment(s.without("patellar_tendon"), LIMIT), "no tendon or strands named"),
+        (lambda s: optimise_treatment(s, LIMIT, samples=5), "samples of nothing uncertain"),
+        (lambda s: optimise_treatment(s, LIMIT, samples=-1), "samples: found -1"),
+        (lambda s: optimise_treatment(s, LIMIT, confidence=1.5), r"confidence: found 1\.5"),
+        (
+            lambda s: optimise_treatment(
+                s, LIMIT, {"lengthening": (0.0, 1.0)}, Treatment.of("mpfl_graft", shortening=0)
+            ),
+            "no amount 'lengthening'|no tendon or strands named",
+        ),
     ],
 )
 def test_bad_requests_are_named(knee, make, message):
@@ -103,3 +113,81 @@ def test_bad_requests_are_named(knee, make, message):
 
 
 LIMIT = Limit("largest_offset", at_most=0.01)
+TRANSFER = "tibial_tuberosity_transfer"
+
+
+class Uncertain:
+    """An estimate whose draws are the tuberosity's lateral place, evenly spread by +-1 mm about the scene's."""
+
+    names, units, values = ("patellar_tendon.origin.y",), ("m",), np.zeros(1)
+
+    def apply(self, scene, theta=None):
+        if theta is None:
+            return scene
+        at = scene.index("patellar_tendon")
+        return eqx.tree_at(lambda s: s.effects[at].origin.y, scene, scene.effects[at].origin.y + theta[0])
+
+    def samples(self, count, seed=0):
+        return np.linspace(-1e-3, 1e-3, count)[:, None]
+
+
+def test_limits_hold_for_the_share_of_draws_that_was_asked_for(knee, bound):
+    """Draws displace the tuberosity itself, so that it has to be moved as far more as the worst draw that counts."""
+    limit, reach = Limit("largest_offset", at_most=bound), {"medialisation": (0.0, 0.02)}
+    options = {"estimate": Uncertain(), "samples": 11, "dt": DT}
+    plan = optimise_treatment(knee, limit, reach, **options, confidence=0.9)
+    assert plan.met
+    assert plan.share == pytest.approx(10 / 11)
+    moved = 1e3 * float(plan.treatment.values[0])
+    assert moved == pytest.approx(7.3 + 0.8, abs=0.02)  # the tenth of eleven draws is at 0.8 mm
+    assert "all limits hold in 91% of 11 draws" in plan.describe()
+    half = optimise_treatment(knee, limit, reach, **options, confidence=0.5)
+    assert 1e3 * float(half.treatment.values[0]) == pytest.approx(7.3, abs=0.02)  # as the estimate itself asks for
+    assert half.share == pytest.approx(6 / 11)
+
+
+def test_no_treatment_is_sure_enough(knee, bound):
+    limit = Limit("largest_offset", at_most=bound)
+    found = optimise_treatment(
+        knee, limit, {"medialisation": (0.0, 7.5e-3)}, estimate=Uncertain(), samples=11, confidence=1.0, dt=DT
+    )
+    assert not found.met
+    assert 0.5 < found.share < 1
+    assert "which is not sure enough; all limits hold in" in found.describe()
+    plain = found.to_dict()
+    assert plain["share_of_draws"] == found.share
+    assert plain["limits"][0]["holds"]
+
+
+@pytest.mark.parametrize(
+    ("text", "limit"),
+    [
+        ("dislocation_margin>=3 mm", Limit("dislocation_margin", at_least=0.003)),
+        (" peak_contact_force <= 40N", Limit("peak_contact_force", at_most=40.0)),
+        ("largest_tilt<=-1.5e1deg", Limit("largest_tilt", at_most=np.radians(-15.0))),
+        ("lateral_share <= 60 %", Limit("lateral_share", at_most=0.6)),
+        ("dislocations<=0", Limit("dislocations", at_most=0.0)),
+    ],
+)
+def test_limits_as_people_write_them(text, limit):
+    found = Limit.parsed(text)
+    assert found.outcome == limit.outcome
+    assert found.at_most == pytest.approx(limit.at_most)
+    assert found.at_least == pytest.approx(limit.at_least)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("dislocation_margin>=3", "expected: dislocation_margin in mm or cm or m"),
+        ("dislocation_margin>=3 N", "dislocation_margin in mm"),
+        ("lateral_share<=1 mm", "plain numbers or %"),
+        ("pain<=3", "no limit on 'pain'"),
+        ("dislocation_margin>3 mm", "such as"),
+        ("dislocation_margin>=e mm", "such as"),
+        ("3 mm", "such as"),
+    ],
+)
+def test_limits_that_are_none(text, message):
+    with pytest.raises(InputError, match=message):
+        Limit.parsed(text)

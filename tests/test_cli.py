@@ -32,7 +32,18 @@ forces = "forces.csv"
 contact_force = "contact"
 """
 STEP = ("--dt", "0.005")  # one step for all tests: one program to compile
-COMMANDS = ("demo", "simulate", "equilibrium", "validate", "fit-surface", "init", "fit", "treat", "plan-experiment")
+COMMANDS = (
+    "demo",
+    "simulate",
+    "equilibrium",
+    "validate",
+    "fit-surface",
+    "init",
+    "fit",
+    "treat",
+    "optimise",
+    "plan-experiment",
+)
 
 
 def pftwin(*arguments: object) -> Result:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from fitting.estimate import Estimate
 from pftwin.cli import app
-from pftwin.cli.treat import _values
+from pftwin.cli.amounts import values
 from pftwin.errors import InputError
 from pftwin.result_files import load_dataset
 
@@ -103,13 +103,13 @@ def test_files_hold_the_outcomes(treated):
     ],
 )
 def test_ranges_include_their_end(text, expected):
-    np.testing.assert_allclose(_values(text, "--medialise"), expected)
+    np.testing.assert_allclose(values(text, "--medialise"), expected)
 
 
 @pytest.mark.parametrize("text", ["", "a", "0:20:0", "20:0:1", "0:1:2:3", "nan", "0:inf:1", "0:1e9:1"])
 def test_ranges_that_are_none_are_refused(text):
     with pytest.raises(InputError, match="--medialise"):
-        _values(text, "--medialise")
+        values(text, "--medialise")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,143 @@
+"""Amounts of treatments as options: the same names and units for every command that takes them."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
+
+import typer
+
+from pftwin.errors import InputError
+
+_MOST_VALUES = 1_000_000
+
+
+class Amount(NamedTuple):
+    """One option, and the amount that it stands for."""
+
+    flag: str
+    kind: str  # of treatment
+    name: str  # of the amount
+    words: str
+    unit: str = "mm"
+
+    @property
+    def parameter(self) -> str:
+        """As Python spells the option."""
+        return self.flag.removeprefix("--").replace("-", "_")
+
+
+AMOUNTS = (
+    Amount("--medialise", "tibial_tuberosity_transfer", "medialisation", "Tibial tuberosity medially"),
+    Amount("--anteriorise", "tibial_tuberosity_transfer", "anteriorisation", "Tibial tuberosity anteriorly"),
+    Amount("--distalise", "tibial_tuberosity_transfer", "distalisation", "Tibial tuberosity distally"),
+    Amount("--lengthen-tendon", "patellar_tendon_length_change", "lengthening", "Patellar tendon longer"),
+    Amount("--lengthen-quadriceps", "quadriceps_lengthening", "lengthening", "Quadriceps tendon longer"),
+    Amount("--deepen", "trochleoplasty", "deepening", "Trochleoplasty: groove deeper"),
+    Amount(
+        "--rotate-component",
+        "femoral_component_rotation",
+        "external_rotation",
+        "Femoral component turned externally",
+        "deg",
+    ),
+    Amount("--medialise-component", "femoral_component_translation", "medialisation", "Femoral component medially"),
+    Amount("--medialise-button", "button_position", "medialisation", "Button medially"),
+    Amount("--release", "lateral_release", "release", "Lateral strands released", "%"),
+    Amount("--tighten-mpfl", "mpfl_graft", "shortening", "MPFL graft shorter"),
+)
+
+Given = list[tuple[Amount, str]]  # what the user wrote, in the order of `AMOUNTS`
+
+
+def with_amounts(metavar: str, more: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Gives a command, whose argument `amounts` takes what the user wrote, an option for every amount.
+
+    Args:
+        metavar: form of the options' values.
+        more: about them, behind the unit.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        options = [
+            inspect.Parameter(
+                a.parameter,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=None,
+                annotation=Annotated[
+                    str | None, typer.Option(a.flag, metavar=metavar, help=f"{a.words} [{a.unit}]{more}.")
+                ],
+            )
+            for a in AMOUNTS
+        ]
+
+        @functools.wraps(command)
+        def run(**given: Any) -> None:
+            written = [(a, given.pop(a.parameter)) for a in AMOUNTS]
+            command(**given, amounts=[(a, text) for a, text in written if text is not None])
+
+        signature = inspect.signature(command, eval_str=True)
+        own = list(signature.parameters.values())
+        place = next(i for i, p in enumerate(own) if p.name == "amounts")
+        run.__signature__ = signature.replace(  # pyright: ignore[reportAttributeAccessIssue]
+            parameters=[*own[:place], *options, *own[place + 1 :]]
+        )
+        return run
+
+    return decorate
+
+
+def values(text: str, option: str) -> list[float]:
+    """Numbers from "0:20:1" (the end included), "0,5,10" or "7".
+
+    Raises:
+        InputError: anything else.
+    """
+    parts = _numbers(text.split(":" if ":" in text else ","))
+    if not parts or (":" in text and len(parts) not in (2, 3)):
+        raise InputError(f"found {text!r}", where=option, expected="FROM:TO:STEP, or values such as 0,5,10")
+    if ":" not in text:
+        return parts
+    first, last = parts[:2]
+    step = parts[2] if len(parts) == 3 else 1.0
+    if step == 0 or (last - first) * step < 0:
+        raise InputError(f"found {text!r}", where=option, expected="a step that leads from the first to the last value")
+    count = math.floor((last - first) / step + 1e-9) + 1
+    if count > _MOST_VALUES:
+        raise InputError(f"{count} values", where=option, expected=f"at most {_MOST_VALUES}")
+    return [first + i * step for i in range(count)]
+
+
+def limits(text: str, option: str) -> tuple[float, float]:
+    """The least and the most from "0:20".
+
+    Raises:
+        InputError: anything else.
+    """
+    parts = _numbers(text.split(":"))
+    if len(parts) != 2 or not parts[0] < parts[1]:
+        raise InputError(f"found {text!r}", where=option, expected="FROM:TO, such as 0:20")
+    return parts[0], parts[1]
+
+
+def _numbers(parts: list[str]) -> list[float]:
+    """None at all where one is no finite number."""
+    try:
+        found = [float(p) for p in parts]
+    except ValueError:
+        return []
+    return found if all(map(math.isfinite, found)) else []
+
+
+def by_kind(given: Given) -> dict[str, list[tuple[Amount, str]]]:
+    """Treatments in the order of `AMOUNTS`, each with its amounts.
+
+    Raises:
+        InputError: none was given.
+    """
+    if not given:
+        raise InputError("no treatment given", expected="at least one amount", remedy="--medialise 0:20")
+    return {k: [(a, t) for a, t in given if a.kind == k] for k in dict.fromkeys(a.kind for a, _ in given)}

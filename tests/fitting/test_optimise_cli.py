@@ -1,0 +1,118 @@
+"""`pftwin optimise`: from limits and ranges to a plan in words and in JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toy_scene_files import write_toy
+from typer.testing import CliRunner, Result
+
+from fitting.estimate import Estimate
+from pftwin.cli import app
+from pftwin.cli.amounts import limits
+from pftwin.errors import InputError
+
+SOUND = ["--limit", "dislocation_margin>=3 mm", "--medialise", "0:20"]
+
+
+def pftwin(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "160", "NO_COLOR": "1"})
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_toy(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="module")
+def fit(toy: Path) -> Path:
+    """An estimate of K1, as `pftwin fit` writes it."""
+    estimate = Estimate(
+        names=("K1",),
+        units=("N/m",),
+        values=np.array([156.0]),
+        covariance=np.array([[4.0]]),
+        lower=np.array([109.0]),
+        upper=np.array([203.0]),
+        nominal=np.array([156.0]),
+        objective="likelihood",
+        objective_value=0.0,
+        objective_unit="nats",
+        channels=("position",),
+        noise={"position": 1e-4},
+        noise_known=False,
+        serial_correlation=0.0,
+        condition=1.0,
+        rmse={},
+        method="least_squares",
+        seed=0,
+        reason="converged",
+        evaluations=1,
+        iterations=1,
+        starts=1,
+        dropped=0,
+        seconds=1.0,
+        history=[],
+        synthetic=True,
+        source="a toy",
+        scene_name="toy",
+    )
+    return estimate.save(toy.parent / "fit.json")
+
+
+def test_a_plan_with_its_sureness(toy, fit, tmp_path):
+    output = tmp_path / "plan.json"
+    given = ["--limit", "peak_contact_force<=1e6 N", "--limit", "dislocation_margin >= -1 m", "--medialise", "-4:4"]
+    result = pftwin("optimise", toy, "--estimate", fit, *given, "--samples", 6, "-o", output, "--json", "-")
+    assert result.exit_code == 0, result.output
+    plan = json.loads(output.read_text())
+    assert plan == json.loads(result.stdout)
+    assert plan["met"]
+    assert plan["amounts"] == {"tibial_tuberosity_transfer.medialisation": {"value": 0.0, "unit": "m"}}
+    assert plan["share_of_draws"] == 1
+    assert plan["samples"] == 6
+    assert [x["holds"] for x in plan["limits"]] == [True, True]
+    assert plan["notes"] == ["the parameters were estimated from synthetic measurements"]
+    assert "all limits hold in 100% of 6 draws" in " ".join(result.stderr.split())
+    assert "peak contact force at most 1e+06 N" in result.stderr
+
+
+def test_what_cannot_be_met_is_said(toy):
+    result = pftwin("optimise", toy, "--limit", "peak_contact_force<=1e-6 N", "--medialise", "0:4")
+    assert result.exit_code == 0, result.output
+    assert "no amount within the range meets the limits" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (SOUND[:2], "no treatment given"),
+        (["--limit", "dislocation_margin>=3", "--medialise", "0:20"], "dislocation_margin in mm or cm or m"),
+        (["--limit", "pain<=3", "--medialise", "0:20"], "no limit on 'pain'"),
+        (
+            [*SOUND[:2], "--medialise", "20:0"],
+            "--medialise: found '20:0'; expected: FROM:TO",
+        ),
+        ([*SOUND[:2], "--medialise", "0:20:1"], "FROM:TO, such as 0:20"),
+        (
+            [*SOUND, "--samples", "5"],
+            "samples of nothing uncertain",
+        ),
+        ([*SOUND, "--confidence", "90"], "confidence: found 90"),
+        ([*SOUND, "--estimate", "no.json"], "no such file"),
+    ],
+)
+def test_mistakes_are_one_line(toy, arguments, message, tmp_path):
+    result = pftwin("optimise", toy, *arguments, "-o", tmp_path / "plan.json")
+    assert result.exit_code == 2, result.output
+    assert message in " ".join(result.stderr.split())
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", ["", "a:b", "1", "0:1:2", "nan:1", "1:1"])
+def test_ranges_that_are_none_are_refused(text):
+    with pytest.raises(InputError, match="--medialise"):
+        limits(text, "--medialise")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pftwin.cli.posterior import check_posterior, with_posterior
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, working, write_json
 from pftwin.errors import InputError, OutputError
@@ -55,6 +56,10 @@ def fit(
     starts: Annotated[int | None, typer.Option(min=1, help="Starting points (least squares, gradient).")] = None,
     checkpoint: Annotated[Path | None, typer.Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
+    posterior: Annotated[
+        int | None,
+        typer.Option(min=8, metavar="N", help="Check the intervals by N draws from the posterior in each of 4 chains."),
+    ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Figures beside the output.")] = True,
     json: JsonOption = None,
 ) -> None:
@@ -71,6 +76,8 @@ def fit(
         raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
     from fitting.fit import fit_tendons
 
+    if posterior is not None:
+        check_posterior(objective)
     options: dict[str, Any] = {} if starts is None else {"starts": starts}
     with _shown(method) as progress:
         estimate = fit_tendons(
@@ -93,10 +100,18 @@ def fit(
     if figures:
         with working("drawing"):
             written += [str(p) for p in estimate.plot.save(output.with_suffix(""))]
-    write_json({**estimate.to_dict(), "files": written}, json)
+    facts, said = estimate.to_dict(), []
+    if posterior is not None:  # the estimate is on disk already
+        found = with_posterior(estimate, posterior, seed, output)
+        facts["posterior"] = found.to_dict()
+        said = ["", found.summary()]
+        if figures:
+            with working("drawing"):
+                written += [str(p) for p in found.plot.save(output.with_suffix(""))]
+    write_json({**facts, "files": written}, json)
     console = out(json)
     console.print(_table(estimate))
-    for line in (estimate.sentence(), *estimate.remarks(), f"stopped: {estimate.reason}"):
+    for line in (estimate.sentence(), *estimate.remarks(), f"stopped: {estimate.reason}", *said):
         console.print(line, markup=False, highlight=False)
     console.print(f"written: {', '.join(written)}", markup=False, highlight=False)
 

@@ -9,6 +9,7 @@ import pytest
 from toy_scene_files import SCENE, write_toy
 from typer.testing import CliRunner, Result
 
+from fitting import Estimate
 from pftwin.cli import app
 
 MEASURED = """
@@ -48,6 +49,21 @@ def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
     assert "95 % interval" in result.stderr
 
 
+def test_fit_with_a_posterior(toy, tmp_path):
+    output = tmp_path / "fit.json"
+    options = ["--free", "L1", "--starts", 2, "--posterior", 8, "--json", "-", "--noise", "position=1e-3"]
+    result = pftwin("fit", toy, "-o", output, *options)
+    assert result.exit_code == 0, result.output
+    printed, written = json.loads(result.stdout), json.loads(output.read_text())
+    assert written["posterior"] == printed["posterior"]
+    assert printed["posterior"]["names"] == ["L1"]
+    assert printed["posterior"]["chains"] == 4
+    assert printed["posterior"]["draws"] == 8
+    assert str(tmp_path / "fit_posterior.png") in printed["files"]
+    assert printed["posterior"]["sentence"] in result.stderr
+    assert Estimate.load(output).names == ("L1",)
+
+
 def test_plan_experiment_says_what_helps(toy):
     result = pftwin("plan-experiment", toy, "--free", "K1,L1", "--noise", "position=1e-4", "--json", "-")
     assert result.exit_code == 0, result.output
@@ -63,6 +79,8 @@ def test_mistakes_at_the_command_line(toy, tmp_path):
     assert "such as" in refused("fit", toy, "-o", tmp_path / "fit.json", "--free", "quadricep.stifness")
     assert "no method" in refused("fit", toy, "-o", tmp_path / "fit.json", "--method", "simplex")
     assert 'such as "position=2e-4"' in refused("fit", toy, "-o", tmp_path / "fit.json", "--noise", "small")
+    paper = refused("fit", toy, "-o", tmp_path / "fit.json", "--posterior", 10, "--objective", "paper")
+    assert "no likelihood" in paper
     assert "nothing to resume" in refused("fit", toy, "-o", tmp_path / "fit.json", "--resume")
     assert "no channel" in refused("plan-experiment", toy, "--use", "magic")
     assert not list(tmp_path.iterdir())

@@ -2,11 +2,17 @@
 
 Where a landmark is not part of a scene the index is None with a reason; nothing is put in its place in silence.
 
-TT-TG             Goutallier et al. 1978, Rev Chir Orthop 64:423; Dejour et al. 1994, KSSTA 2:19
+TT-TG             Goutallier et al. 1978, Rev Chir Orthop 64:423; Dejour et al. 1994, KSSTA 2:19; on MR images Schoettle
+                  et al. 2006, Knee 13:26. It falls as the knee bends: Dietrich et al. 2014, KSSTA 22:214
 Q-angle           Brattstroem 1964, Acta Orthop Scand 35 (Suppl 68)
 Caton-Deschamps   Caton et al. 1982, Rev Chir Orthop 68:317
 sulcus angle      Brattstroem 1964; Merchant et al. 1974, J Bone Joint Surg Am 56:1391
 inclination       Carrillon et al. 2000, Radiology 216:582 (lateral trochlear inclination)
+
+Where this differs from radiology: distances and inclinations refer to the femur's medial-lateral axis, not to the
+tangent of the posterior condyles, which a scene does not hold; the tuberosity is where the patellar tendon is attached;
+and the trochlea is cut at a given share of its groove, while TT-TG and inclination are read in the most proximal slice
+that shows it whole, and Merchant's view looks along it at 45 deg of flexion. What is usual: `fitting.clinical_norms`.
 """
 
 from __future__ import annotations
@@ -17,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fitting.clinical_norms import USUAL
 from fitting.course import knee_flexion
 from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, contact_of, elastic
 from fitting.trochlear_section import Section, section
@@ -59,12 +66,13 @@ class ClinicalIndices:
     lateral_trochlear_inclination: Index  # [deg]
 
     def describe(self) -> str:
-        """One line each."""
+        """One line each, with what the literature has as usual."""
         lines = []
         for name in self.__dataclass_fields__:
             index: Index = getattr(self, name)
             value = "not known" if index.value is None else f"{index.value:.2f} {index.unit}".rstrip()
-            lines.append(f"{name.replace('_', ' ')}: {value} ({index.note})")
+            usual = "" if index.value is None else f"; usual in natural knees: {USUAL[name]}"
+            lines.append(f"{name.replace('_', ' ')}: {value} ({index.note}){usual}")
         return "\n".join(lines)
 
 

@@ -9,6 +9,7 @@ import scenes
 from scipy.spatial.transform import Rotation
 
 from fitting.clinical_indices import Landmarks, clinical_indices
+from fitting.clinical_norms import USUAL
 from fitting.treatments import femoral_component_rotation, tibial_tuberosity_transfer, trochleoplasty
 from pftwin import rig
 from pftwin.errors import InputError
@@ -101,6 +102,16 @@ def test_caton_deschamps_needs_its_landmarks():
     corner = Rotation.from_euler("YZ", [-FLEXION[0], ADDUCTION]).apply([-0.03, 0, 0.03])
     distance = np.linalg.norm(np.array([-0.005, 0.002, 0.04]) - corner)
     assert clinical_indices(knee(), landmarks=points).caton_deschamps.value == pytest.approx(distance / 0.030)
+
+
+def test_what_is_usual_stands_beside_what_is_known():
+    found = clinical_indices(knee())
+    lines = dict(line.split(": ", 1) for line in found.describe().splitlines())
+    assert set(USUAL) == set(found.__dataclass_fields__)
+    assert "of knee flexion" in lines["tt tg"]
+    assert "15 +- 3 mm there" in lines["tt tg"]
+    assert lines["lateral trochlear inclination"].endswith("below 11 deg dysplastic (Carrillon et al. 2000)")
+    assert "usual" not in lines["caton deschamps"]  # for it is not known
 
 
 def test_what_a_scene_lacks_is_not_guessed():

@@ -60,8 +60,9 @@ MEASURES = {
 def measure(at: Course, threshold: float = DISLOCATED) -> dict[str, Scalar]:
     """The outcomes in `MEASURES`, SI. Pure; NaN, all of them, where a frame is not finite.
 
-    Forces and their centre are taken as running medians over five frames: at long steps contact rattles in single
-    frames, by some 20 % where it slides and by orders of magnitude where a dislocated patella lands.
+    Forces and their centre are taken as running medians over five frames, since at long steps contact rattles in single
+    frames where it slides. On the rig's case 1 the largest force is 20.7 N at 1 ms, with medians or without; at 2.5 ms
+    22.0 N without and 21.2 N with them; at 5 ms 31.6 N and 25.9 N, single frames being off by up to 90 %.
 
     Times, flexions and the number of dislocations jump as amounts change; the others change continuously while the
     patella tracks.

@@ -122,7 +122,10 @@ def prepare(folder: Path) -> Patient:
 
 
 def fit(case: Patient, what: Fit, **options: Any) -> Estimate:
-    """Stiffness and slack length of both tendons, and what else is free; options as `fitting.fit_tendons` has them."""
+    """Stiffness and slack length of both tendons, and what else is free.
+
+    Options, `priors` among them, are those of `fitting.fit_tendons`.
+    """
     bounds = {name: case.bounds[name] for name in what.free}
     return fitting.fit_tendons(case.scene, case.measured, free=what.free, bounds=bounds, use=what.use, **options)
 

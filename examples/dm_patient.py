@@ -1,0 +1,61 @@
+"""The DM recording as a patient: two elastic tendons fitted to the patella's poses, and judged by forces left unseen.
+
+    python examples/dm_patient.py FOLDER_OF_DM_KNEE [-o dm_patient] [--starts 32]
+
+prints tables and writes figures and estimates into the folder after -o. The folder of data may be left out where
+PFTWIN_DATA names the folder that holds dm_knee. docs/fit_a_patient.md explains the steps and what came out. The
+recording is itself a simulation, by OpenSim JAM (see `examples/dm_knee.py`): tables and figures say so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from pathlib import Path
+
+import dm_patient_report as shown
+import dm_treatments
+from dm_patient_fit import FITS, fit, ideal, judge, prepare, tension_bands
+
+import pftwin
+from pftwin.errors import PftwinError
+from pftwin.runtime import default_cache_dir
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command."""
+    data = os.environ.get("PFTWIN_DATA")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?" if data else None, default=data and Path(data) / "dm_knee")
+    parser.add_argument("--starts", type=int, default=32, help="of the search")
+    parser.add_argument("-o", "--out", type=Path, default=Path("dm_patient"), help="folder for figures and estimates")
+    given = parser.parse_args(arguments)
+    pftwin.configure(cache_dir=default_cache_dir())
+    try:
+        given.out.mkdir(parents=True, exist_ok=True)
+        report(given.folder, given.out, given.starts)
+    except (PftwinError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def report(folder: Path, out: Path, starts: int) -> None:
+    """Fits, predictions, tables and figures."""
+    case = prepare(folder)
+    shown.print_patient(case)
+    found = {}
+    for name, what in FITS.items():
+        found[name] = judge(case, fit(case, what, starts=starts))
+        shown.print_fit(name, found[name])
+        found[name].estimate.save(out / f"{'_'.join(re.findall('[a-z]+', name))}.json")
+    shown.print_comparison(case, found)
+    shown.print_ideal(ideal(case, found["positions, one force"].estimate))
+    shown.save_figures(case, found, {n: tension_bands(case, o.estimate) for n, o in found.items()}, out)
+    dm_treatments.report(case.knee.scene, out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

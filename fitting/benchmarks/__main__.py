@@ -87,11 +87,11 @@ def chosen(topics: str | None) -> tuple[str, ...]:
 def _show(rows: list[Row], machine: dict[str, Any]) -> None:
     from rich.console import Console
 
-    from fitting.benchmarks.methods.table import markdown
+    from fitting.benchmarks.methods.table import markdown, targets
     from pftwin.benchmarks import report
 
     console = Console()
-    console.print(report.table(rows, "pftwin: benchmarks of fitting"))
+    console.print(report.table(targets(rows), "pftwin: benchmarks of fitting"))
     if compared := markdown(rows):
         typer.echo(compared)
     console.print("[dim]" + ", ".join(f"{k} {v}" for k, v in machine.items() if v != ""))

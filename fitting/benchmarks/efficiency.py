@@ -149,7 +149,9 @@ def rows_of(motion: str, found: dict[str, Found], seeds: int) -> list[Row]:
     out = []
 
     def add(what: str, value: float, unit: str, target: float | None = None, note: str = "") -> None:
-        out.append(Row("efficiency", f"{motion}: {what}", float(value), unit, target, "at most", note, {"seeds": seeds}))
+        out.append(
+            Row("efficiency", f"{motion}: {what}", float(value), unit, target, "at most", note, {"seeds": seeds})
+        )
 
     for i, name in enumerate(SPRING_PARAMETERS):
         note = f"error {_percent(likely.errors[i])}, bound {_percent(likely.relative_bound[i])}, {seeds} seeds"

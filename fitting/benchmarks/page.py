@@ -44,11 +44,11 @@ def write_page(page: Path, rows: Sequence[Row], machine: dict[str, Any]) -> list
         InputError: see `check_page`.
         OutputError: a file cannot be written.
     """
-    from fitting.benchmarks.methods.table import comma_separated, courses_of, markdown
+    from fitting.benchmarks.methods.table import comma_separated, courses_of, markdown, targets
 
     text = check_page(page)
     folder, written = page.with_suffix(""), [page]
-    measured = [report.markdown(rows, machine)]
+    measured = [report.markdown(targets(rows), machine)]
     courses = courses_of(rows)
     if courses:
         from fitting.benchmarks.methods.figure import comparison_figure

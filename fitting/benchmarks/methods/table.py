@@ -106,6 +106,11 @@ def _error(c: Comparison, theta: Sequence[float]) -> float:
     return 100 * float(np.sqrt(np.mean((np.array(theta) / c.true - 1) ** 2)))
 
 
+def targets(rows: Sequence[Row]) -> list[Row]:
+    """The rows that are not a single method's: those have a table of their own."""
+    return [r for r in rows if "courses" not in r.details]
+
+
 def courses_of(rows: Sequence[Row]) -> dict[str, list[Course]]:
     """By method, from rows that were measured or read."""
     return {

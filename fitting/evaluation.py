@@ -29,12 +29,10 @@ from fitting.places import Place
 from pftwin.batches import batched
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.observe import observe
-from pftwin.dynamics.state import Guide, State
+from pftwin.dynamics.state import State
 from pftwin.dynamics.trajectory import (
     Trajectory,
-    integrator_named,
     starting_equilibrium,
-    starting_state,
     substeps_for,
     trajectory,
 )
@@ -45,6 +43,7 @@ POSITION, ORIENTATION = "position", "orientation"
 CHUNK = 32  # variants evaluated at once by default
 _WITH_SLOPES = 16  # the same with derivatives
 _WIDEST = 512  # variants in one call
+_PARTS, _FEWEST = 2, 20  # calls, each of this many variants at least, that a batch is shared among: one a core
 COLUMNS = 256  # variants times parameters in one call with derivatives
 _ROUGH = 5e-4  # error of a search's motion that is too much, rms [m]
 _REMEMBERED = 4  # batches with derivatives
@@ -66,32 +65,10 @@ class Prediction(NamedTuple):
     usable: NDArray[np.bool_]
 
 
-def _march(scene: Scene, start: Solution, substeps: Scalar) -> State:
-    """States at the recorded frames, as `trajectory` has them, with any number of steps between two (0: none)."""
-    advance, _, guided_at = integrator_named("linear_implicit")
-    system, motion = scene.system(), scene.motion
-    step = motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
-
-    def one_frame(now: State, frame: Scalar) -> tuple[State, State]:
-        piece = motion.between_frames(frame)
-        began = motion.start_time + motion.frame_interval * frame.astype(float)
-
-        def one_step(k: Scalar, now: State) -> State:
-            time = began + step * (k.astype(float) + guided_at)
-            return advance(system, now, Guide.sample(piece, time), step, None)[0]
-
-        now = jax.lax.fori_loop(0, substeps, one_step, now)
-        return now, now
-
-    first = starting_state(scene, start)
-    _, later = jax.lax.scan(one_frame, first, jnp.arange(motion.n_frames - 1))
-    return jax.tree.map(lambda a, rest: jnp.concatenate([a[None], rest]), first, later)
-
-
 def _predicted(scene: Scene, guess: Pose, substeps: Scalar, channels: tuple[str, ...]) -> tuple[Array, Pose, Array]:
     """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
     start = starting_equilibrium(scene, guess)
-    values = _columns(scene, _march(scene, start, substeps), start, channels)
+    values = _columns(scene, trajectory(scene, substeps=substeps, start=start).states, start, channels)
     pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
     return values, pose, start.converged()
 
@@ -188,7 +165,7 @@ class Evaluator:
         """Sets the batch: the largest number of plain values that will be asked for at once; None: none will be."""
         self._with_plain = widest is not None
         if widest is not None:
-            parts = -(-widest // _WIDEST)
+            parts = max(-(-widest // _WIDEST), _PARTS if widest >= _PARTS * _FEWEST else 1)
             self.chunk = -(-widest // parts)
 
     @cached_property

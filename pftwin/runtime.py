@@ -18,7 +18,7 @@ from pftwin.errors import PftwinError
 # compiles a loop of a single run into one function (12 times faster); both halve the compile time. The third uses the
 # whole width of AVX-512 registers where there are any (batches run 15 to 18 % faster). Answers do not change beyond
 # rounding.
-FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=400000")
+FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=100000000")
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width=512"
 _OPTION = "--xla_backend_extra_options="
 

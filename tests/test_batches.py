@@ -1,4 +1,4 @@
-"""Batches are filled up where that is faster, and nobody sees it."""
+"""Batches are computed in pieces of a good size, and nobody sees it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pftwin.batches import ALIASING, batched, good_size
+from pftwin.batches import ALIASING, FILL, PIECE, batched, good_sizes
 
 
-@pytest.mark.parametrize("n", [1, 7, ALIASING - 1, ALIASING, ALIASING + 1, 8 * ALIASING])
+@pytest.mark.parametrize("n", [1, 7, ALIASING - 1, ALIASING, ALIASING + 1, PIECE, PIECE + 1, 16 * ALIASING])
 def test_a_batch_of_any_size_is_what_vmap_gives(n):
     x, tree = jnp.arange(2.0 * n).reshape(n, 2), {"a": jnp.arange(float(n))}
 
@@ -23,7 +23,10 @@ def test_a_batch_of_any_size_is_what_vmap_gives(n):
     np.testing.assert_array_equal(slopes, x)
 
 
-def test_sizes():
-    assert good_size(1000) == 1000
-    assert good_size(1024) > 1024
-    assert good_size(good_size(1024)) == good_size(1024)
+@pytest.mark.parametrize("n", [1, ALIASING, PIECE, PIECE + 1, 1000, 1024, 10_007])
+def test_sizes(n):
+    pieces, size = good_sizes(n)
+    assert pieces * size >= n
+    assert size <= PIECE + FILL
+    assert size % ALIASING
+    assert (pieces - 1) * size < n + pieces * FILL  # hardly more than there are

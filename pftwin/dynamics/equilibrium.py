@@ -27,7 +27,7 @@ from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
 
 REACH = 2e-3  # longest step [m]
 LEVER = 0.02  # turns moments into forces and angles into lengths: about the patella's half width [m]
-SEARCH_STEPS = 10  # loads at rest that make rough memories right
+SEARCH_STEPS = 4  # loads at rest that make rough memories right
 MOST_ITERATIONS = 120
 RELAXATION_STEPS = 1500
 RELAXATION_STEP = 2e-3  # [s]
@@ -90,27 +90,26 @@ class _Look(NamedTuple):
     convex: Lower  # the stiff terms' own stiffness, positive semidefinite
 
 
-def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...], neighbours: Scalar) -> _Look:
-    """Load and memories at a pose, and its `neighbours` (0 or 12); in one loop, so that effects are compiled once."""
+def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -> _Look:
+    """Loads at a pose and at its twelve neighbours, all at once, so that effects are compiled once."""
     dtype = pose.position.x.dtype
     small = _difference(dtype)
     zero = jnp.zeros((), dtype)
 
-    def evaluate(k: Scalar, so_far: _Look) -> _Look:
-        axis, sign = (k - 1) % 6, jnp.where(k == 0, 0.0, jnp.where(k < 7, small, -small)).astype(dtype)
-        moved = _moved(pose, [jnp.where(axis == i, sign, 0.0) for i in range(6)])
-        loads, later = system.loads(_still(guide, moved), so_far.memories)
+    def evaluate(displacement: Array) -> tuple[tuple[Any, ...], Array, Lower]:
+        loads, later = system.loads(_still(guide, _moved(pose, [displacement[i] for i in range(6)])), memories)
         r = _components(sum((load.total() for load in loads), start=Wrench.zero()))
         convex: Lower = [[zero] * (i + 1) for i in range(6)]
         for load in loads:
             for term in load.stiff:
                 convex = add_outer(convex, _components(Wrench(term.direction, term.moment)), term.stiffness)
-        first = k == 0
-        kept = jax.tree.map(lambda new, old: jnp.where(first, new, old), (later, convex), (so_far[0], so_far[2]))
-        return _Look(kept[0], so_far.table.at[k].set(jnp.stack(r)), kept[1])
+        return later, jnp.stack(r), convex
 
-    empty: Lower = [[zero] * (i + 1) for i in range(6)]
-    return jax.lax.fori_loop(0, 1 + neighbours, evaluate, _Look(memories, jnp.zeros((13, 6), dtype), empty))
+    steps = small * jnp.eye(6, dtype=dtype)
+    here = jnp.zeros((1, 6), dtype)
+    later, table, convex = jax.vmap(evaluate)(jnp.concatenate([here, steps, -steps]))
+    first = jax.tree.map(lambda a: a[0], (later, convex))
+    return _Look(first[0], table, first[1])
 
 
 def _difference(dtype: Any) -> float:
@@ -135,7 +134,7 @@ def _size(r: list[Scalar]) -> Scalar:
 def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _Iterate:
     """One Newton iteration; a pose that meets the tolerance stays."""
     searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
-    look = _look(system, guide, at.pose, at.memories, jnp.where(searching, 0, 12))
+    look = _look(system, guide, at.pose, at.memories)
     r = [look.table[0, i] for i in range(6)]
     size = _size(r)
     slopes = (look.table[7:] - look.table[1:7]) / (2 * _difference(size.dtype))
@@ -145,7 +144,8 @@ def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _
     d = [jnp.where(definite, a, b) for a, b in zip(exact, safe, strict=True)]
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
-    done = (size < 0.01 * tolerance) & ~searching
+    floor = (size < tolerance) & (size > 0.5 * at.residual)  # rounding: Newton's iteration has no more to give
+    done = ((size < 0.01 * tolerance) | floor) & ~searching
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
     return _Iterate(_moved(at.pose, d), look.memories, size, stiffness, at.count + 1, done)
@@ -155,7 +155,8 @@ def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _
 def solve_equilibrium(system: System, guide: Guide, guess: Pose) -> Solution:
     """The equilibrium nearest to a guess, downhill. Jit and vmap apply; derivatives by the implicit function theorem.
 
-    The iteration goes on to a hundredth of the tolerance, or until its count runs out.
+    The iteration goes on to a hundredth of the tolerance, or below the tolerance until it gets no better, or until its
+    count runs out. One variant that went on to the end would hold up its whole batch.
     """
     zero = jnp.zeros_like(guess.position.x)
     tolerance = tolerance_of(zero.dtype)

@@ -43,7 +43,7 @@ def _relaxed(scene: Scene) -> Pose:
 def _run(
     scene: Scene, start: Solution, integrator: str, substeps: int, energy: bool
 ) -> tuple[Observation, Ledger | None]:
-    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy, in_rows=True)
+    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy)
     return observe(scene, path), path.ledger
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from pftwin.dynamics import linear_implicit, symplectic_euler
 from pftwin.dynamics.equilibrium import Solution, solve_equilibrium
@@ -17,6 +19,8 @@ from pftwin.dynamics.state import Guide, State, System
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Scalar
+
+Carry = tuple[State, Ledger | None]
 
 
 class Integrator(NamedTuple):
@@ -87,15 +91,6 @@ def first_guide(scene: Scene) -> Guide:
     return guide
 
 
-def _times(scene: Scene, substeps: int, at: float) -> tuple[Scalar, Scalar]:
-    """When the guided bodies are looked at, at the place `at` within every step: (n_frames - 1, substeps); the step."""
-    motion = scene.motion
-    step = motion.frame_interval / substeps
-    count = jnp.arange((motion.n_frames - 1) * substeps).astype(float).reshape(-1, substeps)
-    times = motion.start_time + step * (count + at)
-    return times, jnp.asarray(step, times.dtype)
-
-
 def starting_state(scene: Scene, start: Solution) -> State:
     """At rest on the femur: one that moves at the first frame already carries the patella along, not runs into it."""
     state = scene.system().at_rest(start.pose, start.memories)
@@ -106,24 +101,34 @@ def starting_state(scene: Scene, start: Solution) -> State:
     return eqx.tree_at(lambda s: (s.velocity, s.spin), state, motion)
 
 
+def _parts(now: Carry) -> tuple[Any, Any]:
+    """What is stored of a frame, as two rows: a batch of which poses alone are asked for never makes the other."""
+    state, books = now
+    return (state.position, state.orientation), (state.velocity, state.spin, state.memories, books)
+
+
+def _whole(pose: Any, rest: Any) -> Carry:
+    """The inverse of `_parts`."""
+    return State(*pose, *rest[:3]), rest[3]
+
+
 def trajectory(
     scene: Scene,
     *,
     integrator: str = "linear_implicit",
-    substeps: int = 10,
+    substeps: int | Scalar = 10,
     start: Solution | None = None,
     ledger: bool = False,
-    in_rows: bool = False,
 ) -> Trajectory:
     """The patella's path through the recorded frames, from static equilibrium.
 
     Args:
         scene: any leaf of it may be traced.
         integrator: a name in `INTEGRATORS`.
-        substeps: steps between two recorded frames.
+        substeps: steps between two recorded frames. A traced number is not part of the program, but there is no reverse
+            mode by it; 0 stays in the equilibrium.
         start: an equilibrium to start from; by default it is solved for.
         ledger: whether to keep the energy ledger.
-        in_rows: store each frame as one row: a single run is up to four times faster, a large batch a fifth slower.
 
     Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
     """
@@ -131,26 +136,35 @@ def trajectory(
     system = scene.system()
     if start is None:
         start = starting_equilibrium(scene)
-    times, step = _times(scene, substeps, guided_at)
+    motion = scene.motion
+    step = motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
     state = starting_state(scene, start)
-    zero = jnp.zeros_like(step)
-    carry = (state, Ledger(zero, zero) if ledger else None)
+    carry: Carry = (state, Ledger(jnp.zeros_like(step), jnp.zeros_like(step)) if ledger else None)
 
-    @jax.checkpoint
-    def one_frame(now: tuple[State, Ledger | None], frame: tuple[Scalar, Scalar]) -> Any:
-        index, times = frame
-        motion = scene.motion.between_frames(index)
+    @partial(jax.checkpoint, prevent_cse=False)
+    def from_rows(pose: Array, rest: Array, index: Scalar) -> Carry:
+        now = _whole(*jax.tree.map(lambda a: a[0], (poses.unpacked(pose[None]), others.unpacked(rest[None]))))
+        piece = motion.between_frames(index)
+        began = motion.start_time + motion.frame_interval * index.astype(float)
 
-        def one_step(now: tuple[State, Ledger | None], time: Scalar) -> tuple[tuple[State, Ledger | None], None]:
-            return advance(system, now[0], Guide.sample(motion, time), step, now[1]), None
+        @partial(jax.checkpoint, prevent_cse=False)
+        def one_step(k: Scalar, now: Carry) -> Carry:
+            time = began + step * (jnp.asarray(k).astype(float) + guided_at)
+            return advance(system, now[0], Guide.sample(piece, time), step, now[1])
 
-        now, _ = jax.lax.scan(one_step, now, times)
-        return now, layout.row(now) if in_rows else now
+        return jax.lax.fori_loop(0, substeps, one_step, now)
 
-    layout = Layout.of(lambda: carry)
-    _, later = jax.lax.scan(one_frame, carry, (jnp.arange(times.shape[0]), times))
-    if in_rows:
-        later = layout.unpacked(later)
+    def one_frame(now: Carry, index: Scalar) -> tuple[Carry, tuple[Array, Array]]:
+        now = from_rows(*rows_of(now), index)
+        return now, rows_of(now)
+
+    def rows_of(now: Carry) -> tuple[Array, Array]:
+        pose, rest = _parts(now)
+        return poses.row(pose), others.row(rest)
+
+    poses, others = (Layout.of(lambda i=i: _parts(carry)[i]) for i in (0, 1))
+    _, rows = jax.lax.scan(one_frame, carry, jnp.arange(motion.n_frames - 1))
+    later = _whole(poses.unpacked(rows[0]), others.unpacked(rows[1]))
     states, books = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), carry, later)
     return Trajectory(states, books, start, step)
 

@@ -82,7 +82,7 @@ def _curve(
 ) -> None:
     grid, excess = best_so_far(courses, count, best)
     if grid.size:
-        low, middle, high = np.quantile(excess, (0.25, 0.5, 0.75), axis=0, method="nearest")
+        low, middle, high = np.quantile(excess, (0.25, 0.5, 0.75), axis=0)
         axes.fill_between(grid, low, high, color=line["color"], alpha=0.12, linewidth=0)
         axes.plot(grid, middle, label=label, **line)
 

@@ -69,14 +69,9 @@ def print_comparison(case: Patient, found: dict[str, Outcome]) -> None:
     console.print()
     console.print(_tracking(found))
     console.print(_parameters(case, found))
-    console.print(_tensions(case, found))
-    shares = case.knee.tensions.column("patellar_tendon")[-1]
-    left_out = ", ".join(
-        f"{kind} {case.knee.tensions.column(column)[-1]:.0f} N"
-        for kind, column in LIGAMENTS.items()
-        if column != "patellar_tendon"
-    )
-    console.print(f"Recorded at the last frame and left out of the scene: {left_out}; patellar tendon {shares:.0f} N.")
+    console.print(_tensions(found))
+    last = {kind: f"{kind} {case.knee.tensions.column(column)[-1]:.0f} N" for kind, column in LIGAMENTS.items()}
+    console.print(f"Recorded at the last frame: {last['PT']}; left out of the scene: {last['MPFL']}, {last['LPFL']}.")
 
 
 def print_ideal(plan: fitting.Plan) -> None:
@@ -120,18 +115,18 @@ def _parameters(case: Patient, found: dict[str, Outcome]) -> Table:
     return table
 
 
-def _tensions(case: Patient, found: dict[str, Outcome]) -> Table:
-    table = Table(title=f"Tensions against recorded ones ({NOTE})")
-    for heading in ("fit", "tendon", "correlation", "rms (N)", "fitted / recorded", "last frame (N)"):
+def _tensions(found: dict[str, Outcome]) -> Table:
+    table = Table(title="Tensions against recorded ones; last column: quadriceps / patellar tendon, over recorded")
+    for heading in ("fit", "tendon", "correlation", "rms (N)", "over recorded", "last frame (N)", "ratio"):
         table.add_column(heading)
     for label, o in found.items():
-        for name in TENDONS:
-            a = o.agreement(name)
-            seen = " (was fitted)" if name in o.estimate.channels else ""
+        seen = {name: o.agreement(name) for name in TENDONS}
+        ratio = seen[TENDONS[0]].ratio / seen[TENDONS[1]].ratio
+        for name, a in seen.items():
+            fitted = " (fitted)" if name in o.estimate.channels else ""
+            numbers = (f"{a.correlation:.3f}", f"{a.rms:.1f}", f"{a.ratio:.2f}")
             last = f"{o.tension(name)[-1]:.0f} of {o.recorded[name][-1]:.0f}"
-            table.add_row(
-                _letter(label), TITLES[name] + seen, f"{a.correlation:.3f}", f"{a.rms:.1f}", f"{a.ratio:.2f}", last
-            )
+            table.add_row(_letter(label), TITLES[name] + fitted, *numbers, last, f"{ratio:.2f}")
     return table
 
 
@@ -202,6 +197,3 @@ def _tension_panel(axes: Axes, knee: Floats, recorded: Floats, band: tuple[Float
     axes.set_ylim(0, top)
     if value.max() > top:
         axes.annotate(f"up to {value.max():.0f} N", (0.97, 0.05), xycoords="axes fraction", ha="right", color=colour)
-
-
-__all__ = ["print_comparison", "print_fit", "print_ideal", "print_patient", "save_figures"]

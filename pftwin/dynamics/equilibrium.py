@@ -96,20 +96,19 @@ def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -
     small = _difference(dtype)
     zero = jnp.zeros((), dtype)
 
-    def evaluate(displacement: Array) -> tuple[tuple[Any, ...], Array, Lower]:
+    def evaluate(displacement: Array) -> tuple[Array, Any]:
         loads, later = system.loads(_still(guide, _moved(pose, [displacement[i] for i in range(6)])), memories)
         r = _components(sum((load.total() for load in loads), start=Wrench.zero()))
-        convex: Lower = [[zero] * (i + 1) for i in range(6)]
-        for load in loads:
-            for term in load.stiff:
-                convex = add_outer(convex, _components(Wrench(term.direction, term.moment)), term.stiffness)
-        return later, jnp.stack(r), convex
+        return jnp.stack(r), (later, [term for load in loads for term in load.stiff])
 
     steps = small * jnp.eye(6, dtype=dtype)
     here = jnp.zeros((1, 6), dtype)
-    later, table, convex = jax.vmap(evaluate)(jnp.concatenate([here, steps, -steps]))
-    first = jax.tree.map(lambda a: a[0], (later, convex))
-    return _Look(first[0], table, first[1])
+    table, rest = jax.vmap(evaluate)(jnp.concatenate([here, steps, -steps]))
+    later, terms = jax.tree.map(lambda a: a[0], rest)
+    convex: Lower = [[zero] * (i + 1) for i in range(6)]
+    for term in terms:
+        convex = add_outer(convex, _components(Wrench(term.direction, term.moment)), term.stiffness)
+    return _Look(later, table, convex)
 
 
 def _difference(dtype: Any) -> float:
@@ -139,9 +138,10 @@ def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _
     size = _size(r)
     slopes = (look.table[7:] - look.table[1:7]) / (2 * _difference(size.dtype))
     stiffness = 0.5 * (slopes + slopes.T)
-    exact, definite = _solved([[stiffness[i, j] for j in range(i + 1)] for i in range(6)], size / REACH, r)
-    safe, _ = _solved(look.convex, size / REACH, r)
-    d = [jnp.where(definite, a, b) for a, b in zip(exact, safe, strict=True)]
+    tangent: Lower = [[stiffness[i, j] for j in range(i + 1)] for i in range(6)]
+    both = jax.tree.map(lambda a, b: jnp.stack([a, b]), tangent, look.convex)  # compiled once for the two of them
+    steps, definite = jax.vmap(lambda matrix: _solved(matrix, size / REACH, r))(both)
+    d = [jnp.where(definite[0], a[0], a[1]) for a in steps]
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
     floor = (size < tolerance) & (size > 0.5 * at.residual)  # rounding: Newton's iteration has no more to give

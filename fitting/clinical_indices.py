@@ -2,12 +2,12 @@
 
 Where a landmark is not part of a scene the index is None with a reason; nothing is put in its place in silence.
 
-TT-TG             Goutallier et al. 1978, Rev Chir Orthop 64:423; Dejour et al. 1994, KSSTA 2:19; on MR images Schoettle
+TT-TG             Goutallier et al. 1978; Dejour et al. 1994, KSSTA 2:19; on MR images Schoettle
                   et al. 2006, Knee 13:26. It falls as the knee bends: Dietrich et al. 2014, KSSTA 22:214
 Q-angle           Brattstroem 1964, Acta Orthop Scand 35 (Suppl 68)
 Caton-Deschamps   Caton et al. 1982, Rev Chir Orthop 68:317
 sulcus angle      Brattstroem 1964; Merchant et al. 1974, J Bone Joint Surg Am 56:1391
-inclination       Carrillon et al. 2000, Radiology 216:582 (lateral trochlear inclination)
+inclination       Carrillon et al. 2000 (lateral trochlear inclination)
 
 Where this differs from radiology: distances and inclinations refer to the femur's medial-lateral axis, not to the
 tangent of the posterior condyles, which a scene does not hold; the tuberosity is where the patellar tendon is attached;

@@ -3,8 +3,8 @@
 It is exp(-|f|^2 / 2) within the bounds, f the residuals in units of their noise, priors among them. Noise that is taken
 to be independent makes it too sure where neighbouring residuals are correlated. There the density is tempered as the
 estimate's covariance C is (Newey and West): it is f(m + A (theta - m)) in place of f(theta), with m the estimate and A
-so that the curvature at m becomes that of C. This is the curvature adjustment of Ribatet, Cooley and Davison (2012,
-Statistica Sinica 22:813, arXiv:0911.5357); a profile of it is scaled as `fitting.profile_likelihood` scales its own.
+so that the curvature at m becomes that of C. This is the curvature adjustment of Ribatet, Cooley and Davison
+(arXiv:0911.5357); a profile of it is scaled as `fitting.profile_likelihood` scales its own.
 Priors are tempered along with the likelihood, as they are there.
 """
 

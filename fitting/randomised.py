@@ -6,8 +6,8 @@ residuals f at the estimate react to parameters, a proposal theta solves Q'f(the
 
     |det Q' df/dtheta| exp(-|Q'f|^2 / 2),
 
-for linear f the posterior itself, and else bent as it is (Bardsley, Solonen, Haario and Laine 2014, SIAM J. Sci.
-Comput. 36:A1895). First derivatives do, and all proposals are solved for side by side. An eta whose solution lies
+for linear f the posterior itself, and else bent as it is: the method of Bardsley, Solonen, Haario and Laine (2014),
+whose geometry arXiv:1903.00870 explains. First derivatives do, and all proposals are solved for side by side. An eta whose solution lies
 outside the bounds, or is not found, is dropped: the same density, only on less than everywhere.
 """
 
@@ -87,7 +87,7 @@ def solved(density: Density, start: Seen, eta: Floats) -> tuple[Seen, NDArray[np
     """Where Q'f = eta (N, p), from one start: the points reached, whether they are solutions, and evaluations.
 
     Newton's method for all at once. A step is shortened where the next one, with the old slope, would not be smaller:
-    Deuflhard's natural test (2011, Newton Methods for Nonlinear Problems, section 3.2). Residuals themselves may well
+    Deuflhard's natural monotonicity test. Residuals themselves may well
     grow on the way, since a thin bent density has steep sides.
     """
     lower, upper = density.bounds

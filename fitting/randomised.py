@@ -7,8 +7,8 @@ residuals f at the estimate react to parameters, a proposal theta solves Q'f(the
     |det Q' df/dtheta| exp(-|Q'f|^2 / 2),
 
 for linear f the posterior itself, and else bent as it is: the method of Bardsley, Solonen, Haario and Laine (2014),
-whose geometry arXiv:1903.00870 explains. First derivatives do, and all proposals are solved for side by side. An eta whose solution lies
-outside the bounds, or is not found, is dropped: the same density, only on less than everywhere.
+whose geometry arXiv:1903.00870 explains. First derivatives do, and all proposals are solved for side by side. An eta
+whose solution lies outside the bounds, or is not found, is dropped: the same density, only on less than everywhere.
 """
 
 from __future__ import annotations

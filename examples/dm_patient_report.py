@@ -158,7 +158,7 @@ def _poses_figure(case: Patient, found: dict[str, Outcome]) -> Figure:
         for k, (name, o) in enumerate(found.items()):
             line = {"color": COLOURS[k], "linestyle": _DASHES[k]}
             for i, angle in enumerate(("flexion", "rotation", "tilt")):
-                panels[0, i].plot(knee, 1e3 * o.result.center[:, i], label=name, **line)
+                panels[0, i].plot(knee, 1e3 * o.result.center[:, i], label=f"{_letter(name)}: {name}", **line)
                 panels[1, i].plot(knee, np.degrees(getattr(o.result.angles, angle)), **line)
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(found) + 1)
         figure.suptitle(f"DM patient: two effective tendons fitted to poses ({NOTE})")

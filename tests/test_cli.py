@@ -32,7 +32,10 @@ forces = "forces.csv"
 contact_force = "contact"
 """
 STEP = ("--dt", "0.005")  # one step for all tests: one program to compile
-COMMANDS = ("demo", "simulate", "equilibrium", "validate", "fit-surface", "init", "fit", "treat", "plan-experiment")
+COMMANDS = (
+    *("demo", "simulate", "equilibrium", "validate", "fit-surface", "doctor-mesh"),
+    *("init", "fit", "treat", "plan-experiment"),
+)
 
 
 def pftwin(*arguments: object) -> Result:

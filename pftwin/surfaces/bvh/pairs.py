@@ -1,0 +1,148 @@
+"""Which triangles of two meshes may touch: both trees are gone down together.
+
+From all pairs of nodes of two high levels, pairs whose bounding volumes are apart are dropped, the others replaced by
+the pairs of their descendants, down to the triangles. Lists have fixed lengths. A list that would be longer is cut, and
+the answer says so. In a batch all places of a list are worked on (`chunk=None`); a single query does better to go
+through the lists piece by piece and to stop at their ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from pftwin.spatial import Pose, Vec3
+from pftwin.surfaces.bvh.compaction import Places, appended, empty
+from pftwin.surfaces.bvh.tree import MeshTree
+from pftwin.surfaces.triangle import Triangle
+from pftwin.surfaces.triangle_pairs import straddle
+
+FIRST = 3  # level of both trees that is looked at first
+STRIDE = 2  # levels between two looks: sixteen pairs of descendants
+NODES = {"disc": 512, "box": 4096}  # pairs of nodes that there is room for
+TRIANGLES = {"disc": 1024, "box": 2048}  # and of triangles
+
+
+class Pairs(NamedTuple):
+    """Pairs of triangles, by their places in the two trees."""
+
+    a: Array  # (width,) int32
+    b: Array  # (width,) int32
+    count: Array  # () int32: entries that count, from the start
+    overflow: Array  # () bool: pairs were lost
+
+    def valid(self) -> Array:
+        """Which entries count, (width,)."""
+        return jnp.arange(self.a.shape[0], dtype=jnp.int32) < self.count
+
+
+class _Front(NamedTuple):
+    """Pairs of nodes, one of each tree."""
+
+    a: Array
+    b: Array
+    count: Array
+
+
+def candidate_pairs(
+    a: MeshTree,
+    b: MeshTree,
+    X_AB: Pose,
+    *,
+    nodes: int | None = None,
+    triangles: int | None = None,
+    chunk: int | None = None,
+) -> Pairs:
+    """Triangles of two meshes that may touch: each reaches the other's plane, and no bounding volume keeps them apart.
+
+    Args:
+        a, b: trees of one kind.
+        X_AB: pose of b's mesh in a's frame.
+        nodes, triangles: room for pairs; None: what an implant and a button need, doubled.
+        chunk: pairs of nodes that are worked on at once; None: all there is room for, as is best in a batch.
+
+    Nothing here is differentiated. Jit and vmap apply.
+    """
+    if a.kind != b.kind:
+        raise TypeError(f"trees of different kinds: {a.kind} and {b.kind}")
+    a, b, X_AB = stop_gradient((a, b, X_AB))
+    nodes = NODES[a.kind] if nodes is None else nodes
+    triangles = TRIANGLES[a.kind] if triangles is None else triangles
+    at = (min(FIRST, a.depth), min(FIRST, b.depth))
+    both = jnp.arange(1 << (at[0] + at[1]), dtype=jnp.int32)
+    everything = jnp.asarray(both.shape[0], jnp.int32)
+    front = _Front(both >> at[1], both & ((1 << at[1]) - 1), everything)
+    test = _volumes_overlap(a, b, X_AB, at, at)
+    front, overflow = _next(front, (1, 1), test, nodes, None)
+    while at != (a.depth, b.depth):
+        down = min(at[0] + STRIDE, a.depth), min(at[1] + STRIDE, b.depth)
+        many = 1 << (down[0] - at[0]), 1 << (down[1] - at[1])
+        front, lost = _next(front, many, _volumes_overlap(a, b, X_AB, at, down), nodes, chunk)
+        overflow, at = overflow | lost, down
+    front, lost = _next(front, (a.leaf, b.leaf), _triangles_straddle(a, b, X_AB), triangles, chunk)
+    return Pairs(front.a, front.b, front.count, overflow | lost)
+
+
+def _next(
+    front: _Front, many: tuple[int, int], test: Callable[[Array, Array], Array], width: int, chunk: int | None
+) -> tuple[_Front, Array]:
+    """The pairs of descendants that a test (n,), (n,) -> (n, many_a, many_b) lets pass, and whether some were lost."""
+    room, each = front.a.shape[0], many[0] * many[1]
+    size = room if chunk is None else min(chunk, room)
+
+    def work(start: Array, found: Places) -> Places:
+        i, j = (jax.lax.dynamic_slice_in_dim(x, start, size) for x in (front.a, front.b))
+        there = start + jnp.arange(size, dtype=jnp.int32) < front.count
+        mask = test(i, j).reshape(size, each) & there[:, None]
+        return appended(found, mask.reshape(-1), start * each)
+
+    zero = jnp.zeros((), jnp.int32)
+    if size == room:
+        found = work(zero, empty(width))
+    else:
+        if room % size:
+            raise ValueError(f"room for {room} pairs of nodes is no multiple of the chunk, {chunk}")
+        _, found = jax.lax.while_loop(
+            lambda at: at[0] < front.count, lambda at: (at[0] + size, work(*at)), (zero, empty(width))
+        )
+    parent, child = found.index // each, found.index % each
+    i = front.a[parent] * many[0] + child // many[1]
+    j = front.b[parent] * many[1] + child % many[1]
+    return _Front(i, j, jnp.minimum(found.total, width)), found.overflow()
+
+
+def _volumes_overlap(
+    a: MeshTree, b: MeshTree, X_AB: Pose, at: tuple[int, int], down: tuple[int, int]
+) -> Callable[[Array, Array], Array]:
+    """Of nodes at two levels: whether their descendants' bounding volumes overlap."""
+    blocks = [t.levels[d].reshape(1 << u, 1 << (d - u), -1) for t, u, d in zip((a, b), at, down, strict=True)]
+    rotation = X_AB.orientation.rotation().array().astype(jnp.float32)
+    translation = X_AB.position.array().astype(jnp.float32)
+
+    def test(i: Array, j: Array) -> Array:
+        return a.volumes.overlap(blocks[0][i][:, :, None, :], blocks[1][j][:, None, :, :], rotation, translation)
+
+    return test
+
+
+def _triangles_straddle(a: MeshTree, b: MeshTree, X_AB: Pose) -> Callable[[Array, Array], Array]:
+    """Of leaves: which of their triangles reach each other's planes."""
+    rotation = X_AB.orientation.rotation()
+
+    def moved(p: Vec3) -> Vec3:
+        return rotation.apply(p) + X_AB.position
+
+    def test(i: Array, j: Array) -> Array:
+        rows = [t.triangles.reshape(1 << t.depth, t.leaf, 9)[k] for t, k in ((a, i), (b, j))]
+        there = [t.index.reshape(1 << t.depth, t.leaf)[k] >= 0 for t, k in ((a, i), (b, j))]
+        first = Triangle.of_rows(rows[0][:, :, None, :])
+        second = Triangle.of_rows(rows[1][:, None, :, :])
+        second = Triangle(moved(second.a), moved(second.b), moved(second.c))
+        return straddle(first, second) & there[0][:, :, None] & there[1][:, None, :]
+
+    return test

@@ -8,12 +8,13 @@ from jaxtyping import Array
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.triangle import Triangle
 
-ON_PLANE = 1e-14  # share of a product's size below which it is rounding (float64)
 
+def straddle(s: Triangle, t: Triangle, room: Scalar) -> Array:
+    """Whether each triangle reaches the other's plane, or `room` [m] short of it: without it they cannot meet.
 
-def straddle(s: Triangle, t: Triangle) -> Array:
-    """Whether each triangle reaches the other's plane: without it they cannot meet. For batches of one shape."""
-    return _reaches(s, t) & _reaches(t, s)
+    For batches whose shapes broadcast.
+    """
+    return _reaches(s, t, room) & _reaches(t, s, room)
 
 
 def meet(s: Triangle, t: Triangle) -> Array:
@@ -41,11 +42,11 @@ def _between(start: Vec3, way: Vec3, face: Triangle) -> Array:
     return up | ((turns[0] <= 0) & (turns[1] <= 0) & (turns[2] <= 0))
 
 
-def _reaches(s: Triangle, t: Triangle) -> Array:
-    """Whether s has corners on both sides of t's plane, or on it."""
+def _reaches(s: Triangle, t: Triangle, room: Scalar) -> Array:
+    """Whether s has corners on both sides of t's plane, or near it."""
     normal = t.area_vector()
     heights = [(p - t.a).dot(normal) for p in (s.a, s.b, s.c)]
-    room: Scalar = ON_PLANE * (normal.norm() * ((s.a - t.a).norm() + (s.b - t.a).norm() + (s.c - t.a).norm()))
+    near = room * normal.norm()
     low = jnp.minimum(jnp.minimum(heights[0], heights[1]), heights[2])
     high = jnp.maximum(jnp.maximum(heights[0], heights[1]), heights[2])
-    return (low <= room) & (high >= -room)
+    return (low <= near) & (high >= -near)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 
 from pftwin.spatial import Pose, Quaternion, Vec3
@@ -28,10 +29,10 @@ def random_poses(n: int, seed: int, reach: float) -> Pose:
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(n, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    return Pose(point(rng.uniform(-reach, reach, (n, 3))), Quaternion(*q.T))
+    return Pose(point(jnp.asarray(rng.uniform(-reach, reach, (n, 3)))), Quaternion(*jnp.asarray(q.T)))
 
 
 def corners_of(mesh: SurfaceMesh, pose: Pose | None = None) -> np.ndarray:
     """Triangles (m, 3, 3), moved by a pose."""
-    p = mesh.vertices if pose is None else np.asarray(pose.apply(point(mesh.vertices)).array())
+    p = mesh.vertices if pose is None else np.asarray(pose.apply(Vec3.from_array(mesh.vertices)).array())
     return p[mesh.faces]

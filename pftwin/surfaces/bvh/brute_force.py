@@ -34,7 +34,9 @@ def distances(corners: Floats, point: Floats) -> Floats:
 
 def intersecting(first: Floats, second: Floats) -> NDArray[np.int64]:
     """Pairs (k, 2) of triangles of (n, 3, 3) and (m, 3, 3) that have a point in common, in ascending order."""
-    found = [_against(first, triangle) for triangle in second]
+    low, high = second.min(axis=(0, 1)), second.max(axis=(0, 1))
+    near = np.flatnonzero(((first.min(axis=1) <= high) & (first.max(axis=1) >= low)).all(axis=1))
+    found = [near[_against(first[near], triangle)] for triangle in second] if len(near) else []
     pairs = [np.stack([hits, np.full(len(hits), j)], axis=1) for j, hits in enumerate(found)]
     every = np.concatenate(pairs) if pairs else np.empty((0, 2), int)
     return every[np.lexsort((every[:, 1], every[:, 0]))]

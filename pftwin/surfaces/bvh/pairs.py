@@ -24,8 +24,9 @@ from pftwin.surfaces.triangle_pairs import straddle
 
 FIRST = 3  # level of both trees that is looked at first
 STRIDE = 2  # levels between two looks: sixteen pairs of descendants
-NODES = {"disc": 512, "box": 4096}  # pairs of nodes that there is room for
-TRIANGLES = {"disc": 1024, "box": 2048}  # and of triangles
+NODES = {"disc": 1024, "box": 8192}  # pairs of nodes that there is room for
+TRIANGLES = {"disc": 2048, "box": 2048}  # and of triangles
+SLACK = 1e-5  # share of a mesh's size by which single precision is certainly not off
 
 
 class Pairs(NamedTuple):
@@ -78,14 +79,22 @@ def candidate_pairs(
     everything = jnp.asarray(both.shape[0], jnp.int32)
     front = _Front(both >> at[1], both & ((1 << at[1]) - 1), everything)
     test = _volumes_overlap(a, b, X_AB, at, at)
-    front, overflow = _next(front, (1, 1), test, nodes, None)
+    rooms = _rooms(a, b, nodes)
+    front, overflow = _next(front, (1, 1), test, rooms.pop(), None)
     while at != (a.depth, b.depth):
         down = min(at[0] + STRIDE, a.depth), min(at[1] + STRIDE, b.depth)
         many = 1 << (down[0] - at[0]), 1 << (down[1] - at[1])
-        front, lost = _next(front, many, _volumes_overlap(a, b, X_AB, at, down), nodes, chunk)
+        front, lost = _next(front, many, _volumes_overlap(a, b, X_AB, at, down), rooms.pop(), chunk)
         overflow, at = overflow | lost, down
     front, lost = _next(front, (a.leaf, b.leaf), _triangles_straddle(a, b, X_AB), triangles, chunk)
     return Pairs(front.a, front.b, front.count, overflow | lost)
+
+
+def _rooms(a: MeshTree, b: MeshTree, nodes: int) -> list[int]:
+    """Room for pairs of nodes at every look, the leaves' first: half as much with every look further up."""
+    looks = 1 + max(-(-(t.depth - FIRST) // STRIDE) for t in (a, b))
+    least = 2 << (2 * FIRST)
+    return [max(nodes >> k, min(nodes, least)) for k in range(max(looks, 1))]
 
 
 def _next(
@@ -132,17 +141,20 @@ def _volumes_overlap(
 
 def _triangles_straddle(a: MeshTree, b: MeshTree, X_AB: Pose) -> Callable[[Array, Array], Array]:
     """Of leaves: which of their triangles reach each other's planes."""
-    rotation = X_AB.orientation.rotation()
+    X = jax.tree.map(lambda x: x.astype(jnp.float32), X_AB)
+    rotation, position = X.orientation.rotation(), X.position
+    room = SLACK * jnp.abs(a.levels[0]).max()  # of the order of what single precision rounds the root's numbers by
 
     def moved(p: Vec3) -> Vec3:
-        return rotation.apply(p) + X_AB.position
+        return rotation.apply(p) + position
 
     def test(i: Array, j: Array) -> Array:
         rows = [t.triangles.reshape(1 << t.depth, t.leaf, 9)[k] for t, k in ((a, i), (b, j))]
         there = [t.index.reshape(1 << t.depth, t.leaf)[k] >= 0 for t, k in ((a, i), (b, j))]
-        first = Triangle.of_rows(rows[0][:, :, None, :])
-        second = Triangle.of_rows(rows[1][:, None, :, :])
+        first, second = (Triangle.of_rows(r.astype(jnp.float32)) for r in rows)
         second = Triangle(moved(second.a), moved(second.b), moved(second.c))
-        return straddle(first, second) & there[0][:, :, None] & there[1][:, None, :]
+        first = jax.tree.map(lambda x: x[:, :, None], first)
+        second = jax.tree.map(lambda x: x[:, None, :], second)
+        return straddle(first, second, room) & there[0][:, :, None] & there[1][:, None, :]
 
     return test

@@ -9,12 +9,12 @@ from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.triangle import Triangle
 
 
-def straddle(s: Triangle, t: Triangle, room: Scalar) -> Array:
+def straddle(s: Triangle, t: Triangle, normal_s: Vec3, normal_t: Vec3, room: Scalar) -> Array:
     """Whether each triangle reaches the other's plane, or `room` [m] short of it: without it they cannot meet.
 
-    For batches whose shapes broadcast.
+    For batches whose shapes broadcast; normals are unit, or zero for a triangle without area.
     """
-    return _reaches(s, t, room) & _reaches(t, s, room)
+    return _reaches(s, t, normal_t, room) & _reaches(t, s, normal_s, room)
 
 
 def meet(s: Triangle, t: Triangle) -> Array:
@@ -42,11 +42,9 @@ def _between(start: Vec3, way: Vec3, face: Triangle) -> Array:
     return up | ((turns[0] <= 0) & (turns[1] <= 0) & (turns[2] <= 0))
 
 
-def _reaches(s: Triangle, t: Triangle, room: Scalar) -> Array:
+def _reaches(s: Triangle, t: Triangle, normal: Vec3, room: Scalar) -> Array:
     """Whether s has corners on both sides of t's plane, or near it."""
-    normal = t.area_vector()
     heights = [(p - t.a).dot(normal) for p in (s.a, s.b, s.c)]
-    near = room * normal.norm()
     low = jnp.minimum(jnp.minimum(heights[0], heights[1]), heights[2])
     high = jnp.maximum(jnp.maximum(heights[0], heights[1]), heights[2])
-    return (low <= near) & (high >= -near)
+    return (low <= room) & (high >= -room)

@@ -100,14 +100,14 @@ def _rooms(a: MeshTree, b: MeshTree, nodes: int) -> list[int]:
 def _next(
     front: _Front, many: tuple[int, int], test: Callable[[Array, Array], Array], width: int, chunk: int | None
 ) -> tuple[_Front, Array]:
-    """The pairs of descendants that a test (n,), (n,) -> (n, many_a, many_b) lets pass, and whether some were lost."""
+    """The pairs of descendants that a test (n,), (n,) -> (many_a, many_b, n) lets pass, and whether some were lost."""
     room, each = front.a.shape[0], many[0] * many[1]
     size = room if chunk is None else min(chunk, room)
 
     def work(start: Array, found: Places) -> Places:
         i, j = (jax.lax.dynamic_slice_in_dim(x, start, size) for x in (front.a, front.b))
         there = start + jnp.arange(size, dtype=jnp.int32) < front.count
-        mask = test(i, j).reshape(size, each) & there[:, None]
+        mask = test(i, j).reshape(each, size) & there
         return appended(found, mask.reshape(-1), start * each)
 
     zero = jnp.zeros((), jnp.int32)
@@ -119,7 +119,8 @@ def _next(
         _, found = jax.lax.while_loop(
             lambda at: at[0] < front.count, lambda at: (at[0] + size, work(*at)), (zero, empty(width))
         )
-    parent, child = found.index // each, found.index % each
+    piece, rest = found.index // (each * size), found.index % (each * size)
+    parent, child = piece * size + rest % size, rest // size
     i = front.a[parent] * many[0] + child // many[1]
     j = front.b[parent] * many[1] + child % many[1]
     return _Front(i, j, jnp.minimum(found.total, width)), found.overflow()
@@ -134,7 +135,10 @@ def _volumes_overlap(
     translation = X_AB.position.array().astype(jnp.float32)
 
     def test(i: Array, j: Array) -> Array:
-        return a.volumes.overlap(blocks[0][i][:, :, None, :], blocks[1][j][:, None, :, :], rotation, translation)
+        # The long axis last: what is worked on in one go lies side by side.
+        first, second = (jnp.moveaxis(block[k], 0, 1) for block, k in zip(blocks, (i, j), strict=True))
+        first, second = jax.lax.optimization_barrier((first, second))
+        return a.volumes.overlap(first[:, None], second[None, :], rotation, translation)
 
     return test
 
@@ -149,12 +153,22 @@ def _triangles_straddle(a: MeshTree, b: MeshTree, X_AB: Pose) -> Callable[[Array
         return rotation.apply(p) + position
 
     def test(i: Array, j: Array) -> Array:
-        rows = [t.triangles.reshape(1 << t.depth, t.leaf, 9)[k] for t, k in ((a, i), (b, j))]
-        there = [t.index.reshape(1 << t.depth, t.leaf)[k] >= 0 for t, k in ((a, i), (b, j))]
+        both = ((a, i), (b, j))
+        rows = [jnp.moveaxis(t.triangles.reshape(1 << t.depth, t.leaf, 9)[k], 0, 1) for t, k in both]
+        there = [t.index.reshape(1 << t.depth, t.leaf)[k].T >= 0 for t, k in both]
         first, second = (Triangle.of_rows(r.astype(jnp.float32)) for r in rows)
         second = Triangle(moved(second.a), moved(second.b), moved(second.c))
-        first = jax.tree.map(lambda x: x[:, :, None], first)
-        second = jax.tree.map(lambda x: x[:, None, :], second)
-        return straddle(first, second, room) & there[0][:, :, None] & there[1][:, None, :]
+        # Worked out once for every triangle, not again for every pair that it is in.
+        known = jax.lax.optimization_barrier(((first, _unit_normal(first)), (second, _unit_normal(second))))
+        (first, up), (second, over) = (
+            jax.tree.map(lambda x, k=k: jnp.expand_dims(x, k), of) for k, of in zip((1, 0), known, strict=True)
+        )
+        return straddle(first, second, up, over, room) & there[0][:, None] & there[1][None, :]
 
     return test
+
+
+def _unit_normal(t: Triangle) -> Vec3:
+    normal = t.area_vector()
+    size = normal.norm()
+    return (1 / jnp.where(size > 0, size, 1)) * normal

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.errors import InputError
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.bvh.features import features_of
-from pftwin.surfaces.bvh.nearest import nearest
+from pftwin.surfaces.bvh.nearest import Nearest, nearest
 from pftwin.surfaces.bvh.order import depth_for
-from pftwin.surfaces.bvh.tree import Kind, MeshTree, build_tree
+from pftwin.surfaces.bvh.tree import Kind, MeshTree, build_tree, joined
 from pftwin.surfaces.mesh import SurfaceMesh
 from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
@@ -45,25 +45,23 @@ class FacetPoint(NamedTuple):
 
 
 class MeshFacets(eqx.Module):
-    """One or two facets: arrays have a leading axis over them, medial first."""
+    """One facet, or two, medial first: two have one tree, each below a child of its root."""
 
     tree: MeshTree
-    outward: Array  # (facets, places, 7, 3) float32: out at each feature of a triangle
-    marks: Array  # (facets, places, 7) int8: 1 on the rim, 2 on the seam
-
-    @property
-    def count(self) -> int:
-        """How many facets there are."""
-        return self.marks.shape[0]
+    outward: Array  # (places, 7, 3) float32: out at each feature of a triangle
+    marks: Array  # (places, 7) int8: 1 on the rim, 2 on the seam
+    count: int = eqx.field(static=True)
 
     def points(self, c: Vec3) -> list[FacetPoint]:
         """The nearest point of each facet to a point of the mesh's frame, with all its derivatives."""
-        found = jax.vmap(lambda facet: facet.point(c))(self)
-        return [jax.tree.map(lambda x, k=k: x[k], found) for k in range(self.count)]
+        if self.count == 1:
+            return [self._point(nearest(self.tree, c), c)]
+        # One search after the other in a loop: a batch of two takes five times as long, and two side by side a
+        # compiler that does not always survive them.
+        found = jax.lax.map(lambda k: nearest(self.tree, c, below=(1, k)), jnp.arange(2, dtype=jnp.int32))
+        return [self._point(Nearest(found.place[k], found.overflow[k]), c) for k in range(2)]
 
-    def point(self, c: Vec3) -> FacetPoint:
-        """The same of a single facet, without the leading axis."""
-        near = nearest(self.tree, c)
+    def _point(self, near: Nearest, c: Vec3) -> FacetPoint:
         on = closest_on_triangle(Triangle.of_rows(self.tree.triangles[near.place]), c)
         away = c - on.point
         length = away.norm()
@@ -108,15 +106,12 @@ def mesh_facets(mesh: SurfaceMesh, lateral: ArrayLike | None = None, *, kind: Ki
         raise InputError(f"no triangle is {side}", where=mesh.source, remedy="check the groove line against the mesh")
     features = features_of(mesh, label)
     depth = max(depth_for(len(g), LEAF) for g in groups)
-    facets = []
-    for group in groups:
-        part = SurfaceMesh(mesh.vertices, mesh.faces[group], mesh.source)
-        tree = build_tree(part, kind=kind, leaf=LEAF, depth=depth)
-        which = group[np.asarray(tree.source_index())]
-        marks = _RIM * features.rim[which] + _SEAM * features.seam[which]
-        out = jax.device_put(features.outward[which].astype(np.float32))
-        facets.append(MeshFacets(tree, out, jax.device_put(marks.astype(np.int8))))
-    return jax.tree.map(lambda *parts: jax.device_put(np.stack(parts)), *facets)
+    parts = [SurfaceMesh(mesh.vertices, mesh.faces[g], mesh.source) for g in groups]
+    trees = [build_tree(part, kind=kind, leaf=LEAF, depth=depth) for part in parts]
+    which = np.concatenate([g[np.asarray(t.source_index())] for g, t in zip(groups, trees, strict=True)])
+    marks = (_RIM * features.rim[which] + _SEAM * features.seam[which]).astype(np.int8)
+    outward = features.outward[which].astype(np.float32)
+    return MeshFacets(joined(trees), jax.device_put(outward), jax.device_put(marks), len(groups))
 
 
 def lateral_of_groove(mesh: SurfaceMesh, region: TrochlearRegion) -> NDArray[np.bool_]:

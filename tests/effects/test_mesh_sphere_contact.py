@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import RADIUS, gravity, look, march, state_at, system, vec
+from scenes import RADIUS, gravity, knee, look, march, state_at, system, trochlea, vec
 
+import pftwin
+from pftwin.dynamics.observe import Status
 from pftwin.effects.base import Load
 from pftwin.effects.contact_law import Flores, Hertz
 from pftwin.effects.mesh_sphere_contact import MeshSphereContact
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.errors import InputError
 from pftwin.rig.cases import implant_mesh
+from pftwin.scene import Scene
 from pftwin.spatial import Vec3
+from pftwin.surfaces.bvh import nearest
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.implant import rig_implant, rig_region
 from pftwin.surfaces.mesh import SurfaceMesh
@@ -206,3 +213,34 @@ def test_labels_must_fit_and_a_groove_line_divides_the_implant(femur):
     assert femur.count == 2
     sides = np.asarray(femur.tree.triangles).reshape(2, -1, 3, 3).mean(axis=(1, 2))[:, 1]
     assert sides[0] < -0.005 < 0.005 < sides[1]
+
+
+def small_knee() -> Scene:
+    """The small knee of other tests with a mesh of its trochlea in the place of the patch."""
+    scene = knee(6)
+    patch = trochlea()
+    half_u, half_v = (float(h) for h in patch.half_size)
+    flat = grid(lambda u, v: np.asarray(patch.height(J(u), J(v))), 61, min(half_u, half_v))
+    place = patch.chart.from_frame(Vec3.from_array(J(flat.vertices)))
+    mesh = SurfaceMesh(np.asarray(place.array()), flat.faces)
+    return scene.with_effect(MeshSphereContact(mesh_facets(mesh, lateral(flat)), LAW, vec(0, 0, 0), J(RADIUS)))
+
+
+def test_a_knee_is_simulated_on_a_mesh_and_a_search_without_room_is_in_its_status(monkeypatch):
+    scene, patch = small_knee(), knee(6, LAW)
+    mesh_path, patch_path = (pftwin.simulate(s, dt=0.002) for s in (scene, patch))
+    assert Status.SEARCH_OVERFLOW not in mesh_path.status
+    difference = np.linalg.norm(np.asarray(mesh_path.position) - np.asarray(patch_path.position), axis=1)
+    assert difference.max() < 0.2e-3
+    assert difference.max() > 0
+    monkeypatch.setitem(nearest.WIDTH, "disc", 1)
+    jax.clear_caches()
+    short = pftwin.simulate(scene, dt=0.002)
+    assert (short.flags & int(Status.SEARCH_OVERFLOW)).all()
+    assert "ran out of room" in short.status.describe()
+
+
+def test_scenes_without_a_mesh_do_not_import_its_search():
+    code = "import sys, pftwin; pftwin.rig.case(1); print([m for m in sys.modules if 'bvh' in m or 'mesh_sphere' in m])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

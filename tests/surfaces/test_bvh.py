@@ -19,7 +19,7 @@ from pftwin.rig.cases import implant_mesh
 from pftwin.surfaces.bvh import brute_force, tree
 from pftwin.surfaces.bvh.compaction import compacted
 from pftwin.surfaces.bvh.nearest import looks, nearest
-from pftwin.surfaces.bvh.tree import MeshTree, build_tree, tree_arrays
+from pftwin.surfaces.bvh.tree import MeshTree, build_tree, joined, tree_arrays
 from pftwin.surfaces.mesh import SurfaceMesh
 
 KINDS = ["disc", "box"]
@@ -150,6 +150,20 @@ def test_meshes_without_a_tree():
         build_tree(SurfaceMesh(np.zeros((0, 3)), np.zeros((0, 3), int)))
     with pytest.raises(InputError, match="not finite"):
         build_tree(SurfaceMesh(np.full((3, 3), np.nan), np.arange(3)[None]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_trees_under_one_root_are_searched_one_at_a_time(kind):
+    meshes = soup(1, 60), soup(2, 9)  # the second has leaves without triangles of their own
+    trees = [build_tree(m, kind=kind, depth=4) for m in meshes]
+    both = joined(trees)
+    find = jax.jit(lambda p: [nearest(both, point(p), width=60, below=(1, k)) for k in range(2)])
+    for p in np.random.default_rng(0).uniform(-0.07, 0.07, (20, 3)):
+        for k, found in enumerate(find(jnp.asarray(p))):
+            assert not bool(found.overflow)
+            place = int(found.place) - k * trees[0].index.shape[0]
+            distances = brute_force.distances(corners_of(meshes[k]), p)
+            assert distances[int(trees[k].source_index()[place])] <= distances.min() + 1e-15
 
 
 def test_looks_end_at_the_leaves():

@@ -45,7 +45,8 @@ def features_of(mesh: SurfaceMesh, label: NDArray[np.int64]) -> Features:
 
 
 def _sums(groups: NDArray, values: NDArray, n: int) -> NDArray[np.float64]:
-    return np.stack([np.bincount(groups.ravel(), values[:, k], minlength=n) for k in range(3)], axis=1)
+    sums = [np.bincount(groups.ravel(), values[:, k], minlength=n).astype(np.float64) for k in range(3)]
+    return np.stack(sums, axis=1)
 
 
 def _marked(faces: NDArray, of_face: NDArray, corners: NDArray, marked: NDArray, n: int) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -31,25 +32,35 @@ class Nearest(NamedTuple):
     overflow: Array  # () bool: more nodes were in the race than there was room for; the answer may be wrong
 
 
-def looks(tree: MeshTree, stride: int = STRIDE) -> list[int]:
-    """The levels that are looked at, down to the leaves."""
+def looks(tree: MeshTree, top: int = 0, stride: int = STRIDE) -> list[int]:
+    """The levels that are looked at, down to the leaves, in the part of a tree below a node of the level `top`."""
     first = tree.depth
-    while first - stride >= 0 and 1 << first > FIRST:
+    while first - stride >= top and 1 << (first - top) > FIRST:
         first -= stride
     return list(range(first, tree.depth + 1, stride))
 
 
-def nearest(tree: MeshTree, point: Vec3, *, width: int | None = None) -> Nearest:
+def nearest(
+    tree: MeshTree, point: Vec3, *, width: int | None = None, below: tuple[int, Array | int] = (0, 0)
+) -> Nearest:
     """The triangle nearest to a point of the mesh's frame. Nothing here is differentiated.
 
-    Jit and vmap apply; all lists have fixed lengths (`width`), so a batch costs what its members cost.
+    Jit and vmap apply; all lists have fixed lengths, so a batch costs what its members cost.
+
+    Args:
+        tree: of the mesh.
+        point: in the mesh's frame [m].
+        width: room for the nodes that stay in the race; None: enough for an implant.
+        below: level and number of a node: of all triangles those below it.
     """
     tree, point = stop_gradient((tree, point))
     width = WIDTH[tree.kind] if width is None else width
     p = jnp.stack([jnp.asarray(a, jnp.float32) for a in (point.x, point.y, point.z)])
-    levels = looks(tree)
-    nodes, overflow = jnp.arange(1 << levels[0], dtype=jnp.int32), jnp.asarray(False)
-    rows = tree.levels[levels[0]]
+    levels = looks(tree, below[0])
+    count = 1 << (levels[0] - below[0])
+    start = jnp.asarray(below[1], jnp.int32) * count
+    nodes, overflow = start + jnp.arange(count, dtype=jnp.int32), jnp.asarray(False)
+    rows = jax.lax.dynamic_slice_in_dim(tree.levels[levels[0]], start, count)
     for level, following in zip(levels, [*levels[1:], None], strict=True):
         least, most = tree.volumes.distances(rows, p)
         kept = compacted(least <= jnp.min(most) * (1 + SLACK), min(width, nodes.shape[0]))

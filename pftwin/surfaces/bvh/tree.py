@@ -7,6 +7,7 @@ triangles with room for its rounding; triangles are in JAX's default float type.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Literal
 
@@ -89,6 +90,20 @@ def build_tree(mesh: SurfaceMesh, *, kind: Kind = "disc", leaf: int = 4, depth: 
     triangles, index, levels = kept(tree_arrays, corners, kind, leaf, deep if depth is None else depth, files=())
     own = triangles.astype(canonicalize_dtype(float))
     return MeshTree(jax.device_put(own), jax.device_put(index), tuple(jax.device_put(a) for a in levels), kind)
+
+
+def joined(trees: Sequence[MeshTree]) -> MeshTree:
+    """One tree with two of the same depth, kind and leaf below its root; or the only one as it is.
+
+    The triangles of the second tree come after those of the first; `index` stays each tree's own.
+    """
+    if len(trees) == 1:
+        return trees[0]
+    first, second = trees
+    below = [np.concatenate([a, b]) for a, b in zip(first.levels, second.levels, strict=True)]
+    levels = tuple(jax.device_put(a) for a in (below[0][:1], *below))  # the root is never looked at
+    triangles, index = (np.concatenate([getattr(t, n) for t in trees]) for n in ("triangles", "index"))
+    return MeshTree(jax.device_put(triangles), jax.device_put(index), levels, first.kind)
 
 
 def tree_arrays(

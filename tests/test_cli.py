@@ -33,16 +33,8 @@ contact_force = "contact"
 """
 STEP = ("--dt", "0.005")  # one step for all tests: one program to compile
 COMMANDS = (
-    "demo",
-    "simulate",
-    "equilibrium",
-    "validate",
-    "fit-surface",
-    "init",
-    "fit",
-    "treat",
-    "optimise",
-    "plan-experiment",
+    *("demo", "simulate", "equilibrium", "validate", "fit-surface", "doctor-mesh"),
+    *("init", "fit", "treat", "optimise", "plan-experiment"),
 )
 
 

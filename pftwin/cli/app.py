@@ -9,7 +9,19 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from pftwin.cli import demo, equilibrium, fit, fit_surface, init, optimise, plan_experiment, simulate, treat, validate
+from pftwin.cli import (
+    demo,
+    doctor_mesh,
+    equilibrium,
+    fit,
+    fit_surface,
+    init,
+    optimise,
+    plan_experiment,
+    simulate,
+    treat,
+    validate,
+)
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
 
@@ -72,6 +84,7 @@ app.command("validate")(validate.validate)
 app.command("fit")(fit.fit)
 app.command("plan-experiment")(plan_experiment.plan_experiment)
 app.command("fit-surface")(fit_surface.fit_surface)
+app.command("doctor-mesh")(doctor_mesh.doctor_mesh)
 app.command("treat")(treat.treat)
 app.command("optimise")(optimise.optimise)
 app.command("init")(init.init)

@@ -15,6 +15,7 @@ from jax.lax import stop_gradient
 
 from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
 from pftwin.effects.contact_law import ContactLaw
+from pftwin.effects.push import pushed
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.closest import ClosestPoint, Surface
 from pftwin.surfaces.facets import MERGED, Place, follow_facets
@@ -111,25 +112,11 @@ class SphereContact(Effect):
     ) -> Touch:
         """The law at one closest point."""
         indentation = self.radius - p.distance
-        rate = -p.normal.dot(velocity)
-        if approach_speed is not None:
-            begun = jnp.where(approach_speed > 0, approach_speed, jnp.maximum(rate, 1e-12))
-            approach_speed = jnp.where(indentation > 0, begun, 0.0)
-        # Sliding along a curve, a tangent leads off the surface: linearised about the deeper of where the step starts
-        # and where it leads, contact does not open and close from step to step.
-        # The viscous part is left to the step as well, which sees that the force does not pull.
-        if isinstance(now.lead, float):
-            law = self.law.force(indentation, rate, approach_speed)
-        else:
-            deeper = jnp.where(rate < 0, -now.lead * rate, 0.0)
-            law = self.law.force(indentation + deeper, jnp.zeros_like(rate), approach_speed)
-            back = law.elastic - deeper * law.stiffness
-            law = law._replace(total=back + law.damping * rate, elastic=back)
         world = now.femur.direction(self.surface.chart.axes.apply(p.normal))
         moment = applied_at(self.center, now.patella, world)
-        total, elastic, stiffness, damping, energy = (share * a for a in law)
-        term = StiffTerm(world, moment, total, elastic, stiffness, damping, rate, unilateral=True)
-        return Touch(p, indentation, share, approach_speed, term, energy)
+        rate = -p.normal.dot(velocity)
+        push = pushed(self.law, now, indentation, rate, world, moment, approach_speed, share)
+        return Touch(p, indentation, share, push.approach_speed, push.term, push.energy)
 
     def load(self, now: Instant, memory: ContactMemory) -> tuple[Load, ContactMemory]:
         """A stiff term per contact."""

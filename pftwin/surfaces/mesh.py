@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.errors import InputError, OutputError
+from pftwin.surfaces.mesh_files import check_format, read_triangles
+from pftwin.surfaces.mesh_units import PLAUSIBLE, UNITS, check_size
 
-UNITS = {"m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3}
-_FORMATS = (".stl", ".obj", ".ply")
+COINCIDENT = 1e-7  # of a mesh's size: vertices nearer than that are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def load_mesh(
     path: str | os.PathLike[str],
     *,
     units: str,
-    size: tuple[float, float] | None = (0.02, 0.2),
+    size: tuple[float, float] | None = PLAUSIBLE,
     repair: bool = False,
 ) -> SurfaceMesh:
     """Read an STL, OBJ or PLY file, merge coincident vertices, and check that it is a usable surface.
@@ -106,7 +106,7 @@ def load_mesh(
     where = str(path)
     if units not in UNITS:
         raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
-    vertices, faces = _read(Path(path))
+    vertices, faces = read_triangles(Path(path))
     return check_mesh(vertices * UNITS[units], faces, source=where, size=size, repair=repair, units=units)
 
 
@@ -115,7 +115,7 @@ def check_mesh(
     faces: ArrayLike,
     *,
     source: str = "mesh",
-    size: tuple[float, float] | None = (0.02, 0.2),
+    size: tuple[float, float] | None = PLAUSIBLE,
     repair: bool = False,
     units: str = "m",
 ) -> SurfaceMesh:
@@ -136,7 +136,7 @@ def check_mesh(
         )
     mesh = _merged(p, f, source)
     if size is not None:
-        _check_size(mesh, size, units)
+        check_size(mesh.extent, mesh.source, size, units)
     from pftwin.surfaces.winding import check_winding
 
     return check_winding(mesh, repair)
@@ -154,7 +154,7 @@ def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "
     target = Path(path)
     if units not in UNITS:
         raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
-    _check_format(target)
+    check_format(target)
     exported = trimesh.Trimesh(mesh.vertices / UNITS[units], mesh.faces, process=False)
     data = exported.export(file_type=target.suffix[1:].lower())
     partial = target.with_name(target.name + ".part")
@@ -166,86 +166,26 @@ def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "
         raise OutputError(f"{target}: cannot write the mesh: {error.strerror}") from error
 
 
-def _check_format(path: Path) -> None:
-    if path.suffix.lower() not in _FORMATS:
-        raise InputError(
-            f"unknown mesh format {path.suffix or '(no extension)'}", where=path, expected=", ".join(_FORMATS)
-        )
-
-
-def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices and triangles as the file has them."""
-    import trimesh
-
-    _check_format(path)
-    if not path.is_file():
-        raise InputError("no such file", where=path, remedy="check the path")
-    data, kind = path.read_bytes(), path.suffix[1:].lower()
-    if not data.strip():
-        raise InputError("the file is empty", where=path, remedy="export the mesh again")
-    if kind == "stl":
-        _check_whole_stl(data, path)
-    if kind == "obj":  # comments in odd encodings are no reason to refuse it
-        data = data.decode("utf-8", errors="replace").encode()
-    try:
-        loaded = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
-    except Exception as error:  # the readers raise whatever their parsing runs into
-        raise InputError(
-            f"not a readable {kind.upper()} mesh ({error})",
-            where=path,
-            remedy="check that the file is complete and is what its extension says; export it again",
-        ) from error
-    vertices, faces = getattr(loaded, "vertices", None), getattr(loaded, "faces", None)
-    if vertices is None or faces is None or len(faces) == 0:
-        raise InputError("the file holds no triangles", where=path, remedy="export a triangle mesh, not points")
-    return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
-
-
-def _check_whole_stl(data: bytes, path: Path) -> None:
-    """A binary STL says how many triangles follow and must keep that promise; a text STL must have its last line."""
-    count = int.from_bytes(data[80:84], "little")
-    if len(data) == 84 + 50 * count and count:
-        return
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError:
-        raise InputError(
-            f"a truncated or damaged binary STL: its header promises {count} triangles, "
-            f"{max(len(data) - 84, 0) // 50} follow",
-            where=path,
-            remedy="copy or export the file again",
-        ) from None
-    if text.lstrip().startswith("solid") and "endsolid" not in text[text.rfind("endfacet") :]:
-        raise InputError(
-            "a truncated text STL: it ends without endsolid", where=path, remedy="copy or export the file again"
-        )
+def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Coincident vertices made one (to `COINCIDENT` of the size); as many faces as before."""
+    used = vertices[np.unique(faces)]
+    grid = COINCIDENT * max(float(np.ptp(used, axis=0).max()), np.finfo(float).tiny)
+    _, first, inverse = np.unique(np.round(vertices / grid), axis=0, return_index=True, return_inverse=True)
+    return vertices[first], inverse.ravel()[faces]
 
 
 def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], source: str) -> SurfaceMesh:
-    """Coincident vertices made one (to 1e-7 of the size), triangles without area and unused vertices dropped."""
-    used = vertices[np.unique(faces)]
-    grid = 1e-7 * max(float(np.ptp(used, axis=0).max()), np.finfo(float).tiny)
-    _, first, inverse = np.unique(np.round(vertices / grid), axis=0, return_index=True, return_inverse=True)
-    joined = inverse.ravel()[faces]
+    """Welded; triangles without area and unused vertices dropped."""
+    points, joined = weld(vertices, faces)
     kept = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
-    mesh = SurfaceMesh(vertices[first], kept, source)
+    mesh = SurfaceMesh(points, kept, source)
     kept = kept[mesh.face_areas > 0]
     if not kept.size:
         raise InputError(f"all {len(faces)} triangles have no area", where=source, remedy="export the mesh again")
-    index, renumbered = np.unique(kept, return_inverse=True)
-    return SurfaceMesh(mesh.vertices[index], renumbered.reshape(-1, 3), source)
+    return compacted(SurfaceMesh(points, kept, source))
 
 
-def _check_size(mesh: SurfaceMesh, size: tuple[float, float], units: str) -> None:
-    low, high = size
-    if low <= mesh.extent <= high:
-        return
-    raw = mesh.extent / UNITS[units]
-    found = f"{mesh.extent * 1e3:.4g} mm" if units == "mm" else f"{raw:.4g} {units} = {mesh.extent * 1e3:.4g} mm"
-    fitting = [name for name, scale in UNITS.items() if low <= raw * scale <= high]
-    raise InputError(
-        f"a longest side of {found} is implausible",
-        where=mesh.source,
-        expected=f"between {low * 1e3:g} and {high * 1e3:g} mm",
-        remedy=f"units={fitting[0]!r}" if fitting else "check the units, or pass size= for an unusual part",
-    )
+def compacted(mesh: SurfaceMesh) -> SurfaceMesh:
+    """The mesh without vertices that no triangle uses."""
+    index, renumbered = np.unique(mesh.faces, return_inverse=True)
+    return SurfaceMesh(mesh.vertices[index], renumbered.reshape(-1, 3), mesh.source)

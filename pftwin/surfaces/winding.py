@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.errors import InputError
 from pftwin.surfaces.mesh import SurfaceMesh
+
+
+class Agreement(NamedTuple):
+    """What it takes for neighbouring triangles to agree on their outside."""
+
+    turned: NDArray[np.bool_]  # (m,) the fewest triangles whose turning makes them agree
+    one_sided: NDArray[np.bool_]  # (m,) triangles of parts where no choice does
+    clashes: int  # pairs of neighbours that face opposite sides
 
 
 def directed_edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -16,12 +26,18 @@ def directed_edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def check_winding(mesh: SurfaceMesh, repair: bool) -> SurfaceMesh:
     """Neighbours must run their common edge in opposite senses; a closed mesh must enclose a positive volume."""
-    turned = _turned(mesh)
+    turned, one_sided, clashes = agreement(mesh.faces)
+    if one_sided.any():
+        raise InputError(
+            f"{clashes} pairs of adjacent triangles face opposite sides, and no choice of sides makes all agree",
+            where=mesh.source,
+            expected="a surface with two sides, at most two triangles on an edge",
+            remedy="pftwin doctor-mesh says where; remove non-manifold edges and overlapping sheets in a mesh editor",
+        )
     if not turned.any() and not (mesh.is_closed and mesh.volume < 0):
         return mesh
     if repair:
-        faces = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
-        agreed = SurfaceMesh(mesh.vertices, faces, mesh.source)
+        agreed = SurfaceMesh(mesh.vertices, turned_over(mesh.faces, turned), mesh.source)
         return agreed.flipped() if agreed.is_closed and agreed.volume < 0 else agreed
     if turned.any():
         raise InputError(
@@ -36,8 +52,24 @@ def check_winding(mesh: SurfaceMesh, repair: bool) -> SurfaceMesh:
     )
 
 
-def _turned(mesh: SurfaceMesh) -> NDArray[np.bool_]:
-    """The fewest triangles whose turning makes neighbours agree, (m,).
+def turned_over(faces: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The faces with some of them turned, (m, 3)."""
+    return np.where(which[:, None], faces[:, ::-1], faces)
+
+
+def adjacent(faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Pairs of triangles with a common edge, (k,) each, and whether they run it in the same sense (they should not)."""
+    n = len(faces)
+    directed = directed_edges(faces)
+    key = np.sort(directed, axis=1)
+    order = np.lexsort((key[:, 1], key[:, 0]))
+    same = np.flatnonzero((key[order][1:] == key[order][:-1]).all(axis=1))
+    e, o = order[same], order[same + 1]
+    return e % n, o % n, directed[e, 0] == directed[o, 0]
+
+
+def agreement(faces: NDArray[np.int64]) -> Agreement:
+    """Which triangles to turn so that neighbours agree.
 
     Two-colouring by the graph's double cover: every triangle is there twice, kept and turned, and each common edge ties
     the choices that agree; a triangle tied to its own opposite belongs to a surface without two sides.
@@ -45,26 +77,16 @@ def _turned(mesh: SurfaceMesh) -> NDArray[np.bool_]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    n = len(mesh.faces)
-    directed = directed_edges(mesh.faces)
-    key = np.sort(directed, axis=1)
-    order = np.lexsort((key[:, 1], key[:, 0]))
-    same = np.flatnonzero((key[order][1:] == key[order][:-1]).all(axis=1))
-    e, o = order[same], order[same + 1]
-    clash = directed[e, 0] == directed[o, 0]
-    a, b = e % n, o % n
+    n = len(faces)
+    a, b, clash = adjacent(faces)
+    none = np.zeros(n, dtype=bool)
     if not clash.any():
-        return np.zeros(n, dtype=bool)
+        return Agreement(none, none, 0)
     rows, columns = np.r_[a, a + n], np.where(np.r_[clash, clash], np.r_[b + n, b], np.r_[b, b + n])
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * n, 2 * n))
     kept, turned = connected_components(graph, directed=False)[1].reshape(2, n)
-    if (kept == turned).any():
-        raise InputError(
-            f"{clash.sum()} pairs of adjacent triangles face opposite sides, and no choice of sides makes all agree",
-            where=mesh.source,
-            expected="a surface with two sides, at most two triangles on an edge",
-            remedy="repair the mesh in a mesh editor (remove non-manifold edges, overlapping sheets)",
-        )
     # a body's two copies are two components; keep the copy in which fewer of its triangles are turned
     sizes = np.bincount(kept, minlength=2 * n)
-    return (sizes[kept] < sizes[turned]) | ((sizes[kept] == sizes[turned]) & (kept > turned))
+    fewer = (sizes[kept] < sizes[turned]) | ((sizes[kept] == sizes[turned]) & (kept > turned))
+    one_sided = kept == turned
+    return Agreement(fewer & ~one_sided, one_sided, int(clash.sum()))

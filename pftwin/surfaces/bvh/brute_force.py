@@ -1,0 +1,61 @@
+"""The slow references: every triangle against the point, every triangle against every other. For tests. Host side.
+
+Written another way than the fast queries on purpose: distances by minimising over face, edges and corners one by one,
+intersections by the separating axis theorem.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def distances(corners: Floats, point: Floats) -> Floats:
+    """From a point (3,) to each of the triangles (n, 3, 3), (n,)."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    best = np.full(len(corners), np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        way = end - start
+        share = np.einsum("ij,ij->i", point - start, way) / np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)
+        best = np.minimum(best, np.linalg.norm(start + np.clip(share, 0, 1)[:, None] * way - point, axis=1))
+    normal = np.cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1)
+    flat = size == 0
+    unit = normal / np.where(flat, 1, size)[:, None]
+    height = np.einsum("ij,ij->i", point - a, unit)
+    foot = point - height[:, None] * unit
+    # Barycentric coordinates of the foot, as areas.
+    weights = [np.einsum("ij,ij->i", np.cross(q - foot, r - foot), unit) for q, r in ((b, c), (c, a), (a, b))]
+    inside = (np.min(weights, axis=0) >= 0) & ~flat
+    return np.where(inside, np.minimum(best, np.abs(height)), best)
+
+
+def intersecting(first: Floats, second: Floats) -> NDArray[np.int64]:
+    """Pairs (k, 2) of triangles of (n, 3, 3) and (m, 3, 3) that have a point in common, in ascending order."""
+    low, high = second.min(axis=(0, 1)), second.max(axis=(0, 1))
+    near = np.flatnonzero(((first.min(axis=1) <= high) & (first.max(axis=1) >= low)).all(axis=1))
+    found = [near[_against(first[near], triangle)] for triangle in second] if len(near) else []
+    pairs = [np.stack([hits, np.full(len(hits), j)], axis=1) for j, hits in enumerate(found)]
+    every = np.concatenate(pairs) if pairs else np.empty((0, 2), int)
+    return every[np.lexsort((every[:, 1], every[:, 0]))]
+
+
+def _against(many: Floats, one: Floats) -> NDArray[np.int64]:
+    """Which of many triangles meet one: no axis separates them."""
+    near = np.flatnonzero(((many.min(axis=1) <= one.max(axis=0)) & (many.max(axis=1) >= one.min(axis=0))).all(axis=1))
+    t = many[near]
+    sides = np.roll(t, -1, axis=1) - t
+    own = np.roll(one, -1, axis=0) - one
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    normal = np.broadcast_to(np.cross(own[0], own[1]), normals.shape)
+    axes = [normals, normal]
+    axes += [np.cross(sides[:, i], own[j]) for i in range(3) for j in range(3)]
+    axes += [np.cross(normals, sides[:, i]) for i in range(3)]  # for triangles in one plane
+    axes += [np.broadcast_to(np.cross(normal[:1], own[j]), normals.shape) for j in range(3)] if len(near) else []
+    meet = np.ones(len(near), dtype=bool)
+    for axis in axes:
+        p, q = np.einsum("nkj,nj->nk", t, axis), axis @ one.T
+        meet &= (p.min(axis=1) <= q.max(axis=1)) & (q.min(axis=1) <= p.max(axis=1))
+    return near[meet]

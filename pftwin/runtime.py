@@ -16,9 +16,9 @@ from pftwin.errors import PftwinError
 # XLA compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one
 # through its scheduler. The first switch lets one kernel have many results (batches run 3 times faster), the second
 # compiles a loop into one function however much it holds (a single run is 12 times faster, a batch of 64 twice); both
-# halve the compile time. Such a loop runs on one core, and must store what it puts out as rows (`dynamics.packing`). The
-# third uses the whole width of AVX-512 registers where there are any (batches run 15 to 18 % faster). Answers do not
-# change beyond rounding.
+# halve the compile time. Such a loop runs on one core, and must store what it puts out as rows (`dynamics.packing`).
+# The third uses the whole width of AVX-512 registers where there are any (batches run 15 to 18 % faster). Answers do
+# not change beyond rounding.
 FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=100000000")
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width=512"
 _OPTION = "--xla_backend_extra_options="

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fitting.optimise import optimise_treatment
     from fitting.parameters import Parameter, Parameters, free_parameters
     from fitting.posterior import Posterior, sample_posterior
-    from fitting.predict import predict
+    from fitting.predicting import predict
 
 _HOME = {
     "Estimate": "estimate",
@@ -33,7 +33,7 @@ _HOME = {
     "free_parameters": "parameters",
     "optimise_treatment": "optimise",
     "plan_experiment": "identifiability",
-    "predict": "predict",
+    "predict": "predicting",  # a module of the same name would hide the function
     "profile_likelihood": "identifiability",
     "sample_posterior": "posterior",
 }

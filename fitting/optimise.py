@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.limits import Limit
-from fitting.predict import STEP, Fitted, predict
+from fitting.predicting import STEP, Fitted, predict
 from fitting.refine import Search, refined
 from fitting.treatment_plan import Plan
 from fitting.treatments import Treatment

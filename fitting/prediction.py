@@ -15,7 +15,7 @@ from pftwin.dynamics.observe import Status
 if TYPE_CHECKING:
     from xarray import Dataset
 
-    from fitting.predict import Fitted
+    from fitting.predicting import Fitted
 
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 _DEGREES = 180 / np.pi

@@ -20,7 +20,7 @@ from fitting.course import Groove, course
 from fitting.limits import Limit
 from fitting.members import Recipe
 from fitting.outcomes import MEASURES, measure
-from fitting.predict import Fitted
+from fitting.predicting import Fitted
 from fitting.treatments import Treatment
 from pftwin.batches import batched
 from pftwin.dynamics.observe import observe

@@ -68,12 +68,18 @@ def _fits() -> dict[str, dict[str, float]]:
     return {c: {"r_squared": f.r_squared, "rms_m": f.rms, "max_error_m": f.max_error} for c, f in fits.items()}
 
 
-def _table(means: dict[str, Validation]) -> Table:
-    """The paper's Table 1, ours and theirs side by side."""
+def narrow_table(title: str) -> Table:
+    """An empty table that has room for many columns in a terminal 80 wide."""
+    from rich import box
     from rich.table import Table
 
-    table = Table(
-        title="Means over the four cases: pftwin against the virtual rig's SYNTHETIC measurements,\n"
+    return Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+
+
+def _table(means: dict[str, Validation]) -> Table:
+    """The paper's Table 1, ours and theirs side by side."""
+    table = narrow_table(
+        "Means over the four cases: pftwin against the virtual rig's SYNTHETIC measurements,\n"
         "beside Table 1 of Michaud et al. 2024 (their rig, their measurements)"
     )
     table.add_column("", no_wrap=True)
@@ -114,9 +120,9 @@ def _outcomes(results: dict[int, dict[str, Result]]) -> list[dict[str, Any]]:
 
 
 def _outcome_table(outcomes: list[dict[str, Any]]) -> Table:
-    from rich.table import Table
-
-    table = Table(title="Tracking (the paper: 1 and 4 track; 2 and 3 dislocate, but not with P2; 2 does not re-engage)")
+    table = narrow_table(
+        "Tracking (the paper: 1 and 4 track; 2 and 3 dislocate, but not with P2;\n2 does not re-engage)"
+    )
     for name in ("case", "contact", "outcome"):
         table.add_column(name)
     for row in outcomes:

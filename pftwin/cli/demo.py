@@ -58,22 +58,22 @@ def _paper_study(folder: Path, console: Console) -> dict[str, Any]:
 
 
 def _table_2(study: PaperStudy) -> Table:
-    from rich.table import Table
-
     from fitting.paper_study import CASES, PATHOLOGY
     from fitting.paper_study_tables import table_2
+    from pftwin.demo import narrow_table
 
-    table = Table(
-        title="Springs fitted to the motion of case 2 (pathology); cases 2 and 1 (treatment) simulated with them:\n"
-        "pftwin against the virtual rig's SYNTHETIC measurements, beside section 3 and Table 2 of\n"
-        "Michaud et al. 2024 (their rig, their measurements; errors of springs without signs)"
+    table = narrow_table(
+        "Springs fitted to the motion of case 2 (pathology); cases 2 and 1 (treatment)\n"
+        "simulated with them: pftwin against the virtual rig's SYNTHETIC measurements,\n"
+        "A: fitted by the paper's objective; B: by likelihood; beside section 3 and\n"
+        "Table 2 of Michaud et al. 2024 (their rig; errors of springs without signs)"
     )
-    table.add_column("", no_wrap=True)
+    table.add_column("")
     for n in CASES:
-        called = f"case {n}, {'fitted' if n == PATHOLOGY else 'predicted'}"
-        table.add_column(f"{called}\npaper's objective", justify="right", no_wrap=True)
-        table.add_column(f"{called}\nlikelihood", justify="right", no_wrap=True)
-        table.add_column(f"paper\ncase {n}", justify="right", style="dim", no_wrap=True)
+        called = "fitted" if n == PATHOLOGY else "predicted"
+        for fit in "AB":
+            table.add_column(f"case {n}\n{called}\n{fit}", justify="right", no_wrap=True)
+        table.add_column(f"case {n}\n\npaper", justify="right", style="dim", no_wrap=True)
     for row in table_2(study):
         signed = row.unit == "%"
         cells = [
@@ -86,34 +86,33 @@ def _table_2(study: PaperStudy) -> Table:
 
 
 def _springs(study: PaperStudy, fit: str) -> Table:
-    from rich.table import Table
-
     from fitting.paper_study_tables import SPRINGS, spring_rows
+    from pftwin.demo import narrow_table
 
-    table = Table(title=f"Springs, {SPRINGS[fit]}, to SYNTHETIC measurements of case 2")
+    title = f"Springs, {SPRINGS[fit]}, to SYNTHETIC measurements of case 2"
+    table = narrow_table(f"{title}\n(line: the straight one nearest to the plant's)")
     table.add_column("", no_wrap=True)
-    for name in ("nominal", "straight line\nof the plant", "fitted", "95 % interval", "covers"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for name in ("error of\nnominal, %", "error of\nthe line, %"):
+    for name in ("nominal", "line", "fitted", "95 % interval", "which\ncovers", "off\nnominal, %", "off the\nline, %"):
         table.add_column(name, justify="right", no_wrap=True)
     if fit == "paper":
-        table.add_column("paper's error\nof nominal, %", justify="right", style="dim", no_wrap=True)
+        table.add_column("paper's\nerror, %", justify="right", style="dim", no_wrap=True)
     for row in spring_rows(study, fit):
         cells = [f"{v:.5g}" for v in (row.nominal, row.line, row.fitted)]
-        cells += [f"{row.low:.4g} to {row.high:.4g}", row.covered, f"{row.error:+.1f}", f"{row.error_of_line:+.1f}"]
+        covered = "both" if " and " in row.covered else row.covered
+        cells += [f"{row.low:.4g} to {row.high:.4g}", covered, f"{row.error:+.1f}", f"{row.error_of_line:+.1f}"]
         cells += [] if row.paper_error is None else [f"{row.paper_error:.0f}"]
         table.add_row(f"{row.name}, {row.unit}", *cells)
     return table
 
 
 def _outcomes(study: PaperStudy) -> Table:
-    from rich.table import Table
-
     from fitting.paper_study import PAPER
     from fitting.paper_study_tables import outcome_rows
+    from pftwin.demo import narrow_table
 
     published = "; ".join(f"case {n} {text}" for n, text in PAPER.outcomes.items())
-    table = Table(title=f"Outcome of pathology and treatment (the paper, measured and predicted: {published})")
+    title = f"Outcome of pathology and treatment\n(the paper, measured and predicted: {published})"
+    table = narrow_table(title)
     for name in ("case", "springs", "outcome", "as measured"):
         table.add_column(name)
     for row in outcome_rows(study):

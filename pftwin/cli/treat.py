@@ -59,7 +59,7 @@ def treat(
     variants = _variants(numbers)
     found = None if estimate is None else loaded_estimate(estimate)
     chosen = chosen_scene(scene, case, contact)
-    from fitting.predict import predict
+    from fitting.predicting import predict
     from pftwin.result_files import save_dataset
 
     with err().status("compiling and simulating ...") as spinner:

@@ -11,6 +11,7 @@ from jaxtyping import Array
 from pftwin.dynamics.packing import map_rows
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.trajectory import Trajectory
+from pftwin.effects.sphere_contact import SphereContact
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 
@@ -29,7 +30,6 @@ class Status(enum.IntFlag):
     NOT_FINITE = 8
     START_NOT_IN_EQUILIBRIUM = 16
     STEP_TOO_LONG = 32
-    SEARCH_OVERFLOW = 64
 
     def describe(self) -> str:
         """The status in words."""
@@ -44,7 +44,6 @@ _WORDS = {
     Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius: step too large or law too soft",
     Status.NOT_FINITE: "not finite: step too large",
     Status.STEP_TOO_LONG: "the patella moves or turns too far within one step: take a shorter one",
-    Status.SEARCH_OVERFLOW: "the search on a mesh ran out of room: its contact may be wrong",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
@@ -91,18 +90,16 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
 def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar) -> Array:
     flags = jnp.where(step * state.spin.norm() > MOST_TURN, int(Status.STEP_TOO_LONG), 0)
     for effect in scene.effects:
-        report, radius = seen[effect.name], getattr(effect, "radius", None)
-        if radius is None:  # not the contact of a sphere, on a patch or on a mesh
+        if not isinstance(effect, SphereContact):
             continue
+        report = seen[effect.name]
         deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
         for condition, flag in (
             (report["force"] <= 0, Status.NO_CONTACT),
             (report["off_patch"] > 0, Status.LEFT_PATCH),
-            (deepest > DEEPEST * radius, Status.DEEP_INDENTATION),
-            (step * state.velocity.norm() > FARTHEST * radius, Status.STEP_TOO_LONG),
+            (deepest > DEEPEST * effect.radius, Status.DEEP_INDENTATION),
+            (step * state.velocity.norm() > FARTHEST * effect.radius, Status.STEP_TOO_LONG),
         ):
             flags = flags | jnp.where(condition, int(flag), 0)
-        if "overflow" in report:
-            flags = flags | jnp.where(report["overflow"] > 0, int(Status.SEARCH_OVERFLOW), 0)
     finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())
     return jnp.where(finite, flags, int(Status.NOT_FINITE))

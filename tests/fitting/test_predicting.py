@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import pytest
 import scenes
 
 from fitting.outcomes import MEASURES, outcomes
-from fitting.predict import predict
+from fitting.predicting import predict
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from fitting.variants import grid
 from pftwin import rig, simulate
@@ -185,3 +186,13 @@ def test_grid_has_all_combinations():
 def test_what_is_wrong_is_named(knee, call, message):
     with pytest.raises(InputError, match=message):
         call(knee)
+
+
+def test_the_verb_is_not_hidden_by_a_module():
+    import fitting
+    from fitting.optimise import optimise_treatment
+
+    assert callable(fitting.predict)
+    assert fitting.optimise_treatment is optimise_treatment
+    modules = {path.stem for path in Path(fitting.__file__).parent.glob("*.py")}
+    assert not modules & (set(fitting.__all__) - {"outcomes", "treatments"})

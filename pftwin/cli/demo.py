@@ -90,14 +90,15 @@ def _springs(study: PaperStudy, fit: str) -> Table:
     from pftwin.demo import narrow_table
 
     title = f"Springs, {SPRINGS[fit]}, to SYNTHETIC measurements of case 2"
-    table = narrow_table(f"{title}\n(line: the straight one nearest to the plant's)")
+    about = "line: the straight one nearest to the plant's; off: against nominal, as the paper counts"
+    table = narrow_table(f"{title}\n({about})")
     table.add_column("", no_wrap=True)
-    for name in ("nominal", "line", "fitted", "95 % interval", "which\ncovers", "off\nnominal, %", "off the\nline, %"):
+    for name in ("nominal", "line", "fitted", "95 % interval", "which\ncovers", "off,\n%", "off\nline,\n%"):
         table.add_column(name, justify="right", no_wrap=True)
     if fit == "paper":
-        table.add_column("paper's\nerror, %", justify="right", style="dim", no_wrap=True)
+        table.add_column("paper\noff,\n%", justify="right", style="dim", no_wrap=True)
     for row in spring_rows(study, fit):
-        cells = [f"{v:.5g}" for v in (row.nominal, row.line, row.fitted)]
+        cells = [f"{v:.4g}" for v in (row.nominal, row.line, row.fitted)]
         covered = "both" if " and " in row.covered else row.covered
         cells += [f"{row.low:.4g} to {row.high:.4g}", covered, f"{row.error:+.1f}", f"{row.error_of_line:+.1f}"]
         cells += [] if row.paper_error is None else [f"{row.paper_error:.0f}"]

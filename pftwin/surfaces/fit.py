@@ -6,16 +6,14 @@ Michaud et al. 2024, section 2.4.2: heights of the vertices in the trochlear reg
 from __future__ import annotations
 
 import re
-import warnings
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pftwin.errors import InputError, PftwinWarning
+from pftwin.errors import InputError
 from pftwin.leaves import number
-from pftwin.surfaces.charts import Chart, CylindricalChart
+from pftwin.surfaces.charts import Chart
 from pftwin.surfaces.fit_input import (
     Emphasis,
     Points,
@@ -25,6 +23,7 @@ from pftwin.surfaces.fit_input import (
     surface_points,
     vertex_weights,
 )
+from pftwin.surfaces.fit_quality import PatchFit, covered, quality
 from pftwin.surfaces.mesh import SurfaceMesh
 from pftwin.surfaces.patch import PolynomialPatch, exponents
 
@@ -32,36 +31,8 @@ if TYPE_CHECKING:
     from pftwin.surfaces.region import TrochlearRegion
 
 
-@dataclass(frozen=True)
-class PatchFit:
-    """A fitted patch and how well it fits; lengths in metres.
-
-    R^2 is 1 - sum w e^2 / sum w (h - mean h)^2 over the heights h, with the weights of the fit; rms likewise.
-    """
-
-    patch: PolynomialPatch
-    r_squared: float
-    rms: float  # of the height residuals
-    max_error: float  # largest height residual
-    rms_normal: float  # of the residuals along the patch's normal
-    max_error_normal: float
-    n_vertices: int
-    coverage: float  # share of the patch's rectangle, in 8 x 8 cells, that holds vertices
-
-    @property
-    def name(self) -> str:
-        """The paper's name of the polynomial, such as "P5"."""
-        return f"P{self.patch.degree}"
-
-    def __str__(self) -> str:
-        return (
-            f"{self.name}: R^2 {100 * self.r_squared:.2f} %, rms {1e3 * self.rms:.3f} mm, "
-            f"max {1e3 * self.max_error:.3f} mm, {self.n_vertices} vertices"
-        )
-
-
-def parse_degree(name: str | int) -> int:
-    """The degree of "P5" or 5.
+def parse_degree(name: str | int, *, others: str = "") -> int:
+    """The degree of "P5" or 5. `others`: what else the user could have said, for the message.
 
     Raises:
         InputError: anything else, or a degree below 1 or above 12.
@@ -69,7 +40,9 @@ def parse_degree(name: str | int) -> int:
     match = re.fullmatch(r"[Pp]?(\d{1,3})", str(name).strip())
     degree = int(match[1]) if match and not isinstance(name, bool) else 0
     if not 1 <= degree <= 12:
-        raise InputError(f"no polynomial {name!r}", where="degree", expected='"P1" to "P12", or the number alone')
+        or_else = f', or "{others}"' if others else ""
+        expected = f'"P1" to "P12", or the number alone{or_else}'
+        raise InputError(f"no polynomial {name!r}", where="degree", expected=expected)
     return degree
 
 
@@ -123,15 +96,19 @@ def fit_patch(
         (number(half[0]), number(half[1])),
         n,
     )
-    coverage = _coverage(a, b)
-    if coverage < 0.75:
-        warnings.warn(
-            f"{where}: vertices cover {100 * coverage:.0f} % of the patch's rectangle; in the rest of it the polynomial"
-            " is extrapolated. Try a smaller region.",
-            PftwinWarning,
-            stacklevel=2,
-        )
-    return _report(patch, coefficients, half, a, b, h, weight, coverage)
+    coverage = covered(a, b, where, "polynomial")
+    return quality(patch, h, _heights_and_slopes(coefficients, n, half, a, b), weight, coverage)
+
+
+def _heights_and_slopes(
+    coefficients: Points, degree: int, half: tuple[float, float], a: Points, b: Points
+) -> tuple[Points, Points, Points]:
+    """The polynomial at the vertices, in double precision."""
+    slope_u, slope_v = np.zeros_like(a), np.zeros_like(b)
+    for c, (i, j) in zip(coefficients, exponents(degree), strict=True):
+        slope_u += c * i * a ** max(i - 1, 0) * b**j / half[0]
+        slope_v += c * j * a**i * b ** max(j - 1, 0) / half[1]
+    return _monomials(a, b, degree) @ coefficients, slope_u, slope_v
 
 
 def _domain(u: Points, v: Points, where: str) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -167,44 +144,3 @@ def _solve(basis: Points, h: Points, weight: Points, degree: int, where: str) ->
             remedy="vertices spread over the whole region (not along lines), or a lower degree",
         )
     return np.asarray(solution, dtype=np.float64)
-
-
-def _coverage(a: Points, b: Points, cells: int = 8) -> float:
-    """Share of the cells of the rectangle that hold a vertex, out of as many cells as the vertices could fill."""
-    inside = (np.abs(a) <= 1) & (np.abs(b) <= 1)
-    cells = int(np.clip(np.sqrt(inside.sum() / 8), 1, cells))
-    i, j = (np.clip(((c[inside] + 1) / 2 * cells).astype(int), 0, cells - 1) for c in (a, b))
-    return len(np.unique(i * cells + j)) / cells**2
-
-
-def _report(
-    patch: PolynomialPatch,
-    coefficients: Points,
-    half: tuple[float, float],
-    a: Points,
-    b: Points,
-    h: Points,
-    weight: Points,
-    coverage: float,
-) -> PatchFit:
-    """Residuals in double precision."""
-    powers = exponents(patch.degree)
-    fitted = _monomials(a, b, patch.degree) @ coefficients
-    slope_u = sum(c * i * a ** max(i - 1, 0) * b**j for c, (i, j) in zip(coefficients, powers, strict=True)) / half[0]
-    slope_v = sum(c * j * a**i * b ** max(j - 1, 0) for c, (i, j) in zip(coefficients, powers, strict=True)) / half[1]
-    if isinstance(patch.chart, CylindricalChart):
-        slope_u = slope_u * float(patch.chart.radius) / fitted
-    error = h - fitted
-    normal = error / np.sqrt(1 + slope_u**2 + slope_v**2)
-    spread = np.average((h - np.average(h, weights=weight)) ** 2, weights=weight)
-    unexplained = np.average(error**2, weights=weight)
-    return PatchFit(
-        patch=patch,
-        r_squared=float(1 - unexplained / spread) if spread > 1e-24 else 1.0,
-        rms=float(np.sqrt(unexplained)),
-        max_error=float(np.abs(error).max()),
-        rms_normal=float(np.sqrt(np.average(normal**2, weights=weight))),
-        max_error_normal=float(np.abs(normal).max()),
-        n_vertices=len(h),
-        coverage=coverage,
-    )

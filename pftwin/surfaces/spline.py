@@ -1,0 +1,164 @@
+"""A bicubic tensor-product spline over a chart: C2, as near to a mesh as one likes, at about a polynomial's price.
+
+A cell's height needs 4 x 4 numbers however many cells there are, and on uniform knots their place in a table is
+arithmetic. The table is made of the coefficients before a loop, a row for each cell: the sixteen coefficients of its
+own powers. One row is then fetched for a jet. Sixteen single loads in B-spline form are as fast, but in reverse mode
+become as many scatters, which compile far longer; a block of 4 x 4 is a fifth slower in a batch.
+
+Beyond its rectangle the patch goes on as a polynomial patch does: by its bilinear Taylor expansion about the nearest
+point of the rectangle (C1), and `outside` says that the edge has been crossed.
+
+The fan that looks for facets (`pftwin.surfaces.facets`) samples thirteen heights a step, and only decides where a
+search starts. It is given a polynomial, the nearest in the mean to this very spline, made along with the table: a row
+fetched for every sample would double the price of a batch.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.spatial import Scalar
+from pftwin.surfaces.charts import Chart, Jet
+from pftwin.surfaces.closest import Profile
+from pftwin.surfaces.patch import PolynomialPatch, exponents
+from pftwin.surfaces.spline_basis import CELL_POWERS, legendre_to_powers, polynomial_projection
+
+FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm of a trochlea
+
+
+class Loop(NamedTuple):
+    """What is made of a spline's coefficients before a loop."""
+
+    table: Array  # (n_u * n_v, 16): the coefficient of x^p y^q in column 4 p + q, x and y 0 to 1 in the cell
+    fan: PolynomialPatch  # what `profile` samples
+
+
+class SplinePatch(eqx.Module):
+    """height = sum of c_ij N_i(a) N_j(b), a = (u - u0) / half_u, b = (v - v0) / half_v, with |a|, |b| <= 1.
+
+    N are the uniform cubic B-splines on [-1, 1] (`pftwin.surfaces.spline_basis`).
+    """
+
+    chart: Chart
+    coefficients: Array  # (n_u + 3, n_v + 3) for n_u x n_v cells [m]
+    center: tuple[Scalar, Scalar]  # (u0, v0) [m]
+    half_size: tuple[Scalar, Scalar]  # (half_u, half_v) [m]
+    loop: Loop | None = None  # once it has been made
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """How many cells there are along u and v."""
+        return self.coefficients.shape[-2] - 3, self.coefficients.shape[-1] - 3
+
+    def unstacked(self) -> SplinePatch:
+        """The same patch with the table of its cells and its polynomial for the fan: made once before a loop."""
+        if self.loop is not None:
+            return self
+        return eqx.tree_at(lambda s: s.loop, self, self._loop(), is_leaf=lambda x: x is None)
+
+    def _loop(self) -> Loop:
+        return self.loop or Loop(self._table(), self.nearest_polynomial())
+
+    def _table(self) -> Array:
+        n_u, n_v = self.cells
+        powers, c = jnp.asarray(CELL_POWERS, float), self.coefficients
+        along = jnp.stack([c[i : i + n_u] for i in range(4)])  # (4, n_u, n_v + 3)
+        windows = jnp.stack([along[:, :, j : j + n_v] for j in range(4)])  # (4 across, 4 along, n_u, n_v)
+        return jnp.einsum("pi,jiuv,qj->uvpq", powers, windows, powers).reshape(n_u * n_v, 16)
+
+    def nearest_polynomial(self, degree: int = FAN_DEGREE) -> PolynomialPatch:
+        """The polynomial patch of a total degree that is nearest in the mean over the rectangle."""
+        along, across = (jnp.asarray(polynomial_projection(n, degree), float) for n in self.cells)
+        powers = jnp.asarray(legendre_to_powers(degree), float)
+        series = along @ self.coefficients @ across.T
+        # Legendre polynomials are orthogonal: leaving out terms leaves the nearest polynomial without them.
+        series = jnp.where(jnp.add.outer(jnp.arange(degree + 1), jnp.arange(degree + 1)) <= degree, series, 0.0)
+        square = powers.T @ series @ powers
+        c = tuple(square[i, j] for i, j in exponents(degree))
+        return PolynomialPatch(self.chart, c, self.center, self.half_size, degree)
+
+    def outside(self, u: Scalar, v: Scalar) -> Scalar:
+        """How far beyond the fitted rectangle a point lies [m]; zero inside."""
+        du = jnp.maximum(jnp.abs(u - self.center[0]) - self.half_size[0], 0.0)
+        dv = jnp.maximum(jnp.abs(v - self.center[1]) - self.half_size[1], 0.0)
+        return jnp.maximum(du, dv)
+
+    def clipped(self, v: Scalar) -> Scalar:
+        """The nearest coordinate across the groove that lies on the fitted rectangle."""
+        return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
+
+    def profile(self, u: Scalar) -> Profile:
+        """The patch along v at one u, near enough to start a search; only for v on the fitted rectangle."""
+        return self._loop().fan.profile(u)
+
+    def height(self, u: Scalar, v: Scalar) -> Scalar:
+        """The patch's height, continued beyond its edge."""
+        return self.jet(u, v).f
+
+    def jet(self, u: Scalar, v: Scalar) -> Jet:
+        """Height, gradient and Hessian at (u, v), in closed form.
+
+        Beyond the edge the mixed third derivatives are left out of the Hessian; value and gradient are exact.
+        """
+        scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
+        a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
+        ai, bi = jnp.clip(a, -1.0, 1.0), jnp.clip(b, -1.0, 1.0)
+        j = self._inside(ai, bi)
+        da, db = a - ai, b - bi
+        fa, fb = j.u + j.uv * db, j.v + j.uv * da
+        return Jet(
+            j.f + j.u * da + j.v * db + j.uv * (da * db),
+            fa * scale_u,
+            fb * scale_v,
+            jnp.where(da == 0, j.uu, 0.0) * (scale_u * scale_u),
+            j.uv * (scale_u * scale_v),
+            jnp.where(db == 0, j.vv, 0.0) * (scale_v * scale_v),
+        )
+
+    def _inside(self, a: Scalar, b: Scalar) -> Jet:
+        """Height and derivatives by a and b, both within +-1."""
+        n_u, n_v = self.cells
+        (i, x), (k, y) = _cell(a, n_u), _cell(b, n_v)
+        cell = _row(self._loop().table, self.coefficients, i, k)
+        across = [_cubic([cell[..., 4 * p + q] for q in range(4)], y) for p in range(4)]  # a row for each power of x
+        (f, f_x, f_xx), (f_y, f_xy, _), (f_yy, *_) = (_cubic([row[order] for row in across], x) for order in range(3))
+        per_a, per_b = 0.5 * n_u, 0.5 * n_v
+        return Jet(f, f_x * per_a, f_y * per_b, f_xx * (per_a * per_a), f_xy * (per_a * per_b), f_yy * (per_b * per_b))
+
+
+def _cell(a: Scalar, n: int) -> tuple[Scalar, Scalar]:
+    """Which of n cells holds a place within +-1, and where in the cell."""
+    t = (a + 1) * (0.5 * n)
+    k = jnp.clip(t.astype(jnp.int32), 0, n - 1)  # whatever is not finite counts to some cell
+    return k, t - k.astype(t.dtype)
+
+
+@jax.custom_jvp
+def _row(table: Array, coefficients: Array, i: Scalar, k: Scalar) -> Array:
+    """The table's row (..., 16) of cell (i, k)."""
+    n_v = coefficients.shape[1] - 3
+    return table.at[i * n_v + k].get(mode="promise_in_bounds")
+
+
+@_row.defjvp
+def _row_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    """By the coefficients themselves: what reverse mode sums up is then of their size, not of the table's."""
+    _, _, i, k = primals
+    changes, powers = tangents[1], jnp.asarray(CELL_POWERS, tangents[1].dtype)
+
+    def change(i: Scalar, k: Scalar) -> Array:
+        window = jax.lax.dynamic_slice(changes, (i, k), (4, 4))
+        return (powers @ window @ powers.T).reshape(16)
+
+    return _row(*primals), jnp.vectorize(change, signature="(),()->(n)")(i, k)
+
+
+def _cubic(c: list[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """A cubic with its first and second derivative; what nobody asks for is not computed."""
+    steep = c[2] + c[3] * x
+    return c[0] + x * (c[1] + x * steep), c[1] + x * (2 * steep + c[3] * x), 2 * steep + 4 * (c[3] * x)

@@ -125,7 +125,7 @@ def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
         f"hertz_exponent = {_number(law.hertz_exponent)}, restitution = {_number(law.restitution)}, "
         f"approach_speed_floor_m_per_s = {_number(law.approach_speed_floor)} }}",
         "mesh": files.mesh,
-        "degree": getattr(contact.surface, "degree", 5),
+        "patch": _patch(contact.surface),
         "chart": "cylinder" if hasattr(getattr(contact.surface, "chart", None), "radius") else "plane",
         "axis_radius": _number(1e3 * files.axis_radius),
         "damping": "\n\n".join(_damping(e) for e in scene.effects if isinstance(e, LinearDamping)),
@@ -158,6 +158,13 @@ def _damping(damping: Any) -> str:
             f"rotational_N_m_s_per_rad = {_number(damping.rotational)}",
         ]
     )
+
+
+def _patch(surface: Any) -> str:
+    """Which patch is fitted to the mesh."""
+    if type(surface).__name__ == "SplinePatch":
+        return 'kind = "spline"       # bicubic, within 0.02 mm rms; or degree = "P5", a polynomial'
+    return f'degree = "P{getattr(surface, "degree", 5)}"         # total degree: P2, P4, P5, ...; or kind = "spline"'
 
 
 def _measured(files: LaboratoryFiles) -> str:
@@ -245,10 +252,10 @@ law = $law
 # law = { type = "hunt_crossley", contact_stiffness = 2e8, dissipation_s_per_m = 0.5 }   # stiffness in N/m^exponent
 # law = { type = "hertz", contact_stiffness = 2e8 }
 
-[contact.surface]     # a polynomial fitted to the trochlear part of a mesh, normals out of the bone
+[contact.surface]     # a patch fitted to the trochlear part of a mesh, normals out of the bone
 mesh = "$mesh"
 units = "m"           # of the mesh: its format does not say
-degree = "P$degree"         # total degree: P2, P4, P5, ...
+$patch
 chart = "$chart"       # heights over a "plane", or about the trochlear axis: "cylinder"
 # Which vertices: a rectangle about the trochlear axis. Without axis_... the axis is looked for (anterior and proximal
 # may then be given as directions in the mesh's frame): `pftwin fit-surface` draws what it finds.

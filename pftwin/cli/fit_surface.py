@@ -23,7 +23,15 @@ def fit_surface(
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="STL, OBJ or PLY file of a femoral component.")],
     *,
     units: Annotated[str, typer.Option("--units", metavar="m|mm", help="Unit of the mesh's coordinates.")],
-    degree: Annotated[str, typer.Option("--degree", metavar="LIST", help="Polynomials to fit.")] = "P2,P4,P5",
+    kind: Annotated[
+        str, typer.Option("--kind", metavar="polynomial|spline", help="Polynomials, or a bicubic spline.")
+    ] = "polynomial",
+    degree: Annotated[
+        str | None, typer.Option("--degree", metavar="LIST", help="Polynomials to fit; P2,P4,P5 if left out.")
+    ] = None,
+    tolerance: Annotated[
+        float | None, typer.Option("--tolerance-mm", help="Rms that a spline is to reach; 0.02 if left out [mm].")
+    ] = None,
     chart: Annotated[str, typer.Option("--chart", metavar="plane|cylinder", help="Heights over what.")] = "plane",
     anterior: Annotated[str, typer.Option("--anterior", help="Anterior direction in the mesh's frame.")] = "+z",
     proximal: Annotated[str, typer.Option("--proximal", help="Proximal direction in the mesh's frame.")] = "+x",
@@ -36,16 +44,14 @@ def fit_surface(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Find the trochlea on a mesh and fit polynomials to it: table of R^2 and errors, and a figure of the region.
+    """Find the trochlea on a mesh and fit patches to it: table of R^2 and errors, and a figure of the region.
 
     Example: `pftwin fit-surface femur.stl --units mm --anterior=-x --proximal=+y -o region.png`
     """
     if output is not None and output.suffix.lower() not in _FIGURES:
         raise OutputError(f"{output}: unknown kind of figure; expected: {', '.join(_FIGURES)}")
     check_outputs(output, json)
-    from pftwin.surfaces.fit import fit_patch, parse_degree
-
-    degrees = [parse_degree(name) for name in degree.split(",")]
+    names, asked = _patches(kind, degree, tolerance)
     directions = {"anterior": _direction(anterior, "anterior"), "proximal": _direction(proximal, "proximal")}
     if chart not in ("plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="--chart", expected="plane or cylinder")
@@ -54,6 +60,7 @@ def fit_surface(
 
     from pftwin.surfaces.mesh import load_mesh
     from pftwin.surfaces.region import trochlear_region
+    from pftwin.surfaces.spline_or_polynomial import fit_named
 
     with working(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
@@ -61,7 +68,7 @@ def fit_surface(
         limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
         region = trochlear_region(surface, **directions, half_width=1e-3 * half_width, angles=limits)
     with working("fitting"):
-        fits = [fit_patch(surface, degree=n, chart=chart, region=region) for n in degrees]
+        fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
     if output is not None:
         with working("drawing"):
             _draw(region, surface, output)
@@ -70,6 +77,21 @@ def fit_surface(
     console.print(_table(mesh, chart, fits))
     if output is not None:
         console.print(f"written: {output}", markup=False, highlight=False)
+
+
+def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:
+    """The patches' names, and what else is asked of them."""
+    from pftwin.surfaces.spline_or_polynomial import SPLINE, parse_name
+
+    if kind not in ("polynomial", SPLINE):
+        raise InputError(f"no patch {kind!r}", where="--kind", expected=f"polynomial or {SPLINE}")
+    if kind == SPLINE:
+        if degree is not None:
+            raise InputError("a spline has no degree to choose", where="--degree", remedy="leave it out")
+        return [SPLINE], {} if tolerance is None else {"tolerance": 1e-3 * tolerance}
+    if tolerance is not None:
+        raise InputError("polynomials reach what they reach", where="--tolerance-mm", remedy="--kind spline")
+    return [parse_name(name) for name in (degree or "P2,P4,P5").split(",")], {}
 
 
 def _direction(text: str, name: str) -> tuple[float, ...]:
@@ -102,7 +124,27 @@ def _draw(region: Any, surface: Any, output: Path) -> None:
     plt.close(figure)
 
 
+def _coefficients(name: str) -> str:
+    """What a scene file calls the coefficients."""
+    return "spline_coefficients_m" if name == "spline" else "coefficients_m"
+
+
+def _chart(chart: Any) -> dict[str, Any]:
+    """The chart as a scene file has it."""
+    from pftwin.spatial import Quaternion
+
+    radius = getattr(chart, "radius", None)
+    return {
+        "type": "plane" if radius is None else "cylinder",
+        "origin_m": [float(getattr(chart.origin, k)) for k in "xyz"],
+        "quaternion_wxyz": [float(getattr(Quaternion.from_rotation(chart.axes), k)) for k in "wxyz"],
+        **({} if radius is None else {"radius_m": float(radius)}),
+    }
+
+
 def _facts(mesh: Path, chart: str, region: Any, fits: list[PatchFit]) -> dict[str, Any]:
+    import numpy as np
+
     return {
         "mesh": str(mesh),
         "chart": chart,
@@ -111,7 +153,8 @@ def _facts(mesh: Path, chart: str, region: Any, fits: list[PatchFit]) -> dict[st
         "region_half_width_m": region.half_width,
         "fits": [
             {
-                "polynomial": f.name,
+                "name": f.name,
+                **({} if f.name == "spline" else {"polynomial": f.name}),
                 "r_squared": f.r_squared,
                 "rms_m": f.rms,
                 "max_error_m": f.max_error,
@@ -119,7 +162,8 @@ def _facts(mesh: Path, chart: str, region: Any, fits: list[PatchFit]) -> dict[st
                 "max_error_normal_m": f.max_error_normal,
                 "vertices": f.n_vertices,
                 "coverage": f.coverage,
-                "coefficients_m": f.patch.coefficients,
+                _coefficients(f.name): np.asarray(f.patch.coefficients).tolist(),
+                "chart": _chart(f.patch.chart),
                 "center_m": [float(v) for v in f.patch.center],
                 "half_size_m": [float(v) for v in f.patch.half_size],
             }
@@ -133,7 +177,7 @@ def _table(mesh: Path, chart: str, fits: list[PatchFit]) -> Table:
     from rich.table import Table
 
     table = Table(title=escape(f"{mesh.name}, heights over a {chart}, {fits[0].n_vertices} vertices"))
-    for heading in ("polynomial", "R^2 [%]", "rms [mm]", "max [mm]", "rms along normal [mm]"):
+    for heading in ("patch", "R^2 [%]", "rms [mm]", "max [mm]", "rms along normal [mm]"):
         table.add_column(escape(heading), justify="right")
     for f in fits:
         errors = (1e3 * v for v in (f.rms, f.max_error, f.rms_normal))

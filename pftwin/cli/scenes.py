@@ -25,7 +25,7 @@ CaseOption = Annotated[
 ]
 ContactOption = Annotated[
     str | None,
-    typer.Option("--contact", metavar="P2|P4|P5", help="Polynomial fitted to the mesh: the file's own, or P5."),
+    typer.Option("--contact", metavar="P2|P4|P5|spline", help="Patch fitted to the mesh: the file's own, or P5."),
 ]
 IntegratorOption = Annotated[
     str, typer.Option("--integrator", metavar="NAME", help="linear_implicit or symplectic_euler.")
@@ -35,7 +35,7 @@ StepOption = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Long
 
 @dataclass(frozen=True)
 class Chosen:
-    """A scene, its measurements where there are any, and the name of its polynomial where that is known."""
+    """A scene, its measurements where there are any, and the name of its patch where that is known."""
 
     scene: Scene
     measured: Measured | None
@@ -49,7 +49,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
     Args:
         scene: the scene file.
         case: or the rig's case.
-        contact: polynomial in place of the scene's own.
+        contact: patch in place of the scene's own.
         measured: whether a case's measurements are wanted; a file's are loaded in any case.
 
     Raises:
@@ -59,9 +59,9 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
         found = "both a scene file and --case" if scene is not None else "neither a scene file nor --case"
         raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")
     if contact is not None:
-        from pftwin.surfaces.fit import parse_degree
+        from pftwin.surfaces.spline_or_polynomial import parse_name
 
-        contact = f"P{parse_degree(contact)}"
+        contact = parse_name(contact)
     start_computing()
     if scene is not None:
         from pftwin.scene_file import load_scene_file
@@ -70,7 +70,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
             loaded = load_scene_file(scene, contact=contact)
         for note in loaded.notes:
             err().print(note, style="dim", markup=False, highlight=False, soft_wrap=True)
-        return Chosen(loaded.scene, loaded.measured, contact or _polynomial(loaded.scene), loaded.button)
+        return Chosen(loaded.scene, loaded.measured, contact or _patch(loaded.scene), loaded.button)
     from pftwin import rig
 
     assert case is not None
@@ -103,6 +103,7 @@ def simulated(chosen: Chosen, integrator: str, dt: float) -> tuple[Result, float
     return result, first
 
 
-def _polynomial(scene: Scene) -> str | None:
-    degree = None if scene.contact is None else getattr(scene.contact.surface, "degree", None)
-    return None if degree is None else f"P{degree}"
+def _patch(scene: Scene) -> str | None:
+    from pftwin.surfaces.spline_or_polynomial import name_of
+
+    return None if scene.contact is None else name_of(scene.contact.surface)

@@ -23,9 +23,10 @@ from pftwin.rig.recording import IMPLANT_FILE, Recording, data_folder, read_reco
 from pftwin.scene import PatellaBody, Scene
 from pftwin.spatial import Pose, Quaternion
 from pftwin.surfaces.closest import Surface
-from pftwin.surfaces.fit import PatchFit, fit_patch, parse_degree
+from pftwin.surfaces.fit_quality import PatchFit
 from pftwin.surfaces.implant import rig_region
 from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
+from pftwin.surfaces.spline_or_polynomial import fit_named, parse_name
 
 
 @lru_cache(maxsize=1)
@@ -35,24 +36,24 @@ def implant_mesh() -> SurfaceMesh:
 
 
 @lru_cache(maxsize=32)
-def _fit(degree: int, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
-    return kept(_fitted, degree, chart, float64, files=(data_folder() / IMPLANT_FILE,))
+def _fit(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
+    return kept(_fitted, name, chart, float64, files=(data_folder() / IMPLANT_FILE,))
 
 
-def _fitted(degree: int, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
+def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
     mesh = implant_mesh()
-    return fit_patch(mesh, degree=degree, chart=chart, region=rig_region(mesh))
+    return fit_named(mesh, name, chart=chart, region=rig_region(mesh))
 
 
 def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> PatchFit:
-    """The polynomial patch of that name, fitted to the rig's femoral component.
+    """The patch of that name, a polynomial or "spline", fitted to the rig's femoral component.
 
     Raises:
-        InputError: no such polynomial or chart.
+        InputError: no such patch or chart.
     """
     if chart not in ("plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="chart", expected='"plane" or "cylinder"')
-    return _fit(parse_degree(contact), chart, canonicalize_dtype(float) == np.float64)
+    return _fit(parse_name(contact), chart, canonicalize_dtype(float) == np.float64)
 
 
 def _case_number(n: int) -> int:
@@ -121,11 +122,11 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
 
     Args:
         n: 1 to 4. Cases 1 and 4 track, 2 and 3 dislocate in full extension.
-        contact: the polynomial that stands for the trochlea: "P2", "P4", "P5" or any other degree.
+        contact: what stands for the trochlea: the polynomial "P2", "P4", "P5" or of any other degree, or "spline".
         chart: "plane", as in the paper, or "cylinder".
 
     Raises:
-        InputError: no such case, polynomial or chart.
+        InputError: no such case, patch or chart.
     """
     surface = contact_fit(contact, chart=chart).patch
     n = _case_number(n)

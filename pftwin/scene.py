@@ -81,8 +81,8 @@ class Scene(eqx.Module):
 
     def tracked_point(self) -> Vec3:
         """The point of the patella whose path results show: the button's centre, else the patella's origin."""
-        contact = self.contact
-        return Vec3.zero() if contact is None else contact.center
+        followed = (e.followed() for e in self.effects)
+        return next((p for p in followed if p is not None), Vec3.zero())
 
     def system(self) -> System:
         """The equations' view of the scene: points counted from the centre of mass."""

@@ -170,6 +170,10 @@ class Effect(eqx.Module):
         """What a result should show of this effect, by the names in `observables`."""
         return {}
 
+    def followed(self) -> Vec3 | None:
+        """The point of the patella whose path results should show, if the effect has one: a button's middle [m]."""
+        return None
+
     def about(self, center_of_mass: Vec3) -> Effect:
         """The same effect with patella points counted from the centre of mass, ready for the inner loop."""
         return self

@@ -144,6 +144,10 @@ class SphereContact(Effect):
             off_patch = jnp.maximum(off_patch, jnp.where(loaded, self.surface.outside(p.u, p.v), 0.0))
         return {**report, "off_patch": off_patch}
 
+    def followed(self) -> Vec3:
+        """The sphere's centre."""
+        return self.center
+
     def about(self, center_of_mass: Vec3) -> SphereContact:
         """Sphere centre counted from the centre of mass; the patch's coefficients one array each."""
         moved = eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)

@@ -24,12 +24,15 @@ def distances(rows: Array, point: Array) -> tuple[Array, Array]:
 
 
 def overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Array:
-    """Whether boxes a (..., 6) and b (..., 6) may touch, b in a frame given by rotation (3, 3) and translation (3,)."""
+    """Whether boxes a (6, ...) and b (6, ...), a component a row, may touch.
+
+    b's frame in a's is given by rotation (3, 3) and translation (3,).
+    """
     apart, reach = [], []
     for i in range(3):
-        middle = sum((rotation[i, j] * b[..., j] for j in range(3)), start=translation[i])
-        apart.append(jnp.abs(middle - a[..., i]))
-        reach.append(sum((jnp.abs(rotation[i, j]) * b[..., 3 + j] for j in range(3)), start=a[..., 3 + i]))
+        middle = sum((rotation[i, j] * b[j] for j in range(3)), start=translation[i])
+        apart.append(jnp.abs(middle - a[i]))
+        reach.append(sum((jnp.abs(rotation[i, j]) * b[3 + j] for j in range(3)), start=a[3 + i]))
     return (apart[0] <= reach[0]) & (apart[1] <= reach[1]) & (apart[2] <= reach[2])
 
 

@@ -42,6 +42,31 @@ def intersecting(first: Floats, second: Floats) -> NDArray[np.int64]:
     return every[np.lexsort((every[:, 1], every[:, 0]))]
 
 
+def ray_depths(points: Floats, normals: Floats, corners: Floats, limit: float) -> Floats:
+    """How deep each of n points is below triangles (m, 3, 3), by the longest ray against its normal; -1: none, (n,).
+
+    Rays leave through a triangle from its inner side, no farther than the limit.
+    """
+    depths = np.full(len(points), -1.0)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    face = np.cross(b - a, c - a)
+    for k, (p, n) in enumerate(zip(points, normals, strict=True)):
+        steep = -(face @ n)
+        out = np.flatnonzero(steep > 0)
+        if not len(out):
+            continue
+        t = np.einsum("ij,ij->i", a[out] - p, face[out]) / steep[out]
+        hit = p - t[:, None] * n
+        # Barycentric coordinates of the point hit.
+        inside = np.ones(len(out), dtype=bool)
+        for q, r in ((a, b), (b, c), (c, a)):
+            inside &= np.einsum("ij,ij->i", np.cross(r[out] - q[out], hit - q[out]), face[out]) >= 0
+        inside &= (t >= 0) & (t <= limit)
+        if inside.any():
+            depths[k] = t[inside].max()
+    return depths
+
+
 def _against(many: Floats, one: Floats) -> NDArray[np.int64]:
     """Which of many triangles meet one: no axis separates them."""
     near = np.flatnonzero(((many.min(axis=1) <= one.max(axis=0)) & (many.max(axis=1) >= one.min(axis=0))).all(axis=1))

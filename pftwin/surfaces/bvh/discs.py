@@ -47,15 +47,16 @@ def distances(rows: Array, point: Array) -> tuple[Array, Array]:
 
 
 def overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Array:
-    """Whether discs a (..., 8) and b (..., 8) may touch, b in a frame given by rotation (3, 3) and translation (3,).
+    """Whether discs a (8, ...) and b (8, ...), a component a row, may touch.
 
-    They do not where a direction separates them: either's normal, or the line between their middles.
+    They do not where a direction separates them: either's normal, or the line between their middles. b's frame in a's
+    is given by rotation (3, 3) and translation (3,).
     """
-    middle = [_dot(list(rotation[i]), [b[..., j] for j in range(3)]) + translation[i] for i in range(3)]
-    n = [_dot(list(rotation[i]), [b[..., 3 + j] for j in range(3)]) for i in range(3)]
-    m = [a[..., 3 + i] for i in range(3)]
-    away = [middle[i] - a[..., i] for i in range(3)]
-    (ra, ta), (rb, tb) = ((rows[..., 6], rows[..., 7]) for rows in (a, b))
+    middle = [_dot(list(rotation[i]), list(b[:3])) + translation[i] for i in range(3)]
+    n = [_dot(list(rotation[i]), list(b[3:6])) for i in range(3)]
+    m = list(a[3:6])
+    away = [middle[i] - a[i] for i in range(3)]
+    (ra, ta), (rb, tb) = ((rows[6], rows[7]) for rows in (a, b))
     along = _dot(m, n)
     tilted = jnp.sqrt(jnp.maximum(1 - along * along, 0) + CANCELLED)
     along = jnp.abs(along)

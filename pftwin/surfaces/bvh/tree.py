@@ -101,8 +101,9 @@ def joined(trees: Sequence[MeshTree]) -> MeshTree:
         return trees[0]
     first, second = trees
     below = [np.concatenate([a, b]) for a, b in zip(first.levels, second.levels, strict=True)]
-    levels = tuple(jax.device_put(a) for a in (below[0][:1], *below))  # the root is never looked at
     triangles, index = (np.concatenate([getattr(t, n) for t in trees]) for n in ("triangles", "index"))
+    root = _volumes(triangles.astype(np.float64).reshape(-1, 3, 3), first.kind, 0)
+    levels = tuple(jax.device_put(a) for a in (root, *below))
     return MeshTree(jax.device_put(triangles), jax.device_put(index), levels, first.kind)
 
 
@@ -117,10 +118,16 @@ def tree_arrays(
     places = np.where(placed >= 0, placed, placed[full, :1])
     triangles = corners[places.ravel()]
     index = np.where(placed >= 0, placed, -1 - places).ravel()
-    margin = ROUNDING * float(np.abs(corners).max())
+    return triangles.reshape(-1, 9), index.astype(np.int32), volume_levels(triangles, kind, depth)
+
+
+def volume_levels(triangles: NDArray[np.float64], kind: str, depth: int) -> tuple[NDArray[np.float32], ...]:
+    """The bounding volumes of every level of a tree, (2^l, width), around its triangles (places, 3, 3)."""
+    return tuple(_volumes(triangles, kind, level) for level in range(depth + 1))
+
+
+def _volumes(triangles: NDArray[np.float64], kind: str, level: int) -> NDArray[np.float32]:
+    """The bounding volumes (2^level, width) of a tree's triangles (places, 3, 3)."""
+    margin = ROUNDING * float(np.abs(triangles).max())
     vectors = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    levels = tuple(
-        VOLUMES[kind].fit(triangles.reshape(2**level, -1, 3), vectors.reshape(2**level, -1, 3), margin)
-        for level in range(depth + 1)
-    )
-    return triangles.reshape(-1, 9), index.astype(np.int32), levels
+    return VOLUMES[kind].fit(triangles.reshape(2**level, -1, 3), vectors.reshape(2**level, -1, 3), margin)

@@ -1,0 +1,111 @@
+"""Contact between two triangle meshes as in the paper: contours of contact, the largest indentation, a force at each.
+
+Source: Michaud et al. 2024, section 2.4.1. The geometry is found by `pftwin.surfaces.contour`, the force by a normal
+contact law: one force for each contact, medial and lateral, at the contour's middle, along the contour's direction, of
+the size that the law gives to the largest indentation.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.effects.contact_law import ContactLaw
+from pftwin.effects.push import ContactPush, pushed
+from pftwin.effects.sphere_contact import SphereContact
+from pftwin.spatial import Pose, Quaternion, Rotation, Scalar, Vec3
+from pftwin.surfaces.contact_mesh import ContactMesh
+from pftwin.surfaces.contour import Contact, Contacts, MeshPair, mesh_pair
+
+Memory = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
+_NAMES = ("medial", "lateral")
+
+
+class MeshContact(Effect):
+    """A mesh fixed in the patella against a mesh fixed in the femur."""
+
+    femur: ContactMesh
+    patella: ContactMesh
+    law: ContactLaw
+    origin: Vec3  # of the patella's mesh, patella frame [m]; its axes are the patella's
+    meshes: MeshPair | None = None  # laid out for the inner loop by `about`
+    name: str = eqx.field(static=True, kw_only=True, default="contact")
+    observables: ClassVar[dict[str, Observable]] = {
+        **{k: v for k, v in SphereContact.observables.items() if k != "off_patch"},
+        "contour_area": Observable("m^2", "area that the contours of contact enclose"),
+        "merged": Observable("1", "1 where the medial and the lateral contact are one, which counts as medial"),
+        "overflow": Observable("1", "1 where the search ran out of room: the contact may be wrong"),
+        "too_deep": Observable("1", "1 where a mesh is deeper inside the other than is looked for: the force is wrong"),
+    }
+
+    def contacts(self, now: Instant) -> Contacts:
+        """The contacts at an instant, in the femur's frame."""
+        if self.meshes is None:
+            raise TypeError("a mesh contact takes loads only once it has been made ready: call `about` first")
+        patella, femur = now.patella, now.femur
+        center = femur.to_local(patella.position + patella.arm(self.origin))
+        axes = (patella.rotation.ex, patella.rotation.ey, patella.rotation.ez)
+        turn = Quaternion.from_rotation(Rotation(*(femur.local_direction(e) for e in axes)))
+        return self.meshes.contacts(Pose(center, turn))
+
+    def remember(self, now: Instant) -> Memory:
+        """No contact has begun yet."""
+        zero = jnp.zeros_like(now.patella.position.x)
+        return (zero,) * self.femur.facets if self.law.remembers_approach else None
+
+    def load(self, now: Instant, memory: Memory) -> tuple[Load, Memory]:
+        """A stiff term for each contact."""
+        pushes = self._pushes(now, self.contacts(now), memory)
+        energy = sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
+        speeds = tuple(p.approach_speed for p in pushes if p.approach_speed is not None)
+        return Load(stiff=tuple(p.term for p in pushes), energy=energy), speeds or None
+
+    def _pushes(self, now: Instant, found: Contacts, memory: Memory) -> list[ContactPush]:
+        speeds = memory or (None,) * len(found.each)
+        return [self._push(now, c, speed) for c, speed in zip(found.each, speeds, strict=True)]
+
+    def _push(self, now: Instant, contact: Contact, approach_speed: Scalar | None) -> ContactPush:
+        patella, femur = now.patella, now.femur
+        world = femur.direction(contact.normal)
+        point = femur.point(contact.point)
+        arm = point - patella.position
+        velocity = femur.relative_velocity(patella.velocity_at(arm), point)
+        moment = patella.rotation.unapply(arm.cross(world))
+        one = jnp.ones_like(contact.indentation)
+        return pushed(self.law, now, contact.indentation, -world.dot(velocity), world, moment, approach_speed, one)
+
+    def observe(self, now: Instant, memory: Memory) -> dict[str, Any]:
+        """Forces, points and indentations by facet; NaN where a facet has no contact of its own."""
+        found = self.contacts(now)
+        pushes = self._pushes(now, found, memory)
+        zero = jnp.zeros_like(now.patella.position.x)
+        nothing = jnp.full((3,), jnp.nan, zero.dtype)
+        report: dict[str, Any] = {"force": zero, "contour_area": zero}
+        total = Vec3(zero, zero, zero)
+        for facet in _NAMES:
+            report |= {f"force_{facet}": zero, f"indentation_{facet}": zero * jnp.nan, f"point_{facet}": nothing}
+        for facet, contact, push in zip(_NAMES, found.each, pushes, strict=False):
+            force = push.term.force
+            touching = contact.area > 0
+            total = total + force * contact.normal
+            report["force"] = report["force"] + force
+            report["contour_area"] = report["contour_area"] + contact.area
+            report[f"force_{facet}"] = force
+            report[f"indentation_{facet}"] = jnp.where(touching, contact.indentation, jnp.nan)
+            report[f"point_{facet}"] = jnp.where(touching, contact.point.array(), jnp.nan)
+        flags = {"merged": found.merged, "overflow": found.overflow, "too_deep": found.too_deep}
+        report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
+        return {**report, "force_x": total.x, "force_y": total.y, "force_z": total.z}
+
+    def followed(self) -> Vec3:
+        """The origin of the patella's mesh: the middle of a button's sphere."""
+        return self.origin
+
+    def about(self, center_of_mass: Vec3) -> MeshContact:
+        """Origin counted from the centre of mass; the meshes laid out for searches."""
+        moved = eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)
+        pair = mesh_pair(self.femur, self.patella)
+        return eqx.tree_at(lambda e: e.meshes, moved, pair, is_leaf=lambda x: x is None)

@@ -1,0 +1,82 @@
+"""Lists that grow by up to sixteen entries at a time, for loops that a compiler makes one function of.
+
+Which of sixteen answers are yes is packed into two bytes; a table turns a byte into the places of its ones, which are
+written in one go, and the next write overwrites what was too much. One array a list: with several written in one loop
+XLA's CPU compiler may copy them whole at every turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+LANES = 16
+_BYTE = 8
+
+
+def _tables() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """For every byte the places of its ones, in order, and their number."""
+    ones = (np.arange(256)[:, None] >> np.arange(_BYTE)) & 1
+    return np.argsort(1 - ones, axis=1, kind="stable").astype(np.int32), ones.sum(axis=1).astype(np.int32)
+
+
+_PLACES, _COUNT = _tables()
+_WEIGHTS = (1 << np.arange(_BYTE)).astype(np.int32)
+
+
+class Queue(NamedTuple):
+    """Entries up to the count; what is behind them means nothing."""
+
+    entries: Array  # (width + 8,) integers
+    count: Array  # () int32: how many were put in, which may be more than there was room for
+
+    @property
+    def width(self) -> int:
+        """Entries that there is room for."""
+        return self.entries.shape[0] - _BYTE
+
+    @property
+    def length(self) -> Array:
+        """Entries that can be read, () int32."""
+        return jnp.minimum(self.count, jnp.asarray(self.width, jnp.int32))
+
+    @property
+    def overflow(self) -> Array:
+        """Whether some were lost."""
+        return self.count > self.width
+
+
+def queue_of(width: int, first: Array | None = None, dtype: jnp.dtype = jnp.int32) -> Queue:
+    """A queue that is empty, or holds the `first` entries (n,)."""
+    n = 0 if first is None else first.shape[0]
+    entries = jnp.zeros(max(width, n) + _BYTE, dtype)
+    if first is not None:
+        entries = jax.lax.dynamic_update_slice(entries, first.astype(dtype), (jnp.zeros((), jnp.int32),))
+    return Queue(entries, jnp.asarray(n, jnp.int32))
+
+
+def pushed_where(queue: Queue, yes: Array, value_of: Callable[[Array], Array]) -> Queue:
+    """The queue with the values of those of sixteen lanes that are true at its end.
+
+    Args:
+        queue: to write to.
+        yes: (16,) bool.
+        value_of: the values (8,) of lanes (8,), int32.
+    """
+    entries, count = queue
+    bits = yes.reshape(LANES).astype(jnp.int32)
+    last = jnp.asarray(queue.width, jnp.int32)
+    places, counts = jnp.asarray(_PLACES), jnp.asarray(_COUNT)
+    for first in range(0, LANES, _BYTE):
+        byte = jnp.sum(bits[first : first + _BYTE] * jnp.asarray(_WEIGHTS), dtype=jnp.int32)
+        lanes = jax.lax.dynamic_index_in_dim(places, byte, 0, keepdims=False) + jnp.asarray(first, jnp.int32)
+        at = jnp.minimum(count, last)
+        entries = jax.lax.dynamic_update_slice(entries, value_of(lanes).astype(entries.dtype), (at,))
+        count = count + jax.lax.dynamic_index_in_dim(counts, byte, 0, keepdims=False)
+    return Queue(entries, count)

@@ -1,0 +1,117 @@
+"""Two triangles: whether they have a point in common, and along which segment they cross."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.triangle import Triangle
+
+
+class Segment(NamedTuple):
+    """Where two triangles cross, from `start` to `end` along the cross product of their normals."""
+
+    start: Vec3
+    end: Vec3
+    edges: tuple[Array, Array]  # int32 bits: the edge (1, 2, 4: ab, bc, ca) of the first triangle that each end is on,
+    # 0 where it is on one of the second's
+    crossing: Array  # bool
+
+
+def straddle(s: Triangle, t: Triangle, room: Scalar) -> Array:
+    """Whether each triangle reaches the other's plane, or `room` [m] short of it: without it they cannot meet.
+
+    For batches whose shapes broadcast.
+    """
+    return _reaches(s, t, room) & _reaches(t, s, room)
+
+
+def meet(s: Triangle, t: Triangle) -> Array:
+    """Whether two triangles cross: an edge of one pierces the other. Triangles in one plane do not count.
+
+    With signed volumes of tetrahedra alone, no division; for batches of one shape.
+    """
+    hit = jnp.zeros_like(s.a.x, dtype=bool)
+    for edges, face in ((s, t), (t, s)):
+        normal = face.area_vector()
+        heights = [(p - face.a).dot(normal) for p in (edges.a, edges.b, edges.c)]
+        corners = (edges.a, edges.b, edges.c)
+        for i in range(3):
+            j = (i + 1) % 3
+            crosses = (heights[i] > 0) != (heights[j] > 0)
+            hit = hit | (crosses & _between(corners[i], corners[j] - corners[i], face))
+    return hit
+
+
+def crossing(s: Triangle, t: Triangle) -> Segment:
+    """The segment in which two triangles cross; for batches of one shape. Differentiable wherever they do."""
+    along = s.area_vector().cross(t.area_vector())
+    ends = []
+    for own, other in ((s, t), (t, s)):
+        (p, q), bits, cuts = _cut(own, other)
+        ahead = stop_gradient(p.dot(along) <= q.dot(along))
+        ends.append((_either(ahead, p, q), _either(ahead, q, p), *_sorted(ahead, bits), cuts))
+    (s0, s1, bit0, bit1, s_cuts), (t0, t1, _, _, t_cuts) = ends
+    from_s = stop_gradient(s0.dot(along) >= t0.dot(along))
+    to_s = stop_gradient(s1.dot(along) <= t1.dot(along))
+    start, end = _either(from_s, s0, t0), _either(to_s, s1, t1)
+    zero = jnp.zeros_like(bit0)
+    edges = jnp.where(from_s, bit0, zero), jnp.where(to_s, bit1, zero)
+    return Segment(start, end, edges, s_cuts & t_cuts & (stop_gradient((end - start).dot(along)) > 0))
+
+
+def _cut(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array, Array], Array]:
+    """Where a triangle's edges pass the other's plane: two points, their edges' bits, and whether it does."""
+    normal = other.area_vector()
+    corners = own.a, own.b, own.c
+    heights = [(p - other.a).dot(normal) for p in corners]
+    above = [stop_gradient(h > 0) for h in heights]
+    # The corner that is alone on its side; both edges from it pass through the plane.
+    lone_a = (above[0] != above[1]) & (above[0] != above[2])
+    lone_b = (above[1] != above[0]) & (above[1] != above[2])
+    cuts = (above[0] != above[1]) | (above[1] != above[2])
+
+    def rolled(x: list, k: int):
+        pick = [x[(i + k) % 3] for i in range(3)]
+        return jnp.where(lone_a, pick[0], jnp.where(lone_b, pick[1], pick[2]))
+
+    h = [rolled(heights, k) for k in range(3)]
+    p = [Vec3(*(rolled([getattr(c, axis) for c in corners], k) for axis in "xyz")) for k in range(3)]
+    ones = jnp.ones_like(h[0])
+    points = []
+    for k in (1, 2):
+        share = h[0] / jnp.where(cuts, h[0] - h[k], ones)
+        points.append(p[0] + share * (p[k] - p[0]))
+    # From corner a the edges are ab and ca, from b bc and ab, from c ca and bc.
+    bits = [rolled([jnp.full_like(h[0], b, jnp.int32) for b in row], 0) for row in ((1, 2, 4), (4, 1, 2))]
+    return (points[0], points[1]), (bits[0], bits[1]), cuts
+
+
+def _either(first: Array, p: Vec3, q: Vec3) -> Vec3:
+    return Vec3(jnp.where(first, p.x, q.x), jnp.where(first, p.y, q.y), jnp.where(first, p.z, q.z))
+
+
+def _sorted(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:
+    return jnp.where(in_order, bits[0], bits[1]), jnp.where(in_order, bits[1], bits[0])
+
+
+def _between(start: Vec3, way: Vec3, face: Triangle) -> Array:
+    """Whether a line passes through a triangle: on the same side of all its edges."""
+    a, b, c = face.a - start, face.b - start, face.c - start
+    turns = [way.dot(p.cross(q)) for p, q in ((a, b), (b, c), (c, a))]
+    up = (turns[0] >= 0) & (turns[1] >= 0) & (turns[2] >= 0)
+    return up | ((turns[0] <= 0) & (turns[1] <= 0) & (turns[2] <= 0))
+
+
+def _reaches(s: Triangle, t: Triangle, room: Scalar) -> Array:
+    """Whether s has corners on both sides of t's plane, or near it."""
+    normal = t.area_vector()
+    heights = [(p - t.a).dot(normal) for p in (s.a, s.b, s.c)]
+    near = room * normal.norm()
+    low = jnp.minimum(jnp.minimum(heights[0], heights[1]), heights[2])
+    high = jnp.maximum(jnp.maximum(heights[0], heights[1]), heights[2])
+    return (low <= near) & (high >= -near)

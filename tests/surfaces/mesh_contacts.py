@@ -1,0 +1,51 @@
+"""Buttons pressed into the rig's implant, for tests of mesh contact."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from mesh_samples import corners_of, point, random_poses
+
+from pftwin.rig.cases import implant_mesh
+from pftwin.spatial import Pose, Vec3
+from pftwin.surfaces.bvh.nearest import nearest
+from pftwin.surfaces.bvh.tree import build_tree
+from pftwin.surfaces.contact_mesh import lateral_of_groove
+from pftwin.surfaces.implant import rig_region
+from pftwin.surfaces.mesh import SurfaceMesh
+from pftwin.surfaces.triangle import Triangle, closest_on_triangle
+
+RADIUS = 0.025
+
+
+def lateral(mesh: SurfaceMesh) -> np.ndarray:
+    """Which triangles of the rig's implant are on the lateral facet."""
+    return lateral_of_groove(mesh, rig_region(mesh))
+
+
+def _foot(corners: jax.Array, p: jax.Array) -> jax.Array:
+    """The point of a triangle nearest to p."""
+    return closest_on_triangle(Triangle.of_rows(corners.reshape(9)), point(p)).point.array()
+
+
+def on_the_groove(n: int, depth: float, seed: int = 0, least: float = 0.2, mesh: SurfaceMesh | None = None) -> Pose:
+    """Poses of a button, turned anyhow, inside the rig's implant by `least` to 1 times some depth [m]."""
+    mesh, rng = implant_mesh() if mesh is None else mesh, np.random.default_rng(seed)
+    middles, normals = corners_of(mesh).mean(axis=1), mesh.area_vectors / mesh.face_areas[:, None]
+    near = np.flatnonzero((np.abs(middles[:, 1]) < 0.012) & (normals[:, 2] > 0.2))
+    which = rng.choice(near, n)
+    place = middles[which] + RADIUS * normals[which]
+    wanted, corners = RADIUS - rng.uniform(least, 1, n) * depth, corners_of(mesh)
+    tree, foot = build_tree(mesh), jax.jit(jax.vmap(_foot))
+    find = jax.jit(jax.vmap(lambda p: nearest(tree, point(p)).place))
+    for _ in range(4):  # off the facet that is nearest, until that is as deep as wanted
+        on = np.asarray(foot(corners[tree.source_index()[find(place)]], place))
+        away = place - on
+        place = on + (wanted / np.linalg.norm(away, axis=1))[:, None] * away
+    return Pose(Vec3.from_array(jnp.asarray(place)), random_poses(n, seed, 0.0).orientation)
+
+
+def member(poses: Pose, k: int) -> Pose:
+    """One pose of a batch."""
+    return jax.tree.map(lambda x: x[k], poses)

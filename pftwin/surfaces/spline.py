@@ -28,7 +28,7 @@ from pftwin.surfaces.closest import Profile
 from pftwin.surfaces.patch import PolynomialPatch, exponents
 from pftwin.surfaces.spline_basis import CELL_POWERS, legendre_to_powers, polynomial_projection
 
-FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm of a trochlea
+FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm rms of a trochlea
 
 
 class Loop(NamedTuple):

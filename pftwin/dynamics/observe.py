@@ -68,9 +68,9 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
 
     def look(state: State, guide: Guide) -> tuple[Pose, Vec3, dict, Scalar, dict, Array]:
         now = guide.instant(state.patella(), 0.0)
-        seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
-        loads, _ = system.loads(now, state.memories)
-        stored = {e.name: x.energy for e, x in zip(system.effects, loads, strict=True) if x.energy is not None}
+        reports = {e.name: e.report(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
+        seen = {name: shown for name, (shown, _) in reports.items()}
+        stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}
         turn = state.orientation
         femur_to_world = (
             Quaternion.identity() if guide.femur is None else Quaternion.from_rotation(guide.femur.rotation)

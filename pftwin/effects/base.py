@@ -170,6 +170,10 @@ class Effect(eqx.Module):
         """What a result should show of this effect, by the names in `observables`."""
         return {}
 
+    def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
+        """What `observe` shows, and the energy stored; for effects that find both at once to override."""
+        return self.observe(now, memory), self.load(now, memory)[0].energy
+
     def followed(self) -> Vec3 | None:
         """The point of the patella whose path results should show, if the effect has one: a button's middle [m]."""
         return None

@@ -79,6 +79,10 @@ class MeshContact(Effect):
 
     def observe(self, now: Instant, memory: Memory) -> dict[str, Any]:
         """Forces, points and indentations by facet; NaN where a facet has no contact of its own."""
+        return self.report(now, memory)[0]
+
+    def report(self, now: Instant, memory: Memory) -> tuple[dict[str, Any], Scalar]:
+        """What `observe` shows, and the energy stored."""
         found = self.contacts(now)
         pushes = self._pushes(now, found, memory)
         zero = jnp.zeros_like(now.patella.position.x)
@@ -98,7 +102,8 @@ class MeshContact(Effect):
             report[f"point_{facet}"] = jnp.where(touching, contact.point.array(), jnp.nan)
         flags = {"merged": found.merged, "overflow": found.overflow, "too_deep": found.too_deep}
         report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
-        return {**report, "force_x": total.x, "force_y": total.y, "force_z": total.z}
+        report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}
+        return report, sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
 
     def followed(self) -> Vec3:
         """The origin of the patella's mesh: the middle of a button's sphere."""

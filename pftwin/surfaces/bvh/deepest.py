@@ -1,6 +1,6 @@
 """The deepest corner of a mesh inside another: how far it is, along its own normal, below the other's surface.
 
-From a corner v of the one mesh, with outward unit normal n there, a ray v - t n leaves the other body through one of its
+From a corner v of one mesh, with outward unit normal n there, a ray v - t n leaves the other body through one of its
 triangles at t: its depth. The largest is looked for on every facet of the other mesh. Both trees are gone down, some
 levels with all pairs of nodes, the rest depth first from the most promising pair; pairs that cannot be deeper than the
 deepest ray found so far are dropped. So the answer is that of all corners against all triangles.

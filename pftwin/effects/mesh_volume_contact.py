@@ -32,7 +32,8 @@ from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.overlap import Overlap, overlap
-from pftwin.surfaces.sphere_patch import PatchMesh, sphere_patch
+from pftwin.surfaces.patch_mesh import PatchMesh
+from pftwin.surfaces.sphere_patch import sphere_patch
 
 _FACETS = ("medial", "lateral")
 

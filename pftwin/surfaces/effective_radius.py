@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.errors import InputError
 from pftwin.spatial import Vec3
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.sphere_patch import PatchMesh, sphere_patch
+from pftwin.surfaces.patch_mesh import PatchMesh
+from pftwin.surfaces.sphere_patch import sphere_patch
 
 if TYPE_CHECKING:
     from pftwin.surfaces.region import TrochlearRegion

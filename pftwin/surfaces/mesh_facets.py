@@ -102,7 +102,7 @@ def mesh_facets(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> MeshFace
         side = "medial" if not groups[0].size else "lateral"
         raise InputError(f"no triangle is {side}", where=mesh.source, remedy="check the groove line against the mesh")
     features = features_of(mesh, label)
-    depth = max(1, max(depth_for(len(g), 1) for g in groups))
+    depth = max(1, *(depth_for(len(g), 1) for g in groups))
     parts = [SurfaceMesh(mesh.vertices, mesh.faces[g], mesh.source) for g in groups]
     trees = [build_tree(part, leaf=1, depth=depth) for part in parts]
     which = np.concatenate([g[np.asarray(t.source_index())] for g, t in zip(groups, trees, strict=True)])

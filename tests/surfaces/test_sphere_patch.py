@@ -1,4 +1,4 @@
-"""Sums over the part of a mesh inside a ball: closed forms, the brute force, derivatives, and lists that are too short."""
+"""Sums over the part of a mesh inside a ball: closed forms, the brute force, derivatives, lists too short."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from pftwin.surfaces.bvh.tree import build_tree
 from pftwin.surfaces.bvh.wide import wide_tree
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.sphere_patch import PatchMesh, patch_mesh, sphere_patch
+from pftwin.surfaces.patch_mesh import PatchMesh, patch_mesh
+from pftwin.surfaces.sphere_patch import sphere_patch
 from pftwin.surfaces.triangle import Triangle
 
 J = jnp.asarray

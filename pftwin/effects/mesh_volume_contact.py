@@ -148,5 +148,13 @@ class MeshVolumeContact(Effect):
 def _together(apart: ContactPush, joint: ContactPush) -> StiffTerm:
     """One term of two along the same direction."""
     a, b = apart.term, joint.term
-    sums = (x + y for x, y in ((a.force, b.force), (a.elastic, b.elastic), (a.stiffness, b.stiffness)))
-    return StiffTerm(a.direction, a.moment, *sums, a.damping + b.damping, a.rate, unilateral=True)
+    return StiffTerm(
+        a.direction,
+        a.moment,
+        a.force + b.force,
+        a.elastic + b.elastic,
+        a.stiffness + b.stiffness,
+        a.damping + b.damping,
+        a.rate,
+        unilateral=True,
+    )

@@ -110,8 +110,8 @@ def mesh_facets(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> MeshFace
     outward = features.outward[which].astype(np.float32)
     tree = joined(trees)
     empty = np.asarray(tree.index) < 0
-    arrays = (jax.device_put(a) for a in (tree.triangles, empty))
-    return MeshFacets(*arrays, wide_tree(tree), jax.device_put(outward), jax.device_put(marks), len(groups))
+    triangles, out, marked = jax.device_put(tree.triangles), jax.device_put(outward), jax.device_put(marks)
+    return MeshFacets(triangles, jax.device_put(empty), wide_tree(tree), out, marked, len(groups))
 
 
 def lateral_of_groove(mesh: SurfaceMesh, region: TrochlearRegion) -> NDArray[np.bool_]:

@@ -74,9 +74,9 @@ def patch_mesh(mesh: SurfaceMesh, radius: float, lateral: ArrayLike | None = Non
     outline = 2 * np.pi * radius * np.sqrt(2 * DEEPEST) * facets.count
     side = np.sqrt(np.quantile(mesh.face_areas, 0.25))
     cut = CHUNK * int(np.ceil(min(max(ALONG * outline / side, 2 * CHUNK), len(mesh.faces)) / CHUNK))
-    edges = (np.ascontiguousarray(e) for e in (edges_between(mesh, label), rim_edges(mesh)))
     dtype = facets.triangles.dtype
-    return PatchMesh(facets, *(jnp.asarray(e, dtype) for e in edges), Room(cut, cut + 1))
+    seam, rim = jnp.asarray(edges_between(mesh, label), dtype), jnp.asarray(rim_edges(mesh), dtype)
+    return PatchMesh(facets, seam, rim, Room(cut, cut + 1))
 
 
 def _sums_of(rows: Array) -> Array:

@@ -129,9 +129,12 @@ class MeshVolumeContact(Effect):
         centre, found = self.centre(now), t.overlap
         deep = self.mesh.depth_by_distance(centre, self.radius)
         report: dict[str, Any] = {"force_x": force.x, "force_y": force.y, "force_z": force.z, "force": jnp.zeros(())}
-        loaded = jnp.asarray(False)
+        whole, loaded = total.norm(), jnp.asarray(False)
+        along = (1 / jnp.where(whole > 0, whole, 1.0)) * total
         for k, facet in enumerate(_FACETS):
-            size = t.terms[k].force * t.terms[k].direction.norm()
+            # Halves of one contact lean apart: what they bear of its force is along the force itself.
+            push = t.terms[k].force * t.terms[k].direction
+            size = (1 - found.merged) * push.norm() + found.merged * push.dot(along)
             area, d = found.areas[k], jnp.where(found.merged > 0, found.joint_depth, found.depths[k])
             inside = found.arms[k] * (1 / jnp.where(area > 0, area, 1.0))
             point = jnp.where(size > 0, (centre + inside).array(), jnp.nan)

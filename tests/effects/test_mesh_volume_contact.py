@@ -88,8 +88,7 @@ def test_a_contact_across_the_seam_of_a_plain_surface_is_one():
         one, two = loaded(PLATE, now), loaded(HALVED, now)
         np.testing.assert_allclose(two[1].force.array(), one[1].force.array(), rtol=1e-7, atol=1e-6)
         np.testing.assert_allclose(two[0].energy, one[0].energy, rtol=1e-9)
-        # The halves' forces lean a little apart, so their sizes add up to a little more.
-        np.testing.assert_allclose(two[2]["force"], one[2]["force"], rtol=1e-4)
+        np.testing.assert_allclose(two[2]["force"], one[2]["force"], rtol=1e-7)
 
 
 def energy_of(effect, p):

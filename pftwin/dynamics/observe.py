@@ -11,7 +11,6 @@ from jaxtyping import Array
 from pftwin.dynamics.packing import map_rows
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.trajectory import Trajectory
-from pftwin.effects.sphere_contact import SphereContact
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 
@@ -30,6 +29,7 @@ class Status(enum.IntFlag):
     NOT_FINITE = 8
     START_NOT_IN_EQUILIBRIUM = 16
     STEP_TOO_LONG = 32
+    SEARCH_OVERFLOW = 64
 
     def describe(self) -> str:
         """The status in words."""
@@ -40,10 +40,12 @@ class Status(enum.IntFlag):
 
 _WORDS = {
     Status.NO_CONTACT: "the button touches nothing",
-    Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation",
+    Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation, or"
+    " reaches over the rim of the mesh",
     Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius: step too large or law too soft",
     Status.NOT_FINITE: "not finite: step too large",
     Status.STEP_TOO_LONG: "the patella moves or turns too far within one step: take a shorter one",
+    Status.SEARCH_OVERFLOW: "the search for what touches ran out of room: a contact may be wrong",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
@@ -90,16 +92,18 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
 def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar) -> Array:
     flags = jnp.where(step * state.spin.norm() > MOST_TURN, int(Status.STEP_TOO_LONG), 0)
     for effect in scene.effects:
-        if not isinstance(effect, SphereContact):
-            continue
         report = seen[effect.name]
-        deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
-        for condition, flag in (
-            (report["force"] <= 0, Status.NO_CONTACT),
-            (report["off_patch"] > 0, Status.LEFT_PATCH),
-            (deepest > DEEPEST * effect.radius, Status.DEEP_INDENTATION),
-            (step * state.velocity.norm() > FARTHEST * effect.radius, Status.STEP_TOO_LONG),
-        ):
+        conditions = [(report["overflow"] > 0, Status.SEARCH_OVERFLOW)] if "overflow" in report else []
+        radius = getattr(effect, "radius", None)
+        if radius is not None and "indentation_medial" in report:  # a sphere, whatever it is on
+            deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
+            conditions += [
+                (report["force"] <= 0, Status.NO_CONTACT),
+                (report["off_patch"] > 0, Status.LEFT_PATCH),
+                (deepest > DEEPEST * radius, Status.DEEP_INDENTATION),
+                (step * state.velocity.norm() > FARTHEST * radius, Status.STEP_TOO_LONG),
+            ]
+        for condition, flag in conditions:
             flags = flags | jnp.where(condition, int(flag), 0)
     finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())
     return jnp.where(finite, flags, int(Status.NOT_FINITE))

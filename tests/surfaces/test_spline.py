@@ -11,6 +11,7 @@ from scenes import RADIUS, contact, look, plane_chart, vec
 
 from pftwin.effects.contact_law import Hertz
 from pftwin.spatial import Vec3
+from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.facets import follow_facets
 from pftwin.surfaces.spline import SplinePatch
 from pftwin.surfaces.spline_basis import cubic_basis
@@ -187,7 +188,7 @@ def found(button, p: Vec3):
 ALONG, ACROSS = J(np.linspace(-0.006, 0.006, 61)), J(np.linspace(-0.0195, 0.0195, 391))
 
 
-def distances(patch: SplinePatch, p: Vec3):
+def distances(patch: Surface, p: Vec3):
     """Brute force: the least distance at each place across the groove."""
     u, v = jnp.meshgrid(p.x + ALONG, ACROSS, indexing="ij")
     gap = Vec3(u, v, patch.height(u, v)) - Vec3(*(jnp.broadcast_to(x, u.shape) for x in (p.x, p.y, p.z)))

@@ -68,7 +68,7 @@ class Result:
     energies: Energies
     flags: NDArray[np.int32]  # (n,) bits of `Status`
     equilibrium: EquilibriumReport
-    contact: str | None  # name of the sphere contact whose centre is tracked
+    contact: str | None  # name of the contact whose button is tracked
     surface: Surface | None  # its surface
     settings: dict[str, Any]
     timing: dict[str, float]  # [s]
@@ -99,7 +99,7 @@ class Result:
         """
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
-        contact = scene.contact
+        contact = scene.button
         work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
         stored = {name: _double(energy) for name, energy in seen.potential_energy.items()}
         return cls(
@@ -116,7 +116,7 @@ class Result:
             flags=np.asarray(seen.status, dtype=np.int32),
             equilibrium=EquilibriumReport.build(scene, start, relaxed, there=first),
             contact=None if contact is None else contact.name,
-            surface=None if contact is None else contact.surface,
+            surface=scene.surface,
             settings=dict(settings),
             timing=dict(timing),
             dtype=str(seen.center.x.dtype),

@@ -16,6 +16,7 @@ from pftwin.effects.sphere_contact import SphereContact
 from pftwin.errors import InputError
 from pftwin.motion import KneeMotion
 from pftwin.spatial import Pose, Scalar, Vec3
+from pftwin.surfaces.closest import Surface
 
 E = TypeVar("E", bound=Effect)
 
@@ -76,13 +77,23 @@ class Scene(eqx.Module):
 
     @property
     def contact(self) -> SphereContact | None:
-        """The first sphere contact, whose centre is the point that results follow; None where there is none."""
+        """The first contact of a sphere with a smooth surface; None where there is none."""
         return next((e for e in self.effects if isinstance(e, SphereContact)), None)
+
+    @property
+    def button(self) -> Effect | None:
+        """The first effect with a point that results follow: the button's contact, whatever its geometry."""
+        return next((e for e in self.effects if e.followed() is not None), None)
+
+    @property
+    def surface(self) -> Surface | None:
+        """The surface of the contact, or its smooth stand-in; None where there is none."""
+        return getattr(self.button, "surface", None)
 
     def tracked_point(self) -> Vec3:
         """The point of the patella whose path results show: the button's centre, else the patella's origin."""
-        followed = (e.followed() for e in self.effects)
-        return next((p for p in followed if p is not None), Vec3.zero())
+        followed = None if self.button is None else self.button.followed()
+        return Vec3.zero() if followed is None else followed
 
     def system(self) -> System:
         """The equations' view of the scene: points counted from the centre of mass."""

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 def demo(
     *,
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the results.")] = Path("demo"),
+    full: Annotated[
+        bool, typer.Option("--full", help="The paper's meshes CM and FM, and the spline, as well.")
+    ] = False,
     json: JsonOption = None,
 ) -> None:
     """Simulate the virtual rig's cases, fit its springs, predict a treatment; beside measurements and the paper.
@@ -33,7 +36,7 @@ def demo(
     from pftwin.demo import run_demo
 
     console = out(json)
-    outcome = run_demo(folder, console)
+    outcome = run_demo(folder, console, full=full)
     study = _paper_study(folder, console)
     figures = [*outcome["figures"], *study.pop("figures")]
     write_json({**outcome, "figures": figures, "section_2_6": study}, json)

@@ -25,7 +25,11 @@ CaseOption = Annotated[
 ]
 ContactOption = Annotated[
     str | None,
-    typer.Option("--contact", metavar="P2|P4|P5|spline", help="Patch fitted to the mesh: the file's own, or P5."),
+    typer.Option(
+        "--contact",
+        metavar="P2|P4|P5|spline|CM|FM|volume",
+        help="Patch fitted to the mesh, or with --case meshes: P5 if left out.",
+    ),
 ]
 IntegratorOption = Annotated[
     str, typer.Option("--integrator", metavar="NAME", help="linear_implicit or symplectic_euler.")
@@ -59,9 +63,16 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
         found = "both a scene file and --case" if scene is not None else "neither a scene file nor --case"
         raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")
     if contact is not None:
-        from pftwin.surfaces.spline_or_polynomial import parse_name
+        from pftwin.rig.contacts import ON_MESHES, parse_contact
 
-        contact = parse_name(contact)
+        contact = parse_contact(contact)
+        if scene is not None and contact in ON_MESHES:
+            raise InputError(
+                f"{contact} given for a scene file",
+                where="--contact",
+                expected="a polynomial or spline",
+                remedy="meshes belong to the rig's cases: pftwin simulate --case 1 --contact FM -o case1.nc",
+            )
     start_computing()
     if scene is not None:
         from pftwin.scene_file import load_scene_file
@@ -106,4 +117,4 @@ def simulated(chosen: Chosen, integrator: str, dt: float) -> tuple[Result, float
 def _patch(scene: Scene) -> str | None:
     from pftwin.surfaces.spline_or_polynomial import name_of
 
-    return None if scene.contact is None else name_of(scene.contact.surface)
+    return None if scene.surface is None else name_of(scene.surface)

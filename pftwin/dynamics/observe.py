@@ -42,11 +42,18 @@ _WORDS = {
     Status.NO_CONTACT: "the button touches nothing",
     Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation, or"
     " reaches over the rim of the mesh",
-    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius: step too large or law too soft",
+    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or deeper than is looked for:"
+    " step too large or law too soft",
     Status.NOT_FINITE: "not finite: step too large",
     Status.STEP_TOO_LONG: "the patella moves or turns too far within one step: take a shorter one",
     Status.SEARCH_OVERFLOW: "the search for what touches ran out of room: a contact may be wrong",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
+}
+
+_WHERE_POSITIVE = {
+    "off_patch": Status.LEFT_PATCH,
+    "overflow": Status.SEARCH_OVERFLOW,
+    "too_deep": Status.DEEP_INDENTATION,
 }
 
 
@@ -93,16 +100,14 @@ def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step:
     flags = jnp.where(step * state.spin.norm() > MOST_TURN, int(Status.STEP_TOO_LONG), 0)
     for effect in scene.effects:
         report = seen[effect.name]
-        conditions = [(report["overflow"] > 0, Status.SEARCH_OVERFLOW)] if "overflow" in report else []
-        radius = getattr(effect, "radius", None)
-        if radius is not None and "indentation_medial" in report:  # a sphere, whatever it is on
-            deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
-            conditions += [
-                (report["force"] <= 0, Status.NO_CONTACT),
-                (report["off_patch"] > 0, Status.LEFT_PATCH),
-                (deepest > DEEPEST * radius, Status.DEEP_INDENTATION),
-                (step * state.velocity.norm() > FARTHEST * radius, Status.STEP_TOO_LONG),
-            ]
+        conditions = [(report[name] > 0, flag) for name, flag in _WHERE_POSITIVE.items() if name in report]
+        if "indentation_medial" in report:  # a button, whatever it is on
+            conditions.append((report["force"] <= 0, Status.NO_CONTACT))
+            radius = getattr(effect, "radius", None)
+            if radius is not None:
+                deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
+                conditions.append((deepest > DEEPEST * radius, Status.DEEP_INDENTATION))
+                conditions.append((step * state.velocity.norm() > FARTHEST * radius, Status.STEP_TOO_LONG))
         for condition, flag in conditions:
             flags = flags | jnp.where(condition, int(flag), 0)
     finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())

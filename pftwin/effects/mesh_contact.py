@@ -17,6 +17,7 @@ from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.spatial import Pose, Quaternion, Rotation, Scalar, Vec3
+from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.contact_mesh import ContactMesh
 from pftwin.surfaces.contour import Contact, Contacts, MeshPair, mesh_pair
 
@@ -31,6 +32,7 @@ class MeshContact(Effect):
     patella: ContactMesh
     law: ContactLaw
     origin: Vec3  # of the patella's mesh, patella frame [m]; its axes are the patella's
+    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     meshes: MeshPair | None = None  # laid out for the inner loop by `about`
     name: str = eqx.field(static=True, kw_only=True, default="contact")
     observables: ClassVar[dict[str, Observable]] = {

@@ -96,6 +96,10 @@ class MeshSphereContact(Effect):
             report["overflow"] = jnp.maximum(report["overflow"], t.at.overflow.astype(zero.dtype))
         return {**report, "force_x": total.x, "force_y": total.y, "force_z": total.z}
 
+    def followed(self) -> Vec3:
+        """The sphere's centre."""
+        return self.center
+
     def about(self, center_of_mass: Vec3) -> MeshSphereContact:
         """Sphere centre counted from the centre of mass."""
         return eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)

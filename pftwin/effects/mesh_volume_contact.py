@@ -31,6 +31,7 @@ from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.overlap import Overlap, overlap
 from pftwin.surfaces.patch_mesh import PatchMesh
 from pftwin.surfaces.sphere_patch import sphere_patch
@@ -57,6 +58,7 @@ class MeshVolumeContact(Effect):
     center: Vec3  # of the sphere, patella frame [m]
     radius: Scalar  # [m]
     effective_radius: Scalar  # r, to which the law's stiffness belongs [m]
+    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     name: str = eqx.field(static=True, kw_only=True, default="contact")
     observables: ClassVar[dict[str, Observable]] = {
         **SphereContact.observables,
@@ -115,6 +117,10 @@ class MeshVolumeContact(Effect):
         """A stiff term for each facet, and one for their growing into one."""
         t = self.touch(now, memory)
         return Load(stiff=t.terms, energy=t.energy), t.speeds
+
+    def followed(self) -> Vec3:
+        """The sphere's centre."""
+        return self.center
 
     def about(self, center_of_mass: Vec3) -> MeshVolumeContact:
         """Sphere centre counted from the centre of mass; the mesh made ready for many looks."""

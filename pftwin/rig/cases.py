@@ -9,51 +9,20 @@ import numpy as np
 from jax.dtypes import canonicalize_dtype
 
 from pftwin.effects.base import Effect
-from pftwin.effects.contact_law import Flores
 from pftwin.effects.damping import LinearDamping
 from pftwin.effects.gravity import Gravity
-from pftwin.effects.sphere_contact import SphereContact
 from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
 from pftwin.kept.values import kept
 from pftwin.leaves import number, vector
 from pftwin.motion import KneeMotion
 from pftwin.rig import geometry as rig
-from pftwin.rig.recording import IMPLANT_FILE, Recording, data_folder, read_recording, recording_files
+from pftwin.rig.contacts import contact_effect, contact_fit, implant_mesh
+from pftwin.rig.recording import Recording, read_recording, recording_files
 from pftwin.scene import PatellaBody, Scene
 from pftwin.spatial import Pose, Quaternion
-from pftwin.surfaces.closest import Surface
-from pftwin.surfaces.fit_quality import PatchFit
-from pftwin.surfaces.implant import rig_region
-from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
-from pftwin.surfaces.spline_or_polynomial import fit_named, parse_name
 
-
-@lru_cache(maxsize=1)
-def implant_mesh() -> SurfaceMesh:
-    """The rig's femoral component as its laboratory has it: a fine mesh in an STL file."""
-    return load_mesh(data_folder() / IMPLANT_FILE, units="m")
-
-
-@lru_cache(maxsize=32)
-def _fit(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
-    return kept(_fitted, name, chart, float64, files=(data_folder() / IMPLANT_FILE,))
-
-
-def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
-    mesh = implant_mesh()
-    return fit_named(mesh, name, chart=chart, region=rig_region(mesh))
-
-
-def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> PatchFit:
-    """The patch of that name, a polynomial or "spline", fitted to the rig's femoral component.
-
-    Raises:
-        InputError: no such patch or chart.
-    """
-    if chart not in ("plane", "cylinder"):
-        raise InputError(f"no chart {chart!r}", where="chart", expected='"plane" or "cylinder"')
-    return _fit(parse_name(contact), chart, canonicalize_dtype(float) == np.float64)
+__all__ = ["case", "contact_fit", "effects", "implant_mesh", "patella_body", "recording", "springs"]
 
 
 def _case_number(n: int) -> int:
@@ -86,13 +55,12 @@ def springs(case: rig.Case) -> tuple[Tendon, Tendon]:
     return quadriceps, patellar_tendon
 
 
-def effects(case: rig.Case, surface: Surface) -> tuple[Effect, ...]:
+def effects(case: rig.Case, contact: Effect) -> tuple[Effect, ...]:
     """What acts on the patella."""
-    law = Flores(number(rig.CONTACT_STIFFNESS), number(rig.RESTITUTION))
     return (
         Gravity(number(rig.MASS), vector(rig.GRAVITY)),
         *springs(case),
-        SphereContact(surface, law, vector((0.0, 0.0, 0.0)), number(rig.BUTTON_RADIUS)),
+        contact,
         LinearDamping(*(number(c) for c in rig.DRAG), body="femur"),
     )
 
@@ -122,15 +90,16 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
 
     Args:
         n: 1 to 4. Cases 1 and 4 track, 2 and 3 dislocate in full extension.
-        contact: what stands for the trochlea: the polynomial "P2", "P4", "P5" or of any other degree, or "spline".
-        chart: "plane", as in the paper, or "cylinder".
+        contact: a name in `pftwin.rig.contacts`: a polynomial "P2", "P4", "P5" or of any other degree, "spline", the
+            paper's meshes "CM" and "FM", or "volume".
+        chart: of a patch: "plane", as in the paper, or "cylinder".
 
     Raises:
-        InputError: no such case, patch or chart.
+        InputError: no such case, contact or chart.
     """
-    surface = contact_fit(contact, chart=chart).patch
+    touches = contact_effect(contact, chart=chart)
     n = _case_number(n)
     recorded, motion = _recorded(n, canonicalize_dtype(float) == np.float64)
     first = recorded.patella
     start = Pose(vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0]))))
-    return Scene(patella_body(), effects(rig.CASES[n], surface), motion, start, name=f"rig case {n}, {contact}")
+    return Scene(patella_body(), effects(rig.CASES[n], touches), motion, start, name=f"rig case {n}, {contact}")

@@ -81,7 +81,9 @@ def plant_scene(case: int) -> Scene:
     random = np.random.default_rng(7)  # one rig: the same misplaced attachments in all cases
     surface = jax.tree.map(lambda a: number(a) if isinstance(a, float) else a, rig_implant())
     scattered = []
-    for effect in effects(rig.CASES[case], surface):
+    law = HuntCrossley(number(rig.CONTACT_STIFFNESS), number(1.0))
+    contact = LubricatedContact(surface, law, vector((0.0, 0.0, 0.0)), number(rig.BUTTON_RADIUS))
+    for effect in effects(rig.CASES[case], contact):
         scattered.append(_as_built(effect, random))
     femur, tibia = hand_motion(case)
     radius = rig.BUTTON_RADIUS + float(surface.trochlear_radius)
@@ -103,9 +105,6 @@ def _as_built(effect: Effect, random: np.random.Generator) -> Effect:
             effect.body,
             name=effect.name,
         )
-    if isinstance(effect, SphereContact):
-        law = HuntCrossley(effect.law.contact_stiffness, number(1.0))
-        return LubricatedContact(effect.surface, law, effect.center, effect.radius)
     if isinstance(effect, LinearDamping):
         return LinearDamping(1.1 * effect.translational, 0.9 * effect.rotational, body=effect.body)
     return effect

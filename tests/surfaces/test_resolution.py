@@ -28,17 +28,18 @@ def test_icospheres_are_closed_round_and_outward(frequency):
     assert depth.max() <= R * icosphere_deviation(frequency).deviation
 
 
-@pytest.mark.parametrize("name", ["CM", "FM"])
+@pytest.mark.parametrize("name", ["CM", "FM", "CM-angle", "FM-angle"])
 def test_a_button_keeps_to_the_papers_tolerances_and_no_coarser_one_does(name):
     fineness = resolution(name)
     ball = button_mesh(R, fineness)
     frequency = round((len(ball.faces) / 20) ** 0.5)
+    angle = np.inf if fineness.angle is None else fineness.angle
     normals = ball.area_vectors / ball.face_areas[:, None]
     a, b, _ = adjacent(ball.faces)
     turn = np.arccos(np.clip(np.einsum("ij,ij->i", normals[a], normals[b]), -1, 1))
-    assert turn.max() <= fineness.angle
+    assert turn.max() <= angle
     coarser = icosphere_deviation(frequency - 1)
-    assert coarser.angle > fineness.angle or R * coarser.deviation > fineness.deviation
+    assert coarser.angle > angle or R * coarser.deviation > fineness.deviation
 
 
 def test_the_deviation_governs_where_no_angle_is_asked_for():
@@ -48,7 +49,7 @@ def test_the_deviation_governs_where_no_angle_is_asked_for():
 
 
 def test_the_coarse_mesh_keeps_to_its_angle_along_the_grid():
-    mesh = implant_mesh(resolution("cm"))
+    mesh = implant_mesh(resolution("cm-angle"))
     normals = mesh.area_vectors / mesh.face_areas[:, None]
     a, b, _ = adjacent(mesh.faces)
     turn = np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", normals[a], normals[b]), -1, 1)))
@@ -61,7 +62,7 @@ def test_the_coarse_mesh_keeps_to_its_angle_along_the_grid():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: resolution("XM"), "no mesh 'XM'; expected: one of CM, FM"),
+        (lambda: resolution("XM"), "no mesh 'XM'; expected: one of CM, FM, CM-angle, FM-angle"),
         (lambda: button_mesh(R, Resolution(1e-9)), "coarser tolerances"),
         (lambda: button_mesh(-R, Resolution(1e-4)), "radius: found -0.025"),
         (lambda: button_mesh(R, Resolution(1e-4, 0.0)), "angle: found 0.0"),

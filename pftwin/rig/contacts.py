@@ -1,0 +1,157 @@
+"""The contact between the rig's button and femoral component, by name.
+
+| name | geometry | law's indentation |
+|---|---|---|
+| P2, P4, P5, ... | the button's sphere on a polynomial patch | at each facet's closest point |
+| spline | the same on a bicubic spline | the same |
+| CM, FM | two meshes, coarse or fine, as in the paper | the largest inside each contour of contact |
+| volume | the sphere on the fine mesh | from the volume of their overlap: smooth |
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Literal
+
+import jax
+import numpy as np
+from jax.dtypes import canonicalize_dtype
+from numpy.typing import NDArray
+
+from pftwin.effects.base import Effect
+from pftwin.effects.contact_law import ContactLaw, Flores
+from pftwin.effects.sphere_contact import SphereContact
+from pftwin.errors import InputError
+from pftwin.kept.values import kept
+from pftwin.leaves import number, vector
+from pftwin.rig import geometry as rig
+from pftwin.rig.recording import IMPLANT_FILE, data_folder
+from pftwin.surfaces.fit_quality import PatchFit
+from pftwin.surfaces.implant import rig_region
+from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
+from pftwin.surfaces.spline_or_polynomial import SPLINE, fit_named, parse_name
+
+MESHES = ("CM", "FM")
+VOLUME = "volume"
+ON_MESHES = (*MESHES, VOLUME)
+_CENTER = (0.0, 0.0, 0.0)  # of the button's sphere, patella frame
+
+
+def parse_contact(name: str | int) -> str:
+    """The name of a contact, whatever its letters' case.
+
+    Raises:
+        InputError: no such contact.
+    """
+    for known in ON_MESHES:
+        if isinstance(name, str) and name.strip().lower() == known.lower():
+            return known
+    try:
+        return parse_name(name)
+    except InputError as error:
+        raise InputError(
+            f"no contact {name!r}",
+            where="contact",
+            expected=f"P2, P4, P5 or another degree, {SPLINE}, CM, FM, {VOLUME}",
+        ) from error
+
+
+@lru_cache(maxsize=1)
+def implant_mesh() -> SurfaceMesh:
+    """The rig's femoral component as its laboratory has it: a fine mesh in an STL file."""
+    return load_mesh(data_folder() / IMPLANT_FILE, units="m")
+
+
+def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> PatchFit:
+    """The patch of that name, a polynomial or "spline", fitted to the rig's femoral component.
+
+    Raises:
+        InputError: no such patch or chart.
+    """
+    if chart not in ("plane", "cylinder"):
+        raise InputError(f"no chart {chart!r}", where="chart", expected='"plane" or "cylinder"')
+    return _fit(parse_name(contact), chart, _float64())
+
+
+def contact_effect(name: str, *, chart: Literal["plane", "cylinder"] = "plane") -> Effect:
+    """The contact of that name, with the rig's law: Flores et al. 2011.
+
+    Raises:
+        InputError: no such contact or chart.
+    """
+    name = parse_contact(name)
+    law = Flores(number(rig.CONTACT_STIFFNESS), number(rig.RESTITUTION))
+    if name in MESHES:
+        return _of_meshes(name, law)
+    if name == VOLUME:
+        return _by_volume(law)
+    surface = contact_fit(name, chart=chart).patch
+    return SphereContact(surface, law, vector(_CENTER), number(rig.BUTTON_RADIUS))
+
+
+def _float64() -> bool:
+    return canonicalize_dtype(float) == np.float64
+
+
+@lru_cache(maxsize=32)
+def _fit(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
+    return kept(_fitted, name, chart, float64, files=(data_folder() / IMPLANT_FILE,))
+
+
+def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
+    mesh = implant_mesh()
+    return fit_named(mesh, name, chart=chart, region=rig_region(mesh))
+
+
+def _of_meshes(name: str, law: ContactLaw) -> Effect:
+    from pftwin.effects.mesh_contact import MeshContact
+    from pftwin.surfaces.contact_mesh import contact_mesh
+    from pftwin.surfaces.resolution import button_mesh, resolution
+
+    mesh, lateral = _femur(name)
+    button = button_mesh(rig.BUTTON_RADIUS, resolution(name))
+    femur, patella = contact_mesh(mesh, lateral), contact_mesh(button)
+    return MeshContact(femur, patella, law, vector(_CENTER), surface=contact_fit(SPLINE).patch)
+
+
+def _by_volume(law: ContactLaw) -> Effect:
+    from pftwin.effects.mesh_volume_contact import MeshVolumeContact
+    from pftwin.surfaces.patch_mesh import patch_mesh
+
+    mesh, lateral = _femur("FM")
+    made = patch_mesh(mesh, rig.BUTTON_RADIUS, lateral)
+    radius, center = number(rig.BUTTON_RADIUS), vector(_CENTER)
+    return MeshVolumeContact(made, law, center, radius, number(_gap_radius()), surface=contact_fit(SPLINE).patch)
+
+
+@lru_cache(maxsize=2)
+def _femur(name: str) -> tuple[SurfaceMesh, NDArray[np.bool_]]:
+    """The parametric implant meshed to the paper's resolution, and which triangles are lateral of its groove."""
+    vertices, faces, lateral = kept(_meshed, name, files=())
+    return SurfaceMesh(vertices, faces, f"the rig's implant, {name}"), lateral
+
+
+def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
+    from pftwin.surfaces.contact_mesh import lateral_of_groove
+    from pftwin.surfaces.resolution import implant_mesh as meshed
+    from pftwin.surfaces.resolution import resolution
+
+    with jax.enable_x64(True):
+        mesh = meshed(resolution(name))
+        return mesh.vertices, mesh.faces, lateral_of_groove(mesh, rig_region(mesh))
+
+
+def _gap_radius() -> float:
+    """The effective radius beside the groove [m]: see `MeshVolumeContact`."""
+    return kept(_measured_gap_radius, files=())
+
+
+def _measured_gap_radius() -> float:
+    from pftwin.surfaces.effective_radius import beside_groove, effective_radius
+    from pftwin.surfaces.patch_mesh import patch_mesh
+
+    with jax.enable_x64(True):
+        mesh, lateral = _femur("FM")
+        near = beside_groove(mesh, rig_region(mesh), 0.5 * rig.BUTTON_RADIUS)
+        made = patch_mesh(mesh, rig.BUTTON_RADIUS, lateral)
+        return float(effective_radius(mesh, made, rig.BUTTON_RADIUS, near))

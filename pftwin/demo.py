@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from pftwin.metrics import Validation
+    from pftwin.metrics import Row, Validation
     from pftwin.result import Result
 
 CASES = (1, 2, 3, 4)
@@ -87,7 +87,9 @@ def narrow_table(title: str) -> Table:
 
 
 def _table(means: dict[str, Validation]) -> Table:
-    """The paper's Table 1, ours and theirs side by side."""
+    """The paper's Table 1, ours and theirs side by side where they have it."""
+    from pftwin.metrics import PAPER_TABLE_1
+
     table = narrow_table(
         "Means over the four cases: pftwin against the virtual rig's SYNTHETIC measurements,\n"
         "beside Table 1 of Michaud et al. 2024 (their rig, their measurements)"
@@ -95,11 +97,21 @@ def _table(means: dict[str, Validation]) -> Table:
     table.add_column("", no_wrap=True)
     for contact in means:
         table.add_column(f"pftwin\n{contact}", justify="right", no_wrap=True)
-        table.add_column(f"paper\n{contact}", justify="right", style="dim", no_wrap=True)
-    for rows in zip(*(v.to_rows(c) for c, v in means.items()), strict=True):
-        cells = [text for row in rows for text in (_number(row.value), _number(row.paper))]
+        if contact in PAPER_TABLE_1:
+            table.add_column(f"paper\n{contact}", justify="right", style="dim", no_wrap=True)
+    for rows in _rows(means):
+        cells = []
+        for contact, row in zip(means, rows, strict=True):
+            cells += [_number(row.value), *([_number(row.paper)] if contact in PAPER_TABLE_1 else [])]
         table.add_row(f"{rows[0].label}, {rows[0].unit}", *cells)
     return table
+
+
+def _rows(means: dict[str, Validation]) -> list[tuple[Row, ...]]:
+    """The rows of all contacts, the paper's figures in them where it has any."""
+    from pftwin.metrics import PAPER_TABLE_1
+
+    return list(zip(*(v.to_rows(c if c in PAPER_TABLE_1 else None) for c, v in means.items()), strict=True))
 
 
 def _number(value: float | None) -> str:
@@ -152,7 +164,7 @@ def _write_csv(means: dict[str, Validation], path: Path) -> None:
     from pftwin.output import written_whole
 
     lines = ["row,unit," + ",".join(f"{c},paper_{c}" for c in means)]
-    for rows in zip(*(v.to_rows(c) for c, v in means.items()), strict=True):
+    for rows in _rows(means):
         cells = [f"{x:.6g}" if x is not None else "" for row in rows for x in (row.value, row.paper)]
         lines.append(",".join([f'"{rows[0].label}"', rows[0].unit, *cells]))
     with written_whole(path) as temporary:

@@ -3,9 +3,9 @@
 Michaud et al. 2024 compare a coarse mesh (CM: deviation 0.1 mm, angle 1 deg) and a fine one (FM: 0.006 mm, 0.5 deg).
 What the angle is between is not said there, and whatever it is, it cannot have governed: a button whose neighbouring
 triangles turn by 1 deg deviates by a fiftieth of 0.1 mm. The paper's own times tell what did: a step took 27 times as
-long with FM as with CM; meshes of those deviations differ 17-fold in triangles, of those angles 4-fold. So CM and FM are
-what the deviations ask for. "CM-angle" and "FM-angle" keep to both: the angle is that by which the surface turns from one
-grid line to the next (see `FemoralComponent.mesh`), on a sphere that between neighbouring triangles.
+long with FM as with CM; meshes of those deviations differ 17-fold in triangles, of those angles 4-fold. So CM and FM
+are what the deviations ask for. "CM-angle" and "FM-angle" keep to both: the angle is that by which the surface turns
+from one grid line to the next (see `FemoralComponent.mesh`), on a sphere that between neighbouring triangles.
 """
 
 from __future__ import annotations

@@ -52,6 +52,7 @@ _WORDS = {
 
 _WHERE_POSITIVE = {
     "off_patch": Status.LEFT_PATCH,
+    "at_rim": Status.LEFT_PATCH,
     "overflow": Status.SEARCH_OVERFLOW,
     "too_deep": Status.DEEP_INDENTATION,
 }

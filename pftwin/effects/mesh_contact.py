@@ -39,6 +39,7 @@ class MeshContact(Effect):
         **{k: v for k, v in SphereContact.observables.items() if k != "off_patch"},
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),
         "merged": Observable("1", "1 where the medial and the lateral contact are one, which counts as medial"),
+        "at_rim": Observable("1", "1 where a contour ends on the rim of an open mesh: the force is wrong"),
         "overflow": Observable("1", "1 where the search ran out of room: the contact may be wrong"),
         "too_deep": Observable("1", "1 where a mesh is deeper inside the other than is looked for: the force is wrong"),
     }
@@ -102,7 +103,7 @@ class MeshContact(Effect):
             report[f"force_{facet}"] = force
             report[f"indentation_{facet}"] = jnp.where(touching, contact.indentation, jnp.nan)
             report[f"point_{facet}"] = jnp.where(touching, contact.point.array(), jnp.nan)
-        flags = {"merged": found.merged, "overflow": found.overflow, "too_deep": found.too_deep}
+        flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": found.too_deep}
         report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
         report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}
         return report, sum((p.energy for p in pushes[1:]), start=pushes[0].energy)

@@ -36,6 +36,7 @@ class ContactMesh(eqx.Module):
     discs: tuple[Array, ...]  # (2^l, 8) float32: discs around a node's triangles
     corners: CornerTree  # the vertices
     seam: Array  # (places,) int8: bits 1, 2, 4 for an edge ab, bc, ca on the border of two facets
+    rim: Array  # (places,) int8: the same for an edge of one triangle alone, on the rim of an open mesh
     facets: int = eqx.field(static=True)  # 1, or 2: medial and lateral
 
     def facet(self, place: Array) -> Array:
@@ -70,13 +71,15 @@ def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None, *, kind: K
     tree = joined(trees)
     source = np.concatenate([g[np.asarray(t.source_index())] for g, t in zip(groups, trees, strict=True)])
     features = features_of(mesh, label)
-    seam = (features.seam[source][:, 1:4] * np.array([1, 2, 4])).sum(axis=1).astype(np.int8)
+    marked = (features.seam, features.rim)
+    seam, rim = ((x[source][:, 1:4] * np.array([1, 2, 4])).sum(axis=1).astype(np.int8) for x in marked)
     return ContactMesh(
         tree,
         jax.device_put(source.astype(np.int32)),
         _discs(tree),
         corner_tree(mesh.vertices, _corner_normals(mesh, features)),
         jax.device_put(seam),
+        jax.device_put(rim),
         len(groups),
     )
 

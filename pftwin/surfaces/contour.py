@@ -47,6 +47,9 @@ class Contacts(NamedTuple):
     each: tuple[Contact, ...]  # one for each facet of the first mesh; where they are one, the first has it
     pairs: Array  # () int32: of triangles that meet
     merged: Array  # () bool: whether both facets' contacts are one
+    at_rim: (
+        Array  # () bool: a contour ends on the rim of an open mesh, so the contact leads past it: the force is wrong
+    )
     overflow: Array  # () bool: a search ran out of room, the contact may be wrong
     too_deep: Array  # () bool: corners are as deep as is looked for, or deep without any triangles that meet
 
@@ -63,7 +66,7 @@ class MeshPair(eqx.Module):
         """All contacts with b at a pose in a's frame. Jit and vmap apply, forward and reverse derivatives."""
         pairs = self.pairs.meeting(X_AB)
         deepest = self.depths(X_AB)
-        sums, across = contour_sums(self, X_AB, pairs)
+        sums, (across, at_rim) = contour_sums(self, X_AB, pairs)
         merged = across > 0
         depths = self._indentations(X_AB, deepest)
         if self.a.facets == 2:
@@ -75,7 +78,7 @@ class MeshPair(eqx.Module):
         overflow = pairs.overflow | deepest.overflow
         most = stop_gradient(jnp.max(jnp.stack(depths)))
         too_deep = (most > FULL * self.depths.limit) | (deepest.found.any() & (pairs.count == 0))
-        return Contacts(each, pairs.count, merged, overflow, too_deep)
+        return Contacts(each, pairs.count, merged, at_rim > 0, overflow, too_deep)
 
     def _indentations(self, X_AB: Pose, deepest: Deepest) -> list[Scalar]:
         """How deep every facet's deepest corner is; 0 where there is none."""
@@ -106,7 +109,8 @@ class _Sums(NamedTuple):
     length: Scalar  # [m]
 
 
-Sums = tuple[list[_Sums], Scalar]  # of every facet; how many segments end on the facets' border
+Ends = tuple[Scalar, Scalar]  # how many segments end on the border of two facets, and on a rim
+Sums = tuple[list[_Sums], Ends]  # of every facet
 
 
 @eqx.filter_custom_jvp
@@ -156,7 +160,7 @@ def _sums_of_all(meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> Sums:
 def _no_sums(meshes: MeshPair, X_AB: Pose) -> Sums:
     zero = jnp.zeros_like(X_AB.position.x)
     nothing = Vec3(zero, zero, zero)
-    return [_Sums(nothing, nothing, zero) for _ in range(meshes.a.facets)], zero
+    return [_Sums(nothing, nothing, zero) for _ in range(meshes.a.facets)], (zero, zero)
 
 
 def _piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> Sums:
@@ -171,10 +175,14 @@ def _piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> Sums:
     second = Triangle(*(rotation.apply(p) for p in (second.a, second.b, second.c)))
     segment = crossing(first, second)
     there = segment.crossing & (start + jnp.arange(PIECE, dtype=jnp.int32) < pairs.count)
-    facet, seam = a.facet(which), a.seam[which].astype(jnp.int32)
-    across = there & ((seam & (segment.edges[0] | segment.edges[1])) > 0)
+    facet = a.facet(which)
     sums = [_sums(segment.start, segment.end, there & (facet == k)) for k in range(a.facets)]
-    return sums, jnp.sum(across).astype(origin.x.dtype)
+    seam, rim, other_rim = (x.astype(jnp.int32) for x in (a.seam[which], a.rim[which], b.rim[other]))
+    own, others = segment.edges
+    across = there & ((seam & own) > 0)
+    at_rim = there & (((rim & own) > 0) | ((other_rim & others) > 0))
+    count = (jnp.sum(x).astype(origin.x.dtype) for x in (across, at_rim))
+    return sums, tuple(count)  # pyright: ignore[reportReturnType]
 
 
 def _sums(p: Vec3, q: Vec3, there: Array) -> _Sums:

@@ -17,8 +17,8 @@ class Segment(NamedTuple):
 
     start: Vec3
     end: Vec3
-    edges: tuple[Array, Array]  # int32 bits: the edge (1, 2, 4: ab, bc, ca) of the first triangle that each end is on,
-    # 0 where it is on one of the second's
+    edges: tuple[Array, Array]  # int32 bits: the edges (1, 2, 4: ab, bc, ca) of the first triangle, and of the second,
+    # that the ends are on; each end is on an edge of one of them
     crossing: Array  # bool
 
 
@@ -55,13 +55,14 @@ def crossing(s: Triangle, t: Triangle) -> Segment:
         (p, q), bits, cuts = _cut(own, other)
         ahead = stop_gradient(p.dot(along) <= q.dot(along))
         ends.append((_either(ahead, p, q), _either(ahead, q, p), *_sorted(ahead, bits), cuts))
-    (s0, s1, bit0, bit1, s_cuts), (t0, t1, _, _, t_cuts) = ends
+    (s0, s1, s_bit0, s_bit1, s_cuts), (t0, t1, t_bit0, t_bit1, t_cuts) = ends
     from_s = stop_gradient(s0.dot(along) >= t0.dot(along))
     to_s = stop_gradient(s1.dot(along) <= t1.dot(along))
     start, end = _either(from_s, s0, t0), _either(to_s, s1, t1)
-    zero = jnp.zeros_like(bit0)
-    edges = jnp.where(from_s, bit0, zero), jnp.where(to_s, bit1, zero)
-    return Segment(start, end, edges, s_cuts & t_cuts & (stop_gradient((end - start).dot(along)) > 0))
+    zero = jnp.zeros_like(s_bit0)
+    of_s = jnp.where(from_s, s_bit0, zero) | jnp.where(to_s, s_bit1, zero)
+    of_t = jnp.where(from_s, zero, t_bit0) | jnp.where(to_s, zero, t_bit1)
+    return Segment(start, end, (of_s, of_t), s_cuts & t_cuts & (stop_gradient((end - start).dot(along)) > 0))
 
 
 def _cut(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array, Array], Array]:

@@ -145,7 +145,7 @@ def test_measurements_say_that_they_are_synthetic():
 def test_unknown_case_and_contact_are_refused():
     with pytest.raises(InputError, match=r"no case 5.*expected: 1, 2, 3 or 4"):
         rig.case(5)
-    with pytest.raises(InputError, match="no contact .Q5.; expected: P2, P4, P5 .* FM, volume"):
+    with pytest.raises(InputError, match=r"no contact .Q5.; expected: P2, P4, P5 .* FM, volume"):
         rig.case(1, "Q5")
 
 

@@ -148,6 +148,17 @@ def test_a_surface_that_is_wholly_behind_another_is_flagged():
     assert not contacts(pair, at(0.0, 0.0, 1e-3, (0.0, 0.0, 0.0))).too_deep
 
 
+def test_a_contour_that_ends_on_a_rim_is_flagged(on_a_plate):
+    edge = 0.03
+    for place, expected in ((edge - 0.01, False), (edge - 1e-3, True), (edge + 1e-3, True)):
+        assert bool(contacts(on_a_plate, at(place, 0.0, RADIUS - 0.4e-3)).at_rim) is expected
+    dome = icosphere(RADIUS, 30)
+    bottom = dome.vertices[dome.faces].mean(axis=1)[:, 2] < -0.9 * RADIUS
+    pair = mesh_pair(contact_mesh(plate()), contact_mesh(SurfaceMesh(dome.vertices, dome.faces[bottom])))
+    for tilt, expected in ((0.0, False), (0.45, True)):
+        assert bool(contacts(pair, at(0.0, 0.0, RADIUS - 0.4e-3, (tilt, 0.0, 0.0))).at_rim) is expected
+
+
 def test_a_batch_is_what_its_members_are():
     mesh = plate()
     pair = mesh_pair(contact_mesh(mesh), contact_mesh(icosphere(RADIUS, 16)))

@@ -75,6 +75,11 @@ def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
     )
 
 
+def rows_of(fans: Fans) -> NDArray[np.float32]:
+    """The bounds child after child, (16 nodes, 8 or 4)."""
+    return np.ascontiguousarray(fans.bounds.swapaxes(1, 2)).reshape(-1, fans.bounds.shape[1])
+
+
 def _balls(points: NDArray[np.float64], margin: float) -> NDArray[np.float32]:
     """Middle and radius (nodes, 4) of points (nodes, k, 3)."""
     middle = 0.5 * (points.min(axis=1) + points.max(axis=1))

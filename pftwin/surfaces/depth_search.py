@@ -20,7 +20,7 @@ from pftwin.surfaces.bvh import discs
 from pftwin.surfaces.depth_fans import FAN, FAR
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface, lanes_of
 from pftwin.surfaces.depth_walk import room, walk
-from pftwin.surfaces.triangle import FACE, Triangle, closest_on_triangle
+from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
 
 class Found(NamedTuple):
@@ -76,13 +76,27 @@ def _search(
 ) -> Found:
     pieces, count = _pieces(button, femur, position, rotation, band, reach)
 
-    def take(k: Array, places: Array) -> Array:
-        own = _leaf(button, femur, position, rotation, pieces[k, 0], pieces[k, 1])
-        return jax.lax.dynamic_update_index_in_dim(places, own, k, 0)
+    def take(k: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        table, total = now
+        leaf = pieces[k, 0]
+        index = jax.lax.dynamic_index_in_dim(button.index, leaf, keepdims=False)
+        points = _centroids(button, leaf, position, rotation)
+        places = _leaf(femur, points, pieces[k, 1])
 
-    start = jnp.zeros((width, button.lanes), jnp.int32)
-    places = jax.lax.fori_loop(jnp.int32(0), jnp.minimum(count, width), take, start)
-    return Found(pieces[:width, 0], places, count)
+        def look(lane: Array, wanted: Array) -> Array:
+            p, place = jax.tree.map(lambda a: a[lane], points), places[lane]
+            depth, rim = signed(femur, p, place)
+            return wanted | ((depth >= -band) & (depth <= reach) & ~rim & (index[lane] >= 0))
+
+        wanted = jax.lax.fori_loop(jnp.int32(0), jnp.int32(button.lanes), look, jnp.zeros((), bool))
+        row = jnp.concatenate([leaf[None], places])
+        # One row more than asked for takes what is written past the end.
+        table = jax.lax.dynamic_update_index_in_dim(table, row, jnp.minimum(total, width), 0)
+        return table, total + wanted.astype(jnp.int32)
+
+    start = jnp.zeros((width + 1, 1 + button.lanes), jnp.int32), jnp.int32(0)
+    table, total = jax.lax.fori_loop(jnp.int32(0), count, take, start)
+    return Found(table[:width, 0], table[:width, 1:], total)
 
 
 def _pieces(
@@ -90,16 +104,14 @@ def _pieces(
 ) -> tuple[Array, Array]:
     """The leaves of the button that may be in the femur and a place near each, (leaves, 2), and how many they are."""
     inner = jnp.int32(button.first.shape[0])
-    # Nodes and lanes of the fans that are open, as numbers of balls: all children of a node, one after the other.
-    balls = button.bounds.swapaxes(1, 2).reshape(-1, 4)
 
     def look(now: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
         stack, top, table, total, place = now
         number = stack[top - 1]
-        ball = jax.lax.dynamic_index_in_dim(balls, number, keepdims=False).astype(position.x.dtype)
+        ball = jax.lax.dynamic_index_in_dim(button.rows, number, keepdims=False).astype(position.x.dtype)
         middle, radius = position + rotation.apply(Vec3(ball[0], ball[1], ball[2])), ball[3]
         near = nearest(femur, middle, place)
-        depth, rim = signed(femur, middle, near)
+        depth, rim = signed(femur, middle, near.place)
         # Beyond the rim of an open mesh there is no telling; the piece's own triangles will.
         outside = (depth < -(radius + band)) & ~rim
         wanted = ~outside & (jnp.abs(depth) <= radius + reach)
@@ -116,7 +128,7 @@ def _pieces(
     stack = jax.lax.dynamic_update_slice_in_dim(
         jnp.zeros(room(), jnp.int32), jnp.arange(FAN, dtype=jnp.int32), 0, 0
     )
-    living = jnp.sum(button.bounds[0, 0] < FAR, dtype=jnp.int32)  # the root's dead lanes come last
+    living = jnp.sum(button.rows[:FAN, 0] < FAR, dtype=jnp.int32)  # the root's dead lanes come last
     table = jnp.zeros((button.leaves + 1, 2), jnp.int32)
     _, _, table, total, _ = jax.lax.while_loop(lambda now: now[1] > 0, look, (stack, living, table, zero, zero))
     return table, total
@@ -136,25 +148,23 @@ def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> Nearest:
     at = _single(p)
     return walk(
         femur.bounds,
+        femur.rows,
         femur.first,
-        lambda rows: discs.distances(rows.T, at)[0],
+        lambda rows: discs.distances(rows, at)[0],
         lambda known: jnp.sqrt(known.square),
         at_leaf,
         start,
     )
 
 
-def _leaf(
-    button: PressingSurface,
-    femur: PressedSurface,
-    position: Vec3,
-    rotation: Rotation,
-    leaf: Array,
-    guess: Array,
-) -> Array:
-    """The places (lanes,) nearest to the centroids of a leaf of the button."""
+def _centroids(button: PressingSurface, leaf: Array, position: Vec3, rotation: Rotation) -> Vec3:
+    """Of a leaf's triangles, one for each lane, in the femur's frame."""
     corners = lanes_of(jax.lax.dynamic_index_in_dim(button.corners, leaf, keepdims=False))
-    points = optimization_barrier(position + rotation.apply(centroid(corners)))
+    return optimization_barrier(position + rotation.apply(centroid(corners)))
+
+
+def _leaf(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
+    """The places nearest to points that lie together, one for each lane."""
     low, high = (Vec3(*(f(a) for a in (points.x, points.y, points.z))) for f in (jnp.min, jnp.max))
     middle = 0.5 * (low + high)
 
@@ -174,22 +184,25 @@ def _leaf(
     spread = jnp.sqrt(jnp.max(around))
     return walk(
         femur.bounds,
+        femur.rows,
         femur.first,
-        lambda rows: discs.distances(rows.T, at)[0],
+        lambda rows: discs.distances(rows, at)[0],
         lambda known: jnp.sqrt(jnp.max(known.square)) + spread,
         at_leaf,
         start,
     ).place
 
 
-def signed(femur: PressedSurface, p: Vec3, near: Nearest) -> tuple[Scalar, Array]:
-    """How deep points are below the surface [m], and whether the nearest point is on its rim."""
-    many = near.place.ndim > 0
-    on = closest_on_triangle(femur.rows(near.place) if many else _one(femur, near.place), p)
-    feature = 7 * femur.triangle[near.place] + on.feature
+def signed(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, Array]:
+    """How deep a point is below the triangle in a place [m], and whether it is nearest to the rim there.
+
+    For single points: with lanes XLA fuses the gathers into every use of theirs, and compiles for minutes.
+    """
+    on = closest_on_triangle(_one(femur, place), p)
+    feature = 7 * femur.triangle[place] + on.feature
     outside = (p - on.point).dot(Vec3.from_array(femur.outward[feature])) > 0
     size = jnp.sqrt(on.square)
-    return jnp.where(outside, -size, size), femur.rim[feature] & (on.feature != FACE)
+    return jnp.where(outside, -size, size), femur.rim[feature]
 
 
 def centroid(t: Triangle) -> Vec3:
@@ -198,7 +211,7 @@ def centroid(t: Triangle) -> Vec3:
 
 
 def _one(femur: PressedSurface, place: Array) -> Triangle:
-    return jax.tree.map(lambda a: a[0], femur.rows(place[None]))
+    return jax.tree.map(lambda a: a[0], femur.at(place[None]))
 
 
 def _as_lanes(p: Vec3, femur: PressedSurface) -> Vec3:

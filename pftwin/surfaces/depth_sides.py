@@ -18,7 +18,7 @@ from pftwin.errors import InputError
 from pftwin.kept.values import kept
 from pftwin.spatial import Vec3
 from pftwin.surfaces.bvh.features import features_of
-from pftwin.surfaces.depth_fans import Fans, fans_of
+from pftwin.surfaces.depth_fans import Fans, fans_of, rows_of
 from pftwin.surfaces.mesh import SurfaceMesh
 from pftwin.surfaces.mesh_files import MOST_TRIANGLES
 from pftwin.surfaces.triangle import Triangle
@@ -31,6 +31,7 @@ class PressedSurface(eqx.Module):
     """The surface that is pressed into. Arrays are leaves: another mesh of the same size re-uses the program."""
 
     bounds: Array  # (nodes, 8, 16) float32 discs, see `Fans`
+    rows: Array  # (16 nodes, 8) the same, child after child
     first: Array  # (nodes,) int32
     corners: Array  # (leaves, 9, lanes) a, b, c [m]
     triangle: Array  # (leaves * lanes,) int32: which triangle of the mesh is in a place
@@ -38,7 +39,7 @@ class PressedSurface(eqx.Module):
     rim: Array  # (7 triangles,) whether that is on the boundary of the open mesh
     label: Array | None  # (triangles,) int32, which facet
 
-    def rows(self, places: Array) -> Triangle:
+    def at(self, places: Array) -> Triangle:
         """The triangles in some places (k,)."""
         lanes = self.corners.shape[-1]
         return Triangle.of_rows(self.corners[places // lanes, :, places % lanes])
@@ -51,7 +52,7 @@ class PressedSurface(eqx.Module):
 class PressingSurface(eqx.Module):
     """The surface whose triangles' depths are asked for."""
 
-    bounds: Array  # (nodes, 4, 16) float32 balls about centroids, see `Fans`
+    rows: Array  # (16 nodes, 4) float32 balls about centroids, child after child of each node
     first: Array  # (nodes,) int32
     corners: Array  # (leaves, 9, lanes) a, b, c [m]
     index: Array  # (leaves, lanes) int32: which triangle; negative in an empty lane, which holds a copy
@@ -92,7 +93,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
     corners, index = _placed(mesh, fans)
     own = canonicalize_dtype(float)
     return PressedSurface(
-        *(jax.device_put(a) for a in (fans.bounds, fans.first, corners.astype(own))),
+        *(jax.device_put(a) for a in (fans.bounds, rows_of(fans), fans.first, corners.astype(own))),
         jax.device_put(np.where(index < 0, -1 - index, index).ravel().astype(np.int32)),
         jax.device_put(outward.astype(own)),
         jax.device_put(rim),
@@ -110,7 +111,7 @@ def pressing_surface(mesh: SurfaceMesh) -> PressingSurface:
     fans = kept(fans_of, mesh.vertices[mesh.faces], BUTTON_LANES, True, files=())
     corners, index = _placed(mesh, fans)
     own = canonicalize_dtype(float)
-    parts = (fans.bounds, fans.first, corners.astype(own), index.astype(np.int32))
+    parts = (rows_of(fans), fans.first, corners.astype(own), index.astype(np.int32))
     return PressingSurface(*(jax.device_put(a) for a in parts))
 
 

@@ -42,6 +42,7 @@ def pushed(stack: Array, top: Array, first: Array, mask: Array) -> tuple[Array, 
 
 def walk(
     bounds: Array,
+    rows: Array,
     first: Array,
     distances: Callable[[Array], Array],
     limit: Callable[[T], Array],
@@ -51,35 +52,41 @@ def walk(
     """What the leaves made of `start`, the nearest child of a node before its siblings.
 
     Args:
-        bounds, first: of the tree; see `Fans`.
-        distances: from the bounds of a fan (8, 16) to the least distances (16,).
-        limit: nodes farther away are left out, as far as is known when they are looked at.
+        bounds, rows, first: of the tree; see `Fans`.
+        distances: from bounds (..., 8) to the least distances (...).
+        limit: nodes farther away are left out, as far as is known when they are looked at; finite.
         at_leaf: from what is known and a leaf's number to what is known then.
         start: what is known.
     """
     inner = jnp.int32(first.shape[0])
 
-    def open_fan(now: tuple[Array, Array, T], node: Array) -> tuple[Array, Array, T]:
-        stack, top, known = now
-        away = distances(jax.lax.dynamic_index_in_dim(bounds, node, keepdims=False))
-        near = away <= limit(known).astype(away.dtype) * (1 + SLACK)
-        child = jax.lax.dynamic_index_in_dim(first, node, keepdims=False)
+    def within(away: Array, known: T) -> Array:
+        return away <= limit(known).astype(away.dtype) * (1 + SLACK)
+
+    def open_fan(stack: Array, top: Array, known: T, node: Array) -> tuple[Array, Array, T]:
+        away = distances(jax.lax.dynamic_index_in_dim(bounds, node, keepdims=False).T)
+        near = within(away, known)
         # The nearest last, so that it is looked at first.
         best = jnp.argmin(away).astype(jnp.int32)
         others = near & (jnp.arange(FAN, dtype=jnp.int32) != best)
-        stack, top = pushed(stack, top, child, others)
-        stack = jax.lax.dynamic_update_index_in_dim(stack, child + best, top, 0)
+        stack, top = pushed(stack, top, FAN * node, others)
+        stack = jax.lax.dynamic_update_index_in_dim(stack, FAN * node + best, top, 0)
         return stack, top + near[best].astype(jnp.int32), known
 
     def step(now: tuple[Array, Array, T]) -> tuple[Array, Array, T]:
         stack, top, known = now
-        node, top = stack[top - 1], top - 1
-        return jax.lax.cond(
-            node < inner,
-            lambda s: open_fan(s, node),
-            lambda s: (s[0], s[1], at_leaf(s[2], node - inner)),
+        child, top = stack[top - 1], top - 1
+        number = first[child // FAN] + child % FAN
+        still = within(distances(jax.lax.dynamic_index_in_dim(rows, child, keepdims=False)), known)
+        return jax.lax.switch(
+            jnp.where(still, jnp.where(number < inner, jnp.int32(1), jnp.int32(2)), jnp.int32(0)),
+            (
+                lambda s: s,
+                lambda s: open_fan(*s, number),
+                lambda s: (s[0], s[1], at_leaf(s[2], number - inner)),
+            ),
             (stack, top, known),
         )
 
-    stack = jnp.zeros(room(), jnp.int32)
-    return jax.lax.while_loop(lambda now: now[1] > 0, step, (stack, jnp.int32(1), start))[2]
+    begin = open_fan(jnp.zeros(room(), jnp.int32), jnp.int32(0), start, jnp.int32(0))
+    return jax.lax.while_loop(lambda now: now[1] > 0, step, begin)[2]

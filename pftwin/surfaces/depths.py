@@ -83,7 +83,7 @@ def depths(
 
 def depth_below(femur: PressedSurface, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
     """Depth [m] of points (k,) below the triangles in some places (k,), the normal there, and whether it is the rim."""
-    on = closest_on_triangle(femur.rows(place), point)
+    on = closest_on_triangle(femur.at(place), point)
     feature = stop_gradient(7 * femur.triangle[place] + on.feature)
     outward = Vec3.from_array(femur.outward[feature])
     away = point - on.point

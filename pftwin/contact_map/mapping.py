@@ -16,9 +16,8 @@ from pftwin.effects.foundation_law import FoundationLaw
 from pftwin.mocap.poses import PoseSeries
 from pftwin.spatial import Quaternion, Vec3
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
-from pftwin.surfaces.depths import DEEPEST, Depths, depths
+from pftwin.surfaces.depths import DEEPEST, depths
 
-CHUNK = 16  # frames that are computed between two reports of progress
 BAND = 1e-3  # [m] how far from the femur a triangle's distance is still told
 
 Floats = NDArray[np.float64]
@@ -62,7 +61,7 @@ def map_contact(
     band: float = BAND,
     progress: Progress = lambda done, of: None,
 ) -> ContactMap:
-    """The contact at every pose, `CHUNK` frames at a time: memory does not grow with the recording but for the result.
+    """The contact at every pose, frame by frame: memory does not grow with the recording but for the result.
 
     Args:
         femur, button: in the frames whose poses are given.
@@ -70,22 +69,23 @@ def map_contact(
         poses: of the button's frame in the femur's.
         triangles: of the button's mesh.
         band: how far outside triangles are still told how far [m].
-        progress: told after each chunk how many frames are done, and of how many.
+        progress: told after each frame how many frames are done, and of how many.
     """
     n = poses.times.size
 
     @jax.jit
     def look(femur: PressedSurface, button: PressingSurface, law: FoundationLaw, at: tuple[Array, Array]) -> dict:
-        return jax.lax.map(lambda pose: _frame(femur, button, law, *pose, triangles, band), at)
+        return _frame(femur, button, law, *at, band)
 
-    parts: list[dict[str, np.ndarray]] = []
-    for begin in range(0, n, CHUNK):
-        rows = np.minimum(np.arange(begin, begin + CHUNK), n - 1)  # the last chunk repeats the last frame
-        at = tuple(jnp.asarray(a[rows], dtype=float) for a in (poses.positions, poses.quaternions))
-        end = min(begin + CHUNK, n)
-        parts.append({k: np.asarray(v)[: end - begin] for k, v in look(femur, button, law, at).items()})
-        progress(end, n)
-    found = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
+    frames = []
+    for k in range(n):
+        at = tuple(jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
+        frame = jax.device_get(look(femur, button, law, at))
+        for key, otherwise in (("depths", np.nan), ("pressures", 0.0)):
+            frame[key] = _spread(frame, key, triangles, otherwise)
+        frames.append({key: value for key, value in frame.items() if key not in ("listed", "triangle")})
+        progress(k + 1, n)
+    found = {key: np.stack([frame[key] for frame in frames]) for key in frames[0]}
     center = found["center_of_pressure"]
     back = np.einsum("nji,nj->ni", poses.matrices(), center - poses.positions)
     return ContactMap(
@@ -109,7 +109,6 @@ def _frame(
     law: FoundationLaw,
     position: Array,
     quaternion: Array,
-    triangles: int,
     band: float,
 ) -> dict[str, Array]:
     """One frame; the list has room for every triangle, so nothing is lost."""
@@ -122,13 +121,16 @@ def _frame(
         **summary(found, answer.pressure),
         "force": push.sum().array(),
         "moment": arm.cross(push).sum().array(),
-        "depths": _spread(found, found.depth, triangles, jnp.nan),
-        "pressures": _spread(found, answer.pressure, triangles, 0.0),
+        "listed": found.listed,
+        "triangle": found.triangle,
+        "depths": found.depth,
+        "pressures": answer.pressure,
     }
 
 
-def _spread(found: Depths, values: Array, triangles: int, otherwise: float) -> Array:
+def _spread(frame: dict[str, np.ndarray], key: str, triangles: int, otherwise: float) -> NDArray[np.float32]:
     """Values of the list on the whole mesh, (triangles,) in single precision."""
-    where = jnp.where(found.listed, found.triangle, triangles)  # beyond the end: dropped
-    whole = jnp.full(triangles, otherwise, dtype=jnp.float32)
-    return whole.at[where].set(values.astype(jnp.float32), mode="drop")
+    listed = frame["listed"]
+    whole = np.full(triangles, otherwise, dtype=np.float32)
+    whole[frame["triangle"][listed]] = frame[key][listed]
+    return whole

@@ -211,7 +211,7 @@ def centroid(t: Triangle) -> Vec3:
 
 
 def _one(femur: PressedSurface, place: Array) -> Triangle:
-    return jax.tree.map(lambda a: a[0], femur.at(place[None]))
+    return Triangle.of_rows(femur.at(place))
 
 
 def _as_lanes(p: Vec3, femur: PressedSurface) -> Vec3:

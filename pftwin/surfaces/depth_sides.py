@@ -39,10 +39,10 @@ class PressedSurface(eqx.Module):
     rim: Array  # (7 triangles,) whether that is on the boundary of the open mesh
     label: Array | None  # (triangles,) int32, which facet
 
-    def at(self, places: Array) -> Triangle:
-        """The triangles in some places (k,)."""
+    def at(self, places: Array) -> Array:
+        """Corners of the triangles in some places (k,), as rows (k, 9)."""
         lanes = self.corners.shape[-1]
-        return Triangle.of_rows(self.corners[places // lanes, :, places % lanes])
+        return self.corners[places // lanes, :, places % lanes]
 
     def leaf(self, number: Array) -> Triangle:
         """The triangles of a leaf, one for each lane."""

@@ -9,10 +9,10 @@ meshes' vertices.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
-from jax.lax import stop_gradient
+from jax.lax import optimization_barrier, stop_gradient
 from jaxtyping import Array
 
 from pftwin.spatial import Rotation, Scalar, Vec3, safe_sqrt
@@ -20,6 +20,7 @@ from pftwin.surfaces.depth_search import centroid, find
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
 from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
+T = TypeVar("T")
 REACH = 0.010  # [m] how deep triangles are looked for
 DEEPEST = 0.005  # [m] a depth that no joint bears: a wrong pose, scale or side
 ON_SURFACE = 1e-10  # [m] so near, the direction to the nearest point is the surface's own normal
@@ -60,12 +61,11 @@ def depths(
     """
     width = button.leaves if leaves is None else min(leaves, button.leaves)
     found = find(button, femur, position, rotation, width=width, band=band, reach=reach)
-    index = button.index[found.leaf].reshape(-1)
     row = jnp.repeat(jnp.arange(width, dtype=jnp.int32), button.lanes)
-    own = Triangle.of_rows(button.corners[found.leaf].swapaxes(1, 2).reshape(-1, 9))
+    index, place = _gathered((button.index[found.leaf].reshape(-1), found.place.reshape(-1)))
+    own = Triangle.of_rows(_gathered(button.corners[found.leaf].swapaxes(1, 2).reshape(-1, 9)))
     local = centroid(own)
     point = position + rotation.apply(local)
-    place = found.place.reshape(-1)
     depth, normal, rim = depth_below(femur, place, point)
     inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= reach) & ~rim
     return Depths(
@@ -83,9 +83,9 @@ def depths(
 
 def depth_below(femur: PressedSurface, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
     """Depth [m] of points (k,) below the triangles in some places (k,), the normal there, and whether it is the rim."""
-    on = closest_on_triangle(femur.at(place), point)
+    on = closest_on_triangle(Triangle.of_rows(_gathered(femur.at(place))), point)
     feature = stop_gradient(7 * femur.triangle[place] + on.feature)
-    outward = Vec3.from_array(femur.outward[feature])
+    outward = Vec3.from_array(_gathered(femur.outward[feature]))
     away = point - on.point
     size = safe_sqrt(away.squared_norm())
     apart = stop_gradient(size) > ON_SURFACE
@@ -94,3 +94,8 @@ def depth_below(femur: PressedSurface, place: Array, point: Vec3) -> tuple[Scala
     parts = ((away.x, outward.x), (away.y, outward.y), (away.z, outward.z))
     normal = Vec3(*(jnp.where(apart, scale * a, n) for a, n in parts))
     return -normal.dot(away), normal, femur.rim[feature]
+
+
+def _gathered(rows: T) -> T:
+    """Rows as they were picked. Fused with what follows, XLA would pick them again for every use, or fail to compile."""
+    return optimization_barrier(rows)

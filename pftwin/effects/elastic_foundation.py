@@ -82,9 +82,7 @@ class ElasticFoundation(Effect):
             known * jnp.where(pushes, a, 0.0)
             for a in (elastic + damping * rate, elastic, found.area * answer.slope, damping)
         )
-        term = StiffTerm(
-            direction, applied_at(arm, patella, direction), force, elastic, stiffness, damping, rate
-        )
+        term = StiffTerm(direction, applied_at(arm, patella, direction), force, elastic, stiffness, damping, rate)
         return Pressed(found, answer, term)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:

@@ -70,9 +70,7 @@ def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
     begins = np.cumsum([1, *(2**level for level in levels)])[: len(levels)]  # each level's first number
     steps = [np.arange(k) * FAN + b for k, b in zip(parents, begins, strict=True)]
     index = np.where(placed >= 0, placed, -1 - filled)
-    return Fans(
-        np.ascontiguousarray(bounds.swapaxes(1, 2)), np.concatenate(steps).astype(np.int32), index
-    )
+    return Fans(np.ascontiguousarray(bounds.swapaxes(1, 2)), np.concatenate(steps).astype(np.int32), index)
 
 
 def rows_of(fans: Fans) -> NDArray[np.float32]:

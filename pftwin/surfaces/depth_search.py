@@ -125,9 +125,7 @@ def _pieces(
         return stack, top - 1 + opened, table, total + (wanted & is_leaf).astype(jnp.int32), near.place
 
     zero = jnp.int32(0)
-    stack = jax.lax.dynamic_update_slice_in_dim(
-        jnp.zeros(room(), jnp.int32), jnp.arange(FAN, dtype=jnp.int32), 0, 0
-    )
+    stack = jax.lax.dynamic_update_slice_in_dim(jnp.zeros(room(), jnp.int32), jnp.arange(FAN, dtype=jnp.int32), 0, 0)
     living = jnp.sum(button.rows[:FAN, 0] < FAR, dtype=jnp.int32)  # the root's dead lanes come last
     table = jnp.zeros((button.leaves + 1, 2), jnp.int32)
     _, _, table, total, _ = jax.lax.while_loop(lambda now: now[1] > 0, look, (stack, living, table, zero, zero))

@@ -100,23 +100,24 @@ def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw
 
     if name not in LAWS:
         raise InputError(f"no law {name!r}", where="--law", expected=" or ".join(LAWS))
-    columns = []
-    for option, text, factor in (
-        ("--modulus-mpa", modulus, 1e6),
-        ("--poisson", poisson, 1),
-        ("--thickness-mm", thickness, 1e-3),
-    ):
-        try:
-            values = [factor * float(part) for part in text.split(",")]
-        except ValueError:
-            values = []
-        if len(values) not in (1, 2):
-            raise InputError(f"found {text!r}", where=option, expected="a number, or two: femur's,patella's")
-        columns.append(values * 2 if len(values) == 1 else values)
-    bodies = zip(*columns, strict=True)
-    return LAWS[name](
-        *(checked_layer(*b, where=f"{n} layer") for n, b in zip(("femur's", "patella's"), bodies, strict=True))
-    )
+    options = {"--modulus-mpa": (modulus, 1e6), "--poisson": (poisson, 1.0), "--thickness-mm": (thickness, 1e-3)}
+    numbers = [_two(option, text, factor) for option, (text, factor) in options.items()]
+    layers = [
+        checked_layer(*(pair[k] for pair in numbers), where=f"{body} layer")
+        for k, body in enumerate(("femur's", "patella's"))
+    ]
+    return LAWS[name](*layers)
+
+
+def _two(option: str, text: str, factor: float) -> list[float]:
+    """One number for both layers, or the femur's and the patella's; in SI units."""
+    try:
+        values = [factor * float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2):
+        raise InputError(f"found {text!r}", where=option, expected="a number, or two: femur's,patella's")
+    return values * 2 if len(values) == 1 else values
 
 
 def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> PoseSeries:
@@ -128,9 +129,8 @@ def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> P
         raise InputError(f"found {bodies!r}", where="--bodies", expected="two names: FEMUR,PATELLA")
     found = read_poses_csv(path, names)
     relative = found[names[1]].relative_to(found[names[0]])
-    if start is None and end is None:
-        return relative
-    return relative.between(-float("inf") if start is None else start, float("inf") if end is None else end)
+    first, last = float(relative.times[0]), float(relative.times[-1])
+    return relative.between(first if start is None else start, last if end is None else end)
 
 
 def _progress(frames: int) -> Any:

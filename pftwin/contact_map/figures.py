@@ -26,9 +26,9 @@ def map_figure(found: ContactMap, femur: SurfaceMesh, button: SurfaceMesh, title
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 7.6))
-        names = [[f"map{k}" for k in range(_SHOWN)] + ["scale"], ["path", "path", "force", "force", "force"]]
-        names += [["path", "path", "area", "pressure", "pressure"]]
-        panels = figure.subplot_mosaic(names, height_ratios=[1.35, 1.0, 1.0], width_ratios=[1, 1, 1, 1, 0.06])
+        names = [[f"map{k}" for k in range(_SHOWN)], ["path", "path", "force", "force"]]
+        names += [["path", "path", "area", "pressure"]]
+        panels = figure.subplot_mosaic(names, height_ratios=[1.35, 1.0, 1.0])
         _maps(figure, panels, found, button)
         _path(panels["path"], found, femur)
         _courses(panels, found)
@@ -62,7 +62,8 @@ def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: Surfac
         axes.set(title=f"{found.times[frame]:.2f} s", xlabel=f"patella {_AXES[across]} [mm]")
         if k == 0:
             axes.set_ylabel(f"patella {_AXES[up]} [mm]")
-    figure.colorbar(cells, cax=panels["scale"], label="pressure [MPa] (+: centre)")
+    maps = [panels[f"map{k}"] for k in range(_SHOWN)]
+    figure.colorbar(cells, ax=maps, label="pressure [MPa] (+: centre)", shrink=0.8, pad=0.01)
 
 
 def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh) -> None:

@@ -97,5 +97,5 @@ def depth_below(femur: PressedSurface, place: Array, point: Vec3) -> tuple[Scala
 
 
 def _gathered(rows: T) -> T:
-    """Rows as they were picked. Fused with what follows, XLA would pick them again for every use, or fail to compile."""
+    """Rows as they were picked: fused with what follows, XLA would pick them for every use again."""
     return optimization_barrier(rows)

@@ -38,21 +38,22 @@ def map_figure(found: ContactMap, femur: SurfaceMesh, button: SurfaceMesh, title
 
 def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: SurfaceMesh) -> None:
     """Seen along the button's own axis, from outside."""
+    from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
 
     across, up = _plane(button.area_vectors.sum(axis=0))
     corners = 1e3 * button.vertices[button.faces]
     frames = np.flatnonzero(found.touching)
     shown = frames[np.linspace(0, len(frames) - 1, _SHOWN).round().astype(int)] if len(frames) else np.arange(_SHOWN)
+    colours = colormaps["viridis"].with_extremes(bad="0.9")  # grey where nothing presses
     highest = max(float(found.pressure[shown].max()) / 1e6, 1e-6)
     cells = None
     for k, frame in enumerate(shown):
         axes: Axes = panels[f"map{k}"]
-        cells = PolyCollection(list(corners[:, :, [across, up]]), cmap="viridis", edgecolors="face", linewidths=0.2)
+        cells = PolyCollection(list(corners[:, :, [across, up]]), cmap=colours, edgecolors="face", linewidths=0.2)
         pressure = found.pressure[frame] / 1e6
         cells.set_array(np.where(pressure > 0, pressure, np.nan))
         cells.set_clim(0, highest)
-        cells.cmap.set_bad("0.9")
         cells.set_rasterized(True)
         axes.add_collection(cells)
         place = 1e3 * found.center_on_patella[frame]

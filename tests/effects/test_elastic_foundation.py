@@ -84,9 +84,7 @@ def test_the_force_is_minus_the_energys_gradient_and_the_stiffness_its_slope(eff
 
 def test_damping_resists_and_never_pulls(effect):
     damped = eqx.tree_at(lambda e: e.damping_time, effect, 1e-3)
-    still, sinking, leaving = (
-        seen(damped, at_depth(4e-4, velocity=(0, 0, v)))[0] for v in (0.0, -0.05, 10.0)
-    )
+    still, sinking, leaving = (seen(damped, at_depth(4e-4, velocity=(0, 0, v)))[0] for v in (0.0, -0.05, 10.0))
     assert sinking.total().force.z > still.total().force.z
     assert sinking.dissipation() > 0
     np.testing.assert_allclose(leaving.total().force.array(), 0, atol=1e-12)

@@ -104,11 +104,14 @@ def test_derivatives_by_the_pose_are_those_of_differences(femur, button):
     (pose,) = touching_poses(femur, 1, 3)
 
     @jax.jit
-    def pressed(move):
+    def at(move, sides):
         moved = pose.position + Vec3(move[0], move[1], move[2])
         turn = pose.orientation * Quaternion.from_rotation_vector(Vec3(move[3], move[4], move[5]))
         d = depths(*sides, moved, turn.rotation(), leaves=64)
         return jnp.sum(jnp.where(d.listed, d.area * d.depth**2, 0.0))
+
+    def pressed(move):
+        return at(move, sides)
 
     zero = jnp.zeros(6)
     forward, reverse = jax.jacfwd(pressed)(zero), jax.grad(pressed)(zero)
@@ -122,7 +125,7 @@ def test_batches_are_their_members(femur, button):
     sides = pressing_surface(button), pressed_surface(femur)
     poses = touching_poses(femur, 3, 4)
     batch = jax.tree.map(lambda *a: jnp.stack(a), *poses)
-    many = jax.jit(jax.vmap(lambda p: listed(*sides, p).depth))(batch)
+    many = jax.jit(jax.vmap(lambda p, s: listed(*s, p).depth, (0, None)))(batch, sides)
     for k, pose in enumerate(poses):
         np.testing.assert_allclose(many[k], listed(*sides, pose).depth, atol=1e-15)
 
@@ -143,12 +146,13 @@ def test_on_the_surface_itself_depths_have_derivatives():
     small = SurfaceMesh(1e-3 * np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]]), np.array([[0, 2, 1]]), "one")
     sides = pressing_surface(small), pressed_surface(plate)
 
-    def depth(z):  # the centroid lies on the plate's inner edge
+    @jax.jit
+    def at_height(z, sides):  # the centroid lies on the plate's inner edge
         at = Vec3(jnp.zeros(()), jnp.zeros(()), z)
         return depths(*sides, at, Quaternion.identity().rotation(), band=1e-6).depth[0]
 
     for z in (0.0, 1e-12, -1e-7, 1e-7):
-        value, slope = jax.value_and_grad(depth)(jnp.asarray(z))
+        value, slope = jax.value_and_grad(at_height)(jnp.asarray(z), sides)
         assert float(value) == pytest.approx(-z, abs=1e-15)
         assert float(slope) == pytest.approx(-1.0)
 

@@ -108,4 +108,4 @@ def _look(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries, k: int) ->
     away, near = cKDTree(femur.vertices).query(points)
     side = np.einsum("ij,ij->i", points - femur.vertices[near], femur.vertex_normals[near])
     behind = np.average(side < 0, weights=button.vertex_areas)
-    return float(away.min()), float(behind)
+    return float(np.min(away)), float(behind)

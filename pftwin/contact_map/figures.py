@@ -26,7 +26,7 @@ def map_figure(found: ContactMap, femur: SurfaceMesh, button: SurfaceMesh, title
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 7.6))
-        names = [[f"map{k}" for k in range(_SHOWN)], ["path", "path", "force", "force"]]
+        names: Any = [[f"map{k}" for k in range(_SHOWN)], ["path", "path", "force", "force"]]
         names += [["path", "path", "area", "pressure"]]
         panels = figure.subplot_mosaic(names, height_ratios=[1.35, 1.0, 1.0])
         _maps(figure, panels, found, button)

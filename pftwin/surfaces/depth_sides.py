@@ -92,11 +92,14 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
     corners, index = _placed(mesh, fans)
     own = canonicalize_dtype(float)
     return PressedSurface(
-        *(jax.device_put(a) for a in (fans.bounds, rows_of(fans), fans.first, corners.astype(own))),
-        jax.device_put(np.where(index < 0, -1 - index, index).ravel().astype(np.int32)),
-        jax.device_put(outward.astype(own)),
-        jax.device_put(rim),
-        facets,
+        bounds=jax.device_put(fans.bounds),
+        rows=jax.device_put(rows_of(fans)),
+        first=jax.device_put(fans.first),
+        corners=jax.device_put(corners.astype(own)),
+        triangle=jax.device_put(np.where(index < 0, -1 - index, index).ravel().astype(np.int32)),
+        outward=jax.device_put(outward.astype(own)),
+        rim=jax.device_put(rim),
+        label=facets,
     )
 
 

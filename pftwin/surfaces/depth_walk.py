@@ -82,7 +82,7 @@ def walk(
             jnp.where(still, jnp.where(number < inner, jnp.int32(1), jnp.int32(2)), jnp.int32(0)),
             (
                 lambda s: s,
-                lambda s: open_fan(*s, number),
+                lambda s: open_fan(s[0], s[1], s[2], number),
                 lambda s: (s[0], s[1], at_leaf(s[2], number - inner)),
             ),
             (stack, top, known),

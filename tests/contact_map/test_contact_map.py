@@ -14,7 +14,8 @@ from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.mesh import SurfaceMesh, save_mesh
 
 RADIUS = 0.02
-HEADER = "time_s," + ",".join(f"{b}_{p}" for b in ("femur", "patella") for p in "px_m py_m pz_m qw qx qy qz".split())
+PARTS = ("px_m", "py_m", "pz_m", "qw", "qx", "qy", "qz")
+HEADER = ",".join(["time_s", *(f"{b}_{p}" for b in ("femur", "patella") for p in PARTS)])
 
 
 def plate() -> SurfaceMesh:

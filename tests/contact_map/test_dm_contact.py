@@ -20,7 +20,7 @@ LIGAMENTS = {"PT": "patellar_tendon", "MPFL": "mpfl", "LPFL": "lpfl"}
 
 
 def pulls(folder: Path, poses: dict[str, PoseSeries]) -> dict[str, np.ndarray]:
-    """Forces (n, 3) on the patella in the femur's axes, along straight lines: a ligament's strands share its tension."""
+    """Forces (n, 3) on the patella in the femur's axes, along straight lines; strands share a tension."""
     origin = {b: p.positions for b, p in poses.items()}
     axes = {b: p.matrices() for b, p in poses.items()}
 

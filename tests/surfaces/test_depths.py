@@ -16,7 +16,6 @@ from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
 from pftwin.surfaces.depths import depths
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.resolution import implant_mesh, resolution
 from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
 RADIUS = 0.025
@@ -24,12 +23,19 @@ RADIUS = 0.025
 
 @pytest.fixture(scope="module")
 def femur() -> SurfaceMesh:
-    return implant_mesh(resolution("cm"))
+    """An open saddle like a groove: convex along it, concave across, less than the button."""
+    n = 41
+    x, y = np.meshgrid(np.linspace(-0.02, 0.02, n), np.linspace(-0.02, 0.02, n), indexing="ij")
+    z = y**2 / (2 * 0.035) - x**2 / (2 * 0.026)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
+    a, b, c, d = i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return SurfaceMesh(np.stack([x, y, z], axis=-1).reshape(-1, 3), faces, "saddle")
 
 
 @pytest.fixture(scope="module")
 def button() -> SurfaceMesh:
-    return icosphere(RADIUS, 8)
+    return icosphere(RADIUS, 24)
 
 
 @eqx.filter_jit

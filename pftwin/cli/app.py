@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from pftwin.cli import (
+    contact_map,
     demo,
     doctor_mesh,
     equilibrium,
@@ -85,6 +86,7 @@ app.command("fit")(fit.fit)
 app.command("plan-experiment")(plan_experiment.plan_experiment)
 app.command("fit-surface")(fit_surface.fit_surface)
 app.command("doctor-mesh")(doctor_mesh.doctor_mesh)
+app.command("contact-map")(contact_map.contact_map)
 app.command("treat")(treat.treat)
 app.command("optimise")(optimise.optimise)
 app.command("init")(init.init)

@@ -1,0 +1,190 @@
+"""`pftwin contact-map`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
+from pftwin.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from pftwin.contact_map.mapping import ContactMap
+    from pftwin.effects.foundation_law import FoundationLaw
+    from pftwin.mocap.poses import PoseSeries
+
+_FIGURES = (".png", ".svg", ".pdf")
+
+
+def contact_map(
+    *,
+    femur: Annotated[Path, typer.Option("--femur", metavar="MESH", help="STL, OBJ or PLY file.")],
+    patella: Annotated[Path, typer.Option("--patella", metavar="MESH", help="The button's or the cartilage's mesh.")],
+    poses: Annotated[Path, typer.Option("--poses", metavar="CSV", help="time_s, BODY_px_m ... BODY_qz.")],
+    units: Annotated[str, typer.Option("--units", metavar="m|mm", help="Unit of the meshes' coordinates.")],
+    patella_units: Annotated[
+        str | None, typer.Option("--patella-units", metavar="m|mm", help="If the patella's mesh has another.")
+    ] = None,
+    bodies: Annotated[
+        str, typer.Option("--bodies", metavar="FEMUR,PATELLA", help="Names in the poses' file.")
+    ] = "femur,patella",
+    law: Annotated[str, typer.Option("--law", metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
+    modulus: Annotated[str, typer.Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
+    poisson: Annotated[str, typer.Option("--poisson", help="Poisson ratio, or femur's,patella's.")] = "0.46",
+    thickness: Annotated[str, typer.Option("--thickness-mm", help="Of the layer, or femur's,patella's.")] = "5",
+    start: Annotated[float | None, typer.Option("--from", help="First time [s].")] = None,
+    end: Annotated[float | None, typer.Option("--to", help="Last time [s].")] = None,
+    proximity: Annotated[float, typer.Option("--proximity-mm", help="How far off gaps are still told [mm].")] = 1.0,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="OUT.png", help="Pressure maps, path and courses.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Contact at recorded poses: force, moment, area, pressures, centre of pressure and proximity in every frame.
+
+    Nothing is simulated: where the poses say that two surfaces overlap, elastic layers on both bear it.
+
+    Example: `pftwin contact-map --femur femur.stl --patella button.stl --units m --poses poses.csv -o contact.nc`
+    """
+    if figure is not None and figure.suffix.lower() not in _FIGURES:
+        raise OutputError(f"{figure}: unknown kind of figure; expected: {', '.join(_FIGURES)}")
+    check_outputs(output, figure, json)
+    if not 0 <= proximity <= 10:
+        raise InputError(f"{proximity:g} mm", where="--proximity-mm", expected="0 to 10")
+    start_computing()
+    rule = _law(law, modulus, poisson, thickness)
+    from pftwin.contact_map.checks import check_outcome, check_sides, load_pair
+    from pftwin.contact_map.mapping import map_contact
+    from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
+
+    with working("reading"):
+        thigh, button = load_pair(femur, patella, units=units, patella_units=patella_units)
+        relative = _poses(poses, bodies, start, end)
+        check_sides(thigh, button, relative)
+        surfaces = pressed_surface(thigh), pressing_surface(button)
+    with _progress(relative.times.size) as progress:
+        found = map_contact(
+            *surfaces, rule, relative, triangles=len(button.faces), band=1e-3 * proximity, progress=progress
+        )
+    check_outcome(found, relative)
+    settings = {
+        "femur": str(femur),
+        "patella": str(patella),
+        "poses": str(poses),
+        "law": law,
+        "modulus_MPa": modulus,
+        "poisson_ratio": poisson,
+        "thickness_mm": thickness,
+    }
+    if output is not None:
+        with working("writing"):
+            _write(output, found, button, settings)
+    if figure is not None:
+        with working("drawing"):
+            _draw(figure, found, thigh, button, f"{patella.name} on {femur.name}, {law} foundation")
+    write_json({**settings, **_facts(found)}, json)
+    console = out(json)
+    console.print(_words(found), markup=False, highlight=False)
+    for path in (output, figure):
+        if path is not None:
+            console.print(f"written: {path}", markup=False, highlight=False)
+
+
+def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw:
+    from pftwin.effects.foundation_law import LAWS, checked_layer
+
+    if name not in LAWS:
+        raise InputError(f"no law {name!r}", where="--law", expected=" or ".join(LAWS))
+    options = {"--modulus-mpa": (modulus, 1e6), "--poisson": (poisson, 1.0), "--thickness-mm": (thickness, 1e-3)}
+    numbers = [_two(option, text, factor) for option, (text, factor) in options.items()]
+    layers = [
+        checked_layer(*(pair[k] for pair in numbers), where=f"{body} layer")
+        for k, body in enumerate(("femur's", "patella's"))
+    ]
+    return LAWS[name](*layers)
+
+
+def _two(option: str, text: str, factor: float) -> list[float]:
+    """One number for both layers, or the femur's and the patella's; in SI units."""
+    try:
+        values = [factor * float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2):
+        raise InputError(f"found {text!r}", where=option, expected="a number, or two: femur's,patella's")
+    return values * 2 if len(values) == 1 else values
+
+
+def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> PoseSeries:
+    """Of the patella in the femur's frame, within the times asked for."""
+    from pftwin.mocap import read_poses_csv
+
+    names = bodies.split(",")
+    if len(names) != 2:
+        raise InputError(f"found {bodies!r}", where="--bodies", expected="two names: FEMUR,PATELLA")
+    found = read_poses_csv(path, names)
+    relative = found[names[1]].relative_to(found[names[0]])
+    first, last = float(relative.times[0]), float(relative.times[-1])
+    return relative.between(first if start is None else start, last if end is None else end)
+
+
+def _progress(frames: int) -> Any:
+    """A context whose value takes how many frames are done, and of how many; silent where stderr is no terminal."""
+    from contextlib import contextmanager
+
+    from rich.progress import Progress
+
+    @contextmanager
+    def bar() -> Any:
+        console = err()
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as shown:
+            task = shown.add_task("frames", total=frames)
+            yield lambda done, of: shown.update(task, completed=done, total=of)
+
+    return bar()
+
+
+def _write(path: Path, found: ContactMap, button: Any, settings: dict[str, Any]) -> None:
+    from pftwin import __version__
+    from pftwin.contact_map.dataset import compressed, dataset
+    from pftwin.output import written_whole
+
+    data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
+    with written_whole(path) as temporary:
+        data.to_netcdf(temporary, engine="h5netcdf", encoding=compressed(data))
+
+
+def _draw(path: Path, found: ContactMap, femur: Any, button: Any, title: str) -> None:
+    from pftwin.contact_map.figures import map_figure
+    from pftwin.output import written_whole
+
+    figure = map_figure(found, femur, button, title)
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def _facts(found: ContactMap) -> dict[str, Any]:
+    import numpy as np
+
+    return {
+        "frames": found.times.size,
+        "frames_in_contact": int(found.touching.sum()),
+        "frames_too_deep": int(found.too_deep.sum()),
+        "largest_force_N": float(np.linalg.norm(found.force, axis=1).max()),
+        "largest_pressure_MPa": float(found.max_pressure.max() / 1e6),
+        "largest_area_mm2": float(1e6 * found.area.max()),
+        "largest_depth_mm": float(1e3 * found.largest_depth.max()),
+    }
+
+
+def _words(found: ContactMap) -> str:
+    f = _facts(found)
+    return (
+        f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
+        f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
+    )

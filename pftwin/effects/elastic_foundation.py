@@ -1,0 +1,131 @@
+r"""The button's mesh on the femur's mesh, each with an elastic layer: pressure on every triangle that is in contact.
+
+A triangle of area A whose centroid is d deep pushes with A p(d) along the femur's normal there, n, which is minus the
+depth's gradient: the forces have the potential sum_i A_i w(d_i), with w the law's energy per area. Friction there is
+none. Source: Bei and Fregly 2004, Med Eng Phys 26:777; see `pftwin.effects.foundation_law`. How triangles and depths
+are found: `pftwin.surfaces.depths`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.effects.foundation_law import FoundationLaw, FoundationPressure
+from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
+from pftwin.surfaces.depths import DEEPEST, Depths, depths
+
+FACETS = ("medial", "lateral")
+
+
+class Pressed(NamedTuple):
+    """Contact at an instant: a group of triangles."""
+
+    depths: Depths
+    answer: FoundationPressure  # 0 where a triangle is not in contact
+    term: StiffTerm
+
+
+class ElasticFoundation(Effect):
+    """Two meshes with a layered elastic foundation between them.
+
+    A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. The triangles are
+    one group of stiff terms. `leaves` is the room for pieces of the button that may be in contact at a time (None: for
+    all of it); where it is too short the load is NaN and `overflow` is reported, never a force that lacks a part.
+    """
+
+    femur: PressedSurface  # in the femur's frame
+    button: PressingSurface
+    law: FoundationLaw
+    origin: Vec3  # of the button's mesh, patella frame, axes parallel [m]
+    damping_time: Scalar | float = 0.0  # c [s]
+    leaves: int | None = eqx.field(static=True, default=None)
+    name: str = eqx.field(static=True, kw_only=True, default="contact")
+    observables: ClassVar[dict[str, Observable]] = {
+        "force": Observable("N", "size of the contact force"),
+        "force_x": Observable("N", "contact force on the patella, femur x"),
+        "force_y": Observable("N", "contact force on the patella, femur y"),
+        "force_z": Observable("N", "contact force on the patella, femur z"),
+        "area": Observable("m^2", "contact area"),
+        "mean_pressure": Observable("Pa", "mean pressure over the contact area"),
+        "max_pressure": Observable("Pa", "maximum pressure"),
+        "center_of_pressure": Observable("m", "centre of pressure, femur frame"),
+        "depth": Observable("m", "depth of the deepest triangle"),
+        "force_medial": Observable("N", "size of the force on the medial facet"),
+        "force_lateral": Observable("N", "size of the force on the lateral facet"),
+        "too_deep": Observable("1", "whether a triangle is deeper than any joint bears"),
+        "overflow": Observable("1", "whether the list of triangles was too short, and the load is not known"),
+    }
+
+    def pressed(self, now: Instant) -> Pressed:
+        """Every triangle in contact, with its law's answer and its stiff term."""
+        patella, femur = now.patella, now.femur
+        position = femur.to_local(patella.position + patella.arm(self.origin))
+        axes = patella.rotation
+        rotation = type(axes)(*(femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
+        found = depths(self.button, self.femur, position, rotation, leaves=self.leaves)
+        answer = self.law.press(jnp.where(found.listed, found.depth, -1.0))
+        arm = found.local + Vec3(*(jnp.broadcast_to(a, found.depth.shape) for a in _parts(self.origin)))
+        direction = now.femur.direction(found.normal)
+        at = patella.arm(arm)
+        velocity = femur.relative_velocity(patella.velocity_at(at), patella.position + at)
+        rate = -direction.dot(velocity)
+        elastic = found.area * answer.pressure
+        damping = found.area * answer.slope * self.damping_time
+        pushes = elastic + damping * rate > 0
+        known = jnp.where(found.overflow, jnp.nan, 1.0)
+        force, elastic, stiffness, damping = (
+            known * jnp.where(pushes, a, 0.0)
+            for a in (elastic + damping * rate, elastic, found.area * answer.slope, damping)
+        )
+        term = StiffTerm(direction, applied_at(arm, patella, direction), force, elastic, stiffness, damping, rate)
+        return Pressed(found, answer, term)
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """All triangles' pushes as one group of stiff terms."""
+        found = self.pressed(now)
+        return Load(stiff=(found.term,), energy=jnp.sum(found.depths.area * found.answer.energy)), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
+        found, answer, term = self.pressed(now)
+        report = summary(found, answer.pressure)
+        push = now.femur.local_direction(term.wrench().force)
+        out = {"force": push.norm(), "force_x": push.x, "force_y": push.y, "force_z": push.z, **report}
+        if found.facet is not None:
+            for k, facet in enumerate(FACETS):
+                share = jnp.where(found.facet == k, term.force, 0.0)
+                out[f"force_{facet}"] = (share * term.direction).sum().norm()
+        return out
+
+    def about(self, center_of_mass: Vec3) -> ElasticFoundation:
+        """The button's frame counted from the centre of mass."""
+        return eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)
+
+
+def summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:
+    """Area, pressures, centre of pressure (femur frame), depth and reservations of a contact."""
+    touching = found.listed & (found.depth > 0)
+    area = jnp.sum(jnp.where(touching, found.area, 0.0))
+    borne = jnp.where(touching, found.area * pressure, 0.0)
+    total = jnp.sum(borne)
+    some = total > 0
+    deepest = jnp.max(jnp.where(touching, found.depth, 0.0))
+    center = (1 / jnp.where(some, total, 1.0)) * (borne * found.point).sum()
+    return {
+        "area": area,
+        "mean_pressure": jnp.where(some, total / jnp.where(some, area, 1.0), 0.0),
+        "max_pressure": jnp.max(jnp.where(touching, pressure, 0.0)),
+        "center_of_pressure": jnp.where(some, center.array(), jnp.nan),
+        "depth": deepest,
+        "too_deep": (deepest > DEEPEST).astype(deepest.dtype),
+        "overflow": found.overflow.astype(deepest.dtype),
+    }
+
+
+def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
+    return v.x, v.y, v.z

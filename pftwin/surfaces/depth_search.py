@@ -1,0 +1,224 @@
+"""Which of the button's triangles are in the femur's surface, and which of its triangles is nearest to each.
+
+Down the button's tree: for the ball about a piece of it, the point of the femur nearest to the middle tells whether the
+whole piece is outside. What is left in the end are leaves of a few triangles each; their centroids are brought to the
+femur's tree together. Nothing here is differentiated; batches are taken one by one (see `pftwin.surfaces.depth_walk`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import sequential_vmap
+from jax.lax import optimization_barrier, stop_gradient
+from jaxtyping import Array
+
+from pftwin.spatial import Rotation, Scalar, Vec3
+from pftwin.surfaces.bvh import discs
+from pftwin.surfaces.depth_fans import FAN, FAR
+from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface, lanes_of
+from pftwin.surfaces.depth_walk import room, walk
+from pftwin.surfaces.triangle import Triangle, closest_on_triangle
+
+
+class Found(NamedTuple):
+    """Leaves of the button's tree in a list of fixed length; entries past the count mean nothing."""
+
+    leaf: Array  # (width,) int32
+    place: Array  # (width, lanes) int32: where in the femur's tree the triangle nearest to each centroid is
+    total: Array  # () int32: how many there were, which may be more than the list holds
+
+
+class Nearest(NamedTuple):
+    """Squares of distances [m^2] to the nearest triangles and their places; scalars, or one for each lane."""
+
+    square: Array
+    place: Array
+
+
+def find(
+    button: PressingSurface,
+    femur: PressedSurface,
+    position: Vec3,
+    rotation: Rotation,
+    *,
+    width: int,
+    band: float,
+    reach: float,
+) -> Found:
+    """The leaves of the button in which a centroid's depth is above -band.
+
+    Args:
+        button, femur: the surfaces.
+        position, rotation: of the button's frame in the femur's.
+        width: room for leaves.
+        band: how far outside triangles are still wanted [m].
+        reach: how far from the surface triangles are looked for, on either side [m].
+    """
+
+    @sequential_vmap
+    def search(button: PressingSurface, femur: PressedSurface, position: Vec3, rotation: Rotation) -> Found:
+        return _search(button, femur, position, rotation, width, band, reach)
+
+    return search(*stop_gradient((button, femur, position, rotation)))
+
+
+def _search(
+    button: PressingSurface,
+    femur: PressedSurface,
+    position: Vec3,
+    rotation: Rotation,
+    width: int,
+    band: float,
+    reach: float,
+) -> Found:
+    pieces, count = _pieces(button, femur, position, rotation, band, reach)
+
+    def take(k: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        table, total = now
+        leaf = pieces[k, 0]
+        index = jax.lax.dynamic_index_in_dim(button.index, leaf, keepdims=False)
+        points = _centroids(button, leaf, position, rotation)
+        places = _leaf(femur, points, pieces[k, 1])
+
+        def look(lane: Array, wanted: Array) -> Array:
+            p, place = jax.tree.map(lambda a: a[lane], points), places[lane]
+            depth, rim = signed(femur, p, place)
+            return wanted | ((depth >= -band) & (depth <= reach) & ~rim & (index[lane] >= 0))
+
+        wanted = jax.lax.fori_loop(jnp.int32(0), jnp.int32(button.lanes), look, jnp.zeros((), bool))
+        row = jnp.concatenate([leaf[None], places])
+        # One row more than asked for takes what is written past the end.
+        table = jax.lax.dynamic_update_index_in_dim(table, row, jnp.minimum(total, width), 0)
+        return table, total + wanted.astype(jnp.int32)
+
+    start = jnp.zeros((width + 1, 1 + button.lanes), jnp.int32), jnp.int32(0)
+    table, total = jax.lax.fori_loop(jnp.int32(0), count, take, start)
+    return Found(table[:width, 0], table[:width, 1:], total)
+
+
+def _pieces(
+    button: PressingSurface, femur: PressedSurface, position: Vec3, rotation: Rotation, band: float, reach: float
+) -> tuple[Array, Array]:
+    """The leaves of the button that may be in the femur and a place near each, (leaves, 2), and how many they are."""
+    inner = jnp.int32(button.first.shape[0])
+
+    def look(now: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
+        stack, top, table, total, place = now
+        number = stack[top - 1]
+        ball = jax.lax.dynamic_index_in_dim(button.rows, number, keepdims=False).astype(position.x.dtype)
+        middle, radius = position + rotation.apply(Vec3(ball[0], ball[1], ball[2])), ball[3]
+        near = nearest(femur, middle, place)
+        depth, rim = signed(femur, middle, near.place)
+        # Beyond the rim of an open mesh there is no telling; the piece's own triangles will.
+        outside = (depth < -(radius + band)) & ~rim
+        wanted = ~outside & (jnp.abs(depth) <= radius + reach)
+        child = button.first[number // FAN] + number % FAN
+        is_leaf = child >= inner
+        row = jnp.stack([child - inner, near.place])
+        table = jax.lax.dynamic_update_index_in_dim(table, row, total, 0)
+        fan = child * FAN + jnp.arange(FAN, dtype=jnp.int32)
+        stack = jax.lax.dynamic_update_slice_in_dim(stack, fan, top - 1, 0)
+        opened = jnp.where(wanted & ~is_leaf, jnp.int32(FAN), jnp.int32(0))
+        return stack, top - 1 + opened, table, total + (wanted & is_leaf).astype(jnp.int32), near.place
+
+    zero = jnp.int32(0)
+    stack = jax.lax.dynamic_update_slice_in_dim(jnp.zeros(room(), jnp.int32), jnp.arange(FAN, dtype=jnp.int32), 0, 0)
+    living = jnp.sum(button.rows[:FAN, 0] < FAR, dtype=jnp.int32)  # the root's dead lanes come last
+    table = jnp.zeros((button.leaves + 1, 2), jnp.int32)
+    _, _, table, total, _ = jax.lax.while_loop(lambda now: now[1] > 0, look, (stack, living, table, zero, zero))
+    return table, total
+
+
+def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> Nearest:
+    """The place of the triangle nearest to a point, from one that is anywhere; the nearer, the quicker."""
+
+    def at_leaf(known: Nearest, leaf: Array) -> Nearest:
+        square = closest_on_triangle(femur.leaf(leaf), _as_lanes(p, femur)).square
+        best = jnp.argmin(square).astype(jnp.int32)
+        better = square[best] < known.square
+        place = leaf * jnp.int32(femur.corners.shape[-1]) + best
+        return Nearest(*(jnp.where(better, n, o) for n, o in zip((square[best], place), known, strict=True)))
+
+    start = Nearest(closest_on_triangle(_one(femur, guess), p).square, guess)
+    at = _single(p)
+    return walk(
+        femur.bounds,
+        femur.rows,
+        femur.first,
+        lambda rows: discs.distances(rows, at)[0],
+        lambda known: jnp.sqrt(known.square),
+        at_leaf,
+        start,
+    )
+
+
+def _centroids(button: PressingSurface, leaf: Array, position: Vec3, rotation: Rotation) -> Vec3:
+    """Of a leaf's triangles, one for each lane, in the femur's frame."""
+    corners = lanes_of(jax.lax.dynamic_index_in_dim(button.corners, leaf, keepdims=False))
+    return optimization_barrier(position + rotation.apply(centroid(corners)))
+
+
+def _leaf(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
+    """The places nearest to points that lie together, one for each lane."""
+    low, high = (Vec3(*(f(a) for a in (points.x, points.y, points.z))) for f in (jnp.min, jnp.max))
+    middle = 0.5 * (low + high)
+
+    def at_leaf(known: Nearest, number: Array) -> Nearest:
+        rows = jax.tree.map(lambda a: a[None, :], femur.leaf(number))
+        square = closest_on_triangle(rows, jax.tree.map(lambda a: a[:, None], points)).square
+        best = jnp.argmin(square, axis=1).astype(jnp.int32)
+        least = jnp.min(square, axis=1)
+        better = least < known.square
+        place = number * jnp.int32(femur.corners.shape[-1]) + best
+        return Nearest(jnp.where(better, least, known.square), jnp.where(better, place, known.place))
+
+    lanes = points.x.shape
+    same = jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), _one(femur, guess))
+    start = Nearest(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
+    at, around = _single(middle), (points - Vec3(*(jnp.broadcast_to(a, lanes) for a in _parts(middle)))).squared_norm()
+    spread = jnp.sqrt(jnp.max(around))
+    return walk(
+        femur.bounds,
+        femur.rows,
+        femur.first,
+        lambda rows: discs.distances(rows, at)[0],
+        lambda known: jnp.sqrt(jnp.max(known.square)) + spread,
+        at_leaf,
+        start,
+    ).place
+
+
+def signed(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, Array]:
+    """How deep a point is below the triangle in a place [m], and whether it is nearest to the rim there.
+
+    For single points: with lanes XLA fuses the gathers into every use of theirs, and compiles for minutes.
+    """
+    on = closest_on_triangle(_one(femur, place), p)
+    feature = 7 * femur.triangle[place] + on.feature
+    outside = (p - on.point).dot(Vec3.from_array(femur.outward[feature])) > 0
+    size = jnp.sqrt(on.square)
+    return jnp.where(outside, -size, size), femur.rim[feature]
+
+
+def centroid(t: Triangle) -> Vec3:
+    """The middle of a triangle."""
+    return (1 / 3) * (t.a + t.b + t.c)
+
+
+def _one(femur: PressedSurface, place: Array) -> Triangle:
+    return Triangle.of_rows(femur.at(place))
+
+
+def _as_lanes(p: Vec3, femur: PressedSurface) -> Vec3:
+    return jax.tree.map(lambda a: jnp.broadcast_to(a, femur.corners.shape[-1:]), p)
+
+
+def _single(p: Vec3) -> Array:
+    return jnp.stack([a.astype(jnp.float32) for a in _parts(p)])
+
+
+def _parts(p: Vec3) -> tuple[Scalar, Scalar, Scalar]:
+    return p.x, p.y, p.z

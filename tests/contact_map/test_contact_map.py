@@ -1,0 +1,129 @@
+"""`pftwin contact-map`: a ball on a plate, what is written, what is refused; and the DM recording."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from pftwin.cli.app import app
+from pftwin.surfaces.icosphere import icosphere
+from pftwin.surfaces.mesh import SurfaceMesh, save_mesh
+
+RADIUS = 0.02
+PARTS = ("px_m", "py_m", "pz_m", "qw", "qx", "qy", "qz")
+HEADER = ",".join(["time_s", *(f"{b}_{p}" for b in ("femur", "patella") for p in PARTS)])
+
+
+def plate() -> SurfaceMesh:
+    n, side = 13, 0.06
+    x, y = np.meshgrid(np.linspace(-side / 2, side / 2, n), np.linspace(-side / 2, side / 2, n), indexing="ij")
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
+    a, b, c, d = i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return SurfaceMesh(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1), faces, "plate")
+
+
+def write_poses(path: Path, depths: list[float]) -> Path:
+    """The femur turned over and moved, the ball so deep in it."""
+    turned = "0.1,0.2,0.3,0,1,0,0"  # half a turn about x
+    rows = [f"{0.1 * k:.1f},{turned},0.1,0.2,{0.3 - (RADIUS - d):.9f},1,0,0,0" for k, d in enumerate(depths)]
+    path.write_text("\n".join([HEADER, *rows, ""]))
+    return path
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("map")
+    save_mesh(plate(), folder / "plate.stl")
+    save_mesh(plate().flipped(), folder / "upside_down.stl")
+    save_mesh(icosphere(RADIUS, 40), folder / "ball.stl")
+    save_mesh(icosphere(RADIUS, 40), folder / "ball_mm.stl", units="mm")
+    write_poses(folder / "poses.csv", [4e-4, 5e-4, -2e-4])
+    return folder
+
+
+def run(folder: Path, *more: str, femur="plate.stl", patella="ball.stl", poses="poses.csv"):
+    names = {"--femur": femur, "--patella": patella, "--poses": poses}
+    arguments = [x for option, name in names.items() for x in (option, str(folder / name))]
+    return CliRunner().invoke(app, ["contact-map", *arguments, "--units", "m", *more])
+
+
+def test_a_ball_on_a_plate(files, tmp_path):
+    import xarray as xr
+
+    nc, png, facts = (tmp_path / n for n in ("out.nc", "out.png", "facts.json"))
+    told = run(files, "-o", str(nc), "--figure", str(png), "--json", str(facts))
+    assert told.exit_code == 0, told.output
+    assert "2 of 3 frames in contact" in told.output
+    stiffness = 46.3e6 * 0.54 / (1.46 * 0.08) / 10e-3
+    with xr.open_dataset(nc, engine="h5netcdf") as data:
+        expected = stiffness * np.pi * RADIUS * np.array([4e-4, 5e-4, 0]) ** 2
+        np.testing.assert_allclose(data.force[:, 2], expected, rtol=0.03, atol=1e-9)  # femur's own z
+        np.testing.assert_allclose(data.force[:, :2], 0, atol=0.01 * expected[1])
+        np.testing.assert_allclose(data.moment, 0, atol=1e-4 * expected[1])  # through the ball's centre
+        np.testing.assert_allclose(data.center_of_pressure[:2, :2], 0, atol=1e-4)
+        np.testing.assert_allclose(data.center_on_patella[:2, 2], RADIUS, atol=5e-4)  # turned over
+        assert data.status.values.tolist() == [0, 0, 1]
+        assert float(data.depth[2].max()) == pytest.approx(-2e-4, abs=5e-5)
+        areas = icosphere(RADIUS, 40).face_areas
+        assert data.sizes["triangle"] == len(areas)
+        assert float((data.pressure[1] > 0).sum()) > 50
+        assert data.force.attrs["units"] == "N"
+    assert json.loads(facts.read_text())["frames_in_contact"] == 2
+    assert png.stat().st_size > 20_000
+
+
+def test_a_stiffer_layer_and_the_logarithmic_law_bear_more(files):
+    def force(*more: str) -> float:
+        told = run(files, "--from", "0.1", "--to", "0.1", "--json", "-", *more)
+        assert told.exit_code == 0, told.output
+        return json.loads(told.stdout)["largest_force_N"]
+
+    soft, rigid = force(), force("--modulus-mpa", "46.3,1e9")
+    assert rigid == pytest.approx(2 * soft, rel=1e-6)
+    assert soft < force("--law", "logarithmic") < 1.1 * soft
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "words"),
+    [
+        ({"patella": "ball_mm.stl"}, (), "the two are in different units"),
+        ({"femur": "upside_down.stl"}, (), "of the button are inside the femur"),
+        ({"poses": "apart.csv"}, (), "never touch in 2 frames: at their nearest they are 0.5"),
+        ({"poses": "far.csv"}, (), "never nearer than"),
+        ({"poses": "deep.csv"}, (), "deeper than 5 mm"),
+        ({"poses": "missing.csv"}, (), "no such file"),
+        ({"poses": "plate.stl"}, (), "plate.stl"),
+        ({}, ("--bodies", "femur,patela"), "patella"),
+        ({}, ("--bodies", "femur"), "two names"),
+        ({}, ("--law", "cubic"), "linear or logarithmic"),
+        ({}, ("--poisson", "0.5"), "Poisson ratio 0.5"),
+        ({}, ("--modulus-mpa", "1,2,3"), "a number, or two"),
+        ({}, ("--proximity-mm", "-1"), "0 to 10"),
+        ({}, ("--figure", "map.docx"), "unknown kind of figure"),
+        ({}, ("--from", "7"), "no frame between"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(files, changes, options, words):
+    write_poses(files / "apart.csv", [-5e-4, -6e-4])
+    write_poses(files / "far.csv", [-0.5, -0.6])
+    write_poses(files / "deep.csv", [8e-3, 9e-3])
+    told = run(files, *options, **changes)
+    assert told.exit_code == 2, told.output
+    assert words in told.output.replace("\n", " ")
+    assert "Traceback" not in told.output
+
+
+def test_single_frames_that_are_too_deep_are_flagged(files, tmp_path):
+    import xarray as xr
+
+    write_poses(files / "some.csv", [4e-4, 6e-3])
+    told = run(files, "-o", str(tmp_path / "some.nc"), poses="some.csv")
+    assert told.exit_code == 0, told.output
+    assert "1 of 2 frames are deeper than 5 mm" in told.output
+    with xr.open_dataset(tmp_path / "some.nc", engine="h5netcdf") as data:
+        assert data.status.values.tolist() == [0, 2]

@@ -1,0 +1,126 @@
+"""A ball on a plate, both meshes: force, potential, stiffness, a rest, and what is reported."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import gravity, look, march, state_at, system, vec
+
+from pftwin.effects.elastic_foundation import ElasticFoundation
+from pftwin.effects.foundation_law import LinearFoundation, checked_layer
+from pftwin.spatial import Quaternion
+from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
+from pftwin.surfaces.icosphere import icosphere
+from pftwin.surfaces.mesh import SurfaceMesh
+
+RADIUS = 0.02
+SOFT = checked_layer(46.3e6, 0.46, 5e-3)
+
+
+def plate() -> SurfaceMesh:
+    n, side = 9, 0.06
+    x, y = np.meshgrid(np.linspace(-side / 2, side / 2, n), np.linspace(-side / 2, side / 2, n), indexing="ij")
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(n * n)], axis=1)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
+    a, b, c, d = i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1
+    return SurfaceMesh(vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), "plate")
+
+
+@pytest.fixture(scope="module")
+def effect() -> ElasticFoundation:
+    mesh = plate()
+    side = (mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0).astype(int)
+    femur = pressed_surface(mesh, labels=side)
+    return ElasticFoundation(femur, pressing_surface(icosphere(RADIUS, 40)), LinearFoundation(SOFT, SOFT), vec(0, 0, 0))
+
+
+@eqx.filter_jit
+def seen(effect, now):
+    return effect.load(now, None)[0], effect.observe(now, None)
+
+
+def at_depth(d, **rest):
+    return look((0, 0, RADIUS - d), orientation=Quaternion.from_rotation_vector(vec(0.3, 0.2, -0.1)), **rest)
+
+
+def test_a_ball_on_a_plate_bears_what_the_displaced_volume_says(effect):
+    d = 5e-4
+    load, report = seen(effect, at_depth(d))
+    k = float(1 / effect.law.compliance())
+    force = np.asarray(load.total().force.array())
+    assert force[2] == pytest.approx(k * np.pi * d**2 * (RADIUS - d / 3), rel=0.03)  # the mesh is inscribed
+    assert np.abs(force[:2]).max() < 2e-3 * force[2]
+    assert float(report["area"]) == pytest.approx(np.pi * 2 * RADIUS * d, rel=0.03)
+    assert float(report["max_pressure"]) == pytest.approx(k * d, rel=0.03)
+    assert float(report["mean_pressure"]) == pytest.approx(k * d / 2, rel=0.05)
+    np.testing.assert_allclose(report["center_of_pressure"][:2], 0, atol=5e-5)
+    assert float(report["force_medial"] + report["force_lateral"]) == pytest.approx(force[2], rel=1e-3)
+    assert float(report["too_deep"]) == float(report["overflow"]) == 0
+
+
+def test_the_force_is_minus_the_energys_gradient_and_the_stiffness_its_slope(effect):
+    z = jnp.asarray(RADIUS - 4e-4)
+
+    def energy(z):
+        return effect.load(look_at(z), None)[0].energy
+
+    def force(z):
+        return effect.load(look_at(z), None)[0].total().force.z
+
+    def look_at(z):
+        now = at_depth(0.0)
+        return eqx.tree_at(lambda n: n.patella.position.z, now, z)
+
+    load = effect.load(look_at(z), None)[0]
+    assert float(-jax.grad(energy)(z)) == pytest.approx(float(load.total().force.z), rel=1e-9)
+    (term,) = load.stiff
+    assert float(-jax.grad(force)(z)) == pytest.approx(float(jnp.sum(term.stiffness)), rel=1e-9)
+
+
+def test_damping_resists_and_never_pulls(effect):
+    damped = eqx.tree_at(lambda e: e.damping_time, effect, 1e-3)
+    still, sinking, leaving = (seen(damped, at_depth(4e-4, velocity=(0, 0, v)))[0] for v in (0.0, -0.05, 10.0))
+    assert sinking.total().force.z > still.total().force.z
+    assert sinking.dissipation() > 0
+    np.testing.assert_allclose(leaving.total().force.array(), 0, atol=1e-12)
+
+
+def test_a_ball_comes_to_rest_under_its_weight(effect):
+    light = eqx.tree_at(lambda e: e.damping_time, effect, 2e-3)
+    mass = 0.5
+    sys = system(light, gravity(mass), mass=mass)
+    rest = march(sys, state_at(sys, (0, 0, RADIUS + 1e-4)), 0.3, 300)
+    load, _ = seen(light, look((0, 0, float(rest.position.z)), orientation=rest.orientation))
+    assert float(load.total().force.z) == pytest.approx(9.81 * mass, rel=0.02)
+    assert abs(float(rest.velocity.z)) < 1e-4
+
+
+def test_where_the_list_is_too_short_there_is_no_force(effect):
+    short = replace(effect, leaves=2)
+    load, report = seen(short, at_depth(4e-4))
+    assert report["overflow"] == 1
+    assert np.isnan(load.total().force.z)
+
+
+def test_apart_nothing_is_borne(effect):
+    load, report = seen(effect, at_depth(-1e-3))
+    np.testing.assert_array_equal(load.total().force.array(), 0)
+    assert report["area"] == 0
+    assert np.isnan(report["center_of_pressure"]).all()
+    assert float(load.energy) == 0
+    (term,) = load.stiff
+    assert all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(term))
+
+
+def test_an_offset_button_is_the_same_ball(effect):
+    there = eqx.tree_at(lambda e: e.origin, effect, vec(0.0, 0.0, 0.003))
+    one, _ = seen(there, look((0, 0, RADIUS - 4e-4 - 3e-3)))
+    two, _ = seen(effect, look((0, 0, RADIUS - 4e-4)))
+    np.testing.assert_allclose(one.total().force.array(), two.total().force.array(), rtol=1e-9, atol=1e-9)
+    three, _ = seen(there.about(vec(0, 0, 0.003)), look((0, 0, RADIUS - 4e-4)))
+    np.testing.assert_allclose(three.total().moment.array(), two.total().moment.array(), atol=1e-12)

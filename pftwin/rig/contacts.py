@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal
 
@@ -27,7 +28,7 @@ from pftwin.leaves import number, vector
 from pftwin.rig import geometry as rig
 from pftwin.rig.recording import IMPLANT_FILE, data_folder
 from pftwin.surfaces.fit_quality import PatchFit
-from pftwin.surfaces.implant import rig_region
+from pftwin.surfaces.implant import rig_implant, rig_region
 from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
 from pftwin.surfaces.spline_or_polynomial import SPLINE, fit_named, parse_name
 
@@ -35,6 +36,7 @@ MESHES = ("CM", "FM")
 VOLUME = "volume"
 ON_MESHES = (*MESHES, VOLUME)
 _CENTER = (0.0, 0.0, 0.0)  # of the button's sphere, patella frame
+_WIDE = 0.050  # half the meshes' width [m]: as far as a dislocated button goes; the component proper ends at 32 mm
 
 
 def parse_contact(name: str | int) -> str:
@@ -137,7 +139,7 @@ def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[
     from pftwin.surfaces.resolution import resolution
 
     with jax.enable_x64(True):
-        mesh = meshed(resolution(name))
+        mesh = meshed(resolution(name), replace(rig_implant(), half_width=_WIDE))
         return mesh.vertices, mesh.faces, lateral_of_groove(mesh, rig_region(mesh))
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Array
 from pftwin.spatial import Rotation, Scalar, Vec3
 from pftwin.surfaces.bvh import discs
 from pftwin.surfaces.depth_fans import FAN, FAR
-from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface, lanes_of
+from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
 from pftwin.surfaces.depth_walk import room, walk
 from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
@@ -139,7 +139,7 @@ def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> Nearest:
         square = closest_on_triangle(femur.leaf(leaf), _as_lanes(p, femur)).square
         best = jnp.argmin(square).astype(jnp.int32)
         better = square[best] < known.square
-        place = leaf * jnp.int32(femur.corners.shape[-1]) + best
+        place = leaf * jnp.int32(femur.width) + best
         return Nearest(*(jnp.where(better, n, o) for n, o in zip((square[best], place), known, strict=True)))
 
     start = Nearest(closest_on_triangle(_one(femur, guess), p).square, guess)
@@ -157,8 +157,8 @@ def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> Nearest:
 
 def _centroids(button: PressingSurface, leaf: Array, position: Vec3, rotation: Rotation) -> Vec3:
     """Of a leaf's triangles, one for each lane, in the femur's frame."""
-    corners = lanes_of(jax.lax.dynamic_index_in_dim(button.corners, leaf, keepdims=False))
-    return optimization_barrier(position + rotation.apply(centroid(corners)))
+    rows = jax.lax.dynamic_slice_in_dim(button.corners, leaf * jnp.int32(button.lanes), button.lanes)
+    return optimization_barrier(position + rotation.apply(centroid(Triangle.of_rows(rows))))
 
 
 def _leaf(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
@@ -172,7 +172,7 @@ def _leaf(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
         best = jnp.argmin(square, axis=1).astype(jnp.int32)
         least = jnp.min(square, axis=1)
         better = least < known.square
-        place = number * jnp.int32(femur.corners.shape[-1]) + best
+        place = number * jnp.int32(femur.width) + best
         return Nearest(jnp.where(better, least, known.square), jnp.where(better, place, known.place))
 
     lanes = points.x.shape
@@ -209,11 +209,11 @@ def centroid(t: Triangle) -> Vec3:
 
 
 def _one(femur: PressedSurface, place: Array) -> Triangle:
-    return Triangle.of_rows(femur.at(place))
+    return Triangle.of_rows(femur.corners[place])
 
 
 def _as_lanes(p: Vec3, femur: PressedSurface) -> Vec3:
-    return jax.tree.map(lambda a: jnp.broadcast_to(a, femur.corners.shape[-1:]), p)
+    return jax.tree.map(lambda a: jnp.broadcast_to(a, (femur.width,)), p)
 
 
 def _single(p: Vec3) -> Array:

@@ -32,20 +32,22 @@ class PressedSurface(eqx.Module):
     bounds: Array  # (nodes, 8, 16) float32 discs, see `Fans`
     rows: Array  # (16 nodes, 8) the same, child after child
     first: Array  # (nodes,) int32
-    corners: Array  # (leaves, 9, lanes) a, b, c [m]
+    lanes: Array  # (leaves, 9, lanes) corners a, b, c [m], for searches
+    corners: Array  # (leaves * lanes, 9) the same, one row for each place
     triangle: Array  # (leaves * lanes,) int32: which triangle of the mesh is in a place
     outward: Array  # (7 triangles, 3) unit, at each triangle's face, edges and corners
     rim: Array  # (7 triangles,) whether that is on the boundary of the open mesh
     label: Array | None  # (triangles,) int32, which facet
 
-    def at(self, places: Array) -> Array:
-        """Corners of the triangles in some places (k,), as rows (k, 9)."""
-        lanes = self.corners.shape[-1]
-        return self.corners[places // lanes, :, places % lanes]
-
     def leaf(self, number: Array) -> Triangle:
         """The triangles of a leaf, one for each lane."""
-        return lanes_of(jax.lax.dynamic_index_in_dim(self.corners, number, keepdims=False))
+        rows = jax.lax.dynamic_index_in_dim(self.lanes, number, keepdims=False)
+        return Triangle(*(Vec3(rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]) for k in range(3)))
+
+    @property
+    def width(self) -> int:
+        """Lanes of a leaf."""
+        return self.lanes.shape[-1]
 
 
 class PressingSurface(eqx.Module):
@@ -53,7 +55,7 @@ class PressingSurface(eqx.Module):
 
     rows: Array  # (16 nodes, 4) float32 balls about centroids, child after child of each node
     first: Array  # (nodes,) int32
-    corners: Array  # (leaves, 9, lanes) a, b, c [m]
+    corners: Array  # (leaves * lanes, 9) a, b, c [m]
     index: Array  # (leaves, lanes) int32: which triangle; negative in an empty lane, which holds a copy
 
     @property
@@ -95,7 +97,8 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
         bounds=jax.device_put(fans.bounds),
         rows=jax.device_put(rows_of(fans)),
         first=jax.device_put(fans.first),
-        corners=jax.device_put(corners.astype(own)),
+        lanes=jax.device_put(np.ascontiguousarray(corners.swapaxes(1, 2)).astype(own)),
+        corners=jax.device_put(corners.reshape(-1, 9).astype(own)),
         triangle=jax.device_put(np.where(index < 0, -1 - index, index).ravel().astype(np.int32)),
         outward=jax.device_put(outward.astype(own)),
         rim=jax.device_put(rim),
@@ -113,13 +116,8 @@ def pressing_surface(mesh: SurfaceMesh) -> PressingSurface:
     fans = kept(fans_of, mesh.vertices[mesh.faces], BUTTON_LANES, True, files=())
     corners, index = _placed(mesh, fans)
     own = canonicalize_dtype(float)
-    parts = (rows_of(fans), fans.first, corners.astype(own), index.astype(np.int32))
+    parts = (rows_of(fans), fans.first, corners.reshape(-1, 9).astype(own), index.astype(np.int32))
     return PressingSurface(*(jax.device_put(a) for a in parts))
-
-
-def lanes_of(rows: Array) -> Triangle:
-    """Triangles from (9, lanes)."""
-    return Triangle(*(Vec3(rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]) for k in range(3)))
 
 
 def _pressed(
@@ -131,10 +129,9 @@ def _pressed(
 
 
 def _placed(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Corners (leaves, 9, lanes), and the index of each place."""
+    """Corners (leaves, lanes, 9), and the index of each place."""
     source = np.where(fans.places < 0, -1 - fans.places, fans.places)
-    corners = mesh.vertices[mesh.faces][source].reshape(*source.shape, 9)
-    return np.ascontiguousarray(corners.swapaxes(1, 2)), fans.places
+    return mesh.vertices[mesh.faces][source].reshape(*source.shape, 9), fans.places
 
 
 def _check(mesh: SurfaceMesh) -> None:

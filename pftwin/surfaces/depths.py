@@ -62,8 +62,11 @@ def depths(
     width = button.leaves if leaves is None else min(leaves, button.leaves)
     found = find(button, femur, position, rotation, width=width, band=band, reach=reach)
     row = jnp.repeat(jnp.arange(width, dtype=jnp.int32), button.lanes)
-    index, place = _gathered((button.index[found.leaf].reshape(-1), found.place.reshape(-1)))
-    own = Triangle.of_rows(_gathered(button.corners[found.leaf].swapaxes(1, 2).reshape(-1, 9)))
+    lane = jnp.tile(jnp.arange(button.lanes, dtype=jnp.int32), width)
+    own_place, place = _gathered((found.leaf[row] * jnp.int32(button.lanes) + lane, found.place.reshape(-1)))
+    index = button.index.reshape(-1)[own_place]
+    # Rows of flat tables only: what XLA makes of a pick along two axes at once compiles for minutes within a loop.
+    own = Triangle.of_rows(_gathered(button.corners[own_place]))
     local = centroid(own)
     point = position + rotation.apply(local)
     depth, normal, rim = depth_below(femur, place, point)
@@ -83,7 +86,7 @@ def depths(
 
 def depth_below(femur: PressedSurface, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
     """Depth [m] of points (k,) below the triangles in some places (k,), the normal there, and whether it is the rim."""
-    on = closest_on_triangle(Triangle.of_rows(_gathered(femur.at(place))), point)
+    on = closest_on_triangle(Triangle.of_rows(_gathered(femur.corners[place])), point)
     feature = stop_gradient(7 * femur.triangle[place] + on.feature)
     outward = Vec3.from_array(_gathered(femur.outward[feature]))
     away = point - on.point

@@ -15,12 +15,12 @@ from jax.custom_batching import sequential_vmap
 from jax.lax import optimization_barrier, stop_gradient
 from jaxtyping import Array
 
-from pftwin.spatial import Rotation, Scalar, Vec3
-from pftwin.surfaces.bvh import discs
+from pftwin.spatial import Rotation, Vec3
 from pftwin.surfaces.depth_fans import FAN, FAR
+from pftwin.surfaces.depth_nearest import nearest, nearest_to_all, signed
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
-from pftwin.surfaces.depth_walk import room, walk
-from pftwin.surfaces.triangle import Triangle, closest_on_triangle
+from pftwin.surfaces.depth_walk import room
+from pftwin.surfaces.triangle import Triangle
 
 
 class Found(NamedTuple):
@@ -29,13 +29,6 @@ class Found(NamedTuple):
     leaf: Array  # (width,) int32
     place: Array  # (width, lanes) int32: where in the femur's tree the triangle nearest to each centroid is
     total: Array  # () int32: how many there were, which may be more than the list holds
-
-
-class Nearest(NamedTuple):
-    """Squares of distances [m^2] to the nearest triangles and their places; scalars, or one for each lane."""
-
-    square: Array
-    place: Array
 
 
 def find(
@@ -81,7 +74,7 @@ def _search(
         leaf = pieces[k, 0]
         index = jax.lax.dynamic_index_in_dim(button.index, leaf, keepdims=False)
         points = _centroids(button, leaf, position, rotation)
-        places = _leaf(femur, points, pieces[k, 1])
+        places = nearest_to_all(femur, points, pieces[k, 1])
 
         def look(lane: Array, wanted: Array) -> Array:
             p, place = jax.tree.map(lambda a: a[lane], points), places[lane]
@@ -132,93 +125,12 @@ def _pieces(
     return table, total
 
 
-def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> Nearest:
-    """The place of the triangle nearest to a point, from one that is anywhere; the nearer, the quicker."""
-
-    def at_leaf(known: Nearest, leaf: Array) -> Nearest:
-        square = closest_on_triangle(femur.leaf(leaf), _as_lanes(p, femur)).square
-        best = jnp.argmin(square).astype(jnp.int32)
-        better = square[best] < known.square
-        place = leaf * jnp.int32(femur.width) + best
-        return Nearest(*(jnp.where(better, n, o) for n, o in zip((square[best], place), known, strict=True)))
-
-    start = Nearest(closest_on_triangle(_one(femur, guess), p).square, guess)
-    at = _single(p)
-    return walk(
-        femur.bounds,
-        femur.rows,
-        femur.first,
-        lambda rows: discs.distances(rows, at)[0],
-        lambda known: jnp.sqrt(known.square),
-        at_leaf,
-        start,
-    )
-
-
 def _centroids(button: PressingSurface, leaf: Array, position: Vec3, rotation: Rotation) -> Vec3:
     """Of a leaf's triangles, one for each lane, in the femur's frame."""
     rows = jax.lax.dynamic_slice_in_dim(button.corners, leaf * jnp.int32(button.lanes), button.lanes)
     return optimization_barrier(position + rotation.apply(centroid(Triangle.of_rows(rows))))
 
 
-def _leaf(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
-    """The places nearest to points that lie together, one for each lane."""
-    low, high = (Vec3(*(f(a) for a in (points.x, points.y, points.z))) for f in (jnp.min, jnp.max))
-    middle = 0.5 * (low + high)
-
-    def at_leaf(known: Nearest, number: Array) -> Nearest:
-        rows = jax.tree.map(lambda a: a[None, :], femur.leaf(number))
-        square = closest_on_triangle(rows, jax.tree.map(lambda a: a[:, None], points)).square
-        best = jnp.argmin(square, axis=1).astype(jnp.int32)
-        least = jnp.min(square, axis=1)
-        better = least < known.square
-        place = number * jnp.int32(femur.width) + best
-        return Nearest(jnp.where(better, least, known.square), jnp.where(better, place, known.place))
-
-    lanes = points.x.shape
-    same = jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), _one(femur, guess))
-    start = Nearest(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
-    at, around = _single(middle), (points - Vec3(*(jnp.broadcast_to(a, lanes) for a in _parts(middle)))).squared_norm()
-    spread = jnp.sqrt(jnp.max(around))
-    return walk(
-        femur.bounds,
-        femur.rows,
-        femur.first,
-        lambda rows: discs.distances(rows, at)[0],
-        lambda known: jnp.sqrt(jnp.max(known.square)) + spread,
-        at_leaf,
-        start,
-    ).place
-
-
-def signed(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, Array]:
-    """How deep a point is below the triangle in a place [m], and whether it is nearest to the rim there.
-
-    For single points: with lanes XLA fuses the gathers into every use of theirs, and compiles for minutes.
-    """
-    on = closest_on_triangle(_one(femur, place), p)
-    feature = 7 * femur.triangle[place] + on.feature
-    outside = (p - on.point).dot(Vec3.from_array(femur.outward[feature])) > 0
-    size = jnp.sqrt(on.square)
-    return jnp.where(outside, -size, size), femur.rim[feature]
-
-
 def centroid(t: Triangle) -> Vec3:
     """The middle of a triangle."""
     return (1 / 3) * (t.a + t.b + t.c)
-
-
-def _one(femur: PressedSurface, place: Array) -> Triangle:
-    return Triangle.of_rows(femur.corners[place])
-
-
-def _as_lanes(p: Vec3, femur: PressedSurface) -> Vec3:
-    return jax.tree.map(lambda a: jnp.broadcast_to(a, (femur.width,)), p)
-
-
-def _single(p: Vec3) -> Array:
-    return jnp.stack([a.astype(jnp.float32) for a in _parts(p)])
-
-
-def _parts(p: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return p.x, p.y, p.z

@@ -118,6 +118,7 @@ def test_what_cannot_be_is_refused_in_a_line(files, changes, options, words):
     assert "Traceback" not in told.output
 
 
+@pytest.mark.filterwarnings("default::pftwin.errors.PftwinWarning")
 def test_single_frames_that_are_too_deep_are_flagged(files, tmp_path):
     import xarray as xr
 

@@ -19,7 +19,7 @@ from pftwin.errors import PftwinError
 if TYPE_CHECKING:
     from pftwin.benchmarks.row import Row
 
-TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", "start")
+TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", "start", "meshes")
 ON_ONE_CORE = ("batch", "forward", "reverse")
 LEVELS = {"0.01": 1e-5, "0.05": 5e-5}  # rms error: as the rows name it in mm, and in metres
 
@@ -39,7 +39,7 @@ def measure_topics(
     from pftwin.benchmarks.problem import scene_of_case_1
 
     about, rows = machine.describe(), []
-    if chosen != ("start",):
+    if set(chosen) - {"start", "meshes"}:
         scene = scene_of_case_1()
         say("measuring accuracy ...")
         found = accuracy.errors(scene, reference=100 if quick else accuracy.REFERENCE)
@@ -57,6 +57,11 @@ def measure_topics(
     if "start" in chosen:
         say("measuring start ...")
         rows += startup.rows(repeats=1 if quick else 3)
+    if "meshes" in chosen:
+        say("measuring meshes ...")
+        from pftwin.benchmarks import meshes
+
+        rows += meshes.rows(20 if quick else 200, whole_motions=not quick)
     return rows, about
 
 

@@ -114,7 +114,7 @@ def test_another_polynomial_can_be_asked_for(toy: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr("pftwin.dynamics.simulate.equilibrium", solve)
     assert "a polynomial of degree 4" in refused("equilibrium", toy, "--contact", "p4")
-    assert "no polynomial 'Q4'" in refused("equilibrium", toy, "--contact", "Q4")
+    assert "no contact 'Q4'" in refused("equilibrium", toy, "--contact", "Q4")
 
 
 def test_fit_surface(toy: Path, tmp_path: Path) -> None:

@@ -116,6 +116,7 @@ def femur() -> MeshFacets:
     return mesh_facets(mesh, lateral_of_groove(mesh, rig_region(mesh)))
 
 
+@pytest.mark.slow
 def test_the_meshed_implant_is_the_smooth_one(femur):
     """Both facets' depths within the mesh's 0.006 mm, at places along the groove."""
     smooth = SphereContact(rig_implant(), LAW, vec(0, 0, 0), BUTTON)
@@ -225,6 +226,7 @@ def small_knee() -> Scene:
     return scene.with_effect(MeshSphereContact(mesh_facets(mesh, lateral(flat)), LAW, vec(0, 0, 0), J(RADIUS)))
 
 
+@pytest.mark.slow
 def test_a_knee_moves_on_a_mesh_as_on_its_patch_and_a_search_without_room_is_in_its_status(monkeypatch):
     """From the patch's equilibrium, for static balance on flat triangles is not what Newton's method finds."""
     patch, scene = knee(6, LAW), small_knee()

@@ -34,11 +34,18 @@ def distances(corners: Floats, point: Floats) -> Floats:
 
 def intersecting(first: Floats, second: Floats) -> NDArray[np.int64]:
     """Pairs (k, 2) of triangles of (n, 3, 3) and (m, 3, 3) that have a point in common, in ascending order."""
-    low, high = second.min(axis=(0, 1)), second.max(axis=(0, 1))
-    near = np.flatnonzero(((first.min(axis=1) <= high) & (first.max(axis=1) >= low)).all(axis=1))
-    found = [near[_against(first[near], triangle)] for triangle in second] if len(near) else []
-    pairs = [np.stack([hits, np.full(len(hits), j)], axis=1) for j, hits in enumerate(found)]
-    every = np.concatenate(pairs) if pairs else np.empty((0, 2), int)
+    lows, highs = zip(*((t.min(axis=1), t.max(axis=1)) for t in (first, second)), strict=True)
+    found = [np.empty((0, 2), int)]
+    for start in range(0, len(second), 64):  # their boxes, some against all
+        some = slice(start, start + 64)
+        near = np.ones((len(first), len(second[some])), dtype=bool)
+        for k in range(3):
+            near &= lows[0][:, None, k] <= highs[1][None, some, k]
+            near &= highs[0][:, None, k] >= lows[1][None, some, k]
+        pairs = np.argwhere(near)
+        pairs[:, 1] += start
+        found.append(pairs[_meet(first[pairs[:, 0]], second[pairs[:, 1]])])
+    every = np.concatenate(found)
     return every[np.lexsort((every[:, 1], every[:, 0]))]
 
 
@@ -67,20 +74,16 @@ def ray_depths(points: Floats, normals: Floats, corners: Floats, limit: float) -
     return depths
 
 
-def _against(many: Floats, one: Floats) -> NDArray[np.int64]:
-    """Which of many triangles meet one: no axis separates them."""
-    near = np.flatnonzero(((many.min(axis=1) <= one.max(axis=0)) & (many.max(axis=1) >= one.min(axis=0))).all(axis=1))
-    t = many[near]
-    sides = np.roll(t, -1, axis=1) - t
-    own = np.roll(one, -1, axis=0) - one
-    normals = np.cross(sides[:, 0], sides[:, 1])
-    normal = np.broadcast_to(np.cross(own[0], own[1]), normals.shape)
+def _meet(s: Floats, t: Floats) -> NDArray[np.bool_]:
+    """Whether triangles (k, 3, 3) meet, one by one: no axis separates them."""
+    sides, others = np.roll(s, -1, axis=1) - s, np.roll(t, -1, axis=1) - t
+    normals, normal = np.cross(sides[:, 0], sides[:, 1]), np.cross(others[:, 0], others[:, 1])
     axes = [normals, normal]
-    axes += [np.cross(sides[:, i], own[j]) for i in range(3) for j in range(3)]
+    axes += [np.cross(sides[:, i], others[:, j]) for i in range(3) for j in range(3)]
     axes += [np.cross(normals, sides[:, i]) for i in range(3)]  # for triangles in one plane
-    axes += [np.broadcast_to(np.cross(normal[:1], own[j]), normals.shape) for j in range(3)] if len(near) else []
-    meet = np.ones(len(near), dtype=bool)
+    axes += [np.cross(normal, others[:, j]) for j in range(3)]
+    meet = np.ones(len(s), dtype=bool)
     for axis in axes:
-        p, q = np.einsum("nkj,nj->nk", t, axis), axis @ one.T
+        p, q = np.einsum("nkj,nj->nk", s, axis), np.einsum("nkj,nj->nk", t, axis)
         meet &= (p.min(axis=1) <= q.max(axis=1)) & (q.min(axis=1) <= p.max(axis=1))
-    return near[meet]
+    return meet

@@ -34,3 +34,15 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("toy")
     write_toy(folder)
     return folder
+
+
+MOST_MEMORY = 3e9  # bytes of a test process from which on compiled programs are dropped
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _bounded_memory():
+    """Compiled programs pile up over a thousand tests: past a limit those of finished modules go."""
+    yield
+    status = Path("/proc/self/statm")
+    if status.is_file() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
+        jax.clear_caches()

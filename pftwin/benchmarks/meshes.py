@@ -86,7 +86,7 @@ def _in_a_batch(query: Query, data: Any, poses: Pose) -> float:
     some = jax.tree.map(lambda x: x[:BATCH], poses)
     arrays, fixed = eqx.partition(data, eqx.is_array)
     run = jax.jit(lambda a, p: jax.vmap(lambda one: query(eqx.combine(a, fixed), one))(p))
-    return measure(lambda: run(arrays, some), runs=7).median / BATCH
+    return measure(lambda: run(arrays, some), runs=7).median / some.position.x.shape[0]
 
 
 def _contour(pair: Any, X: Pose) -> Any:

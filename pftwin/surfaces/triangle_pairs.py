@@ -11,6 +11,8 @@ from jaxtyping import Array
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.triangle import Triangle
 
+NEEDLE = 0.01  # of the room for planes: what single precision may put a corner off by, twice over
+
 
 class Segment(NamedTuple):
     """Where two triangles cross, from `start` to `end` along the cross product of their normals."""
@@ -109,10 +111,17 @@ def _between(start: Vec3, way: Vec3, face: Triangle) -> Array:
 
 
 def _reaches(s: Triangle, t: Triangle, room: Scalar) -> Array:
-    """Whether s has corners on both sides of t's plane, or near it."""
-    normal = t.area_vector()
-    heights = [(p - t.a).dot(normal) for p in (s.a, s.b, s.c)]
-    near = room * normal.norm()
+    """Whether s has corners on both sides of t's plane, or near it.
+
+    A needle's plane is uncertain: its normal is off by what corners are, times its length, however small it is itself.
+    """
+    ab, ac = t.b - t.a, t.c - t.a
+    normal = ab.cross(ac)
+    arms = [p - t.a for p in (s.a, s.b, s.c)]
+    heights = [arm.dot(normal) for arm in arms]
+    long = ab.squared_norm() + ac.squared_norm()
+    far = arms[0].squared_norm() + arms[1].squared_norm() + arms[2].squared_norm()
+    near = room * (normal.norm() + NEEDLE * (long + far))
     low = jnp.minimum(jnp.minimum(heights[0], heights[1]), heights[2])
     high = jnp.maximum(jnp.maximum(heights[0], heights[1]), heights[2])
     return (low <= near) & (high >= -near)

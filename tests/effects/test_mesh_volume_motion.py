@@ -80,6 +80,7 @@ def small_knee(mesh: SurfaceMesh, law) -> Scene:
     return knee(6).with_effect(MeshVolumeContact(made, law, vec(0, 0, 0), J(RADIUS), J(0.0125)))
 
 
+@pytest.mark.slow
 def test_a_knee_settles_and_moves_on_a_mesh_as_on_its_patch_and_a_list_too_short_is_in_its_status(small_mesh):
     law = Flores(J(K), J(0.6))
     patch, scene = knee(6, law), small_knee(small_mesh, law)

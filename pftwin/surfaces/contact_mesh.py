@@ -6,8 +6,6 @@ can be read from its place.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,9 +21,9 @@ from pftwin.surfaces.bvh.order import depth_for
 from pftwin.surfaces.bvh.pairs import LEAF
 from pftwin.surfaces.bvh.tree import Kind, MeshTree, build_tree, joined, volume_levels
 from pftwin.surfaces.mesh import SurfaceMesh
+from pftwin.surfaces.mesh_facets import lateral_of_groove
 
-if TYPE_CHECKING:
-    from pftwin.surfaces.region import TrochlearRegion
+__all__ = ["ContactMesh", "contact_mesh", "lateral_of_groove"]
 
 
 class ContactMesh(eqx.Module):
@@ -82,15 +80,6 @@ def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None, *, kind: K
         jax.device_put(rim),
         len(groups),
     )
-
-
-def lateral_of_groove(mesh: SurfaceMesh, region: TrochlearRegion) -> NDArray[np.bool_]:
-    """Which triangles lie laterally of a region's groove line (right knee), (m,); its ends go on straight."""
-    axes, origin = np.asarray(region.cylinder.axes.array()), np.asarray(region.cylinder.origin.array())
-    middles, line = ((p - origin) @ axes for p in (mesh.vertices[mesh.faces].mean(axis=1), region.groove))
-    angles, along = (np.arctan2(p[:, 0], p[:, 2]) for p in (middles, line))
-    order = np.argsort(along)
-    return middles[:, 1] > np.interp(angles, along[order], line[order, 1])
 
 
 def _corner_normals(mesh: SurfaceMesh, features: Features) -> NDArray[np.float64]:

@@ -11,12 +11,11 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from pftwin.effects.elastic_foundation import summary
 from pftwin.effects.foundation_law import FoundationLaw
 from pftwin.mocap.poses import PoseSeries
-from pftwin.spatial import Quaternion, Vec3
+from pftwin.spatial import Quaternion, Scalar, Vec3
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
-from pftwin.surfaces.depths import DEEPEST, depths
+from pftwin.surfaces.depths import DEEPEST, Depths, depths
 
 BAND = 1e-3  # [m] how far from the femur a triangle's distance is still told
 
@@ -118,13 +117,31 @@ def _frame(
     push = (found.area * answer.pressure) * found.normal
     arm = found.point - Vec3(*(jnp.broadcast_to(a, found.depth.shape) for a in (at.x, at.y, at.z)))
     return {
-        **summary(found, answer.pressure),
+        **_summary(found, answer.pressure),
         "force": push.sum().array(),
         "moment": arm.cross(push).sum().array(),
         "listed": found.listed,
         "triangle": found.triangle,
         "depths": found.depth,
         "pressures": answer.pressure,
+    }
+
+
+def _summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:
+    """Area, pressures, centre of pressure (femur frame), and depth of a contact."""
+    touching = found.listed & (found.depth > 0)
+    area = jnp.sum(jnp.where(touching, found.area, 0.0))
+    borne = jnp.where(touching, found.area * pressure, 0.0)
+    total = jnp.sum(borne)
+    some = total > 0
+    deepest = jnp.max(jnp.where(touching, found.depth, 0.0))
+    center = (1 / jnp.where(some, total, 1.0)) * (borne * found.point).sum()
+    return {
+        "area": area,
+        "mean_pressure": jnp.where(some, total / jnp.where(some, area, 1.0), 0.0),
+        "max_pressure": jnp.max(jnp.where(touching, pressure, 0.0)),
+        "center_of_pressure": jnp.where(some, center.array(), jnp.nan),
+        "depth": deepest,
     }
 
 

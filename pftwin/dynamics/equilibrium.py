@@ -99,15 +99,20 @@ def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -
     def evaluate(displacement: Array) -> tuple[Array, Any]:
         loads, later = system.loads(_still(guide, _moved(pose, [displacement[i] for i in range(6)])), memories)
         r = _components(sum((load.total() for load in loads), start=Wrench.zero()))
-        return jnp.stack(r), (later, [term for load in loads for term in load.stiff])
+        own = [term for load in loads for term in load.stiff], [load.bed for load in loads if load.bed is not None]
+        return jnp.stack(r), (later, own)
 
     steps = small * jnp.eye(6, dtype=dtype)
     here = jnp.zeros((1, 6), dtype)
     table, rest = jax.vmap(evaluate)(jnp.concatenate([here, steps, -steps]))
-    later, terms = jax.tree.map(lambda a: a[0], rest)
+    later, (terms, beds) = jax.tree.map(lambda a: a[0], rest)
     convex: Lower = [[zero] * (i + 1) for i in range(6)]
     for term in terms:
         convex = add_outer(convex, _components(Wrench(term.direction, term.moment)), term.stiffness)
+    for bed in beds:
+        scale = jnp.asarray([1.0] * 3 + [1 / LEVER] * 3, dtype)
+        own = scale[:, None] * bed.stiffness * scale
+        convex = [[a + own[i, j] for j, a in enumerate(row)] for i, row in enumerate(convex)]
     return _Look(later, table, convex)
 
 

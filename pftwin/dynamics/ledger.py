@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.dynamics.state import State
-from pftwin.effects.base import Drag, Load
+from pftwin.effects.base import Bed, Drag, Load
 from pftwin.spatial import Scalar, Vec3
 
 
@@ -44,6 +44,9 @@ class Ledger(eqx.Module):
             if load.drag is not None:
                 put_in, lost = _dragged(load.drag, before, after, velocity, spin, at)
                 work, heat = work + step * put_in, heat + step * lost
+            if load.bed is not None:
+                put_in, lost = _bedded(load.bed, before, velocity, spin, at, step)
+                work, heat = work + step * put_in, heat + step * lost
             for term in load.stiff:
                 force = next(forces)
                 guided = term.rate + term.direction.dot(before.velocity) + term.moment.dot(before.spin)
@@ -61,6 +64,14 @@ def _dragged(drag: Drag, before: State, after: State, velocity: Vec3, spin: Vec3
     w = Drag(drag.translational, drag.rotational, *ahead).wrench()
     put_in = w.force.dot(moving) + w.moment.dot(turning)
     return put_in, -w.force.dot(velocity - moving) - w.moment.dot(spin - turning)
+
+
+def _bedded(bed: Bed, before: State, velocity: Vec3, spin: Vec3, at: float, step: Scalar) -> tuple[Scalar, Scalar]:
+    """Power put in by the body that the bed stands on and power lost, with the bed's force as it is."""
+    guided = jnp.concatenate([(before.velocity - bed.velocity).array(), (before.spin - bed.spin).array()])
+    twist = jnp.concatenate([velocity.array(), spin.array()]) - guided
+    elastic = bed.elastic - (0.5 - at) * step * bed.stiffness @ twist
+    return bed.force @ guided, (elastic - bed.force) @ twist
 
 
 def _middle(a: Vec3, b: Vec3) -> Vec3:

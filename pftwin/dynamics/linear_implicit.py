@@ -45,7 +45,7 @@ def linear_implicit(
         dv = _change_of_velocity(system, state, loads, step)
     after = advance(state, state.velocity + Vec3(*dv[:3]), state.spin + Vec3(*dv[3:]), step, memories)
     if ledger is not None:
-        ends = [load._replace(stiff=tuple(_at_end(term, dv, step) for term in load.stiff)) for load in loads]
+        ends = [_load_at_end(load, dv, step) for load in loads]
         ledger = ledger.entered(state, after, ends, [t.force for load in ends for t in load.stiff], 1.0, step)
     return after, ledger
 
@@ -62,8 +62,13 @@ def _change_of_velocity(system: System, state: State, loads: list[Load], step: S
     diagonal = _diagonal(system, loads, step)
     terms = [term for load in loads for term in load.stiff]
     two_sided = [t for t in terms if not t.unilateral]
-    if any(jnp.ndim(t.force) for t in terms) or len(two_sided) > FEW:
+    beds = [load.bed for load in loads if load.bed is not None]
+    if beds or any(jnp.ndim(t.force) for t in terms) or len(two_sided) > FEW:
         mass: Lower = [[jnp.zeros_like(step)] * i + [d] for i, d in enumerate(diagonal)]
+        for bed in beds:
+            more = step * bed.slope(step)
+            mass = [[a + more[i, j] for j, a in enumerate(row)] for i, row in enumerate(mass)]
+            right = [a + step * bed.force[i] for i, a in enumerate(right)]
         for term in two_sided:
             mass, right = _with_term(mass, right, term, step)
         two_sided = []
@@ -84,8 +89,18 @@ def _weight(term: StiffTerm, step: Scalar) -> Scalar:
     return step * (step * term.stiffness + term.damping)
 
 
+def _load_at_end(load: Load, dv: list[Scalar], step: Scalar) -> Load:
+    """The load as it is at the end of the step, with the forces that the solve has reckoned with."""
+    load = load._replace(stiff=tuple(_at_end(term, dv, step) for term in load.stiff))
+    if load.bed is None:
+        return load
+    force = load.bed.force - load.bed.slope(step) @ jnp.stack(dv)
+    elastic = load.bed.elastic - step * load.bed.stiffness @ jnp.stack(dv)
+    return load._replace(bed=eqx.tree_at(lambda b: (b.force, b.elastic), load.bed, (force, elastic)))
+
+
 def _at_end(term: StiffTerm, dv: list[Scalar], step: Scalar) -> StiffTerm:
-    """The term as it is at the end of the step, with the forces that the solve has reckoned with."""
+    """See `_load_at_end`."""
     change = term.direction.dot(Vec3(*dv[:3])) + term.moment.dot(Vec3(*dv[3:]))
     elastic = term.elastic - step * term.stiffness * change
     force = term.force - (step * term.stiffness + term.damping) * change
@@ -104,6 +119,7 @@ def _diagonal(system: System, loads: list[Load], step: Scalar) -> list[Scalar]:
     """
     terms = [term for load in loads for term in load.stiff]
     pushes = [jnp.sum(jnp.where(t.force > 0, t.force, 0.0)) for t in terms]
+    pushes += [load.bed.size for load in loads if load.bed is not None]
     total = sum(pushes, start=jnp.zeros_like(step))
     across = system.mass + (step * step / SPAN) * total
     about = (step * step * LEVER) * total

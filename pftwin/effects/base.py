@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from pftwin.motion import Frame
 from pftwin.spatial import Quaternion, Rotation, Scalar, Vec3, Wrench
@@ -111,10 +112,39 @@ class Drag(eqx.Module):
         return self.translational * self.velocity.squared_norm() + self.rotational * self.spin.squared_norm()
 
 
+class Bed(eqx.Module):
+    """A great many like stiff terms on one body, summed: all that a step and the energy budget need of them.
+
+    With g_i = (direction, moment) of each, forces f_i >= 0 and slopes k_i, and c_i = c k_i.
+    """
+
+    force: Array  # (6,) sum f_i g_i: force in world axes, moment about the centre of mass in patella axes [N, N m]
+    elastic: Array  # (6,) the part of it that is stored and given back
+    stiffness: Array  # (6, 6) sum k_i g_i g_i^T
+    damping_time: Scalar | float  # c [s]
+    size: Scalar  # sum f_i [N]
+    velocity: Vec3  # of the centre of mass relative to the body that they stand on, world [m/s]
+    spin: Vec3  # relative, patella axes [rad/s]
+
+    def wrench(self) -> Wrench:
+        """Force in world axes, moment in patella axes."""
+        return Wrench(Vec3.from_array(self.force[:3]), Vec3.from_array(self.force[3:]))
+
+    def slope(self, step: Scalar) -> Array:
+        """(6, 6): what the wrench loses per unit of twist over a step."""
+        return (step + self.damping_time) * self.stiffness
+
+    def dissipation(self) -> Scalar:
+        """Rate at which work turns into heat [W]."""
+        lost = self.elastic - self.force
+        return lost[:3] @ self.velocity.array() + lost[3:] @ self.spin.array()
+
+
 class Load(NamedTuple):
     """What an effect does to the patella at an instant."""
 
     stiff: tuple[StiffTerm, ...] = ()
+    bed: Bed | None = None
     drag: Drag | None = None
     wrench: Wrench | None = None  # all that is not stiff: force in world axes, moment in patella axes
     energy: Scalar | None = None  # stored [J]
@@ -124,6 +154,8 @@ class Load(NamedTuple):
         out = self.wrench if self.wrench is not None else Wrench.zero()
         if self.drag is not None:
             out = out + self.drag.wrench()
+        if self.bed is not None:
+            out = out + self.bed.wrench()
         for term in self.stiff:
             out = out + term.wrench()
         return out
@@ -136,6 +168,8 @@ class Load(NamedTuple):
     def dissipation(self) -> Scalar:
         """Rate at which stiff terms and drag turn work into heat [W]."""
         lost = [jnp.sum((t.force - t.elastic) * t.rate) for t in self.stiff]
+        if self.bed is not None:
+            lost.append(self.bed.dissipation())
         if self.drag is not None:
             lost.append(self.drag.dissipation())
         return sum(lost, start=jnp.zeros(()))

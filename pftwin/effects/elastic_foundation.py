@@ -8,26 +8,19 @@ are found: `pftwin.surfaces.depths`.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
-from pftwin.effects.foundation_law import FoundationLaw, FoundationPressure
-from pftwin.spatial import Scalar, Vec3
+from pftwin.effects.base import Bed, Effect, Ground, Instant, Load, Observable
+from pftwin.effects.foundation_law import FoundationLaw
+from pftwin.effects.foundation_sums import Bedded, Forces, sums
+from pftwin.spatial import Rotation, Scalar, Vec3
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
-from pftwin.surfaces.depths import DEEPEST, Depths, depths
+from pftwin.surfaces.depths import DEEPEST
 
 FACETS = ("medial", "lateral")
-
-
-class Pressed(NamedTuple):
-    """Contact at an instant: a group of triangles."""
-
-    depths: Depths
-    answer: FoundationPressure  # 0 where a triangle is not in contact
-    term: StiffTerm
 
 
 class ElasticFoundation(Effect):
@@ -43,7 +36,6 @@ class ElasticFoundation(Effect):
     law: FoundationLaw
     origin: Vec3  # of the button's mesh, patella frame, axes parallel [m]
     damping_time: Scalar | float = 0.0  # c [s]
-    leaves: int | None = eqx.field(static=True, default=None)
     name: str = eqx.field(static=True, kw_only=True, default="contact")
     observables: ClassVar[dict[str, Observable]] = {
         "force": Observable("N", "size of the contact force"),
@@ -58,74 +50,65 @@ class ElasticFoundation(Effect):
         "force_medial": Observable("N", "size of the force on the medial facet"),
         "force_lateral": Observable("N", "size of the force on the lateral facet"),
         "too_deep": Observable("1", "whether a triangle is deeper than any joint bears"),
-        "overflow": Observable("1", "whether the list of triangles was too short, and the load is not known"),
     }
 
-    def pressed(self, now: Instant) -> Pressed:
-        """Every triangle in contact, with its law's answer and its stiff term."""
+    def pressed(self, now: Instant) -> Bedded:
+        """Where the button is in the femur, and how both move."""
         patella, femur = now.patella, now.femur
         position = femur.to_local(patella.position + patella.arm(self.origin))
         axes = patella.rotation
-        rotation = type(axes)(*(femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
-        found = depths(self.button, self.femur, position, rotation, leaves=self.leaves)
-        answer = self.law.press(jnp.where(found.listed, found.depth, -1.0))
-        arm = found.local + Vec3(*(jnp.broadcast_to(a, found.depth.shape) for a in _parts(self.origin)))
-        direction = now.femur.direction(found.normal)
-        at = patella.arm(arm)
-        velocity = femur.relative_velocity(patella.velocity_at(at), patella.position + at)
-        rate = -direction.dot(velocity)
-        elastic = found.area * answer.pressure
-        damping = found.area * answer.slope * self.damping_time
-        pushes = elastic + damping * rate > 0
-        known = jnp.where(found.overflow, jnp.nan, 1.0)
-        force, elastic, stiffness, damping = (
-            known * jnp.where(pushes, a, 0.0)
-            for a in (elastic + damping * rate, elastic, found.area * answer.slope, damping)
-        )
-        term = StiffTerm(direction, applied_at(arm, patella, direction), force, elastic, stiffness, damping, rate)
-        return Pressed(found, answer, term)
+        rotation = Rotation(*(femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
+        velocity, spin, world = femur.relative_velocity(patella.velocity, patella.position), patella.spin, None
+        if not isinstance(femur, Ground):
+            spin = spin - axes.unapply(femur.angular_velocity)
+            world = femur.rotation
+        twist = jnp.concatenate([velocity.array(), spin.array()])
+        damping_time = jnp.asarray(self.damping_time, position.x.dtype)
+        return Bedded(self.femur, self.button, self.law, damping_time, self.origin, position, rotation, world, twist)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """All triangles' pushes as one group of stiff terms."""
-        found = self.pressed(now)
-        return Load(stiff=(found.term,), energy=jnp.sum(found.depths.area * found.answer.energy)), memory
+        """All triangles' pushes as one bed."""
+        at = self.pressed(now)
+        return _load(at, sums(at)[0]), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
-        found, answer, term = self.pressed(now)
-        report = summary(found, answer.pressure)
-        push = now.femur.local_direction(term.wrench().force)
-        out = {"force": push.norm(), "force_x": push.x, "force_y": push.y, "force_z": push.z, **report}
-        if found.facet is not None:
-            for k, facet in enumerate(FACETS):
-                share = jnp.where(found.facet == k, term.force, 0.0)
-                out[f"force_{facet}"] = (share * term.direction).sum().norm()
-        return out
+        return self.report(now, memory)[0]
+
+    def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar]:
+        """What `observe` shows, and the energy stored."""
+        forces, p = sums(self.pressed(now))
+        push = Vec3.from_array(jnp.sum(p.facets, axis=0))
+        some = p.borne > 0
+        report = {
+            "force": push.norm(),
+            "force_x": push.x,
+            "force_y": push.y,
+            "force_z": push.z,
+            "area": p.area,
+            "mean_pressure": jnp.where(some, p.borne / jnp.where(some, p.area, 1.0), 0.0),
+            "max_pressure": p.most,
+            "center_of_pressure": jnp.where(some, p.moment / jnp.where(some, p.borne, 1.0), jnp.nan),
+            "depth": p.deepest,
+            "too_deep": (p.deepest > DEEPEST).astype(p.deepest.dtype),
+        }
+        for share, facet in zip(p.facets, FACETS, strict=True):
+            report[f"force_{facet}"] = Vec3.from_array(share).norm()
+        return report, forces.energy
 
     def about(self, center_of_mass: Vec3) -> ElasticFoundation:
         """The button's frame counted from the centre of mass."""
         return eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)
 
 
-def summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:
-    """Area, pressures, centre of pressure (femur frame), depth and reservations of a contact."""
-    touching = found.listed & (found.depth > 0)
-    area = jnp.sum(jnp.where(touching, found.area, 0.0))
-    borne = jnp.where(touching, found.area * pressure, 0.0)
-    total = jnp.sum(borne)
-    some = total > 0
-    deepest = jnp.max(jnp.where(touching, found.depth, 0.0))
-    center = (1 / jnp.where(some, total, 1.0)) * (borne * found.point).sum()
-    return {
-        "area": area,
-        "mean_pressure": jnp.where(some, total / jnp.where(some, area, 1.0), 0.0),
-        "max_pressure": jnp.max(jnp.where(touching, pressure, 0.0)),
-        "center_of_pressure": jnp.where(some, center.array(), jnp.nan),
-        "depth": deepest,
-        "too_deep": (deepest > DEEPEST).astype(deepest.dtype),
-        "overflow": found.overflow.astype(deepest.dtype),
-    }
-
-
-def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return v.x, v.y, v.z
+def _load(at: Bedded, forces: Forces) -> Load:
+    bed = Bed(
+        forces.force,
+        forces.elastic,
+        forces.stiffness,
+        at.damping_time,
+        forces.size,
+        Vec3.from_array(at.twist[:3]),
+        Vec3.from_array(at.twist[3:]),
+    )
+    return Load(bed=bed, energy=forces.energy)

@@ -61,9 +61,36 @@ def depths(
     """
     width = button.leaves if leaves is None else min(leaves, button.leaves)
     found = find(button, femur, position, rotation, width=width, band=band, reach=reach)
-    row = jnp.repeat(jnp.arange(width, dtype=jnp.int32), button.lanes)
-    lane = jnp.tile(jnp.arange(button.lanes, dtype=jnp.int32), width)
-    own_place, place = _gathered((found.leaf[row] * jnp.int32(button.lanes) + lane, found.place.reshape(-1)))
+    there = jnp.arange(width, dtype=jnp.int32) < found.total
+    where = button, femur, position, rotation, found.leaf, found.place, there
+    return depths_in(*where, overflow=found.total > width, band=band, reach=reach)
+
+
+def depths_in(
+    button: PressingSurface,
+    femur: PressedSurface,
+    position: Vec3,
+    rotation: Rotation,
+    leaf: Array,
+    place: Array,
+    there: Array,
+    *,
+    overflow: Array,
+    band: float = 0.0,
+    reach: float = REACH,
+) -> Depths:
+    """The depths of the triangles in some leaves of the button, (leaves * lanes,).
+
+    Args:
+        button, femur, position, rotation, band, reach: as of `depths`.
+        leaf: (leaves,) int32.
+        place: (leaves, lanes) int32, from `pftwin.surfaces.depth_search`.
+        there: (leaves,) bool, whether a leaf counts.
+        overflow: () bool, to go with the answer.
+    """
+    lane = jnp.arange(button.lanes, dtype=jnp.int32)
+    own_places = (leaf[:, None] * jnp.int32(button.lanes) + lane[None, :]).reshape(-1)
+    own_place, place = _gathered((own_places, place.reshape(-1)))
     index = button.index.reshape(-1)[own_place]
     # Rows of flat tables only: what XLA makes of a pick along two axes at once compiles for minutes within a loop.
     own = Triangle.of_rows(_gathered(button.corners[own_place]))
@@ -73,14 +100,14 @@ def depths(
     inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= reach) & ~rim
     return Depths(
         depth=depth,
-        listed=inside & (index >= 0) & (row < found.total),
+        listed=inside & (index >= 0) & jnp.repeat(there, button.lanes),
         triangle=jnp.where(index < 0, -1 - index, index),
         point=point,
         local=local,
         normal=normal,
         area=0.5 * own.area_vector().norm(),
         facet=None if femur.label is None else femur.label[femur.triangle[place]],
-        overflow=found.total > width,
+        overflow=overflow,
     )
 
 

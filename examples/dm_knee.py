@@ -1,6 +1,6 @@
 """Bring your own knee: the patella of an instrumented total knee replacement, simulated and compared with a recording.
 
-    python examples/dm_knee.py FOLDER_OF_DM_KNEE [--degree 6] [--dt 1e-3] [-o dm_knee.nc]
+    python examples/dm_knee.py FOLDER_OF_DM_KNEE [--contact patch|mesh] [--degree 6] [--dt 1e-3] [-o dm_knee.nc]
 
 The folder may be left out where PFTWIN_DATA names the folder that holds dm_knee. docs/bring_your_own_knee.md explains
 every step and what came out. Data: subject DM of the sixth Grand Challenge competition (Fregly et al. 2012, J Orthop
@@ -28,6 +28,8 @@ from pftwin.cap import check_cap
 from pftwin.dynamics.state import Guide
 from pftwin.effects.base import Patella
 from pftwin.effects.contact_law import Hertz
+from pftwin.effects.elastic_foundation import ElasticFoundation
+from pftwin.effects.foundation_law import LinearFoundation, checked_layer
 from pftwin.effects.gravity import Gravity
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.effects.strands import StrandGroup
@@ -48,6 +50,7 @@ from pftwin.motion import KneeMotion
 from pftwin.result import Result
 from pftwin.scene import PatellaBody, Scene
 from pftwin.spatial import Pose, Quaternion, Rotation, Vec3
+from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
 from pftwin.surfaces.fit import PatchFit, fit_patch
 from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
 from pftwin.surfaces.region import trochlear_region
@@ -201,8 +204,22 @@ def foundation_law(radius: float) -> Hertz:
     return Hertz(array(np.pi * layer / 2 * radius), hertz_exponent=2.0)
 
 
-def build(folder: Path, *, degree: int = 6, cap_tolerance: float = 0.02e-3) -> Knee:
-    """The knee of a folder's files. `cap_tolerance` [m]: how far from a sphere the button's cap may be."""
+def layers(femur: SurfaceMesh, button: SurfaceMesh) -> ElasticFoundation:
+    """The contact law of the recording itself: an elastic layer on either side, pressure on every triangle."""
+    layer = checked_layer(**LAYER)
+    sides = pressed_surface(femur), pressing_surface(button)
+    return ElasticFoundation(*sides, LinearFoundation(layer, layer), vec3(np.zeros(3)))
+
+
+def build(folder: Path, *, degree: int = 6, cap_tolerance: float = 0.02e-3, contact: str = "patch") -> Knee:
+    """The knee of a folder's files.
+
+    Args:
+        folder: of the files.
+        degree: of the trochlear polynomial.
+        cap_tolerance: how far from a sphere the button's cap may be [m].
+        contact: "patch", a sphere on the polynomial, or "mesh", the button's triangles on the femur's.
+    """
     if not folder.is_dir():
         raise InputError("no such folder", where=folder, remedy="name the folder that holds dm_knee's files")
     tibia, patella, gravity = read_motion(folder)
@@ -218,7 +235,9 @@ def build(folder: Path, *, degree: int = 6, cap_tolerance: float = 0.02e-3) -> K
         *read_ligaments(folder / "ligaments.json"),
         read_quadriceps(folder / "passive_flexion_quadriceps.csv", start, end),
         Gravity(array(MASS), vec3(gravity)),
-        SphereContact(patch.patch, foundation_law(sphere.radius), vec3(sphere.center), array(sphere.radius)),
+        layers(femur, button)
+        if contact == "mesh"
+        else SphereContact(patch.patch, foundation_law(sphere.radius), vec3(sphere.center), array(sphere.radius)),
     )
     body = PatellaBody(array(MASS), vec3(INERTIA), vec3(anatomical(MASS_CENTRE)))
     recorded = Pose(vec3(patella.positions[0]), Quaternion.from_array(array(patella.quaternions[0])))
@@ -258,7 +277,8 @@ def pose_errors(knee: Knee, result: Result) -> tuple[NDArray[np.float64], NDArra
     recorded = Turn.from_quat(knee.patella.quaternions, scalar_first=True)
     simulated = Turn.from_quat(result.quaternion, scalar_first=True)
     angles = (recorded.inv() * simulated).as_rotvec(degrees=True) @ AXES  # back to the data's axes
-    return result.center - recorded_center(knee), angles
+    center = result.position + simulated.apply(knee.sphere.center)
+    return center - recorded_center(knee), angles
 
 
 def pulls_at_recorded_poses(knee: Knee) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -274,7 +294,7 @@ def pulls_at_recorded_poses(knee: Knee) -> dict[str, tuple[NDArray[np.float64], 
     def look(position: Vec3, orientation: Quaternion, guide: Guide) -> dict:
         at = position + orientation.rotate(com)
         now = guide.instant(Patella.at_rest(at, orientation), 0.0)
-        dry = [e for e in system.effects if not isinstance(e, SphereContact)]
+        dry = [e for e in system.effects if e.name != "contact"]
         seen = {e.name: (e.load(now, None)[0].total().force.array(), e.observe(now, None)) for e in dry}
         return {name: (force, report.get("tension", jnp.zeros(()))) for name, (force, report) in seen.items()}
 
@@ -307,9 +327,9 @@ def gait_motion(folder: Path) -> KneeMotion:
     return KneeMotion.from_poses(femur, tibia)
 
 
-def run(folder: Path, *, degree: int = 6, dt: float = 1e-3) -> tuple[Knee, Result, Comparison]:
+def run(folder: Path, *, degree: int = 6, dt: float = 1e-3, contact: str = "patch") -> tuple[Knee, Result, Comparison]:
     """Builds, simulates and compares."""
-    knee = build(folder, degree=degree)
+    knee = build(folder, degree=degree, contact=contact)
     result = pftwin.simulate(knee.scene, dt=dt)
     return knee, result, compare(knee, result)
 
@@ -320,14 +340,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?" if data else None, default=data and Path(data) / "dm_knee")
     parser.add_argument("--degree", type=int, default=6, help="of the trochlear polynomial")
+    parser.add_argument("--contact", choices=("patch", "mesh"), default="patch", help="sphere on a patch, or meshes")
     parser.add_argument("--dt", type=float, default=1e-3, help="time step [s]")
     parser.add_argument("-o", "--out", type=Path, help="NetCDF file to write")
     given = parser.parse_args(arguments)
     pftwin.configure()
     try:
-        knee, result, comparison = run(given.folder, degree=given.degree, dt=given.dt)
+        knee, result, comparison = run(given.folder, degree=given.degree, dt=given.dt, contact=given.contact)
         print(knee.patch, knee.sphere, result.summary(), comparison, sep="\n")
-        print(f"button: {check_cap(result, knee.sphere).describe()}")
+        if given.contact == "patch":
+            print(f"button: {check_cap(result, knee.sphere).describe()}")
         gait = gait_motion(given.folder)
         print(
             f"gait trial: {gait.n_frames} frames of femur and tibia motion, {gait.start_time:g} to {gait.end_time:g} s"

@@ -111,7 +111,7 @@ def _look(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -
         convex = add_outer(convex, _components(Wrench(term.direction, term.moment)), term.stiffness)
     for bed in beds:
         scale = jnp.asarray([1.0] * 3 + [1 / LEVER] * 3, dtype)
-        own = scale[:, None] * bed.stiffness * scale
+        own = scale[:, None] * bed.stiffness * scale[None, :]
         convex = [[a + own[i, j] for j, a in enumerate(row)] for i, row in enumerate(convex)]
     return _Look(later, table, convex)
 

@@ -2,59 +2,22 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
+from recorded_pulls import Recording
+from wrapped_line import Ellipsoid
 
 from pftwin.contact_map.mapping import ContactMap, map_contact
 from pftwin.effects.foundation_law import LinearFoundation, checked_layer
-from pftwin.mocap import PoseSeries, read_csv, read_poses_csv
+from pftwin.mocap import read_csv, read_poses_csv
 from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
 from pftwin.surfaces.mesh import load_mesh
 
 pytestmark = pytest.mark.slow
-MUSCLES = ("recfem", "vasint", "vaslat", "vasmed")
-LIGAMENTS = {"PT": "patellar_tendon", "MPFL": "mpfl", "LPFL": "lpfl"}
-
-
-def pulls(folder: Path, poses: dict[str, PoseSeries]) -> dict[str, np.ndarray]:
-    """Forces (n, 3) on the patella in the femur's axes, along straight lines; strands share a tension."""
-    origin = {b: p.positions for b, p in poses.items()}
-    axes = {b: p.matrices() for b, p in poses.items()}
-
-    def world(body: str, points) -> np.ndarray:
-        at = np.broadcast_to(points, origin[body].shape)
-        return origin[body] + np.einsum("nij,nj->ni", axes[body], at)
-
-    def unit(v: np.ndarray) -> np.ndarray:
-        return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-    out: dict[str, np.ndarray] = {}
-    tension = read_csv(folder / "passive_flexion_tensions.csv")
-    strands = json.loads((folder / "ligaments.json").read_text())
-    for kind, column in LIGAMENTS.items():
-        lines = []
-        for name, strand in strands.items():
-            if name.rstrip("0123456789") == kind:
-                ends = dict(strand["points"])
-                (body,) = set(ends) - {"patella"}
-                lines.append(unit(world(body, ends[body]) - world("patella", ends["patella"])))
-        out[kind] = tension.column(column)[:, None] * np.mean(lines, axis=0)
-    muscles = read_csv(folder / "passive_flexion_quadriceps.csv")
-    for muscle in MUSCLES:
-        via, own = (
-            muscles.select([f"{muscle}_{k}_{c}" for c in "xyz"]).values for k in ("via_femur", "insertion_patella")
-        )
-        way = unit(world("femur", via) - world("patella", own))
-        out[muscle] = muscles.column(f"{muscle}_tension")[:, None] * way
-    out["weight"] = np.tile([0.0, -9.81 * 0.449, 0.0], (len(out["PT"]), 1))
-    return {k: np.einsum("nji,nj->ni", axes["femur"], f) for k, f in out.items()}
 
 
 @pytest.fixture(scope="module")
-def recording(dm_knee) -> tuple[ContactMap, dict[str, np.ndarray], np.ndarray]:
+def recording(dm_knee) -> tuple[ContactMap, Recording, np.ndarray]:
     poses = read_poses_csv(dm_knee / "passive_flexion_poses.csv")
     femur, button = (
         load_mesh(dm_knee / f"{n}.stl", units="m") for n in ("femoral_component_contact", "patellar_button_contact")
@@ -68,36 +31,61 @@ def recording(dm_knee) -> tuple[ContactMap, dict[str, np.ndarray], np.ndarray]:
         triangles=len(button.faces),
     )
     flexion = np.degrees(read_csv(dm_knee / "passive_flexion_poses.csv", units="1").column("knee_flexion"))
-    return found, pulls(dm_knee, poses), flexion
+    return found, Recording(dm_knee, poses), flexion
 
 
-def compared(found: ContactMap, demand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compared(force: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How much larger the contact force is than what is demanded [%], and the angle between the two [deg]."""
-    size, wanted = np.linalg.norm(found.force, axis=1), np.linalg.norm(demand, axis=1)
-    cosine = np.einsum("ij,ij->i", found.force, demand) / np.maximum(size * wanted, 1e-9)
+    size, wanted = np.linalg.norm(force, axis=1), np.linalg.norm(demand, axis=1)
+    cosine = np.einsum("ij,ij->i", force, demand) / (size * wanted)
     return 100 * (size / wanted - 1), np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
+def test_a_taut_line_around_a_sphere_has_its_closed_form():
+    ball = Ellipsoid(np.array([1.0, 2.0, 3.0]), np.eye(3), np.full(3, 0.5))
+    start, end = (ball.center + np.array([x, 0.0, 0.1]) for x in (-1.0, 1.0))
+    far = np.linalg.norm(start - ball.center)
+    touching = np.arccos(0.5 / far)
+    between = np.arccos((start - ball.center) @ (end - ball.center) / far**2)
+    length, way = ball.wrapped(start, end)
+    assert length == pytest.approx(2 * np.sqrt(far**2 - 0.25) + 0.5 * (between - 2 * touching), rel=1e-4)
+    to_middle = (ball.center - start) / far
+    assert np.arccos(way @ to_middle) == pytest.approx(np.arcsin(0.5 / far), abs=0.01)
+    assert ball.wrapped(start, start + np.array([0.0, 1.0, 0.0]))[0] == pytest.approx(1.0)  # clear of it
+
+
+def test_around_its_ellipsoid_the_lpfl_has_its_recorded_tension(recording):
+    # So the wrap is where the recording's was. Along straight lines it would bear less than half at 70 deg.
+    _, pulls, flexion = recording
+    frames = np.flatnonzero((pulls.times >= 0.5) & (flexion >= 2) & (flexion <= 72))[::10]
+    _, tension = pulls.wrapped_lpfl(frames)
+    recorded = pulls.tensions.column("lpfl")[frames]
+    assert recorded.max() > 50
+    np.testing.assert_allclose(tension, recorded, rtol=0.04, atol=0.02)
+    straight = sum(s.tension(np.linalg.norm(s.other_end - s.on_patella, axis=1))[frames] for s in pulls.strands["LPFL"])
+    assert straight[-1] < 0.5 * recorded[-1]
+
+
 def test_the_contact_force_is_what_the_recording_demands(recording):
-    found, forces, flexion = recording
-    excess, angle = compared(found, -np.sum(list(forces.values()), axis=0))
-    settled = found.times >= 0.5
-    # Straight lines hold while the LPFL, which wraps in the recording, bears little. The bounds that were hoped for,
-    # 5 % and 2 deg from 2 to 72 deg, are missed at both ends: docs/contact_map.md.
-    middle = settled & (flexion >= 13) & (flexion <= 42)
-    assert np.abs(excess[middle]).max() < 5
-    assert angle[middle].max() < 2
-    whole = settled & (flexion >= 2) & (flexion <= 72)
-    assert np.abs(excess[whole]).max() < 7
-    assert angle[whole].max() < 6.5
-    assert abs(excess[whole].mean()) < 1
+    found, pulls, flexion = recording
+    frames = np.flatnonzero((found.times >= 0.5) & (flexion >= 2) & (flexion <= 72))
+    force, tension = pulls.wrapped_lpfl(frames)
+    lpfl = (pulls.tensions.column("lpfl")[frames] / np.maximum(tension, 1e-6))[:, None] * force
+    rest = pulls.muscles_and_weight() + sum(pulls.straight(k) + pulls.viscous(k) for k in ("PT", "MPFL"))
+    excess, angle = compared(found.force[frames], -(rest[frames] + lpfl))
+    assert np.sqrt(np.mean(excess**2)) < 2
+    assert np.abs(excess).max() < 5.5
+    # 5 % and 2 deg from 2 to 72 deg were hoped for; 63 deg is as far as 2 deg goes: docs/contact_map.md. Twice the
+    # recorded patella moves with a jerk.
+    early = flexion[frames] <= 63
+    assert ((np.abs(excess) > 5) | (angle > 2))[early].sum() <= 2
+    assert angle[~early].max() < 3.2
 
 
-def test_what_is_missing_in_deep_flexion_is_one_pull_of_the_lpfls_recorded_tension(recording):
-    found, forces, flexion = recording
-    others = np.sum([f for k, f in forces.items() if k != "LPFL"], axis=0)
-    needed = np.linalg.norm(found.force + others, axis=1)  # the LPFL's pull, whatever its direction
-    tension = np.linalg.norm(forces["LPFL"], axis=1)
-    deep = (flexion >= 20) & (flexion <= 72)
-    error = np.abs(needed - tension)[deep] / np.linalg.norm(found.force, axis=1)[deep]
-    assert error.max() < 0.05
+def test_along_straight_lines_it_is_so_in_the_middle_only(recording):
+    found, pulls, flexion = recording
+    demand = -(pulls.muscles_and_weight() + sum(pulls.straight(k) for k in ("PT", "MPFL", "LPFL")))
+    middle = (found.times >= 0.5) & (flexion >= 13) & (flexion <= 42)
+    excess, angle = compared(found.force[middle], demand[middle])
+    assert np.abs(excess).max() < 5
+    assert angle.max() < 2

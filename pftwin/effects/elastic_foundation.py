@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
 from pftwin.effects.foundation_law import FoundationLaw, FoundationPressure
 from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
 from pftwin.surfaces.depths import DEEPEST, Depths, depths
 
@@ -44,6 +45,7 @@ class ElasticFoundation(Effect):
     origin: Vec3  # of the button's mesh, patella frame, axes parallel [m]
     damping_time: Scalar | float = 0.0  # c [s]
     leaves: int | None = eqx.field(static=True, default=None)
+    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     name: str = eqx.field(static=True, kw_only=True, default="contact")
     observables: ClassVar[dict[str, Observable]] = {
         "force": Observable("N", "size of the contact force"),
@@ -101,6 +103,10 @@ class ElasticFoundation(Effect):
                 share = jnp.where(found.facet == k, term.force, 0.0)
                 out[f"force_{facet}"] = (share * term.direction).sum().norm()
         return out
+
+    def followed(self) -> Vec3:
+        """The origin of the button's mesh: the middle of a sphere."""
+        return self.origin
 
     def about(self, center_of_mass: Vec3) -> ElasticFoundation:
         """The button's frame counted from the centre of mass."""

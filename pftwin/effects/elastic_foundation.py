@@ -8,19 +8,25 @@ are found: `pftwin.surfaces.depths`.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
 from pftwin.effects.foundation_law import FoundationLaw, FoundationPressure
-from pftwin.spatial import Scalar, Vec3
+from pftwin.spatial import Rotation, Scalar, Vec3
+from pftwin.surfaces.behind import behind
 from pftwin.surfaces.closest import Surface
+from pftwin.surfaces.depth_search import centroid
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
 from pftwin.surfaces.depths import DEEPEST, Depths, depths
+from pftwin.surfaces.triangle import Triangle
 
 FACETS = ("medial", "lateral")
+
+Memory = Scalar | None  # 1 once the list of triangles was too short; None where it has room for all
 
 
 class Pressed(NamedTuple):
@@ -36,7 +42,8 @@ class ElasticFoundation(Effect):
 
     A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. The triangles are
     one group of stiff terms. `leaves` is the room for pieces of the button that may be in contact at a time (None: for
-    all of it); where it is too short the load is NaN and `overflow` is reported, never a force that lacks a part.
+    all of it); where it is too short the load is NaN and `overflow` is reported, never a force that lacks a part. The
+    memory is whether it was too short before.
     """
 
     femur: PressedSurface  # in the femur's frame
@@ -56,19 +63,28 @@ class ElasticFoundation(Effect):
         "mean_pressure": Observable("Pa", "mean pressure over the contact area"),
         "max_pressure": Observable("Pa", "maximum pressure"),
         "center_of_pressure": Observable("m", "centre of pressure, femur frame"),
-        "depth": Observable("m", "depth of the deepest triangle"),
+        "indentation": Observable("m", "depth of the deepest triangle"),
         "force_medial": Observable("N", "size of the force on the medial facet"),
         "force_lateral": Observable("N", "size of the force on the lateral facet"),
-        "too_deep": Observable("1", "whether a triangle is deeper than any joint bears"),
-        "overflow": Observable("1", "whether the list of triangles was too short, and the load is not known"),
+        "too_deep": Observable("1", "whether a triangle is deeper than any joint bears, or than is looked for"),
+        "overflow": Observable("1", "whether the list of triangles is or was too short, and the load is not known"),
     }
+
+    def remember(self, now: Instant) -> Memory:
+        """Nothing was lost yet."""
+        return None if self.leaves is None else jnp.zeros_like(now.patella.position.x)
+
+    def _place(self, now: Instant) -> tuple[Vec3, Rotation]:
+        """Of the button's frame in the femur's."""
+        patella, femur = now.patella, now.femur
+        turn = patella.rotation
+        axes = Rotation(*(femur.local_direction(a) for a in (turn.ex, turn.ey, turn.ez)))
+        return femur.to_local(patella.position + patella.arm(self.origin)), axes
 
     def pressed(self, now: Instant) -> Pressed:
         """Every triangle in contact, with its law's answer and its stiff term."""
         patella, femur = now.patella, now.femur
-        position = femur.to_local(patella.position + patella.arm(self.origin))
-        axes = patella.rotation
-        rotation = type(axes)(*(femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
+        position, rotation = self._place(now)
         found = depths(self.button, self.femur, position, rotation, leaves=self.leaves)
         answer = self.law.press(jnp.where(found.listed, found.depth, -1.0))
         arm = found.local + Vec3(*(jnp.broadcast_to(a, found.depth.shape) for a in _parts(self.origin)))
@@ -87,22 +103,37 @@ class ElasticFoundation(Effect):
         term = StiffTerm(direction, applied_at(arm, patella, direction), force, elastic, stiffness, damping, rate)
         return Pressed(found, answer, term)
 
-    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+    def load(self, now: Instant, memory: Memory) -> tuple[Load, Memory]:
         """All triangles' pushes as one group of stiff terms."""
         found = self.pressed(now)
-        return Load(stiff=(found.term,), energy=jnp.sum(found.depths.area * found.answer.energy)), memory
+        return Load(stiff=(found.term,), energy=_stored(found)), _with_lost(memory, found.depths)
 
-    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+    def observe(self, now: Instant, memory: Memory) -> dict[str, Scalar]:
         """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
-        found, answer, term = self.pressed(now)
+        return self.report(now, memory)[0]
+
+    def report(self, now: Instant, memory: Memory) -> tuple[dict[str, Scalar], Scalar]:
+        """What `observe` shows, and the energy stored."""
+        pressed = self.pressed(now)
+        found, answer, term = pressed
         report = summary(found, answer.pressure)
+        depth, lost = report.pop("depth"), _with_lost(memory, found)
+        report["indentation"] = jnp.where(depth > 0, depth, jnp.nan)
+        report["overflow"] = report["overflow"] if lost is None else lost
+        report["too_deep"] = jnp.maximum(report["too_deep"], self._swallowed(now, found).astype(depth.dtype))
         push = now.femur.local_direction(term.wrench().force)
         out = {"force": push.norm(), "force_x": push.x, "force_y": push.y, "force_z": push.z, **report}
-        if found.facet is not None:
-            for k, facet in enumerate(FACETS):
-                share = jnp.where(found.facet == k, term.force, 0.0)
-                out[f"force_{facet}"] = (share * term.direction).sum().norm()
-        return out
+        for k, facet in enumerate(FACETS):  # a mesh of one facet calls it medial
+            share = jnp.where((0 if found.facet is None else found.facet) == k, term.force, 0.0)
+            out[f"force_{facet}"] = (share * term.direction).sum().norm()
+        return out, _stored(pressed)
+
+    def _swallowed(self, now: Instant, found: Depths) -> Array:
+        """Whether the button is deeper than is looked for: no triangle is listed, and any of them is behind."""
+        position, rotation = self._place(now)
+        middle = position + rotation.apply(centroid(Triangle.of_rows(self.button.corners[0])))
+        nothing = ~found.listed.any() & ~found.overflow
+        return behind(self.femur.corners, self.femur.triangle, middle, nothing)
 
     def followed(self) -> Vec3:
         """The origin of the button's mesh: the middle of a sphere."""
@@ -111,6 +142,14 @@ class ElasticFoundation(Effect):
     def about(self, center_of_mass: Vec3) -> ElasticFoundation:
         """The button's frame counted from the centre of mass."""
         return eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)
+
+
+def _stored(found: Pressed) -> Scalar:
+    return jnp.sum(found.depths.area * found.answer.energy)
+
+
+def _with_lost(memory: Memory, found: Depths) -> Memory:
+    return None if memory is None else jnp.maximum(memory, found.overflow.astype(memory.dtype))
 
 
 def summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:

@@ -48,9 +48,7 @@ def foundation(mesh: SurfaceMesh, modulus: float = 20e6, damping_time: float = 2
     """Two layers of 3 mm between the button and the plate."""
     layer = checked_layer(modulus, 0.4, 3e-3)
     surfaces = pressed_surface(plate()), pressing_surface(mesh)
-    return ElasticFoundation(
-        *surfaces, LinearFoundation(layer, layer), vec(0, 0, 0), jnp.asarray(damping_time), **more
-    )
+    return ElasticFoundation(*surfaces, LinearFoundation(layer, layer), vec(0, 0, 0), jnp.asarray(damping_time), **more)
 
 
 def pressed(mesh: SurfaceMesh, height: float = 0.0, n_frames: int = 31, **more) -> Scene:

@@ -127,7 +127,8 @@ def _solved(matrix: Lower, shift: Scalar, r: list[Scalar]) -> tuple[list[Scalar]
 
 
 def _size(r: list[Scalar]) -> Scalar:
-    return safe_sqrt(sum((a * a for a in r[1:]), start=r[0] * r[0]))
+    square = sum((a * a for a in r[1:]), start=r[0] * r[0])
+    return jnp.where(jnp.isnan(square), square, safe_sqrt(square))  # a load that is not known is not none
 
 
 def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _Iterate:

@@ -122,10 +122,11 @@ class ElasticFoundation(Effect):
         report["overflow"] = report["overflow"] if lost is None else lost
         report["too_deep"] = jnp.maximum(report["too_deep"], self._swallowed(now, found).astype(depth.dtype))
         push = now.femur.local_direction(term.wrench().force)
-        out = {"force": push.norm(), "force_x": push.x, "force_y": push.y, "force_z": push.z, **report}
+        unknown = jnp.where(report["overflow"] > 0, jnp.nan, 0.0)
+        out = {"force": push.norm() + unknown, "force_x": push.x, "force_y": push.y, "force_z": push.z, **report}
         for k, facet in enumerate(FACETS):  # a mesh of one facet calls it medial
             share = jnp.where((0 if found.facet is None else found.facet) == k, term.force, 0.0)
-            out[f"force_{facet}"] = (share * term.direction).sum().norm()
+            out[f"force_{facet}"] = (share * term.direction).sum().norm() + unknown
         return out, _stored(pressed)
 
     def _swallowed(self, now: Instant, found: Depths) -> Array:
@@ -145,7 +146,8 @@ class ElasticFoundation(Effect):
 
 
 def _stored(found: Pressed) -> Scalar:
-    return jnp.sum(found.depths.area * found.answer.energy)
+    stored = jnp.sum(found.depths.area * found.answer.energy)
+    return jnp.where(found.depths.overflow, jnp.nan, stored)
 
 
 def _with_lost(memory: Memory, found: Depths) -> Memory:

@@ -22,9 +22,11 @@ from pftwin.surfaces.behind import behind
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.contact_mesh import ContactMesh
 from pftwin.surfaces.contour import Contact, Contacts, MeshPair, mesh_pair
+from pftwin.surfaces.triangle import Triangle
 
 Memory = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
 _NAMES = ("medial", "lateral")
+WIDE = 4  # times twice the largest triangle: a contour around more than that holds corners
 
 
 class MeshContact(Effect):
@@ -64,6 +66,12 @@ class MeshContact(Effect):
         """Whether the patella's mesh is wholly inside the femur's: none of their triangles meet, one corner tells."""
         corner = self._pose(now).apply(Vec3.from_array(self.patella.tree.triangles[0, :3]))
         return behind(self.femur.tree.triangles, self.femur.source, corner, found.pairs == 0)
+
+    def _hollow(self, found: Contacts) -> Array:
+        """Whether a contour is too wide to hold no corner, and yet none within reach was found in it."""
+        largest = jnp.max(Triangle.of_rows(self.patella.tree.triangles).area_vector().norm())
+        hollow = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
+        return jnp.stack(hollow).any()
 
     def remember(self, now: Instant) -> Memory:
         """No contact has begun yet."""
@@ -114,7 +122,7 @@ class MeshContact(Effect):
             report[f"force_{facet}"] = force
             report[f"indentation_{facet}"] = jnp.where(touching, contact.indentation, jnp.nan)
             report[f"point_{facet}"] = jnp.where(touching, contact.point.array(), jnp.nan)
-        too_deep = found.too_deep | self._swallowed(now, found)
+        too_deep = found.too_deep | self._swallowed(now, found) | self._hollow(found)
         flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
         report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
         report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}

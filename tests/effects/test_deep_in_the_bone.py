@@ -88,11 +88,12 @@ def test_apart_nothing_touches(scene, height):
     assert first_status(scene, height) == Status.NO_CONTACT
 
 
-def test_the_search_for_contours_alone_sees_nothing_of_it(scene):
-    effect = scene.effects[0]
-    if type(effect).__name__ != "MeshContact":
-        pytest.skip("of contours")
-    ready = effect.about(vec(0, 0, 0))
-    found = jax.jit(ready.meshes.contacts)(Pose(vec(0, 0, 0.001), Quaternion.identity()))
-    assert int(found.pairs) == 0
-    assert not bool(found.too_deep)
+def test_the_search_for_contours_alone_sees_nothing_of_it():
+    ready = contours().about(vec(0, 0, 0))
+    look = jax.jit(lambda pose: ready.meshes.contacts(pose))  # type: ignore[attr-defined]
+    wholly, half = (look(Pose(vec(0, 0, z), Quaternion.identity())) for z in (0.001, BONE))
+    assert int(wholly.pairs) == 0
+    assert int(half.pairs) > 0
+    assert float(half.each[0].indentation) == 0  # from its corners inward it is farther than the search looks
+    assert not bool(wholly.too_deep)
+    assert not bool(half.too_deep)

@@ -26,7 +26,7 @@ def told(mesh: SurfaceMesh, points: list[list[float]], wanted: bool = True) -> l
     tree = build_tree(mesh)  # whose empty places hold copies
     assert (np.asarray(tree.index) < 0).any()
     one = jax.jit(lambda p: behind(tree.triangles, tree.source_index(), p, jnp.asarray(wanted)))
-    return [bool(one(point(J(p)))) for p in points]
+    return [bool(one(point(J(p, dtype=float)))) for p in points]
 
 
 def test_inside_a_closed_mesh_and_outside():

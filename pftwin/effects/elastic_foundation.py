@@ -54,6 +54,7 @@ class ElasticFoundation(Effect):
     leaves: int | None = eqx.field(static=True, default=None)
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     name: str = eqx.field(static=True, kw_only=True, default="contact")
+    method: ClassVar[str] = "foundation"
     observables: ClassVar[dict[str, Observable]] = {
         "force": Observable("N", "size of the contact force"),
         "force_x": Observable("N", "contact force on the patella, femur x"),

@@ -39,6 +39,7 @@ class MeshContact(Effect):
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     meshes: MeshPair | None = None  # laid out for the inner loop by `about`
     name: str = eqx.field(static=True, kw_only=True, default="contact")
+    method: ClassVar[str] = "contours"
     observables: ClassVar[dict[str, Observable]] = {
         **{k: v for k, v in SphereContact.observables.items() if k != "off_patch"},
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),

@@ -43,6 +43,7 @@ class MeshSphereContact(Effect):
     radius: Scalar  # [m]
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     name: str = eqx.field(static=True, kw_only=True, default="contact")
+    method: ClassVar[str] = "nearest"
     observables: ClassVar[dict[str, Observable]] = {
         **SphereContact.observables,
         "off_patch": Observable("m", "how far sideways past the mesh's rim the sphere's centre lies, where loaded"),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.dynamics.equilibrium import LEVER, Solution, tolerance_of
+from pftwin.dynamics.observe import RESERVATIONS, Status
 from pftwin.dynamics.trajectory import first_guide
 from pftwin.effects.base import Patella
 from pftwin.kept.program import Program
@@ -93,13 +94,25 @@ class EquilibriumReport:
         return "stable" if least > 0 else "saddle"
 
     @property
+    def status(self) -> Status:
+        """What its effects have against it: too deep, beyond the patch, a search without room."""
+        found = Status.OK
+        for report in self.effects.values():
+            for name, flag in RESERVATIONS.items():
+                if np.any(report.get(name, np.zeros(())) > 0):
+                    found |= flag
+        return found
+
+    @property
     def description(self) -> str:
         """Which equilibrium it is, in a sentence."""
         if not self.converged:
-            return f"no equilibrium: {self.residual:.3g} N are left after {self.iterations} iterations"
+            why = f"; {self.status.describe()}" if self.status else ""
+            return f"no equilibrium: {self.residual:.3g} N are left after {self.iterations} iterations{why}"
         place = {0: "free of contact", 1: f"on the {' '.join(self.facets)} facet alone"}
         where = place.get(len(self.facets), "on the medial and the lateral facet at once")
         helped = ", found by damped relaxation" if self.relaxed else ""
+        helped += f"; {self.status.describe()}" if self.status else ""
         return (
             f"{self.kind} equilibrium {where}, {1e3 * self.moved:.2f} mm and {np.degrees(self.turned):.2f} deg "
             f"from the start pose{helped}"
@@ -112,6 +125,7 @@ class EquilibriumReport:
             "quaternion": self.quaternion.tolist(),
             "residual_N": self.residual,
             "converged": self.converged,
+            "status": self.status.describe(),
             "iterations": self.iterations,
             "relaxed": self.relaxed,
             "kind": self.kind,

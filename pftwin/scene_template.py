@@ -260,6 +260,7 @@ chart = "$chart"       # heights over a "plane", or about the trochlear axis: "c
 # Which vertices: a rectangle about the trochlear axis. Without axis_... the axis is looked for (anterior and proximal
 # may then be given as directions in the mesh's frame): `pftwin fit-surface` draws what it finds.
 region = { axis_origin_mm = [0, 0, 0], axis_radius_mm = $axis_radius, half_width_mm = 20, angles_deg = [-75, 30] }
+# Meshes that touch as they are, in place of [contact]: [mesh_contact], [elastic_foundation]; see "Bring your own knee".
 # surface = { implant = "rig" } is the virtual rig's smooth implant; coefficients_m, chart, half_size_m give a patch.
 
 $damping

@@ -39,7 +39,7 @@ StepOption = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Long
 
 @dataclass(frozen=True)
 class Chosen:
-    """A scene, its measurements where there are any, and the name of its patch where that is known."""
+    """A scene, its measurements where there are any, and the name of its contact where that is known."""
 
     scene: Scene
     measured: Measured | None
@@ -81,7 +81,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
             loaded = load_scene_file(scene, contact=contact)
         for note in loaded.notes:
             err().print(note, style="dim", markup=False, highlight=False, soft_wrap=True)
-        return Chosen(loaded.scene, loaded.measured, contact or _patch(loaded.scene), loaded.button)
+        return Chosen(loaded.scene, loaded.measured, contact or _contact(loaded.scene), loaded.button)
     from pftwin import rig
 
     assert case is not None
@@ -114,7 +114,9 @@ def simulated(chosen: Chosen, integrator: str, dt: float) -> tuple[Result, float
     return result, first
 
 
-def _patch(scene: Scene) -> str | None:
+def _contact(scene: Scene) -> str | None:
+    """What the button touches by: the patch's name, or the method of meshes."""
     from pftwin.surfaces.spline_or_polynomial import name_of
 
-    return None if scene.surface is None else name_of(scene.surface)
+    method = getattr(scene.button, "method", None)
+    return method if method is not None or scene.surface is None else name_of(scene.surface)

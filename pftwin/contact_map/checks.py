@@ -14,6 +14,7 @@ from pftwin.mocap.poses import PoseSeries
 from pftwin.surfaces.depths import DEEPEST
 from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
 from pftwin.surfaces.mesh_units import PLAUSIBLE, UNITS, plausible_units
+from pftwin.surfaces.mutual_place import MutualPlace, mutual_place
 
 _LOOKS = 5  # frames that are looked at before anything is computed
 
@@ -51,15 +52,15 @@ def check_sides(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries) -> N
     """
     frames = np.unique(np.linspace(0, poses.times.size - 1, _LOOKS).round().astype(int))
     looks = [_look(femur, button, poses, k) for k in frames]
-    if all(behind > 0.5 for _, behind in looks):
+    if all(look.behind > 0.5 for look in looks):
         raise InputError(
-            f"at {poses.times[frames[0]]:g} s {looks[0][1]:.0%} of the button are inside the femur, "
+            f"at {poses.times[frames[0]]:g} s {looks[0].behind:.0%} of the button are inside the femur, "
             "and no better at any other time that was looked at",
             where=poses.source,
             expected="poses of the button's mesh frame against the femur's",
             remedy="check that normals point outward (pftwin doctor-mesh), which body is which, and the poses' units",
         )
-    nearest = min(gap for gap, _ in looks)
+    nearest = min(look.gap for look in looks)
     if nearest > PLAUSIBLE[1]:
         raise InputError(
             f"button and femur are never nearer than {1e3 * nearest:.0f} mm",
@@ -100,12 +101,6 @@ def status(found: ContactMap) -> NDArray[np.int32]:
     return np.where(found.touching, 0, 1).astype(np.int32) + np.where(found.too_deep, 2, 0).astype(np.int32)
 
 
-def _look(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries, k: int) -> tuple[float, float]:
-    """The least distance of their vertices [m], and which share of the button's area is behind the femur's surface."""
-    from scipy.spatial import cKDTree
-
-    points = button.vertices @ poses.matrices()[k].T + poses.positions[k]
-    away, near = cKDTree(femur.vertices).query(points)
-    side = np.einsum("ij,ij->i", points - femur.vertices[near], femur.vertex_normals[near])
-    behind = np.average(side < 0, weights=button.vertex_areas)
-    return float(np.min(away)), float(behind)
+def _look(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries, k: int) -> MutualPlace:
+    """How they lie to each other in a frame."""
+    return mutual_place(femur, button, poses.positions[k], poses.matrices()[k])

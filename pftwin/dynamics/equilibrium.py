@@ -3,7 +3,9 @@
 Newton-Raphson with a trust region (Michaud et al. 2024, section 2.3.3 solve the same problem by Newton-Raphson): the
 tangent of the whole static load, contacts included, is shifted by |r| / reach, which bounds a step by `reach` and
 vanishes at the solution, so the last iterations converge quadratically. Where the tangent is indefinite (between two
-equilibria) the stiff terms' own positive semidefinite part takes its place. `relax` is the fallback.
+equilibria) the stiff terms' own positive semidefinite part takes its place. Where that has led nowhere for a while, as
+on a mesh of few triangles, across whose edges forces jump, the shift grows with every step for the worse and shrinks
+with every one for the better. `relax` is the fallback.
 
 The tangent is taken by central differences: as good as automatic differentiation here (relative error 1e-8 in float64)
 and far quicker to compile.
@@ -28,7 +30,9 @@ from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
 REACH = 2e-3  # longest step [m]
 LEVER = 0.02  # turns moments into forces and angles into lengths: about the patella's half width [m]
 SEARCH_STEPS = 4  # loads at rest that make rough memories right
-MOST_ITERATIONS = 120
+MOST_ITERATIONS = 200
+PATIENCE = 50  # iterations after which steps that make it worse are followed by shorter ones
+MOST_CAUTION = 1e4  # what their shift is multiplied by at most
 RELAXATION_STEPS = 1500
 RELAXATION_STEP = 2e-3  # [s]
 
@@ -59,6 +63,7 @@ class _Iterate(NamedTuple):
     stiffness: Array
     count: Scalar
     done: Scalar
+    caution: Scalar  # what the shift is multiplied by
 
 
 def _still(guide: Guide, pose: Pose) -> Instant:
@@ -132,7 +137,8 @@ def _solved(matrix: Lower, shift: Scalar, r: list[Scalar]) -> tuple[list[Scalar]
 
 
 def _size(r: list[Scalar]) -> Scalar:
-    return safe_sqrt(sum((a * a for a in r[1:]), start=r[0] * r[0]))
+    square = sum((a * a for a in r[1:]), start=r[0] * r[0])
+    return jnp.where(jnp.isnan(square), square, safe_sqrt(square))  # a load that is not known is not none
 
 
 def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _Iterate:
@@ -145,7 +151,8 @@ def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _
     stiffness = 0.5 * (slopes + slopes.T)
     tangent: Lower = [[stiffness[i, j] for j in range(i + 1)] for i in range(6)]
     both = jax.tree.map(lambda a, b: jnp.stack([a, b]), tangent, look.convex)  # compiled once for the two of them
-    steps, definite = jax.vmap(lambda matrix: _solved(matrix, size / REACH, r))(both)
+    caution = _caution(at, size)
+    steps, definite = jax.vmap(lambda matrix: _solved(matrix, caution * size / REACH, r))(both)
     d = [jnp.where(definite[0], a[0], a[1]) for a in steps]
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
@@ -153,7 +160,13 @@ def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _
     done = ((size < 0.01 * tolerance) | floor) & ~searching
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
-    return _Iterate(_moved(at.pose, d), look.memories, size, stiffness, at.count + 1, done)
+    return _Iterate(_moved(at.pose, d), look.memories, size, stiffness, at.count + 1, done, caution)
+
+
+def _caution(at: _Iterate, size: Scalar) -> Scalar:
+    """Shorter steps where long ones have led nowhere; 1 until then."""
+    changed = jnp.clip(at.caution * jnp.where(size > at.residual, 4.0, 0.5), 1.0, MOST_CAUTION)
+    return jnp.where(at.count < PATIENCE, 1.0, changed)
 
 
 @eqx.filter_custom_jvp
@@ -172,6 +185,7 @@ def solve_equilibrium(system: System, guide: Guide, guess: Pose) -> Solution:
         jnp.zeros((6, 6), zero.dtype),
         jnp.zeros((), int),
         jnp.array(False),
+        zero + 1.0,
     )
     found = jax.lax.while_loop(
         lambda at: ~at.done & (at.count < MOST_ITERATIONS),

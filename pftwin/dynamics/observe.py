@@ -44,13 +44,13 @@ _WORDS = {
     " reaches over the rim of the mesh",
     Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or deeper than is looked for:"
     " step too large or law too soft",
-    Status.NOT_FINITE: "not finite: step too large",
+    Status.NOT_FINITE: "not finite: step too large, or a load that is not known",
     Status.STEP_TOO_LONG: "the patella moves or turns too far within one step: take a shorter one",
     Status.SEARCH_OVERFLOW: "the search for what touches ran out of room: a contact may be wrong",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
-_WHERE_POSITIVE = {
+RESERVATIONS = {  # what effects report, and what it says where positive
     "off_patch": Status.LEFT_PATCH,
     "at_rim": Status.LEFT_PATCH,
     "overflow": Status.SEARCH_OVERFLOW,
@@ -101,9 +101,11 @@ def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step:
     flags = jnp.where(step * state.spin.norm() > MOST_TURN, int(Status.STEP_TOO_LONG), 0)
     for effect in scene.effects:
         report = seen[effect.name]
-        conditions = [(report[name] > 0, flag) for name, flag in _WHERE_POSITIVE.items() if name in report]
-        if "indentation_medial" in report:  # a button, whatever it is on
+        flags = flags | reservations(report)
+        conditions = []
+        if effect.followed() is not None:  # a button, whatever it is on
             conditions.append((report["force"] <= 0, Status.NO_CONTACT))
+        if "indentation_medial" in report:
             radius = getattr(effect, "radius", None)
             if radius is not None:
                 deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
@@ -112,4 +114,13 @@ def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step:
         for condition, flag in conditions:
             flags = flags | jnp.where(condition, int(flag), 0)
     finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())
-    return jnp.where(finite, flags, int(Status.NOT_FINITE))
+    return jnp.where(finite, flags, int(Status.NOT_FINITE) | (flags & int(Status.SEARCH_OVERFLOW)))
+
+
+def reservations(report: dict[str, Array]) -> Array:
+    """Bits of `Status` that an effect's report says by itself, whatever moves."""
+    flags = jnp.zeros((), int)
+    for name, flag in RESERVATIONS.items():
+        if name in report:
+            flags = flags | jnp.where(report[name] > 0, int(flag), 0)
+    return flags

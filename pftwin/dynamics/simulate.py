@@ -52,10 +52,11 @@ def settle(scene: Scene) -> tuple[Timed, bool]:
     found = _solve.timed(scene, None)
     if _converged(found.answer):
         return found, False
-    rest = _relaxed.timed(scene)
-    again = _solve.timed(scene, rest.answer)
-    run, preparation = (sum(t[i] for t in (found, rest, again)) for i in (1, 2))
-    return Timed(again.answer, run, preparation), True
+    tried = [found, _relaxed.timed(scene)]
+    if np.isfinite(np.asarray(tried[-1].answer.position.array())).all():
+        tried.append(_solve.timed(scene, tried[-1].answer))
+    run, preparation = (sum(t[i] for t in tried) for i in (1, 2))
+    return Timed(tried[-1].answer if len(tried) > 2 else found.answer, run, preparation), True
 
 
 def _converged(solution: Solution) -> bool:

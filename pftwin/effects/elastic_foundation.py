@@ -12,13 +12,18 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from pftwin.effects.base import Bed, Effect, Ground, Instant, Load, Observable
 from pftwin.effects.foundation_law import FoundationLaw
-from pftwin.effects.foundation_sums import Bedded, Forces, sums
+from pftwin.effects.foundation_sums import Bedded, Pressures, sums
 from pftwin.spatial import Rotation, Scalar, Vec3
+from pftwin.surfaces.behind import behind
+from pftwin.surfaces.closest import Surface
+from pftwin.surfaces.depth_search import centroid
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
 from pftwin.surfaces.depths import DEEPEST
+from pftwin.surfaces.triangle import Triangle
 
 FACETS = ("medial", "lateral")
 
@@ -26,9 +31,8 @@ FACETS = ("medial", "lateral")
 class ElasticFoundation(Effect):
     """Two meshes with a layered elastic foundation between them.
 
-    A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. The triangles are
-    one group of stiff terms. `leaves` is the room for pieces of the button that may be in contact at a time (None: for
-    all of it); where it is too short the load is NaN and `overflow` is reported, never a force that lacks a part.
+    A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. All together are
+    one bed of stiff terms.
     """
 
     femur: PressedSurface  # in the femur's frame
@@ -36,7 +40,9 @@ class ElasticFoundation(Effect):
     law: FoundationLaw
     origin: Vec3  # of the button's mesh, patella frame, axes parallel [m]
     damping_time: Scalar | float = 0.0  # c [s]
+    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     name: str = eqx.field(static=True, kw_only=True, default="contact")
+    method: ClassVar[str] = "foundation"
     observables: ClassVar[dict[str, Observable]] = {
         "force": Observable("N", "size of the contact force"),
         "force_x": Observable("N", "contact force on the patella, femur x"),
@@ -46,30 +52,39 @@ class ElasticFoundation(Effect):
         "mean_pressure": Observable("Pa", "mean pressure over the contact area"),
         "max_pressure": Observable("Pa", "maximum pressure"),
         "center_of_pressure": Observable("m", "centre of pressure, femur frame"),
-        "depth": Observable("m", "depth of the deepest triangle"),
+        "indentation": Observable("m", "depth of the deepest triangle"),
         "force_medial": Observable("N", "size of the force on the medial facet"),
         "force_lateral": Observable("N", "size of the force on the lateral facet"),
-        "too_deep": Observable("1", "whether a triangle is deeper than any joint bears"),
+        "too_deep": Observable("1", "whether a triangle is deeper than any joint bears, or than is looked for"),
     }
 
     def pressed(self, now: Instant) -> Bedded:
         """Where the button is in the femur, and how both move."""
         patella, femur = now.patella, now.femur
-        position = femur.to_local(patella.position + patella.arm(self.origin))
         axes = patella.rotation
-        rotation = Rotation(*(femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
         velocity, spin, world = femur.relative_velocity(patella.velocity, patella.position), patella.spin, None
         if not isinstance(femur, Ground):
             spin = spin - axes.unapply(femur.angular_velocity)
             world = femur.rotation
-        twist = jnp.concatenate([velocity.array(), spin.array()])
-        damping_time = jnp.asarray(self.damping_time, position.x.dtype)
-        return Bedded(self.femur, self.button, self.law, damping_time, self.origin, position, rotation, world, twist)
+        return Bedded(
+            femur=self.femur,
+            button=self.button,
+            law=self.law,
+            damping_time=jnp.asarray(self.damping_time, patella.position.x.dtype),
+            origin=self.origin,
+            position=femur.to_local(patella.position + patella.arm(self.origin)),
+            rotation=Rotation(*(femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez))),
+            world=world,
+            twist=jnp.concatenate([velocity.array(), spin.array()]),
+        )
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """All triangles' pushes as one bed."""
         at = self.pressed(now)
-        return _load(at, sums(at)[0]), memory
+        found = sums(at)[0]
+        velocity, spin = Vec3.from_array(at.twist[:3]), Vec3.from_array(at.twist[3:])
+        bed = Bed(found.force, found.elastic, found.stiffness, at.damping_time, found.size, velocity, spin)
+        return Load(bed=bed, energy=found.energy), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
@@ -77,9 +92,11 @@ class ElasticFoundation(Effect):
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar]:
         """What `observe` shows, and the energy stored."""
-        forces, p = sums(self.pressed(now))
+        at = self.pressed(now)
+        forces, p = sums(at)
         push = Vec3.from_array(jnp.sum(p.facets, axis=0))
         some = p.borne > 0
+        too_deep = (p.deepest > DEEPEST) | self._swallowed(at, p)
         report = {
             "force": push.norm(),
             "force_x": push.x,
@@ -89,26 +106,22 @@ class ElasticFoundation(Effect):
             "mean_pressure": jnp.where(some, p.borne / jnp.where(some, p.area, 1.0), 0.0),
             "max_pressure": p.most,
             "center_of_pressure": jnp.where(some, p.moment / jnp.where(some, p.borne, 1.0), jnp.nan),
-            "depth": p.deepest,
-            "too_deep": (p.deepest > DEEPEST).astype(p.deepest.dtype),
+            "indentation": jnp.where(p.deepest > 0, p.deepest, jnp.nan),
+            "too_deep": too_deep.astype(p.deepest.dtype),
         }
-        for share, facet in zip(p.facets, FACETS, strict=True):
+        for share, facet in zip(p.facets, FACETS, strict=True):  # a mesh of one facet calls it medial
             report[f"force_{facet}"] = Vec3.from_array(share).norm()
         return report, forces.energy
+
+    def _swallowed(self, at: Bedded, found: Pressures) -> Array:
+        """Whether the button is deeper than is looked for: no triangle is in contact, and any of them is behind."""
+        middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0])))
+        return behind(self.femur.corners, self.femur.triangle, middle, found.area == 0)
+
+    def followed(self) -> Vec3:
+        """The origin of the button's mesh: the middle of a sphere."""
+        return self.origin
 
     def about(self, center_of_mass: Vec3) -> ElasticFoundation:
         """The button's frame counted from the centre of mass."""
         return eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)
-
-
-def _load(at: Bedded, forces: Forces) -> Load:
-    bed = Bed(
-        forces.force,
-        forces.elastic,
-        forces.stiffness,
-        at.damping_time,
-        forces.size,
-        Vec3.from_array(at.twist[:3]),
-        Vec3.from_array(at.twist[3:]),
-    )
-    return Load(bed=bed, energy=forces.energy)

@@ -11,18 +11,22 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from pftwin.effects.base import Effect, Instant, Load, Observable
 from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.spatial import Pose, Quaternion, Rotation, Scalar, Vec3
+from pftwin.surfaces.behind import behind
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.contact_mesh import ContactMesh
 from pftwin.surfaces.contour import Contact, Contacts, MeshPair, mesh_pair
+from pftwin.surfaces.triangle import Triangle
 
 Memory = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
 _NAMES = ("medial", "lateral")
+WIDE = 4  # times twice the largest triangle: a contour around more than that holds corners
 
 
 class MeshContact(Effect):
@@ -35,6 +39,7 @@ class MeshContact(Effect):
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     meshes: MeshPair | None = None  # laid out for the inner loop by `about`
     name: str = eqx.field(static=True, kw_only=True, default="contact")
+    method: ClassVar[str] = "contours"
     observables: ClassVar[dict[str, Observable]] = {
         **{k: v for k, v in SphereContact.observables.items() if k != "off_patch"},
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),
@@ -48,11 +53,26 @@ class MeshContact(Effect):
         """The contacts at an instant, in the femur's frame."""
         if self.meshes is None:
             raise TypeError("a mesh contact takes loads only once it has been made ready: call `about` first")
+        return self.meshes.contacts(self._pose(now))
+
+    def _pose(self, now: Instant) -> Pose:
+        """Of the patella's mesh in the femur's frame."""
         patella, femur = now.patella, now.femur
         center = femur.to_local(patella.position + patella.arm(self.origin))
         axes = (patella.rotation.ex, patella.rotation.ey, patella.rotation.ez)
         turn = Quaternion.from_rotation(Rotation(*(femur.local_direction(e) for e in axes)))
-        return self.meshes.contacts(Pose(center, turn))
+        return Pose(center, turn)
+
+    def _swallowed(self, now: Instant, found: Contacts) -> Array:
+        """Whether the patella's mesh is wholly inside the femur's: none of their triangles meet, one corner tells."""
+        corner = self._pose(now).apply(Vec3.from_array(self.patella.tree.triangles[0, :3]))
+        return behind(self.femur.tree.triangles, self.femur.source, corner, found.pairs == 0)
+
+    def _hollow(self, found: Contacts) -> Array:
+        """Whether a contour is too wide to hold no corner, and yet none within reach was found in it."""
+        largest = jnp.max(Triangle.of_rows(self.patella.tree.triangles).area_vector().norm())
+        hollow = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
+        return jnp.stack(hollow).any()
 
     def remember(self, now: Instant) -> Memory:
         """No contact has begun yet."""
@@ -103,7 +123,8 @@ class MeshContact(Effect):
             report[f"force_{facet}"] = force
             report[f"indentation_{facet}"] = jnp.where(touching, contact.indentation, jnp.nan)
             report[f"point_{facet}"] = jnp.where(touching, contact.point.array(), jnp.nan)
-        flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": found.too_deep}
+        too_deep = found.too_deep | self._swallowed(now, found) | self._hollow(found)
+        flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
         report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
         report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}
         return report, sum((p.energy for p in pushes[1:]), start=pushes[0].energy)

@@ -16,6 +16,7 @@ from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.facets import APART, MERGED
 from pftwin.surfaces.mesh_facets import FacetPoint, MeshFacets
 
@@ -40,7 +41,9 @@ class MeshSphereContact(Effect):
     law: ContactLaw
     center: Vec3  # of the sphere, patella frame [m]
     radius: Scalar  # [m]
+    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     name: str = eqx.field(static=True, kw_only=True, default="contact")
+    method: ClassVar[str] = "nearest"
     observables: ClassVar[dict[str, Observable]] = {
         **SphereContact.observables,
         "off_patch": Observable("m", "how far sideways past the mesh's rim the sphere's centre lies, where loaded"),

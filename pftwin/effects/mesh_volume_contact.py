@@ -60,6 +60,7 @@ class MeshVolumeContact(Effect):
     effective_radius: Scalar  # r, to which the law's stiffness belongs [m]
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     name: str = eqx.field(static=True, kw_only=True, default="contact")
+    method: ClassVar[str] = "volume"
     observables: ClassVar[dict[str, Observable]] = {
         **SphereContact.observables,
         "area_medial": Observable("m^2", "area of the medial facet inside the sphere"),

@@ -15,6 +15,7 @@ from pftwin.kept.values import kept
 from pftwin.scene import Scene, check
 from pftwin.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
 from pftwin.scene_file.document import Document
+from pftwin.scene_file.host_pose import HostPose
 from pftwin.scene_file.measured_table import MeasuredSection
 from pftwin.scene_file.problems import scene_error
 from pftwin.scene_file.registry import EFFECTS
@@ -102,7 +103,8 @@ def _loaded(path: str, contact: str | None, float_type: str) -> LoadedScene:
     recording = Recording(file.motion, document, notes)
     motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, recording, side)
     start = start_pose(file.patella.start, recording, side, motion, fixed_femur, femur)
-    setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, contact, notes=notes)
+    beside = start if femur is None else HostPose.of(femur.positions[0], femur.quaternions[0]).inverse() @ start
+    setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, beside, contact, notes=notes)
     effects = tuple(
         table.build(setting, (section.kind, i))
         for section in EFFECTS
@@ -116,7 +118,7 @@ def _loaded(path: str, contact: str | None, float_type: str) -> LoadedScene:
     with document.naming():
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
-    button = None if scene.contact is None else setting.buttons.get(scene.contact.name)
+    button = None if scene.button is None else setting.buttons.get(scene.button.name)
     return LoadedScene(scene, measured, button, tuple(notes), document.path)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pftwin.scene_file.contact_table import ContactSection
 from pftwin.scene_file.effect_tables import EffectSection
 from pftwin.scene_file.field_tables import DampingSection, GravitySection
+from pftwin.scene_file.foundation_table import ElasticFoundationSection
+from pftwin.scene_file.mesh_contact_table import MeshContactSection
 from pftwin.scene_file.strands_table import StrandsSection
 from pftwin.scene_file.tendon_table import TendonSection
 from pftwin.scene_file.tension_table import PrescribedTensionSection
@@ -15,5 +17,7 @@ EFFECTS: tuple[type[EffectSection], ...] = (
     StrandsSection,
     PrescribedTensionSection,
     ContactSection,
+    MeshContactSection,
+    ElasticFoundationSection,
     DampingSection,
 )

@@ -26,6 +26,7 @@ class Setting:
     mass: float  # of the patella [kg]
     motion: KneeMotion
     fixed_femur: HostPose | None  # its pose in the world (mirrored); the scene's world is then the femur's frame
+    start: HostPose  # the patella's frame in the femur's at the first frame
     contact: str | None = None  # polynomial asked for on the command line, in place of the file's
     buttons: dict[str, SphereFit] = field(default_factory=dict)  # fitted spheres by contact, patella frame
     notes: list[str] = field(default_factory=list)  # for the user to read

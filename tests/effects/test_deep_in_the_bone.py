@@ -1,0 +1,99 @@
+"""A button where no button can be: deep in the bone, wholly inside it, or nowhere near. Every method says so."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import knee_motion, run, starting_as_it_is, vec
+
+from pftwin.dynamics.observe import Status
+from pftwin.effects.base import Effect
+from pftwin.effects.contact_law import Hertz
+from pftwin.effects.foundation_law import LinearFoundation, checked_layer
+from pftwin.scene import PatellaBody, Scene
+from pftwin.spatial import Pose, Quaternion
+from pftwin.surfaces.icosphere import icosphere
+
+BONE, BUTTON = 0.04, 0.012  # radii [m]
+J = jnp.asarray
+LAW = Hertz(J(1e3))  # so soft that in one short frame nothing moves
+
+
+def contours() -> Effect:
+    from pftwin.effects.mesh_contact import MeshContact
+    from pftwin.surfaces.contact_mesh import contact_mesh
+
+    return MeshContact(contact_mesh(icosphere(BONE, 10)), contact_mesh(icosphere(BUTTON, 6)), LAW, vec(0, 0, 0))
+
+
+def volume() -> Effect:
+    from pftwin.effects.mesh_volume_contact import MeshVolumeContact
+    from pftwin.surfaces.patch_mesh import patch_mesh
+
+    mesh = patch_mesh(icosphere(BONE, 10), BUTTON)
+    return MeshVolumeContact(mesh, LAW, vec(0, 0, 0), J(BUTTON), J(0.01))
+
+
+def nearest() -> Effect:
+    from pftwin.effects.mesh_sphere_contact import MeshSphereContact
+    from pftwin.surfaces.mesh_facets import mesh_facets
+
+    return MeshSphereContact(mesh_facets(icosphere(BONE, 10)), LAW, vec(0, 0, 0), J(BUTTON))
+
+
+def foundation() -> Effect:
+    from pftwin.effects.elastic_foundation import ElasticFoundation
+    from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
+
+    layer = checked_layer(1e3, 0.4, 3e-3)
+    surfaces = pressed_surface(icosphere(BONE, 10)), pressing_surface(icosphere(BUTTON, 6))
+    return ElasticFoundation(*surfaces, LinearFoundation(layer, layer), vec(0, 0, 0))
+
+
+@pytest.fixture(scope="module", params=[contours, volume, nearest, foundation], ids=lambda make: make.__name__)
+def scene(request) -> Scene:
+    body = PatellaBody(J(0.12), vec(3e-5, 3e-5, 4e-5), vec(0, 0, 0))
+    return Scene(body, (request.param(),), knee_motion(4), Pose(vec(0, 0, 0), Quaternion.identity()))
+
+
+def first_status(scene: Scene, height: float) -> Status:
+    """Of the first frame, with the button's middle so far from the bone's."""
+    there = eqx.tree_at(lambda s: s.start.position, scene, vec(0.1 * height, -0.2 * height, height * 0.95**0.5))
+    _, seen = run(there, starting_as_it_is(there), J(1))
+    return Status(int(np.asarray(seen.status)[0]))
+
+
+@pytest.mark.parametrize("height", [0.0, 0.006, 0.02], ids=["at the middle", "off the middle", "under the surface"])
+def test_wholly_inside_it_is_too_deep(scene, height):
+    assert Status.DEEP_INDENTATION in first_status(scene, height)
+
+
+def test_half_inside_it_is_too_deep(scene):
+    assert Status.DEEP_INDENTATION in first_status(scene, BONE)
+
+
+def test_5_mm_deep_is_too_deep(scene):
+    assert Status.DEEP_INDENTATION in first_status(scene, BONE + BUTTON - 5.5e-3)
+
+
+def test_a_tenth_of_a_millimetre_is_not(scene):
+    assert first_status(scene, BONE + BUTTON - 3e-4) in (Status.OK, Status.NO_CONTACT)  # it is made of triangles
+
+
+@pytest.mark.parametrize("height", [0.054, 0.1, 1.0])
+def test_apart_nothing_touches(scene, height):
+    assert first_status(scene, height) == Status.NO_CONTACT
+
+
+def test_the_search_for_contours_alone_sees_nothing_of_it():
+    ready = contours().about(vec(0, 0, 0))
+    look = jax.jit(lambda pose: ready.meshes.contacts(pose))  # type: ignore[attr-defined]
+    wholly, half = (look(Pose(vec(0, 0, z), Quaternion.identity())) for z in (0.001, BONE))
+    assert int(wholly.pairs) == 0
+    assert int(half.pairs) > 0
+    assert float(half.each[0].indentation) == 0  # from its corners inward it is farther than the search looks
+    assert not bool(wholly.too_deep)
+    assert not bool(half.too_deep)

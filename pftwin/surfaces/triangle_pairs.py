@@ -8,10 +8,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from pftwin.spatial import Scalar, Vec3
+from pftwin.spatial import Vec3
 from pftwin.surfaces.triangle import Triangle
-
-NEEDLE = 0.01  # of the room for planes: what single precision may put a corner off by, twice over
 
 
 class Segment(NamedTuple):
@@ -22,14 +20,6 @@ class Segment(NamedTuple):
     edges: tuple[Array, Array]  # int32 bits: the edges (1, 2, 4: ab, bc, ca) of the first triangle, and of the second,
     # that the ends are on; each end is on an edge of one of them
     crossing: Array  # bool
-
-
-def straddle(s: Triangle, t: Triangle, room: Scalar) -> Array:
-    """Whether each triangle reaches the other's plane, or `room` [m] short of it: without it they cannot meet.
-
-    For batches whose shapes broadcast.
-    """
-    return _reaches(s, t, room) & _reaches(t, s, room)
 
 
 def meet(s: Triangle, t: Triangle) -> Array:
@@ -108,20 +98,3 @@ def _between(start: Vec3, way: Vec3, face: Triangle) -> Array:
     turns = [way.dot(p.cross(q)) for p, q in ((a, b), (b, c), (c, a))]
     up = (turns[0] >= 0) & (turns[1] >= 0) & (turns[2] >= 0)
     return up | ((turns[0] <= 0) & (turns[1] <= 0) & (turns[2] <= 0))
-
-
-def _reaches(s: Triangle, t: Triangle, room: Scalar) -> Array:
-    """Whether s has corners on both sides of t's plane, or near it.
-
-    A needle's plane is uncertain: its normal is off by what corners are, times its length, however small it is itself.
-    """
-    ab, ac = t.b - t.a, t.c - t.a
-    normal = ab.cross(ac)
-    arms = [p - t.a for p in (s.a, s.b, s.c)]
-    heights = [arm.dot(normal) for arm in arms]
-    long = ab.squared_norm() + ac.squared_norm()
-    far = arms[0].squared_norm() + arms[1].squared_norm() + arms[2].squared_norm()
-    near = room * (normal.norm() + NEEDLE * (long + far))
-    low = jnp.minimum(jnp.minimum(heights[0], heights[1]), heights[2])
-    high = jnp.maximum(jnp.maximum(heights[0], heights[1]), heights[2])
-    return (low <= near) & (high >= -near)

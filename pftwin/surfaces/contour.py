@@ -20,8 +20,9 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from pftwin.spatial import Pose, Scalar, Vec3
-from pftwin.surfaces.bvh.deepest import Deepest, DepthSearch, depth_search, ray_depth
+from pftwin.surfaces.bvh.deepest import Deepest, DepthSearch, depth_search
 from pftwin.surfaces.bvh.pairs import PairSearch, Room, pair_search
+from pftwin.surfaces.bvh.rays import ray_depth
 from pftwin.surfaces.contact_mesh import ContactMesh
 from pftwin.surfaces.contour_sums import SegmentSums, contour_sums
 from pftwin.surfaces.triangle import Triangle

@@ -137,11 +137,11 @@ def _expanded(search: DepthSearch, most: Callable[[Array, Array], Array], stack:
     pair, left, bound, stack = stack.top()
     below = search.way.below(pair, left)
     sure = deepest[_facet(search, pair, left)].astype(jnp.float32)
-    highest = most(below.a, below.b).reshape(LANES)
+    highest = most(below.a, below.b)  # (4, 4): flattened here, XLA would make no vectors of it
     yes = (highest > sure) & (bound > sure)
     code = (left - 1).astype(pair.dtype)
     pairs = pushed_where(stack.pairs, yes, lambda lane: below.pair(lane) * 4 + code)
-    return _Stack(pairs, pushed_where(stack.bounds, yes, lambda lane: highest[lane]))
+    return _Stack(pairs, pushed_where(stack.bounds, yes, lambda lane: highest[lane >> 2, lane & 3]))
 
 
 def _rays_tried(search: DepthSearch, X: Pose, stack: _Stack, best: _Best) -> tuple[_Stack, _Best]:

@@ -32,8 +32,8 @@ def triangle_nodes(discs: Sequence[Array], limit: Scalar) -> list[Array]:
 
 
 def corner_nodes(levels: Sequence[Array], limit: Scalar) -> list[Array]:
-    """Rows (15): a disc (8), a sphere's middle (3), whether corners look outward (1) or inward (-1), two numbers p and q
-    for which p - q d is a bound on the depth [m] at a distance d from the middle, and the most that a normal turns.
+    """Rows (15): a disc (8), a sphere's middle (3), 1 or -1 where corners look outward or inward, two numbers p and q for
+    which p - q d bounds the depth [m] at a distance d from the middle, and the sine of the most that a normal turns.
     """
     rows = []
     for level in levels:

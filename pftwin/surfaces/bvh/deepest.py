@@ -54,9 +54,9 @@ class DepthSearch(eqx.Module):
 
 def depth_search(onto: ContactMesh, corners: CornerTree, limit: Scalar) -> DepthSearch:
     """The search for the corners that are deepest inside `onto`, up to a depth [m]."""
-    limit = jnp.asarray(limit)
-    discs = triangle_nodes(onto.discs[: 1 + onto.tree.depth - ABOVE], limit)
-    return DepthSearch(onto, corners, descent(discs, corner_nodes(corners.levels, limit)), limit)
+    single = jnp.asarray(limit).astype(jnp.float32)
+    discs = triangle_nodes(onto.discs[: 1 + onto.tree.depth - ABOVE], single)
+    return DepthSearch(onto, corners, descent(discs, corner_nodes(corners.levels, single)), limit)
 
 
 class _Stack(NamedTuple):

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.spatial import Rotation, Scalar, Vec3
+from pftwin.spatial import Rotation, Vec3
 
 ROUGH = 1e-7  # [m]: what single precision may be off by, several times over
 MOST_TILT = 0.4  # of normals against a shell's from which on it bounds nothing
 CANCELLED = 1e-6  # what single precision may lose where a square is taken from one as large, and room
 
 
-def triangle_nodes(discs: Sequence[Array], limit: Scalar) -> list[Array]:
+def triangle_nodes(discs: Sequence[Array], limit: Array) -> list[Array]:
     """Rows (9): a disc (8), and how far above it corners may be that are deep by the limit [m] at most."""
     rows = []
     for disc in discs:
@@ -31,9 +31,9 @@ def triangle_nodes(discs: Sequence[Array], limit: Scalar) -> list[Array]:
     return rows
 
 
-def corner_nodes(levels: Sequence[Array], limit: Scalar) -> list[Array]:
-    """Rows (15): a disc (8), a sphere's middle (3), 1 or -1 where corners look outward or inward, two numbers p and q for
-    which p - q d bounds the depth [m] at a distance d from the middle, and the sine of the most that a normal turns.
+def corner_nodes(levels: Sequence[Array], limit: Array) -> list[Array]:
+    """Rows (15): a disc (8), a sphere's middle (3), 1 or -1 where corners look outward or inward, p and q for which
+    p - q d bounds the depth [m] at a distance d from the middle, and the sine of the most that a normal turns.
     """
     rows = []
     for level in levels:

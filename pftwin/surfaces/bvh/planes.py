@@ -23,7 +23,7 @@ def leaves_with_planes(tree: MeshTree) -> Array:
     t = Triangle.of_rows(tree.triangles)
     normal, ab, ac = t.area_vector(), t.b - t.a, t.c - t.a
     square, long = normal.squared_norm(), ab.squared_norm() + ac.squared_norm()
-    blurred = jnp.finfo(square.dtype).eps / SLACK
+    blurred = float(jnp.finfo(square.dtype).eps) / SLACK
     known = square > (blurred * long) ** 2
     over = jnp.where(known, 1 / jnp.sqrt(jnp.where(known, square, 1.0)), 0.0)
     unit = over * normal

@@ -9,8 +9,9 @@ from mesh_samples import corners_of, point, random_poses
 
 from pftwin.rig.cases import implant_mesh
 from pftwin.spatial import Pose, Quaternion, Vec3
-from pftwin.surfaces.bvh.nearest import nearest
+from pftwin.surfaces.bvh.nearest_wide import nearest_wide
 from pftwin.surfaces.bvh.tree import build_tree
+from pftwin.surfaces.bvh.wide import wide_tree
 from pftwin.surfaces.contact_mesh import lateral_of_groove
 from pftwin.surfaces.implant import rig_region
 from pftwin.surfaces.mesh import SurfaceMesh
@@ -37,8 +38,9 @@ def on_the_groove(n: int, depth: float, seed: int = 0, least: float = 0.2, mesh:
     which = rng.choice(near, n)
     place = middles[which] + RADIUS * normals[which]
     wanted, corners = RADIUS - rng.uniform(least, 1, n) * depth, corners_of(mesh)
-    tree, foot = build_tree(mesh), jax.jit(jax.vmap(_foot))
-    find = jax.jit(jax.vmap(lambda p: nearest(tree, point(p)).place))
+    tree, foot = build_tree(mesh, leaf=1), jax.jit(jax.vmap(_foot))
+    wide = wide_tree(tree)
+    find = jax.jit(jax.vmap(lambda p: nearest_wide(wide, tree.triangles, point(p)).place))
     for _ in range(4):  # off the facet that is nearest, until that is as deep as wanted
         on = np.asarray(foot(corners[tree.source_index()[find(place)]], place))
         away = place - on

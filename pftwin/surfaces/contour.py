@@ -11,7 +11,7 @@ curve leads across the border of the facets, both are one contact.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,16 +20,15 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from pftwin.spatial import Pose, Scalar, Vec3
-from pftwin.surfaces.bvh.deepest import Deepest, DepthSearch, depth_search, ray_depth
-from pftwin.surfaces.bvh.members import member_by_member
-from pftwin.surfaces.bvh.pairs import Pairs, PairSearch, Room, pair_search
+from pftwin.surfaces.bvh.deepest import Deepest, DepthSearch, depth_search
+from pftwin.surfaces.bvh.pairs import PairSearch, Room, pair_search
+from pftwin.surfaces.bvh.rays import ray_depth
 from pftwin.surfaces.contact_mesh import ContactMesh
+from pftwin.surfaces.contour_sums import SegmentSums, contour_sums
 from pftwin.surfaces.triangle import Triangle
-from pftwin.surfaces.triangle_pairs import crossing
 
 LIMIT = 5e-3  # [m]: no indentation is looked for beyond it
 FULL = 0.9  # share of the limit from which on there may be deeper corners
-PIECE = 32  # pairs that are worked on at once
 
 
 class Contact(NamedTuple):
@@ -66,19 +65,19 @@ class MeshPair(eqx.Module):
         """All contacts with b at a pose in a's frame. Jit and vmap apply, forward and reverse derivatives."""
         pairs = self.pairs.meeting(X_AB)
         deepest = self.depths(X_AB)
-        sums, (across, at_rim) = contour_sums(self, X_AB, pairs)
-        merged = across > 0
+        found = contour_sums(self, X_AB, pairs)
+        sums, merged = found.facets, found.across > 0
         depths = self._indentations(X_AB, deepest)
         if self.a.facets == 2:
             both = jax.tree.map(lambda x, y: x + y, *sums)
-            sums = [_chosen(merged, both, sums[0]), _chosen(merged, _nothing(both), sums[1])]
+            sums = _chosen(merged, both, sums[0]), _chosen(merged, _nothing(both), sums[1])
             most = jnp.maximum(depths[0], depths[1])
             depths = [jnp.where(merged, most, depths[0]), jnp.where(merged, 0.0, depths[1])]
         each = tuple(_contact(s, d, X_AB.position) for s, d in zip(sums, depths, strict=True))
         overflow = pairs.overflow | deepest.overflow
         most = stop_gradient(jnp.max(jnp.stack(depths)))
         too_deep = (most > FULL * self.depths.limit) | (deepest.found.any() & (pairs.count == 0))
-        return Contacts(each, pairs.count, merged, at_rim > 0, overflow, too_deep)
+        return Contacts(each, pairs.count, merged, found.at_rim > 0, overflow, too_deep)
 
     def _indentations(self, X_AB: Pose, deepest: Deepest) -> list[Scalar]:
         """How deep every facet's deepest corner is; 0 where there is none."""
@@ -101,116 +100,15 @@ def mesh_pair(a: ContactMesh, b: ContactMesh, *, limit: Scalar | float = LIMIT, 
     return MeshPair(a, b, pair_search(a.tree, b.tree, room), depth_search(a, b.corners, jnp.asarray(limit, float)))
 
 
-class _Sums(NamedTuple):
-    """Over a contact's segments."""
-
-    area: Vec3  # area vector [m^2]
-    moment: Vec3  # of the segments' middles from b's origin, times their lengths [m^2]
-    length: Scalar  # [m]
-
-
-Ends = tuple[Scalar, Scalar]  # how many segments end on the border of two facets, and on a rim
-Sums = tuple[list[_Sums], Ends]  # of every facet
-
-
-@eqx.filter_custom_jvp
-def contour_sums(meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> Sums:
-    """Sums over the segments in which pairs of triangles cross.
-
-    Without derivatives only as many pairs are gone through as there are, in a batch one member after the other; with
-    them all that there is room for.
-    """
-    return member_by_member(_sums_of_all)(meshes, X_AB, pairs)
-
-
-@contour_sums.def_jvp
-def _contour_sums_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
-    meshes, X_AB, pairs = primals
-    moving, still = eqx.partition((meshes, X_AB), eqx.is_inexact_array)
-    changes = jax.tree.map(_zero_if_none, moving, tuple(tangents[:2]), is_leaf=lambda x: x is None)
-
-    def sums(moving: Any) -> Sums:
-        meshes, X_AB = eqx.combine(moving, still)
-
-        def piece(total: Sums, start: Array) -> tuple[Sums, None]:
-            more = jax.lax.cond(
-                start < pairs.count, lambda: _piece(meshes, X_AB, pairs, start), lambda: _no_sums(meshes, X_AB)
-            )
-            return jax.tree.map(jnp.add, total, more), None
-
-        starts = jnp.arange(0, pairs.a.shape[0], PIECE, dtype=jnp.int32)
-        return jax.lax.scan(piece, _no_sums(meshes, X_AB), starts)[0]
-
-    return jax.jvp(sums, (moving,), (changes,))
-
-
-def _zero_if_none(x: Any, change: Any) -> Any:
-    return None if x is None else jnp.zeros_like(x) if change is None else change
-
-
-def _sums_of_all(meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> Sums:
-    def piece(state: tuple[Array, Sums]) -> tuple[Array, Sums]:
-        start, total = state
-        return start + PIECE, jax.tree.map(jnp.add, total, _piece(meshes, X_AB, pairs, start))
-
-    start = jnp.zeros((), jnp.int32), _no_sums(meshes, X_AB)
-    return jax.lax.while_loop(lambda s: s[0] < pairs.count, piece, start)[1]
-
-
-def _no_sums(meshes: MeshPair, X_AB: Pose) -> Sums:
-    zero = jnp.zeros_like(X_AB.position.x)
-    nothing = Vec3(zero, zero, zero)
-    return [_Sums(nothing, nothing, zero) for _ in range(meshes.a.facets)], (zero, zero)
-
-
-def _piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> Sums:
-    """Sums over some of the pairs."""
-    a, b = meshes.a, meshes.b
-    which, other = (jax.lax.dynamic_slice_in_dim(x, start, PIECE) for x in (pairs.a, pairs.b))
-    rows = jax.lax.optimization_barrier((a.tree.triangles[which].T, b.tree.triangles[other].T))
-    first, second = (Triangle(*(Vec3(*r[3 * k : 3 * k + 3]) for k in range(3))) for r in rows)
-    rotation, origin = X_AB.orientation.rotation(), X_AB.position
-    # From b's origin: short arms, little rounding.
-    first = Triangle(*(p - origin for p in (first.a, first.b, first.c)))
-    second = Triangle(*(rotation.apply(p) for p in (second.a, second.b, second.c)))
-    segment = crossing(first, second)
-    there = segment.crossing & (start + jnp.arange(PIECE, dtype=jnp.int32) < pairs.count)
-    facet = a.facet(which)
-    sums = [_sums(segment.start, segment.end, there & (facet == k)) for k in range(a.facets)]
-    seam, rim, other_rim = (x.astype(jnp.int32) for x in (a.seam[which], a.rim[which], b.rim[other]))
-    own, others = segment.edges
-    across = there & ((seam & own) > 0)
-    at_rim = there & (((rim & own) > 0) | ((other_rim & others) > 0))
-    count = (jnp.sum(x).astype(origin.x.dtype) for x in (across, at_rim))
-    return sums, tuple(count)  # pyright: ignore[reportReturnType]
-
-
-def _sums(p: Vec3, q: Vec3, there: Array) -> _Sums:
-    def total(x: Scalar) -> Scalar:
-        return jnp.sum(jnp.where(there, x, 0.0))
-
-    area, way = p.cross(q), q - p
-    # Safe where a segment has no length: neither it nor its derivative counts.
-    square = way.squared_norm()
-    long = there & (square > 0)
-    length = jnp.where(long, jnp.sqrt(jnp.where(long, square, 1.0)), 0.0)
-    middle = 0.5 * (p + q)
-    return _Sums(
-        Vec3(*(0.5 * total(x) for x in (area.x, area.y, area.z))),
-        Vec3(*(total(length * m) for m in (middle.x, middle.y, middle.z))),
-        jnp.sum(length),
-    )
-
-
-def _nothing(sums: _Sums) -> _Sums:
+def _nothing(sums: SegmentSums) -> SegmentSums:
     return jax.tree.map(jnp.zeros_like, sums)
 
 
-def _chosen(which: Array, one: _Sums, other: _Sums) -> _Sums:
+def _chosen(which: Array, one: SegmentSums, other: SegmentSums) -> SegmentSums:
     return jax.tree.map(lambda x, y: jnp.where(which, x, y), one, other)
 
 
-def _contact(sums: _Sums, depth: Scalar, origin: Vec3) -> Contact:
+def _contact(sums: SegmentSums, depth: Scalar, origin: Vec3) -> Contact:
     square = sums.area.squared_norm()
     there = stop_gradient((square > 0) & (sums.length > 0))
     area = jnp.where(there, jnp.sqrt(jnp.where(there, square, 1.0)), 0.0)

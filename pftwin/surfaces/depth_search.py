@@ -7,15 +7,16 @@ femur's tree together. Nothing here is differentiated; batches are taken one by 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.custom_batching import sequential_vmap
-from jax.lax import optimization_barrier, stop_gradient
+from jax.lax import optimization_barrier
 from jaxtyping import Array
 
 from pftwin.spatial import Rotation, Vec3
+from pftwin.surfaces.bvh.members import member_by_member
 from pftwin.surfaces.depth_fans import FAN, FAR
 from pftwin.surfaces.depth_nearest import nearest, nearest_to_all, signed
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
@@ -50,12 +51,8 @@ def find(
         band: how far outside triangles are still wanted [m].
         reach: how far from the surface triangles are looked for, on either side [m].
     """
-
-    @sequential_vmap
-    def search(button: PressingSurface, femur: PressedSurface, position: Vec3, rotation: Rotation) -> Found:
-        return _search(button, femur, position, rotation, width, band, reach)
-
-    return search(*stop_gradient((button, femur, position, rotation)))
+    search = partial(_search, width=width, band=band, reach=reach)
+    return member_by_member(search)(button, femur, position, rotation)
 
 
 def _search(

@@ -1,7 +1,7 @@
 """A walk down a tree of fans: every leaf that may hold what is nearer than a limit, which the leaves may lower.
 
 One node after the other, as in C: XLA makes a single function of such a loop on a CPU. Under vmap it would run to the
-slowest member and lose that; batches go through `jax.custom_batching.sequential_vmap`, which see.
+slowest member and lose that; see `pftwin.surfaces.bvh.members`.
 """
 
 from __future__ import annotations
@@ -11,18 +11,14 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
+from pftwin.surfaces.bvh.queue import written_where
 from pftwin.surfaces.depth_fans import FAN
 
 T = TypeVar("T")
 DEEP = 10  # fans on top of each other: more than two million triangles
 SLACK = 1e-5  # share of a distance by which single precision may be off
-
-_BITS = np.array([[1 << k for k in range(8)]], dtype=np.int32)
-_COUNTS = np.array([bin(i).count("1") for i in range(256)], dtype=np.int32)
-_SET = np.array([([k for k in range(8) if i >> k & 1] + [0] * 8)[:8] for i in range(256)], dtype=np.int32)
 
 
 def room() -> int:
@@ -32,12 +28,7 @@ def room() -> int:
 
 def pushed(stack: Array, top: Array, first: Array, mask: Array) -> tuple[Array, Array]:
     """A stack with those of the sixteen nodes from the number `first` on it whose mask is set."""
-    bits, counts, places = jnp.asarray(_BITS), jnp.asarray(_COUNTS), jnp.asarray(_SET)
-    for half in (0, 1):
-        code = jnp.sum(mask[8 * half : 8 * half + 8].astype(jnp.int32) * bits[0], dtype=jnp.int32)
-        stack = jax.lax.dynamic_update_slice_in_dim(stack, places[code] + (first + jnp.int32(8 * half)), top, 0)
-        top = top + counts[code]
-    return stack, top
+    return written_where(stack, top, stack.shape[0] - FAN // 2, mask, lambda lane: first + lane)
 
 
 def walk(

@@ -11,8 +11,6 @@ from jaxtyping import Array
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.triangle import Triangle
 
-NEEDLE = 0.01  # of the room for planes: what single precision may put a corner off by, twice over
-
 
 class Segment(NamedTuple):
     """Where two triangles cross, from `start` to `end` along the cross product of their normals."""
@@ -24,28 +22,18 @@ class Segment(NamedTuple):
     crossing: Array  # bool
 
 
-def straddle(s: Triangle, t: Triangle, room: Scalar) -> Array:
-    """Whether each triangle reaches the other's plane, or `room` [m] short of it: without it they cannot meet.
-
-    For batches whose shapes broadcast.
-    """
-    return _reaches(s, t, room) & _reaches(t, s, room)
-
-
 def meet(s: Triangle, t: Triangle) -> Array:
     """Whether two triangles cross: an edge of one pierces the other. Triangles in one plane do not count.
 
-    With signed volumes of tetrahedra alone, no division; for batches of one shape.
+    With signed volumes of tetrahedra alone, no division; for batches of one shape. An edge passes all of a triangle's
+    edges on the same side, or it misses; the nine volumes of two edges each serve both triangles.
     """
+    turns = [_volumes(p, q, t) for p, q in _edges(s)]
     hit = jnp.zeros_like(s.a.x, dtype=bool)
-    for edges, face in ((s, t), (t, s)):
-        normal = face.area_vector()
-        heights = [(p - face.a).dot(normal) for p in (edges.a, edges.b, edges.c)]
-        corners = (edges.a, edges.b, edges.c)
-        for i in range(3):
-            j = (i + 1) % 3
-            crosses = (heights[i] > 0) != (heights[j] > 0)
-            hit = hit | (crosses & _between(corners[i], corners[j] - corners[i], face))
+    for k, crosses in enumerate(_edges_through(s, t)):
+        hit = hit | (crosses & _alike(turns[k]))
+    for k, crosses in enumerate(_edges_through(t, s)):
+        hit = hit | (crosses & _alike([row[k] for row in turns]))
     return hit
 
 
@@ -102,26 +90,24 @@ def _sorted(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:
     return jnp.where(in_order, bits[0], bits[1]), jnp.where(in_order, bits[1], bits[0])
 
 
-def _between(start: Vec3, way: Vec3, face: Triangle) -> Array:
-    """Whether a line passes through a triangle: on the same side of all its edges."""
-    a, b, c = face.a - start, face.b - start, face.c - start
-    turns = [way.dot(p.cross(q)) for p, q in ((a, b), (b, c), (c, a))]
-    up = (turns[0] >= 0) & (turns[1] >= 0) & (turns[2] >= 0)
-    return up | ((turns[0] <= 0) & (turns[1] <= 0) & (turns[2] <= 0))
+def _edges(t: Triangle) -> tuple[tuple[Vec3, Vec3], ...]:
+    return (t.a, t.b), (t.b, t.c), (t.c, t.a)
 
 
-def _reaches(s: Triangle, t: Triangle, room: Scalar) -> Array:
-    """Whether s has corners on both sides of t's plane, or near it.
+def _volumes(start: Vec3, end: Vec3, t: Triangle) -> list[Scalar]:
+    """Of an edge with each of a triangle's edges, six times, signed."""
+    way, a, b, c = end - start, t.a - start, t.b - start, t.c - start
+    return [way.dot(p.cross(q)) for p, q in ((a, b), (b, c), (c, a))]
 
-    A needle's plane is uncertain: its normal is off by what corners are, times its length, however small it is itself.
-    """
-    ab, ac = t.b - t.a, t.c - t.a
-    normal = ab.cross(ac)
-    arms = [p - t.a for p in (s.a, s.b, s.c)]
-    heights = [arm.dot(normal) for arm in arms]
-    long = ab.squared_norm() + ac.squared_norm()
-    far = arms[0].squared_norm() + arms[1].squared_norm() + arms[2].squared_norm()
-    near = room * (normal.norm() + NEEDLE * (long + far))
-    low = jnp.minimum(jnp.minimum(heights[0], heights[1]), heights[2])
-    high = jnp.maximum(jnp.maximum(heights[0], heights[1]), heights[2])
-    return (low <= near) & (high >= -near)
+
+def _edges_through(edges: Triangle, face: Triangle) -> list[Array]:
+    """Which of a triangle's edges have ends on both sides of another's plane."""
+    normal = face.area_vector()
+    above = [(p - face.a).dot(normal) > 0 for p in (edges.a, edges.b, edges.c)]
+    return [above[k] != above[(k + 1) % 3] for k in range(3)]
+
+
+def _alike(x: list[Scalar]) -> Array:
+    """Whether no two of three numbers have opposite signs."""
+    up = (x[0] >= 0) & (x[1] >= 0) & (x[2] >= 0)
+    return up | ((x[0] <= 0) & (x[1] <= 0) & (x[2] <= 0))

@@ -8,9 +8,10 @@ import numpy as np
 from mesh_samples import corners_of, point, random_poses
 
 from pftwin.rig.cases import implant_mesh
-from pftwin.spatial import Pose, Vec3
-from pftwin.surfaces.bvh.nearest import nearest
+from pftwin.spatial import Pose, Quaternion, Vec3
+from pftwin.surfaces.bvh.nearest_wide import nearest_wide
 from pftwin.surfaces.bvh.tree import build_tree
+from pftwin.surfaces.bvh.wide import wide_tree
 from pftwin.surfaces.contact_mesh import lateral_of_groove
 from pftwin.surfaces.implant import rig_region
 from pftwin.surfaces.mesh import SurfaceMesh
@@ -37,8 +38,9 @@ def on_the_groove(n: int, depth: float, seed: int = 0, least: float = 0.2, mesh:
     which = rng.choice(near, n)
     place = middles[which] + RADIUS * normals[which]
     wanted, corners = RADIUS - rng.uniform(least, 1, n) * depth, corners_of(mesh)
-    tree, foot = build_tree(mesh), jax.jit(jax.vmap(_foot))
-    find = jax.jit(jax.vmap(lambda p: nearest(tree, point(p)).place))
+    tree, foot = build_tree(mesh, leaf=1), jax.jit(jax.vmap(_foot))
+    wide = wide_tree(tree)
+    find = jax.jit(jax.vmap(lambda p: nearest_wide(wide, tree.triangles, point(p)).place))
     for _ in range(4):  # off the facet that is nearest, until that is as deep as wanted
         on = np.asarray(foot(corners[tree.source_index()[find(place)]], place))
         away = place - on
@@ -49,3 +51,18 @@ def on_the_groove(n: int, depth: float, seed: int = 0, least: float = 0.2, mesh:
 def member(poses: Pose, k: int) -> Pose:
     """One pose of a batch."""
     return jax.tree.map(lambda x: x[k], poses)
+
+
+def plate(n: int = 24, half: float = 0.03, height=lambda x, y: 0.0 * x) -> SurfaceMesh:
+    """A square plate of 2 n^2 triangles, normals up."""
+    u = np.linspace(-half, half, n + 1)
+    x, y = np.meshgrid(u, u, indexing="ij")
+    k = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return SurfaceMesh(np.stack([x, y, height(x, y)], -1).reshape(-1, 3), faces, "plate")
+
+
+def at(x: float, y: float, z: float, turn: tuple[float, float, float] = (0.1, 0.2, 0.3)) -> Pose:
+    q = Quaternion.from_rotation_vector(Vec3(*(jnp.asarray(t) for t in turn)))
+    return Pose(Vec3(*(jnp.asarray(float(c)) for c in (x, y, z))), q)

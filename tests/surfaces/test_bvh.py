@@ -9,25 +9,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mesh_samples import corners_of, point, soup
 
 from pftwin.errors import InputError
 from pftwin.kept import folder
 from pftwin.rig.cases import implant_mesh
 from pftwin.surfaces.bvh import brute_force, tree
-from pftwin.surfaces.bvh.compaction import compacted
-from pftwin.surfaces.bvh.nearest import looks, nearest
+from pftwin.surfaces.bvh.nearest_wide import Nearest, nearest_wide
 from pftwin.surfaces.bvh.tree import MeshTree, build_tree, joined, tree_arrays
+from pftwin.surfaces.bvh.wide import wide_tree
 from pftwin.surfaces.mesh import SurfaceMesh
 
 KINDS = ["disc", "box"]
 
 
+def searched(t: MeshTree, points: np.ndarray, width: int | None = None, half: int | None = None) -> Nearest:
+    return _searched(wide_tree(t), t.triangles, jnp.asarray(points), half, width)
+
+
 @eqx.filter_jit
-def searched(t: MeshTree, points, width: int | None = None):
-    return jax.vmap(lambda p: nearest(t, point(p), width=width))(points)
+def _searched(wide, triangles, points, half, width):
+    return jax.vmap(lambda p: nearest_wide(wide, triangles, point(p), half, width=width))(points)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -49,19 +51,6 @@ def test_every_triangle_has_one_place_and_every_node_holds_its_own(kind, n):
         assert (beside <= rows[:, 6:7]).all()
 
 
-@settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**31), kind=st.sampled_from(KINDS))
-def test_the_nearest_of_random_triangles_is_that_of_the_brute_force(seed, kind):
-    mesh = soup(seed)
-    t = build_tree(mesh, kind=kind)
-    points = np.random.default_rng(seed + 1).uniform(-0.07, 0.07, (20, 3))
-    found = searched(t, points, 60)
-    assert not found.overflow.any()
-    for p, place in zip(points, np.asarray(found.place), strict=True):
-        distances = brute_force.distances(corners_of(mesh), p)
-        assert distances[t.source_index()[place]] <= distances.min() + 1e-15
-
-
 def above_the_groove(n: int) -> np.ndarray:
     """Centres of a button of 25 mm, up to 0.2 mm deep in the rig's implant."""
     mesh, rng = implant_mesh(), np.random.default_rng(3)
@@ -71,10 +60,9 @@ def above_the_groove(n: int) -> np.ndarray:
     return middles[which] + rng.uniform(0.0248, 0.025, (n, 1)) * normals[which]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_nearest_on_an_implant(kind):
+def test_the_nearest_on_an_implant():
     mesh, points = implant_mesh(), above_the_groove(200)
-    t = build_tree(mesh, kind=kind)
+    t = build_tree(mesh, leaf=1)
     found = searched(t, points)
     assert not found.overflow.any()
     triangles = t.source_index()[found.place]
@@ -84,19 +72,18 @@ def test_the_nearest_on_an_implant(kind):
 
 
 def test_a_search_without_room_says_so():
-    points = above_the_groove(50)
-    assert searched(build_tree(implant_mesh()), points, 2).overflow.all()
+    assert searched(build_tree(implant_mesh(), leaf=1), above_the_groove(50), 2).overflow.all()
 
 
 def test_one_program_serves_moved_meshes_and_maps_over_them():
     mesh = soup(5)
-    t = build_tree(mesh)
-    moved = [build_tree(SurfaceMesh(mesh.vertices + shift, mesh.faces)) for shift in (0.0, 0.004)]
-    stacked = jax.tree.map(lambda *a: jnp.stack(a), *moved)
-    places = jax.vmap(lambda a: nearest(a, point(jnp.array([0.01, 0.02, 0.0])), width=60).place)(stacked)
+    moved = [build_tree(SurfaceMesh(mesh.vertices + shift, mesh.faces), leaf=1) for shift in (0.0, 0.004)]
+    stacked = jax.tree.map(lambda *a: jnp.stack(a), *((wide_tree(t), t.triangles) for t in moved))
+    p = jnp.array([0.01, 0.02, 0.0])
+    places = jax.vmap(lambda wide, triangles: nearest_wide(wide, triangles, point(p)).place)(*stacked)
     for tree_of, place in zip(moved, places, strict=True):
-        assert int(place) == int(searched(tree_of, np.array([[0.01, 0.02, 0.0]]), 60).place[0])
-    assert jax.tree.structure(moved[0]) == jax.tree.structure(t)
+        assert int(place) == int(searched(tree_of, p[None]).place[0])
+    assert jax.tree.structure(moved[0]) == jax.tree.structure(moved[1])
 
 
 def test_a_tree_is_built_in_no_time_and_found_again(tmp_path, monkeypatch):
@@ -152,32 +139,15 @@ def test_meshes_without_a_tree():
         build_tree(SurfaceMesh(np.full((3, 3), np.nan), np.arange(3)[None]))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_two_trees_under_one_root_are_searched_one_at_a_time(kind):
+def test_two_trees_under_one_root_are_searched_one_at_a_time():
     meshes = soup(1, 60), soup(2, 9)  # the second has leaves without triangles of their own
-    trees = [build_tree(m, kind=kind, depth=4) for m in meshes]
+    trees = [build_tree(m, leaf=1, depth=6) for m in meshes]
     both = joined(trees)
-    find = jax.jit(lambda p: [nearest(both, point(p), width=60, below=(1, k)) for k in range(2)])
-    for p in np.random.default_rng(0).uniform(-0.07, 0.07, (20, 3)):
-        for k, found in enumerate(find(jnp.asarray(p))):
-            assert not bool(found.overflow)
-            place = int(found.place) - k * trees[0].index.shape[0]
+    points = np.random.default_rng(0).uniform(-0.07, 0.07, (20, 3))
+    for k in range(2):
+        found = searched(both, points, half=k)
+        assert not found.overflow.any()
+        for p, place in zip(points, np.asarray(found.place), strict=True):
             distances = brute_force.distances(corners_of(meshes[k]), p)
-            assert distances[int(trees[k].source_index()[place])] <= distances.min() + 1e-15
-
-
-def test_looks_end_at_the_leaves():
-    for n in (1, 40, 3000, 40_000):
-        t = build_tree(soup(0, n))
-        assert looks(t)[-1] == t.depth
-        assert 1 << looks(t)[0] <= 512 or t.depth < 4
-
-
-def test_compaction_counts_beyond_its_room():
-    mask = jnp.array([0, 1, 1, 0, 1, 1], dtype=bool)
-    for width, kept in ((4, [1, 2, 4, 5]), (2, [1, 2]), (5, [1, 2, 4, 5, 0])):
-        places = compacted(mask, width)
-        assert places.index.tolist() == kept
-        assert int(places.total) == 4
-        assert bool(places.overflow()) == (width < 4)
-        assert places.valid().tolist() == [k < 4 for k in range(width)]
+            own = trees[k].source_index()[int(place) - k * trees[0].index.shape[0]]
+            assert distances[int(own)] <= distances.min() + 1e-15

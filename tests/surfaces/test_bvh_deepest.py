@@ -16,7 +16,8 @@ from pftwin.rig.cases import implant_mesh
 from pftwin.spatial import Pose, Vec3
 from pftwin.surfaces.bvh import brute_force
 from pftwin.surfaces.bvh.corners import corner_tree
-from pftwin.surfaces.bvh.deepest import DepthSearch, depth_search, ray_depth
+from pftwin.surfaces.bvh.deepest import DepthSearch, depth_search
+from pftwin.surfaces.bvh.rays import ray_depth
 from pftwin.surfaces.contact_mesh import ContactMesh, contact_mesh
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.triangle import Triangle

@@ -116,7 +116,7 @@ def test_a_batch_is_what_its_members_are(searches):
 @pytest.mark.parametrize("room", [Room(8, 8192), Room(2048, 16), Room(2048, 8192, 8)])
 def test_overflow_is_flagged_where_room_is_short(searches, room):
     search = eqx.tree_at(lambda s: s.a, searches["disc"], searches["disc"].a)
-    search = PairSearch(search.a, search.b, search.way, search.triangles, room)
+    search = PairSearch(search.a, search.b, search.way, search.triangles, search.near, room)
     assert one_by_one(search, on_the_groove(4, 0.3e-3)).overflow.all()
 
 

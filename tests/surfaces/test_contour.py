@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mesh_contacts import RADIUS, lateral, member, on_the_groove
+from mesh_contacts import RADIUS, at, lateral, member, on_the_groove, plate
 
 from pftwin.spatial import Pose, Quaternion, Vec3
 from pftwin.surfaces.contact_mesh import contact_mesh
@@ -23,24 +23,9 @@ def contacts(pair: MeshPair, X: Pose) -> Contacts:
     return pair.contacts(X)
 
 
-def plate(n: int = 24, half: float = 0.03, height=lambda x, y: 0.0 * x) -> SurfaceMesh:
-    """A square plate of 2 n^2 triangles, normals up."""
-    u = np.linspace(-half, half, n + 1)
-    x, y = np.meshgrid(u, u, indexing="ij")
-    k = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return SurfaceMesh(np.stack([x, y, height(x, y)], -1).reshape(-1, 3), faces, "plate")
-
-
 def beyond_middle(mesh: SurfaceMesh) -> np.ndarray:
     """Which triangles are at y > 0."""
     return mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > 0
-
-
-def at(x: float, y: float, z: float, turn: tuple[float, float, float] = (0.1, 0.2, 0.3)) -> Pose:
-    q = Quaternion.from_rotation_vector(Vec3(*(jnp.asarray(t) for t in turn)))
-    return Pose(Vec3(*(jnp.asarray(float(c)) for c in (x, y, z))), q)
 
 
 def array(v: Vec3) -> np.ndarray:

@@ -7,17 +7,17 @@ contact's outline, not with its area.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.custom_batching import sequential_vmap
-from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from pftwin.spatial import Scalar, Vec3
-from pftwin.surfaces.bvh.wide import FAN, SLACK, WideTree, put, squares
+from pftwin.surfaces.bvh.members import member_by_member
+from pftwin.surfaces.bvh.queue import written_where
+from pftwin.surfaces.bvh.wide import FAN, SLACK, WideTree, squares
 
 
 class Room(NamedTuple):
@@ -43,15 +43,10 @@ class InBall(NamedTuple):
 def in_ball(tree: WideTree, center: Vec3, radius: Scalar, room: Room) -> InBall:
     """What is inside a ball about a point of the mesh's frame [m]. Nothing here is differentiated."""
     ball = jnp.stack([jnp.asarray(a, jnp.float32) for a in (center.x, center.y, center.z, radius)])
-
-    @sequential_vmap
-    def search(blocks: Array, ball: Array) -> InBall:
-        return _search(eqx.tree_at(lambda t: t.blocks, tree, blocks), ball, room)
-
-    return search(*stop_gradient((tree.blocks, ball)))
+    return member_by_member(partial(_search, room))(tree, ball)
 
 
-def _search(tree: WideTree, ball: Array, room: Room) -> InBall:
+def _search(room: Room, tree: WideTree, ball: Array) -> InBall:
     # One array for both lists, nodes inside behind those to look at: XLA copies a second one in every round.
     shelf = 2 * room.cut + 2 * FAN  # half of it for inner nodes on the way
     size = shelf + room.inside + FAN
@@ -63,8 +58,8 @@ def _search(tree: WideTree, ball: Array, room: Room) -> InBall:
         least, most = squares(block, ball[:3])
         inside = most <= jnp.float32(1 - 2 * SLACK) * reach
         touched = least <= jnp.float32(1 + 2 * SLACK) * reach
-        lists, end = put(lists, end, touched & ~inside, first, shelf - FAN)
-        lists, inside_end = put(lists, inside_end, inside, first, size - FAN)
+        lists, end = written_where(lists, end, shelf - FAN, touched & ~inside, lambda lane: first + lane)
+        lists, inside_end = written_where(lists, inside_end, size - FAN, inside, lambda lane: first + lane)
         return head + 1, lists, end, inside_end
 
     def more(state: tuple[Array, ...]) -> Array:

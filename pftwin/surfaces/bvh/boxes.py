@@ -16,13 +16,6 @@ def fit(corners: NDArray[np.float64], vectors: NDArray[np.float64], margin: floa
     return np.concatenate([0.5 * (low + high), 0.5 * (high - low) + margin], axis=1).astype(np.float32)
 
 
-def distances(rows: Array, point: Array) -> tuple[Array, Array]:
-    """Bounds (...) on the distance from a point (3,) to the surface in boxes (..., 6): at least, and at most."""
-    away = jnp.abs(jnp.broadcast_to(point, rows[..., :3].shape) - rows[..., :3])
-    nearest, farthest = jnp.maximum(away - rows[..., 3:], 0), away + rows[..., 3:]
-    return _norm(nearest), _norm(farthest)
-
-
 def overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Array:
     """Whether boxes a (6, ...) and b (6, ...), a component a row, may touch.
 
@@ -34,7 +27,3 @@ def overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Array:
         apart.append(jnp.abs(middle - a[i]))
         reach.append(sum((jnp.abs(rotation[i, j]) * b[3 + j] for j in range(3)), start=a[3 + i]))
     return (apart[0] <= reach[0]) & (apart[1] <= reach[1]) & (apart[2] <= reach[2])
-
-
-def _norm(v: Array) -> Array:
-    return jnp.sqrt(v[..., 0] * v[..., 0] + v[..., 1] * v[..., 1] + v[..., 2] * v[..., 2])

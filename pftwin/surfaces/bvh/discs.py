@@ -58,18 +58,24 @@ def overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Array:
     away = [middle[i] - a[i] for i in range(3)]
     (ra, ta), (rb, tb) = ((rows[6], rows[7]) for rows in (a, b))
     along = _dot(m, n)
-    tilted = jnp.sqrt(jnp.maximum(1 - along * along, 0) + CANCELLED)
+    tilted = jnp.abs(1 - along * along) + CANCELLED  # square of the sine of the angle between them
     along = jnp.abs(along)
     over_a, over_b = jnp.abs(_dot(away, m)), jnp.abs(_dot(away, n))
     square = _dot(away, away)
-    reach = _reach(square, over_a, ra, ta) + _reach(square, over_b, rb, tb)  # times |away|
-    apart = over_a > ta + tb * along + rb * tilted
-    return ~(apart | (over_b > tb + ta * along + ra * tilted) | (square > reach))
+    # Radii stand with roots, so squares are compared: x > r sqrt(s) where x > 0 and x^2 > r^2 s.
+    beyond_a, beyond_b = over_a - ta - tb * along, over_b - tb - ta * along
+    apart = _longer(beyond_a, rb * rb * tilted) | _longer(beyond_b, ra * ra * tilted)
+    # Along the middles' line, times its length, discs reach r sqrt(s) each; (ra sqrt(s_a) + rb sqrt(s_b))^2 is at most
+    # (ra + rb) (ra s_a + rb s_b), and hardly less where both discs lie alike.
+    lost = CANCELLED * square
+    aside_a, aside_b = (jnp.abs(square - over * over) + lost for over in (over_a, over_b))
+    between = square - ta * over_a - tb * over_b
+    return ~(apart | _longer(between, (ra + rb) * (ra * aside_a + rb * aside_b)))
 
 
-def _reach(square: Array, over: Array, radius: Array, thickness: Array) -> Array:
-    """Half a disc's extent along a line, times the line's length, given its square and the part along the normal."""
-    return thickness * over + radius * jnp.sqrt(jnp.maximum(square - over * over, 0) + CANCELLED * square)
+def _longer(length: Array, square: Array) -> Array:
+    """Whether a length, which may be negative, is more than the root of a square."""
+    return (length > 0) & (length * length > square)
 
 
 def _dot(a: list[Array], b: list[Array]) -> Array:

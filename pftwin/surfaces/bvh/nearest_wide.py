@@ -7,17 +7,17 @@ precision: the brute force's answer.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.custom_batching import sequential_vmap
-from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from pftwin.spatial import Vec3
-from pftwin.surfaces.bvh.wide import FAN, SLACK, WideTree, put, squares
+from pftwin.surfaces.bvh.members import member_by_member
+from pftwin.surfaces.bvh.queue import written_where
+from pftwin.surfaces.bvh.wide import FAN, SLACK, WideTree, squares
 from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
 WIDTH = 1024  # nodes and triangles that may stay in the race: some ten times what an implant asks for
@@ -44,15 +44,10 @@ def nearest_wide(
         width: room for nodes and triangles; None: `WIDTH`.
     """
     room = WIDTH if width is None else width
-
-    @sequential_vmap
-    def search(blocks: Array, rows: Array, p: Array) -> Nearest:
-        return _search(eqx.tree_at(lambda t: t.blocks, tree, blocks), rows, p, half, room)
-
-    return search(*stop_gradient((tree.blocks, triangles, jnp.stack([point.x, point.y, point.z]))))
+    return member_by_member(partial(_search, half, room))(tree, triangles, jnp.stack([point.x, point.y, point.z]))
 
 
-def _search(tree: WideTree, rows: Array, point: Array, half: int | None, room: int) -> Nearest:
+def _search(half: int | None, room: int, tree: WideTree, rows: Array, point: Array) -> Nearest:
     p = jax.lax.convert_element_type(point, jnp.float32)
     lanes = jnp.arange(FAN, dtype=jnp.int32)
     taken = (lanes >= tree.first // 2) == bool(half)
@@ -66,7 +61,7 @@ def _search(tree: WideTree, rows: Array, point: Array, half: int | None, room: i
             out = (node < 0) & ~taken
             least, most = jnp.where(out, jnp.inf, least), jnp.where(out, jnp.inf, most)
         bound = jnp.minimum(bound, jnp.min(most) * jnp.float32(1 + 4 * SLACK))
-        nodes, end = put(nodes, end, least <= bound, first, room)
+        nodes, end = written_where(nodes, end, room, least <= bound, lambda lane: first + lane)
         return head + 1, nodes, end, bound
 
     def more(state: tuple[Array, ...]) -> Array:

@@ -13,19 +13,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.spatial import Pose, Vec3
-from pftwin.surfaces.bvh.descent import Descent, descent, go_down, side_by_side, unpacked
+from pftwin.spatial import Pose, Scalar
+from pftwin.surfaces.bvh.descent import Descent, descent, go_down, unpacked
 from pftwin.surfaces.bvh.members import member_by_member
+from pftwin.surfaces.bvh.planes import SLACK, leaves_with_planes, reach, size
 from pftwin.surfaces.bvh.queue import LANES, Queue, pushed_where, queue_of
 from pftwin.surfaces.bvh.tree import MeshTree
 from pftwin.surfaces.triangle import Triangle
-from pftwin.surfaces.triangle_pairs import meet, straddle
+from pftwin.surfaces.triangle_pairs import meet
 
 LEAF = 4  # triangles in a leaf: sixteen pairs of triangles in a pair of leaves
 NODES = {"disc": 2048, "box": 16384}  # pairs of nodes that there is room for
 CANDIDATES = {"disc": 8192, "box": 32768}  # and of triangles that may meet
 MEETING = 512  # and of triangles that do
-SLACK = 1e-5  # share of a mesh's size by which single precision is certainly not off
 
 
 class Pairs(NamedTuple):
@@ -55,7 +55,8 @@ class PairSearch(eqx.Module):
     a: MeshTree
     b: MeshTree
     way: Descent
-    triangles: tuple[Array, Array]  # (leaves, 9, 4) float32; NaN, which meets nothing, where a place is empty
+    triangles: tuple[Array, Array]  # of both trees' leaves (leaves, 13, 4): with their planes
+    near: Scalar  # how near to a plane a triangle counts as reaching it [m]
     room: Room = eqx.field(static=True)
 
     def meeting(self, X_AB: Pose) -> Pairs:
@@ -75,13 +76,8 @@ def pair_search(a: MeshTree, b: MeshTree, room: Room | None = None) -> PairSearc
     if (a.leaf, b.leaf) != (LEAF, LEAF):
         raise TypeError(f"leaves of {a.leaf} and {b.leaf} triangles: expected {LEAF}")
     room = Room(NODES[a.kind], CANDIDATES[a.kind]) if room is None else room
-    return PairSearch(a, b, descent(a.levels, b.levels), (_leaves(a), _leaves(b)), room)
-
-
-def _leaves(tree: MeshTree) -> Array:
-    there = tree.index >= 0
-    rows = jnp.where(there[:, None], tree.triangles.astype(jnp.float32), jnp.nan)
-    return jnp.swapaxes(rows.reshape(-1, LEAF, 9), 1, 2)
+    triangles = leaves_with_planes(a), leaves_with_planes(b)
+    return PairSearch(a, b, descent(a.levels, b.levels), triangles, SLACK * (size(a) + size(b)), room)
 
 
 def _meeting(search: PairSearch, X_AB: Pose) -> Pairs:
@@ -109,16 +105,13 @@ def _whose(leaves: Queue, entries: Array) -> tuple[Array, Array]:
 
 def _candidates(search: PairSearch, X: Pose, leaves: Queue) -> Queue:
     """Triangles that reach each other's planes."""
-    a = search.a
-    room = SLACK * jnp.abs(a.levels[0]).max()  # of the order of what single precision rounds the root's numbers by
 
     def body(k: Array, found: Queue) -> Queue:
         i, j = unpacked(jax.lax.dynamic_index_in_dim(leaves.entries, k, 0, keepdims=False), search.b.depth)
         of_a, of_b = (
             jax.lax.dynamic_index_in_dim(x, y, 0, keepdims=False) for x, y in zip(search.triangles, (i, j), strict=True)
         )
-        first, second = (_triangle(rows) for rows in side_by_side(of_a, of_b))
-        yes = straddle(first, _moved(X, second), room)
+        yes = reach(of_a, of_b, X, search.near)
         at = k * LANES
         return pushed_where(found, yes, lambda lane: at + lane)
 
@@ -144,11 +137,6 @@ def _exact(search: PairSearch, X: Pose, leaves: Queue, candidates: Queue) -> Que
 
     start = jnp.zeros((), jnp.int32), queue_of(search.room.meeting)
     return jax.lax.while_loop(lambda s: s[0] < candidates.length, body, start)[1]
-
-
-def _triangle(rows: Array) -> Triangle:
-    """From components (9, ...)."""
-    return Triangle(*(Vec3(*rows[3 * k : 3 * k + 3]) for k in range(3)))
 
 
 def _moved(X: Pose, t: Triangle) -> Triangle:

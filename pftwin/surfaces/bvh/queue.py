@@ -69,14 +69,21 @@ def pushed_where(queue: Queue, yes: Array, value_of: Callable[[Array], Array]) -
         yes: (16,) bool.
         value_of: the values (8,) of lanes (8,), int32.
     """
-    entries, count = queue
+    return Queue(*written_where(queue.entries, queue.count, queue.width, yes, value_of))
+
+
+def written_where(
+    entries: Array, at: Array, last: int, yes: Array, value_of: Callable[[Array], Array]
+) -> tuple[Array, Array]:
+    """A list with the values of those of sixteen lanes that are true from a place on, and the place after them.
+
+    Past the place `last` nothing of use is written; the list has eight more.
+    """
     bits = yes.reshape(LANES).astype(jnp.int32)
-    last = jnp.asarray(queue.width, jnp.int32)
-    places, counts = jnp.asarray(_PLACES), jnp.asarray(_COUNT)
+    end, places, counts = (jnp.asarray(x, jnp.int32) for x in (last, _PLACES, _COUNT))
     for first in range(0, LANES, _BYTE):
         byte = jnp.sum(bits[first : first + _BYTE] * jnp.asarray(_WEIGHTS), dtype=jnp.int32)
         lanes = jax.lax.dynamic_index_in_dim(places, byte, 0, keepdims=False) + jnp.asarray(first, jnp.int32)
-        at = jnp.minimum(count, last)
-        entries = jax.lax.dynamic_update_slice(entries, value_of(lanes).astype(entries.dtype), (at,))
-        count = count + jax.lax.dynamic_index_in_dim(counts, byte, 0, keepdims=False)
-    return Queue(entries, count)
+        entries = jax.lax.dynamic_update_slice(entries, value_of(lanes).astype(entries.dtype), (jnp.minimum(at, end),))
+        at = at + jax.lax.dynamic_index_in_dim(counts, byte, 0, keepdims=False)
+    return entries, at

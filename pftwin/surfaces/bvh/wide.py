@@ -1,8 +1,7 @@
 """A tree in blocks of sixteen, for searches that take one node at a time and look at all its descendants at once.
 
 XLA makes one function of a whole loop on a CPU: a loop over nodes, with the sixteen discs of a node's descendants in as
-many lanes, tests a disc in a few nanoseconds. In a batch the members take turns (`sequential_vmap`): all of them at
-once would run as long as the slowest, with masks.
+many lanes, tests a disc in a few nanoseconds. In a batch the members take turns (see `members`).
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from pftwin.surfaces.bvh.tree import MeshTree
 
 FAN = 16  # descendants looked at together, four levels of the binary tree below
 SLACK = 1e-5  # share of a distance by which single precision may be off
-_HALF = 8  # lanes compacted by one look-up
 _NOWHERE = 1e6  # [m] where the discs lie that fill up the first block
 
 
@@ -87,29 +85,3 @@ def squares(block: Array, point: Array) -> tuple[Array, Array]:
     farthest = jnp.sqrt(jnp.maximum(beside, 0) + lost) + block[6]
     low, high = jnp.maximum(height - block[7], 0), height + block[7]
     return nearest * nearest + low * low, farthest * farthest + high * high
-
-
-def put(numbers: Array, at: Array, mask: Array, first: Array, end: int) -> tuple[Array, Array]:
-    """Writes first + k for every lane k where a mask (16,) is true into a list from the place `at` on.
-
-    Returns the list and the place after them. Past `end` nothing of use is written; the list goes on for sixteen more.
-    """
-    positions, counts, bit = (jnp.asarray(a) for a in (_POSITIONS, _COUNTS, _BITS))
-    for k in range(0, FAN, _HALF):
-        bits = jnp.sum(jnp.where(mask[k : k + _HALF], bit, 0), dtype=jnp.int32)
-        entries = jax.lax.dynamic_index_in_dim(positions, bits, keepdims=False) + (first + k)
-        numbers = jax.lax.dynamic_update_slice_in_dim(numbers, entries, jnp.minimum(at, end), 0)
-        at = at + jax.lax.dynamic_index_in_dim(counts, bits, keepdims=False)
-    return numbers, at
-
-
-def _tables() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Which lanes are set in each byte, in ascending order; how many; and each lane's bit."""
-    positions, counts = np.zeros((1 << _HALF, _HALF), np.int32), np.zeros(1 << _HALF, np.int32)
-    for bits in range(1 << _HALF):
-        lanes = [k for k in range(_HALF) if bits >> k & 1]
-        positions[bits, : len(lanes)], counts[bits] = lanes, len(lanes)
-    return positions, counts, (1 << np.arange(_HALF)).astype(np.int32)
-
-
-_POSITIONS, _COUNTS, _BITS = _tables()

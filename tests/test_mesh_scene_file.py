@@ -212,7 +212,7 @@ def test_a_scene_without_meshes_imports_nothing_of_them(toy: Path) -> None:
     code = (
         "import sys, pftwin\n"
         f"pftwin.simulate, pftwin.load_scene({str(toy / 'light.toml')!r})\n"
-        "surfaces = ('bvh', 'checked_mesh', 'contact_mesh', 'contour', 'depth', 'mesh_doctor', 'mesh_facets', 'patch_mesh')\n"
+        "surfaces = ('bvh', 'checked_mesh', 'contact_mesh', 'contour', 'depth', 'mesh_doctor', 'mesh_facets')\n"
         "effects = ('mesh', 'elastic_foundation', 'foundation_law')\n"
         "odd = [f'pftwin.surfaces.{m}' for m in surfaces] + [f'pftwin.effects.{m}' for m in effects] + ['trimesh']\n"
         "print(sorted(m for m in sys.modules if m.startswith(tuple(odd))))\n"

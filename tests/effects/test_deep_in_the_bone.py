@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import knee_motion, run, starting_as_it_is, vec
+from scenes import knee_motion, look, run, starting_as_it_is, vec
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.observe import Status, reservations
 from pftwin.effects.base import Effect
 from pftwin.effects.contact_law import Hertz
 from pftwin.effects.foundation_law import LinearFoundation, checked_layer
@@ -88,10 +88,25 @@ def test_apart_nothing_touches(scene, height):
     assert first_status(scene, height) == Status.NO_CONTACT
 
 
+def test_pairs_that_there_is_no_room_for_are_said():
+    """Of contours; a foundation's load is not known then, see `test_elastic_foundation_motion`."""
+    from pftwin.surfaces.bvh.pairs import Room
+    from pftwin.surfaces.contour import mesh_pair
+
+    made = contours()
+    tight = mesh_pair(made.femur, made.patella, room=Room(2048, 8192, 32))  # type: ignore[attr-defined]
+    short = eqx.tree_at(lambda e: e.meshes, made, tight, is_leaf=lambda x: x is None)
+    report = eqx.filter_jit(lambda e, now: e.report(now, None)[0])
+    deep, apart = (report(short, look((0, 0, BONE + BUTTON - d))) for d in (4e-3, -3e-3))
+    said = [Status(int(reservations(r))) for r in (deep, apart)]
+    assert Status.SEARCH_OVERFLOW in said[0]
+    assert said[1] == Status.OK
+
+
 def test_the_search_for_contours_alone_sees_nothing_of_it():
     ready = contours().about(vec(0, 0, 0))
-    look = jax.jit(lambda pose: ready.meshes.contacts(pose))  # type: ignore[attr-defined]
-    wholly, half = (look(Pose(vec(0, 0, z), Quaternion.identity())) for z in (0.001, BONE))
+    search = jax.jit(lambda pose: ready.meshes.contacts(pose))  # type: ignore[attr-defined]
+    wholly, half = (search(Pose(vec(0, 0, z), Quaternion.identity())) for z in (0.001, BONE))
     assert int(wholly.pairs) == 0
     assert int(half.pairs) > 0
     assert float(half.each[0].indentation) == 0  # from its corners inward it is farther than the search looks

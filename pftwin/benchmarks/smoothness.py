@@ -54,12 +54,11 @@ def swept(effect: Any, places: NDArray[np.float64], turn: Quaternion) -> NDArray
 
 def path() -> NDArray[np.float64]:
     """Places of the sphere's middle (n, 3) in the femur's frame [m]: an arc that presses as deep as is wanted."""
-    from pftwin.effects.sphere_contact import SphereContact
-    from pftwin.surfaces.implant import rig_implant
+    from scipy.spatial import cKDTree
 
-    surface = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, rig_implant())
-    law, radius = Hertz(jnp.asarray(1.0), hertz_exponent=1), jnp.asarray(rig.BUTTON_RADIUS)
-    smooth = SphereContact(surface, law, Vec3.zero(), radius)
+    from pftwin.surfaces.resolution import Resolution, implant_mesh
+
+    surface = cKDTree(implant_mesh(Resolution(SIZES["100k"])).vertices)
     angles = AT + np.linspace(0, WAY / 0.049, POINTS)
 
     def arc(radius: float) -> NDArray[np.float64]:
@@ -68,7 +67,7 @@ def path() -> NDArray[np.float64]:
     low, high = 0.04, 0.06  # of the arc: deeper further in
     for _ in range(30):
         middle = 0.5 * (low + high)
-        deep = float(np.mean(swept(smooth, arc(middle)[::100], Quaternion.identity())))
+        deep = rig.BUTTON_RADIUS - float(surface.query(arc(middle)[::20])[0].mean())
         low, high = (middle, high) if deep > DEPTH else (low, middle)
     return arc(high)
 
@@ -155,8 +154,8 @@ def _draw(found: dict[str, dict[str, Any]], folder: Path) -> None:
                 label = f"{size} triangles: {1e2 * one['noise']:.2g} %"
                 axes.plot(way, one["force"] / one["mean_n"], color=COLOURS[k], linewidth=1.0, label=label)
             axes.set(title=law, xlabel="way along the groove [mm]")
-            axes.legend(loc="lower left", fontsize="small")
-        panels[0].set_ylabel("force, of its mean")
+            axes.legend(loc="upper left", fontsize="small")
+        panels[0].set_ylabel("force over its mean")
         figure.suptitle("Force along a fine sweep, and its noise peak to peak")
     save_figure(figure, folder / "smoothness")
 

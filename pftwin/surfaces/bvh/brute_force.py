@@ -34,6 +34,8 @@ def distances(corners: Floats, point: Floats) -> Floats:
 
 def intersecting(first: Floats, second: Floats) -> NDArray[np.int64]:
     """Pairs (k, 2) of triangles of (n, 3, 3) and (m, 3, 3) that have a point in common, in ascending order."""
+    one, other = _within(first, second), _within(second, first)
+    first, second = first[one], second[other]
     lows, highs = zip(*((t.min(axis=1), t.max(axis=1)) for t in (first, second)), strict=True)
     found = [np.empty((0, 2), int)]
     for start in range(0, len(second), 64):  # their boxes, some against all
@@ -46,7 +48,16 @@ def intersecting(first: Floats, second: Floats) -> NDArray[np.int64]:
         pairs[:, 1] += start
         found.append(pairs[_meet(first[pairs[:, 0]], second[pairs[:, 1]])])
     every = np.concatenate(found)
+    every = np.stack([one[every[:, 0]], other[every[:, 1]]], axis=1)
     return every[np.lexsort((every[:, 1], every[:, 0]))]
+
+
+def _within(some: Floats, others: Floats) -> NDArray[np.int64]:
+    """Which triangles reach into the box around all the others."""
+    if not len(some) or not len(others):
+        return np.arange(len(some))
+    low, high = others.min(axis=(0, 1)), others.max(axis=(0, 1))
+    return np.flatnonzero(((some.max(axis=1) >= low) & (some.min(axis=1) <= high)).all(axis=1))
 
 
 def ray_depths(points: Floats, normals: Floats, corners: Floats, limit: float) -> Floats:

@@ -67,17 +67,15 @@ def path() -> NDArray[np.float64]:
     low, high = 0.04, 0.06  # of the arc: deeper further in
     for _ in range(30):
         middle = 0.5 * (low + high)
-        deep = rig.BUTTON_RADIUS - float(surface.query(arc(middle)[::20])[0].mean())
+        deep = rig.BUTTON_RADIUS - float(np.mean(surface.query(arc(middle)[::20])[0]))
         low, high = (middle, high) if deep > DEPTH else (low, middle)
     return arc(high)
 
 
-def noise(force: NDArray[np.float64]) -> tuple[float, float]:
-    """Peak to peak of the force's noise [share of its mean], and of its slope's along the way [N/m]."""
+def noise(force: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a smooth curve leaves of the force along the way [N]."""
     way = np.linspace(-1, 1, POINTS)
-    rest = force - np.polynomial.Polynomial.fit(way, force, DEGREE)(way)
-    slope = np.gradient(rest, WAY / (POINTS - 1))
-    return float(np.ptp(rest) / force.mean()), float(np.ptp(slope))
+    return force - np.polynomial.Polynomial.fit(way, force, DEGREE)(way)
 
 
 def effects() -> Iterator[tuple[str, str, Any]]:
@@ -126,14 +124,11 @@ def main(folder: Path) -> None:
     found: dict[str, dict[str, Any]] = {}
     for law, size, effect in effects():
         force = swept(effect, places, turn)
-        share, slope = noise(force)
-        found.setdefault(law, {})[size] = {
-            "mean_n": force.mean(),
-            "noise": share,
-            "slope_n_per_m": slope,
-            "force": force,
-        }
-        print(f"{law}, {size}: {force.mean():.1f} N, noise {1e2 * share:.3g} %, of the slope {1e-3 * slope:.3g} N/mm")
+        rest, mean = noise(force), float(np.mean(force))
+        share, slope = np.ptp(rest) / mean, np.ptp(np.gradient(rest, WAY / (POINTS - 1)))
+        one = {"mean_n": mean, "noise": share, "slope_n_per_m": slope, "force": force}
+        found.setdefault(law, {})[size] = one
+        print(f"{law}, {size}: {mean:.1f} N, noise {1e2 * share:.3g} %, of the slope {1e-3 * slope:.3g} N/mm")
     plain = jax.tree.map(lambda x: np.round(x, 6).tolist(), found)
     (folder / "smoothness.json").write_text(json.dumps(plain), encoding="utf-8")
     _draw(found, folder)
@@ -147,15 +142,18 @@ def _draw(found: dict[str, dict[str, Any]], folder: Path) -> None:
 
     way = 1e3 * np.linspace(0, WAY, POINTS)
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(12.0, 3.8))
-        panels = figure.subplots(1, len(found), sharey=True)
-        for axes, (law, sizes) in zip(panels, found.items(), strict=True):
+        figure = Figure(figsize=(12.0, 6.0))
+        panels = figure.subplots(2, len(found), sharex=True, sharey="row")
+        for (above, below), (law, sizes) in zip(panels.T, found.items(), strict=True):
             for k, (size, one) in enumerate(sizes.items()):
                 label = f"{size} triangles: {1e2 * one['noise']:.2g} %"
-                axes.plot(way, one["force"] / one["mean_n"], color=COLOURS[k], linewidth=1.0, label=label)
-            axes.set(title=law, xlabel="way along the groove [mm]")
-            axes.legend(loc="upper left", fontsize="small")
-        panels[0].set_ylabel("force over its mean")
+                above.plot(way, one["force"] / one["mean_n"], color=COLOURS[k], linewidth=1.0, label=label)
+                below.plot(way, 1e2 * noise(one["force"]) / one["mean_n"], color=COLOURS[k], linewidth=1.0)
+            above.set(title=law)
+            above.legend(loc="upper left", fontsize="small")
+            below.set(xlabel="way along the groove [mm]", ylim=(-3, 3))
+        panels[0, 0].set_ylabel("force over its mean")
+        panels[1, 0].set_ylabel("less a smooth curve [%]")
         figure.suptitle("Force along a fine sweep, and its noise peak to peak")
     save_figure(figure, folder / "smoothness")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 
@@ -63,17 +64,22 @@ def _within(some: Floats, others: Floats) -> NDArray[np.int64]:
 def ray_depths(points: Floats, normals: Floats, corners: Floats, limit: float) -> Floats:
     """How deep each of n points is below triangles (m, 3, 3), by the longest ray against its normal; -1: none, (n,).
 
-    Rays leave through a triangle from its inner side, no farther than the limit.
+    Rays leave through a triangle from its inner side, no farther than the limit. Triangles farther off than that are left
+    out by the distance of their middles.
     """
     depths = np.full(len(points), -1.0)
     a, b, c = np.moveaxis(corners, 1, 0)
     face = np.cross(b - a, c - a)
+    middles = corners.mean(axis=1)
+    largest = np.linalg.norm(corners - middles[:, None], axis=2).max()
+    near = cKDTree(middles).query_ball_point(points, (limit + largest) * (1 + 1e-6))
     for k, (p, n) in enumerate(zip(points, normals, strict=True)):
-        steep = -(face @ n)
-        out = np.flatnonzero(steep > 0)
+        some = np.asarray(near[k], dtype=int)
+        steep = -(face[some] @ n)
+        out, steep = some[steep > 0], steep[steep > 0]
         if not len(out):
             continue
-        t = np.einsum("ij,ij->i", a[out] - p, face[out]) / steep[out]
+        t = np.einsum("ij,ij->i", a[out] - p, face[out]) / steep
         hit = p - t[:, None] * n
         # Barycentric coordinates of the point hit.
         inside = np.ones(len(out), dtype=bool)

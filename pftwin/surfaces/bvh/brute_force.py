@@ -64,8 +64,8 @@ def _within(some: Floats, others: Floats) -> NDArray[np.int64]:
 def ray_depths(points: Floats, normals: Floats, corners: Floats, limit: float) -> Floats:
     """How deep each of n points is below triangles (m, 3, 3), by the longest ray against its normal; -1: none, (n,).
 
-    Rays leave through a triangle from its inner side, no farther than the limit. Triangles farther off than that are left
-    out by the distance of their middles.
+    Rays leave through a triangle from its inner side, no farther than the limit. Triangles farther off than
+    that are left out by the distance of their middles.
     """
     depths = np.full(len(points), -1.0)
     a, b, c = np.moveaxis(corners, 1, 0)

@@ -102,7 +102,7 @@ def test_a_batch_is_what_its_members_are(groove):
     search = depth_search(groove[0], groove[1].corners, LIMIT)
     poses = on_the_groove(4, 0.3e-3, seed=1)
     alone = searched(search, poses)[0]
-    together = eqx.filter_jit(jax.vmap(search))(poses)
+    together = eqx.filter_jit(lambda some: jax.vmap(search)(some))(poses)
     for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
         np.testing.assert_array_equal(a, b)
 

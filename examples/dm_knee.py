@@ -206,7 +206,7 @@ def foundation_law(radius: float) -> Hertz:
 
 def layers(femur: SurfaceMesh, button: SurfaceMesh) -> ElasticFoundation:
     """The contact law of the recording itself: an elastic layer on either side, pressure on every triangle."""
-    layer = checked_layer(**LAYER)
+    layer = checked_layer(LAYER["modulus"], LAYER["poisson"], LAYER["thickness"])
     sides = pressed_surface(femur), pressing_surface(button)
     return ElasticFoundation(*sides, LinearFoundation(layer, layer), vec3(np.zeros(3)))
 

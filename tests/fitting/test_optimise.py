@@ -131,6 +131,7 @@ class Uncertain:
         return np.linspace(-1e-3, 1e-3, count)[:, None]
 
 
+@pytest.mark.slow
 def test_limits_hold_for_the_share_of_draws_that_was_asked_for(knee, bound):
     """Draws displace the tuberosity itself, so that it has to be moved as far more as the worst draw that counts."""
     limit, reach = Limit("largest_offset", at_most=bound), {"medialisation": (0.0, 0.02)}

@@ -6,6 +6,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
+import equinox as eqx
 import numpy as np
 
 from pftwin.dynamics.equilibrium import Solution, relax, tolerance_of
@@ -54,7 +55,8 @@ def settle(scene: Scene) -> tuple[Timed, bool]:
         return found, False
     tried = [found, _relaxed.timed(scene)]
     if np.isfinite(np.asarray(tried[-1].answer.position.array())).all():
-        tried.append(_solve.timed(scene, tried[-1].answer))
+        # A scene that starts there is one of the same structure: nothing is compiled again.
+        tried.append(_solve.timed(eqx.tree_at(lambda s: s.start, scene, tried[-1].answer), None))
     run, preparation = (sum(t[i] for t in tried) for i in (1, 2))
     return Timed(tried[-1].answer if len(tried) > 2 else found.answer, run, preparation), True
 

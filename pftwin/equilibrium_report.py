@@ -10,8 +10,9 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.dynamics.equilibrium import LEVER, Solution, tolerance_of
+from pftwin.dynamics.equilibrium import Solution, tolerance_of
 from pftwin.dynamics.observe import RESERVATIONS, Status
+from pftwin.dynamics.static_load import LEVER
 from pftwin.dynamics.trajectory import first_guide
 from pftwin.effects.base import Patella
 from pftwin.kept.program import Program
@@ -26,7 +27,8 @@ Seen = Mapping[str, Mapping[str, Any]]
 class EquilibriumReport:
     """A static equilibrium of the patella at the first frame.
 
-    Eigenvalues are those of the tangent stiffness over displacements and rotations times a lever of 20 mm, ascending.
+    Eigenvalues are those of the tangent stiffness over displacements and rotations times a lever of 20 mm, ascending
+    (real parts).
     """
 
     position: NDArray[np.float64]  # (3,) of the patella's origin in the femur [m]
@@ -176,7 +178,8 @@ def _row(v: Any) -> NDArray[np.float64]:
 def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
     if not np.isfinite(stiffness).all():
         return np.full(6, np.nan)
-    return np.asarray(np.linalg.eigvalsh(stiffness), dtype=np.float64)
+    found = np.linalg.eigvals(stiffness).real  # complex only where forces have no potential
+    return np.sort(np.asarray(found, dtype=np.float64))
 
 
 def _loaded_facets(seen: Seen) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.dynamics.solve import Lower, factor, solve
+from pftwin.dynamics.solve import Lower, eliminate, factor, solve
 from pftwin.spatial import Scalar
 
 Row = Sequence[Scalar]  # six components: force in world axes, moment in patella axes
@@ -92,20 +92,7 @@ def _free(e: _Eliminated, active: list[Scalar] | None, t: list[Scalar]) -> list[
             for i, (on, row) in enumerate(zip(active, a, strict=True))
         ]
         t = [jnp.where(on, x, 0.0) for on, x in zip(active, t, strict=True)]
-    inverse = []
-    for k in range(n):
-        inverse.append(1 / a[k][k])
-        for i in range(k + 1, n):
-            multiplier = a[i][k] * inverse[k]
-            t = [x - multiplier * t[k] if j == i else x for j, x in enumerate(t)]
-            a[i] = [x - multiplier * a[k][j] if j > k else x for j, x in enumerate(a[i])]
-    p: list[Scalar] = [t[0]] * n if n else []
-    for k in reversed(range(n)):
-        x = t[k]
-        for j in range(k + 1, n):
-            x = x - a[k][j] * p[j]
-        p[k] = x * inverse[k]
-    return p
+    return eliminate(a, t)[0]
 
 
 def _impulses(

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import numpy as np
 
-from pftwin.dynamics.equilibrium import Solution, relax, tolerance_of
+from pftwin.dynamics.equilibrium import Solution, tolerance_of
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
+from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.trajectory import (
     first_guide,
     integrator_named,
+    start_before_search,
     starting_equilibrium,
     substeps_for,
     trajectory,
@@ -30,8 +32,8 @@ if TYPE_CHECKING:
 
 
 @Program
-def _solve(scene: Scene, guess: Pose | None) -> Solution:
-    return starting_equilibrium(scene, guess)
+def _solve(scene: Scene) -> Solution:
+    return starting_equilibrium(scene)
 
 
 @Program
@@ -50,13 +52,13 @@ def _run(
 
 def settle(scene: Scene) -> tuple[Timed, bool]:
     """The equilibrium at the first frame, and whether the damped relaxation had to help."""
-    found = _solve.timed(scene, None)
+    found = _solve.timed(scene)
     if _converged(found.answer):
         return found, False
     tried = [found, _relaxed.timed(scene)]
     if np.isfinite(np.asarray(tried[-1].answer.position.array())).all():
         # A scene that starts there is one of the same structure: nothing is compiled again.
-        tried.append(_solve.timed(eqx.tree_at(lambda s: s.start, scene, tried[-1].answer), None))
+        tried.append(_solve.timed(eqx.tree_at(lambda s: s.start, scene, tried[-1].answer)))
     run, preparation = (sum(t[i] for t in tried) for i in (1, 2))
     return Timed(tried[-1].answer if len(tried) > 2 else found.answer, run, preparation), True
 
@@ -69,14 +71,14 @@ def _converged(solution: Solution) -> bool:
 def _compiled_side_by_side(scene: Scene, integrator: str, substeps: int, energy: bool) -> float:
     """Where both programs have to be compiled, does it on two cores at once; the seconds that it took."""
     began = time.perf_counter()
-    if _solve.at_hand(scene, None):
+    if _solve.at_hand(scene):
         return 0.0
-    start = _solve.shape(scene, None)
+    start = eqx.filter_eval_shape(start_before_search, scene)
     with ThreadPoolExecutor(1) as other:
         if other.submit(settings).result() != settings():  # those of a `with jax.enable_x64(...)` are this thread's own
             return 0.0
-        done = other.submit(_run.prepare, scene, start, integrator, substeps, energy)
-        _solve.prepare(scene, None)
+        done = other.submit(_run.begin(scene, start, integrator, substeps, energy))  # the longer one
+        _solve.prepare(scene)
         done.result()
     return time.perf_counter() - began
 

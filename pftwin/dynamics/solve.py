@@ -1,4 +1,4 @@
-"""A symmetric positive definite 6 x 6 system, unrolled: 21 scalars that XLA keeps in registers."""
+"""Small systems of equations, unrolled: scalars that XLA keeps in registers. None pivots: see who calls."""
 
 from __future__ import annotations
 
@@ -56,3 +56,23 @@ def solve(low: Lower, inverse: Sequence[Scalar], b: Sequence[Scalar]) -> list[Sc
         for j in range(i + 1, n):
             y[i] = y[i] - low[j][i] * y[j]
     return y
+
+
+def eliminate(a: Sequence[Sequence[Scalar]], b: Sequence[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
+    """x with a x = b by Gaussian elimination, and the inverse pivots.
+
+    Where `a` is symmetric, a pivot that is not positive shows that it is not positive definite.
+    """
+    n, rows, t = len(b), [list(row) for row in a], list(b)
+    inverse: list[Scalar] = []
+    for k in range(n):
+        inverse.append(1 / rows[k][k])
+        for i in range(k + 1, n):
+            multiplier = rows[i][k] * inverse[k]
+            t[i] = t[i] - multiplier * t[k]
+            rows[i] = [x - multiplier * rows[k][j] if j > k else x for j, x in enumerate(rows[i])]
+    for k in reversed(range(n)):
+        for j in range(k + 1, n):
+            t[k] = t[k] - rows[k][j] * t[j]
+        t[k] = t[k] * inverse[k]
+    return t, inverse

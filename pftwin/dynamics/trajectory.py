@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.dynamics import linear_implicit, symplectic_euler
-from pftwin.dynamics.equilibrium import Solution, solve_equilibrium
+from pftwin.dynamics.equilibrium import Solution, solve_equilibrium, unsolved
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State, System
@@ -72,9 +72,13 @@ def integrator_named(name: str) -> Integrator:
 
 def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
     """The equilibrium at the first frame, from the scene's own start pose or another pose of the patella's frame."""
-    system, guide = scene.system(), first_guide(scene)
     pose = scene.center_of_mass_pose() if guess is None else _of_center(scene, guess)
-    return solve_equilibrium(system, guide, pose)
+    return solve_equilibrium(scene.system(), first_guide(scene), pose)
+
+
+def start_before_search(scene: Scene) -> Solution:
+    """Of the same structure as `starting_equilibrium`'s answer, at no cost."""
+    return unsolved(scene.system(), first_guide(scene), scene.center_of_mass_pose())
 
 
 def _of_center(scene: Scene, pose: Pose) -> Pose:
@@ -175,6 +179,7 @@ __all__ = [
     "Trajectory",
     "first_guide",
     "integrator_named",
+    "start_before_search",
     "starting_equilibrium",
     "starting_state",
     "substeps_for",

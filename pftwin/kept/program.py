@@ -93,26 +93,40 @@ class Program:
 
     def prepare(self, *args: Any) -> None:
         """Compiles for arguments of this kind, or loads what was kept. Arrays may be `jax.ShapeDtypeStruct`s."""
-        kind, arrays = _kind_of(args)
-        if kind not in self._ready:
-            self._ready[kind] = self._prepared(kind, arrays)
+        self.begin(*args)()
 
-    def shape(self, *args: Any) -> Any:
-        """The answer with a `jax.ShapeDtypeStruct` in the place of every array; nothing is compiled."""
-        return eqx.filter_eval_shape(self._function, *args)
+    def begin(self, *args: Any) -> Callable[[], None]:
+        """The first part of `prepare`, tracing, which two threads cannot do at once; what it returns does the rest."""
+        kind, arrays = _kind_of(args)
+        if kind in self._ready:
+            return lambda: None
+        rest = self._traced(kind, arrays)
+
+        def finish() -> None:
+            self._ready[kind] = rest()
+
+        return finish
 
     def _prepared(self, kind: _Kind, arrays: list[Any], anew: bool = False) -> _Ready:
         """Loaded if it was kept, else compiled, and kept."""
+        return self._traced(kind, arrays, anew)()
+
+    def _traced(self, kind: _Kind, arrays: list[Any], anew: bool = False) -> Callable[[], _Ready]:
+        """The second part of `_prepared`, the first being done."""
         name = self._name(kind)
-        if name is None:
-            flat, structure = self._flat(kind)
-            compiled = jax.jit(flat).lower(*arrays).compile()
-            return _Ready(compiled, structure(), False)
-        if not anew and (loaded := store.recalled(name, len(arrays))) is not None:
-            return _Ready(*loaded, True)
+        if name is not None and not anew and (loaded := store.recalled(name, len(arrays))) is not None:
+            return lambda: _Ready(*loaded, True)
         flat, structure = self._flat(kind)
-        call, loaded_here = store.compiled(name, flat, structure, arrays, anew)
-        return _Ready(call, structure(), loaded_here)
+        if name is None:
+            lowered = jax.jit(flat).lower(*arrays)
+            return lambda: _Ready(lowered.compile(), structure(), False)
+        finish = store.traced(name, flat, structure, arrays, anew)
+
+        def ready() -> _Ready:
+            call, loaded_here = finish()
+            return _Ready(call, structure(), loaded_here)
+
+        return ready
 
     def _flat(self, kind: _Kind) -> tuple[Callable[..., list[Any]], Callable[[], Any]]:
         """The function from arrays to arrays, and the answer's structure, known once that has been traced."""

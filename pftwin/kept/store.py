@@ -39,10 +39,10 @@ def recalled(name: str, arguments: int) -> tuple[Call, Any] | None:
     return None if call is None else (call, structure)
 
 
-def compiled(
+def traced(
     name: str, flat: Callable[..., Any], structure: Callable[[], Any], arrays: list[Any], anew: bool
-) -> tuple[Call, bool]:
-    """The compiled function, kept under that name; and whether a former process had compiled it.
+) -> Callable[[], tuple[Call, bool]]:
+    """Traces a function; what it returns gives the compiled function, keeps it, and says if a former process had.
 
     Args:
         name: what its answer is kept as.
@@ -58,20 +58,24 @@ def compiled(
     lowered = jax.jit(flat).lower(*arrays)
     program = digest((environment(), lowered.as_text().replace(flat.__name__, plain)))
     answer = structure()
-    call = None if anew else _loaded(program, len(arrays), answer.num_leaves)
-    found = call is not None
-    if call is None:
-        with _not_in_the_cache_of_jax():
-            call = lowered.compile()
-        try:
-            body = zlib.compress(serialize(call)[0], 1)
-        except Exception:  # a version of JAX that cannot write programs down
-            return call, False
-        folder.write(_PROGRAMS, program, body)
-    # The structure as an example: its static parts come back as the very objects that they were.
-    example = jax.tree.unflatten(answer, range(answer.num_leaves))
-    folder.write(_ANSWERS, name, pickle.dumps((program, example)))
-    return call, found
+
+    def finish() -> tuple[Call, bool]:
+        call = None if anew else _loaded(program, len(arrays), answer.num_leaves)
+        found = call is not None
+        if call is None:
+            with _not_in_the_cache_of_jax():
+                call = lowered.compile()
+            try:
+                body = zlib.compress(serialize(call)[0], 1)
+            except Exception:  # a version of JAX that cannot write programs down
+                return call, False
+            folder.write(_PROGRAMS, program, body)
+        # The structure as an example: its static parts come back as the very objects that they were.
+        example = jax.tree.unflatten(answer, range(answer.num_leaves))
+        folder.write(_ANSWERS, name, pickle.dumps((program, example)))
+        return call, found
+
+    return finish
 
 
 def _loaded(program: str, arguments: int, answers: int) -> Call | None:

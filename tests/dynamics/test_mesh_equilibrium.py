@@ -5,13 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from scenes import settled, vec
-from toy_mesh_scenes import BALL, foundation
+from toy_mesh_scenes import BALL, CONTOURS, foundation
 from toy_scene_files import load
 
 from pftwin.dynamics import equilibrium
+from pftwin.dynamics.trajectory import starting_equilibrium
 
 
 def test_a_button_of_large_triangles_finds_its_rest(toy: Path) -> None:
@@ -29,3 +32,30 @@ def test_a_button_of_large_triangles_finds_its_rest(toy: Path) -> None:
 def test_a_load_that_is_not_known_is_no_equilibrium() -> None:
     assert np.isnan(equilibrium._size([jnp.asarray(1.0), jnp.asarray(np.nan)]))
     assert float(equilibrium._size([jnp.asarray(3.0), jnp.asarray(4.0)])) == 5
+
+
+def test_contours_have_an_equilibrium_and_it_follows_its_parameters(toy: Path) -> None:
+    """Their tangent is not symmetric; taken for symmetric, it found no rest and its derivatives were wrong."""
+    scene = load(toy, CONTOURS)
+    quadriceps = scene.effects[1]
+    assert quadriceps.name == "quadriceps"
+
+    @jax.jit
+    def follow(factor: Array, direction: Array) -> tuple[tuple[Array, Array, Array], Array]:
+        def pose(factor: Array) -> tuple[Array, tuple[Array, Array]]:
+            here = eqx.tree_at(lambda s: s.effects[1].stiffness, scene, quadriceps.stiffness * (1 + factor))
+            found = starting_equilibrium(here)
+            row = jnp.concatenate([1e3 * found.pose.position.array(), found.pose.orientation.array()])
+            return row, (found.residual, found.stiffness)
+
+        (row, rest), (slope, _) = jax.jvp(pose, (factor,), (direction,))
+        return (row, *rest), slope
+
+    h = 1e-5
+    (_, left, stiffness), slope = follow(jnp.zeros(()), jnp.ones(()))
+    ends = [follow(jnp.asarray(a), jnp.ones(()))[0] for a in (h, -h)]
+    assert max(float(left), *(float(end[1]) for end in ends)) < 1e-7
+    asymmetry = np.asarray(stiffness - stiffness.T)
+    assert np.abs(asymmetry).max() > 0.02 * np.abs(stiffness).max()
+    np.testing.assert_allclose(slope, (ends[0][0] - ends[1][0]) / (2 * h), rtol=1e-4, atol=1e-6)
+    assert np.abs(slope).max() > 0.1  # mm for a doubled stiffness: there is something to compare

@@ -216,7 +216,6 @@ def test_a_program_can_be_prepared_from_shapes():
     ready = scaled.timed(jnp.ones(3), 2)
     assert ready.preparation == 0
     np.testing.assert_array_equal(ready.answer, 2 * np.ones(3))
-    assert scaled.shape(jnp.ones(3), 2) == jax.ShapeDtypeStruct((3,), jnp.dtype(float))
 
 
 def test_both_programs_of_a_first_simulation_are_those_that_were_compiled_side_by_side():

@@ -167,7 +167,7 @@ def test_an_error_of_a_compiled_program_is_the_users(place, monkeypatch):
         raise RuntimeError("out of memory")
 
     monkeypatch.setattr(
-        store, "compiled", lambda name, flat, structure, arrays, anew: (flat(*arrays), (fails, False))[1]
+        store, "traced", lambda name, flat, structure, arrays, anew: (flat(*arrays), lambda: (fails, False))[1]
     )
     with pytest.raises(RuntimeError, match="out of memory"):
         Program(safe_sqrt)(jnp.asarray(4.0))

@@ -23,11 +23,12 @@ from pftwin.dynamics.simulate import settle
 from pftwin.rig import geometry as rig
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Vec3
-from pftwin.surfaces.contact_mesh import contact_mesh, lateral_of_groove
+from pftwin.surfaces.contact_mesh import contact_mesh
 from pftwin.surfaces.contour import mesh_pair
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.implant import rig_region
 from pftwin.surfaces.mesh import SurfaceMesh
+from pftwin.surfaces.mesh_facets import lateral_of_groove
 from pftwin.surfaces.patch_mesh import patch_mesh
 from pftwin.surfaces.resolution import Resolution, implant_mesh
 from pftwin.surfaces.sphere_patch import sphere_patch

@@ -34,7 +34,6 @@ DEPTH = 0.2e-3  # [m], about
 DEGREE = 7
 AT = 0.15  # [rad] where on the arc the sweep begins, proximal of the most anterior direction
 SIDE = 7e-3  # of the button's middle, lateral of the groove's [m]
-GAP_RADIUS = 18.9e-3  # [m]: the volume law's effective radius on the rig
 SIZES = {"3k": 0.056e-3, "28k": 0.006e-3, "100k": 0.00167e-3}
 
 
@@ -83,9 +82,10 @@ def effects() -> Iterator[tuple[str, str, Any]]:
     from pftwin.effects.mesh_contact import MeshContact
     from pftwin.effects.mesh_sphere_contact import MeshSphereContact
     from pftwin.effects.mesh_volume_contact import MeshVolumeContact
-    from pftwin.surfaces.contact_mesh import contact_mesh, lateral_of_groove
+    from pftwin.rig.contacts import gap_radius
+    from pftwin.surfaces.contact_mesh import contact_mesh
     from pftwin.surfaces.implant import rig_region
-    from pftwin.surfaces.mesh_facets import mesh_facets
+    from pftwin.surfaces.mesh_facets import lateral_of_groove, mesh_facets
     from pftwin.surfaces.patch_mesh import patch_mesh
     from pftwin.surfaces.resolution import Resolution, button_mesh, implant_mesh
 
@@ -99,7 +99,7 @@ def effects() -> Iterator[tuple[str, str, Any]]:
         yield "sphere, nearest point", size, MeshSphereContact(mesh_facets(mesh, lateral), law, zero, radius)
         yield "elastic layers", size, _layers(mesh, button)
         made = patch_mesh(mesh, rig.BUTTON_RADIUS, lateral)
-        yield "sphere, overlap's volume", size, MeshVolumeContact(made, law, zero, radius, jnp.asarray(GAP_RADIUS))
+        yield "sphere, overlap's volume", size, MeshVolumeContact(made, law, zero, radius, jnp.asarray(gap_radius()))
 
 
 def _layers(mesh: SurfaceMesh, button: SurfaceMesh) -> Any:

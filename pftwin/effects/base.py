@@ -63,6 +63,11 @@ class Instant(eqx.Module):
     step: Scalar | float  # time until the next look [s], for memories that move along; 0 when only looking
     lead: Scalar | float = 0.0  # how far this instant lies ahead of the state that an implicit step starts from [s]
 
+    def turn_in_femur(self) -> Rotation:
+        """Patella frame to the femur's."""
+        axes = self.patella.rotation
+        return Rotation(*(self.femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
+
     def segment(self, name: str) -> Frame | Ground:
         """The frame of "femur", "tibia" or "ground"."""
         if name == "femur":

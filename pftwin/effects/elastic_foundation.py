@@ -17,7 +17,7 @@ from jaxtyping import Array
 from pftwin.effects.base import Bed, Effect, Ground, Instant, Load, Observable
 from pftwin.effects.foundation_law import FoundationLaw
 from pftwin.effects.foundation_sums import Bedded, Pressures, sums
-from pftwin.spatial import Rotation, Scalar, Vec3
+from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.behind import behind
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.depth_search import centroid
@@ -61,10 +61,9 @@ class ElasticFoundation(Effect):
     def pressed(self, now: Instant) -> Bedded:
         """Where the button is in the femur, and how both move."""
         patella, femur = now.patella, now.femur
-        axes = patella.rotation
         velocity, spin, world = femur.relative_velocity(patella.velocity, patella.position), patella.spin, None
         if not isinstance(femur, Ground):
-            spin = spin - axes.unapply(femur.angular_velocity)
+            spin = spin - patella.rotation.unapply(femur.angular_velocity)
             world = femur.rotation
         return Bedded(
             femur=self.femur,
@@ -73,7 +72,7 @@ class ElasticFoundation(Effect):
             damping_time=jnp.asarray(self.damping_time, patella.position.x.dtype),
             origin=self.origin,
             position=femur.to_local(patella.position + patella.arm(self.origin)),
-            rotation=Rotation(*(femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez))),
+            rotation=now.turn_in_femur(),
             world=world,
             twist=jnp.concatenate([velocity.array(), spin.array()]),
         )

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.effects.foundation_law import FoundationLaw
+from pftwin.leaves import all_changes
 from pftwin.spatial import Rotation, Scalar, Vec3
 from pftwin.surfaces.bvh.members import member_by_member
 from pftwin.surfaces.depth_search import Found, find
@@ -88,7 +89,7 @@ def _summed(at: Bedded, found: Found) -> Sums:
 def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
     at, found = primals
     moving, still = eqx.partition(at, eqx.is_inexact_array)
-    changes = jax.tree.map(_zero_if_none, moving, tangents[0], is_leaf=lambda x: x is None)
+    changes = all_changes(moving, tangents[0])
 
     def total(moving: Any) -> Sums:
         at = eqx.combine(moving, still)
@@ -101,10 +102,6 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
         return jax.lax.scan(piece, _nothing(at), starts)[0]
 
     return jax.jvp(total, (moving,), (changes,))
-
-
-def _zero_if_none(x: Any, change: Any) -> Any:
-    return None if x is None else jnp.zeros_like(x) if change is None else change
 
 
 def _sum_of_all(at: Bedded, found: Found) -> Sums:

@@ -17,7 +17,7 @@ from pftwin.effects.base import Effect, Instant, Load, Observable
 from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
-from pftwin.spatial import Pose, Quaternion, Rotation, Scalar, Vec3
+from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.surfaces.behind import behind
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.contact_mesh import ContactMesh
@@ -59,9 +59,7 @@ class MeshContact(Effect):
         """Of the patella's mesh in the femur's frame."""
         patella, femur = now.patella, now.femur
         center = femur.to_local(patella.position + patella.arm(self.origin))
-        axes = (patella.rotation.ex, patella.rotation.ey, patella.rotation.ez)
-        turn = Quaternion.from_rotation(Rotation(*(femur.local_direction(e) for e in axes)))
-        return Pose(center, turn)
+        return Pose(center, Quaternion.from_rotation(now.turn_in_femur()))
 
     def _swallowed(self, now: Instant, found: Contacts) -> Array:
         """Whether the patella's mesh is wholly inside the femur's: none of their triangles meet, one corner tells."""

@@ -123,7 +123,7 @@ def _by_volume(law: ContactLaw) -> Effect:
     mesh, lateral = _femur("FM")
     made = patch_mesh(mesh, rig.BUTTON_RADIUS, lateral)
     radius, center = number(rig.BUTTON_RADIUS), vector(_CENTER)
-    return MeshVolumeContact(made, law, center, radius, number(_gap_radius()), surface=contact_fit(SPLINE).patch)
+    return MeshVolumeContact(made, law, center, radius, number(gap_radius()), surface=contact_fit(SPLINE).patch)
 
 
 @lru_cache(maxsize=2)
@@ -134,7 +134,7 @@ def _femur(name: str) -> tuple[SurfaceMesh, NDArray[np.bool_]]:
 
 
 def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-    from pftwin.surfaces.contact_mesh import lateral_of_groove
+    from pftwin.surfaces.mesh_facets import lateral_of_groove
     from pftwin.surfaces.resolution import implant_mesh as meshed
     from pftwin.surfaces.resolution import resolution
 
@@ -143,7 +143,7 @@ def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[
         return mesh.vertices, mesh.faces, lateral_of_groove(mesh, rig_region(mesh))
 
 
-def _gap_radius() -> float:
+def gap_radius() -> float:
     """The effective radius beside the groove [m]: see `MeshVolumeContact`."""
     return kept(_measured_gap_radius, files=())
 

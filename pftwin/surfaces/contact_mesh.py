@@ -21,9 +21,6 @@ from pftwin.surfaces.bvh.order import depth_for
 from pftwin.surfaces.bvh.pairs import LEAF
 from pftwin.surfaces.bvh.tree import Kind, MeshTree, build_tree, joined, volume_levels
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.mesh_facets import lateral_of_groove
-
-__all__ = ["ContactMesh", "contact_mesh", "lateral_of_groove"]
 
 
 class ContactMesh(eqx.Module):
@@ -49,7 +46,8 @@ def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None, *, kind: K
 
     Args:
         mesh: in its body's frame, normals outward [m].
-        lateral: which triangles are on the lateral facet, (m,) bool (see `lateral_of_groove`); None: all is one facet.
+        lateral: which triangles are on the lateral facet, (m,) bool (see `mesh_facets.lateral_of_groove`);
+            None: all is one facet.
         kind: of the bounding volumes that pairs are searched by.
 
     Raises:

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.leaves import all_changes
 from pftwin.spatial import Pose, Scalar, Vec3
 from pftwin.surfaces.bvh.members import member_by_member
 from pftwin.surfaces.bvh.pairs import Pairs
@@ -66,7 +67,7 @@ def _contour_sums_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
     if jax.tree.leaves(tangents[0]):
         return _jvp_over_room(_piece, primals, tangents)
     sums, slopes = _sloped_sums(*primals)
-    changes = jnp.stack(jax.tree.leaves(_zeros_where_none(primals[1], tangents[1])))
+    changes = jnp.stack(jax.tree.leaves(all_changes(primals[1], tangents[1])))
     return sums, jax.tree.map(lambda slope: slope @ changes, slopes)
 
 
@@ -105,20 +106,13 @@ def _over_room(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) -
 def _jvp_over_room(of_piece: Piece[T], primals: Any, tangents: Any) -> tuple[T, T]:
     meshes, X_AB, pairs = primals
     moving, still = eqx.partition((meshes, X_AB), eqx.is_inexact_array)
-    changes = _zeros_where_none(moving, tuple(tangents[:2]))
+    changes = all_changes(moving, tuple(tangents[:2]))
 
     def sums(moving: Any) -> T:
         meshes, X_AB = eqx.combine(moving, still)
         return _over_room(of_piece, meshes, X_AB, pairs)
 
     return jax.jvp(sums, (moving,), (changes,))
-
-
-def _zeros_where_none(values: T, changes: Any) -> T:
-    def known(x: Any, change: Any) -> Any:
-        return None if x is None else jnp.zeros_like(x) if change is None else change
-
-    return jax.tree.map(known, values, changes, is_leaf=lambda x: x is None)
 
 
 def _nothing(of_piece: Piece[T], *args: Any) -> T:

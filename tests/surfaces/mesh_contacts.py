@@ -12,9 +12,9 @@ from pftwin.spatial import Pose, Quaternion, Vec3
 from pftwin.surfaces.bvh.nearest_wide import nearest_wide
 from pftwin.surfaces.bvh.tree import build_tree
 from pftwin.surfaces.bvh.wide import wide_tree
-from pftwin.surfaces.contact_mesh import lateral_of_groove
 from pftwin.surfaces.implant import rig_region
 from pftwin.surfaces.mesh import SurfaceMesh
+from pftwin.surfaces.mesh_facets import lateral_of_groove
 from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
 RADIUS = 0.025

@@ -250,7 +250,7 @@ class Pose(eqx.Module):
 
 
 class Twist(eqx.Module):
-    """Velocity of a body: of its reference point, and angular."""
+    """Velocity of a body: of its reference point, and angular; likewise an acceleration or a small displacement."""
 
     linear: Vec3  # [m/s]
     angular: Vec3  # [rad/s]
@@ -259,6 +259,14 @@ class Twist(eqx.Module):
     def zero() -> Twist:
         """At rest."""
         return Twist(Vec3.zero(), Vec3.zero())
+
+    def plus(self, factor: Scalar | float, other: Twist) -> Twist:
+        """self + factor other."""
+        return Twist(self.linear + factor * other.linear, self.angular + factor * other.angular)
+
+    def times(self, factor: Scalar | float) -> Twist:
+        """factor self."""
+        return Twist(factor * self.linear, factor * self.angular)
 
     def velocity_at(self, arm: Vec3) -> Vec3:
         """Velocity of the body's point at `arm` from the reference point."""

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State, System
-from pftwin.dynamics.trajectory import INTEGRATORS, first_guide, starting_equilibrium, trajectory
+from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.effects.base import Effect, Ground, Instant, Patella
 from pftwin.effects.contact_law import ContactLaw, Flores
 from pftwin.effects.gravity import Gravity
@@ -84,6 +85,10 @@ def still_guide() -> Guide:
     return Guide(None, Frame.world(), J(0.0))
 
 
+def still_guide_at(part: float) -> Guide:
+    return still_guide()
+
+
 def state_at(sys: System, position, velocity=(0, 0, 0), spin=(0, 0, 0), orientation: Quaternion | None = None) -> State:
     turn = Quaternion.identity() if orientation is None else orientation
     at_rest = sys.start(Pose(vec(*position), turn), still_guide())
@@ -104,17 +109,19 @@ def march(sys: System, state: State, duration: float, count: int, integrator: st
 
 @eqx.filter_jit
 def _march(sys: System, state: State, step: jax.Array, count: jax.Array, integrator: str) -> State:
-    advance = INTEGRATORS[integrator].advance
-    return jax.lax.fori_loop(0, count, lambda _, s: advance(sys, s, still_guide(), step)[0], state)
+    chosen = integrator_named(integrator)
+    state = chosen.begin(sys, state, still_guide(), step)
+    return jax.lax.fori_loop(0, count, lambda _, s: chosen.advance(sys, s, still_guide_at, step, None)[0], state)
 
 
 @eqx.filter_jit
 def record(sys: System, state: State, step, count: int, integrator: str = "linear_implicit"):
     """States and energy ledger after each of `count` steps."""
-    advance, zero = INTEGRATORS[integrator].advance, jnp.zeros(())
+    chosen, zero = integrator_named(integrator), jnp.zeros(())
+    state = chosen.begin(sys, state, still_guide(), step)
 
     def one(carry, _):
-        after = advance(sys, carry[0], still_guide(), step, carry[1])
+        after = chosen.advance(sys, carry[0], still_guide_at, step, carry[1])
         return after, after
 
     return jax.lax.scan(one, (state, Ledger(zero, zero)), None, length=count)[1]

@@ -23,7 +23,13 @@ class Ledger(eqx.Module):
     heat: Scalar
 
     def entered(
-        self, before: State, after: State, loads: Sequence[Load], applied: Sequence[Scalar], at: float, step: Scalar
+        self,
+        before: State,
+        after: State,
+        loads: Sequence[Load],
+        applied: Sequence[Scalar] | None,
+        at: float,
+        step: Scalar,
     ) -> Ledger:
         """With one step's entries.
 
@@ -31,12 +37,12 @@ class Ledger(eqx.Module):
             before: state at the step's start.
             after: at its end.
             loads: of the step.
-            applied: the forces that the stiff terms really had, in the loads' order.
+            applied: the forces that the stiff terms really had, in the loads' order; None: as they are halfway.
             at: where in the step the loads' elastic forces stand: 0 at its start, 1 at its end.
             step: its length [s].
         """
         velocity, spin = _middle(before.velocity, after.velocity), _middle(before.spin, after.spin)
-        work, heat, forces = self.work, self.heat, iter(applied)
+        work, heat, forces = self.work, self.heat, None if applied is None else iter(applied)
         for load in loads:
             if load.wrench is not None and load.energy is None:
                 w = load.wrench
@@ -48,10 +54,10 @@ class Ledger(eqx.Module):
                 put_in, lost = _bedded(load.bed, before, velocity, spin, at, step)
                 work, heat = work + step * put_in, heat + step * lost
             for term in load.stiff:
-                force = next(forces)
                 guided = term.rate + term.direction.dot(before.velocity) + term.moment.dot(before.spin)
                 rate = guided - term.direction.dot(velocity) - term.moment.dot(spin)
                 elastic = term.elastic + (0.5 - at) * step * term.stiffness * rate
+                force = term.force + (elastic - term.elastic) if forces is None else next(forces)
                 work = work + step * jnp.sum(force * guided)
                 heat = heat + step * jnp.sum((force - elastic) * rate)
         return Ledger(work, heat)

@@ -45,7 +45,8 @@ _WORDS = {
     Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or deeper than is looked for:"
     " step too large or law too soft",
     Status.NOT_FINITE: "not finite: step too large, or a load that is not known",
-    Status.STEP_TOO_LONG: "the patella moves or turns too far within one step: take a shorter one",
+    Status.STEP_TOO_LONG: "the patella moves or turns too far within one step, or the step's equations are not solved:"
+    " take a shorter one",
     Status.SEARCH_OVERFLOW: "the search for what touches ran out of room: a contact may be wrong",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
@@ -98,7 +99,10 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
 
 
 def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar) -> Array:
-    flags = jnp.where(step * state.spin.norm() > MOST_TURN, int(Status.STEP_TOO_LONG), 0)
+    too_long = step * state.spin.norm() > MOST_TURN
+    if (unsettled := getattr(state.carried, "unsettled", None)) is not None:
+        too_long = too_long | (unsettled > 0)
+    flags = jnp.where(too_long, int(Status.STEP_TOO_LONG), 0)
     for effect in scene.effects:
         report = seen[effect.name]
         flags = flags | reservations(report)

@@ -23,5 +23,5 @@ def relax(system: System, guide: Guide, pose: Pose) -> Pose:
     damped = eqx.tree_at(lambda s: s.effects, system, (*system.effects, damping))
     state = damped.start(pose, guide)
     step = jnp.asarray(STEP, dtype=pose.position.x.dtype)
-    state = jax.lax.fori_loop(0, STEPS, lambda _, s: linear_implicit(damped, s, guide, step)[0], state)
+    state = jax.lax.fori_loop(0, STEPS, lambda _, s: linear_implicit(damped, s, lambda _: guide, step)[0], state)
     return Pose(state.position, state.orientation)

@@ -10,12 +10,12 @@ import equinox as eqx
 import numpy as np
 
 from pftwin.dynamics.equilibrium import Solution, tolerance_of
+from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.trajectory import (
     first_guide,
-    integrator_named,
     start_before_search,
     starting_equilibrium,
     substeps_for,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 
 from pftwin.effects.base import Effect, Ground, Instant, Load, Patella
 from pftwin.motion import Frame, KneeMotion, MotionPiece
-from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
+from pftwin.spatial import Pose, Quaternion, Scalar, Twist, Vec3
 
 
 class State(eqx.Module):
@@ -20,6 +21,7 @@ class State(eqx.Module):
     velocity: Vec3  # world [m/s]
     spin: Vec3  # patella axes [rad/s]
     memories: tuple[Any, ...]
+    carried: Any = None  # the integrator's own memory, if it has one
 
     def patella(self) -> Patella:
         """As effects see it."""
@@ -42,6 +44,9 @@ class Guide(eqx.Module):
         """What effects may look at."""
         femur = Ground() if self.femur is None else self.femur
         return Instant(patella, femur, self.tibia, self.time, step, lead)
+
+
+GuideAt = Callable[[float], Guide]  # the guided bodies at a part of a step: 0 its start, 1 its end
 
 
 class System(eqx.Module):
@@ -91,6 +96,13 @@ def gyroscopic(inertia: Vec3, spin: Vec3) -> Vec3:
     )
 
 
+def moved(state: State, way: Twist, velocity: Twist) -> State:
+    """The state displaced, with other velocities; all that is remembered stays."""
+    position, orientation = state.position + way.linear, state.orientation.turned(way.angular)
+    return State(position, orientation, velocity.linear, velocity.angular, state.memories, state.carried)
+
+
 def advance(state: State, velocity: Vec3, spin: Vec3, step: Scalar, memories: tuple[Any, ...]) -> State:
     """The state after moving for a step with the given velocities."""
-    return State(state.position + step * velocity, state.orientation.turned(step * spin), velocity, spin, memories)
+    position, orientation = state.position + step * velocity, state.orientation.turned(step * spin)
+    return State(position, orientation, velocity, spin, memories, state.carried)

@@ -8,19 +8,18 @@ from __future__ import annotations
 import jax
 
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.state import Guide, State, System, advance, gyroscopic
+from pftwin.dynamics.state import GuideAt, State, System, advance, gyroscopic
 from pftwin.spatial import Scalar, Vec3
 
 ORDER = 1
-GUIDED_AT = 0.0  # where in the step the guided bodies are looked at: its start
 
 
 def symplectic_euler(
-    system: System, state: State, guide: Guide, step: Scalar, ledger: Ledger | None = None
+    system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
 ) -> tuple[State, Ledger | None]:
     """The state one step later, and the energy ledger where one is kept."""
     with jax.named_scope("loads"):
-        loads, memories = system.loads(guide.instant(state.patella(), step), state.memories)
+        loads, memories = system.loads(guide_at(0.0).instant(state.patella(), step), state.memories)
     velocity, spin = state.velocity, state.spin
     moment = gyroscopic(system.inertia, spin)
     for load in loads:

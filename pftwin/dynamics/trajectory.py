@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.dynamics import linear_implicit, symplectic_euler
 from pftwin.dynamics.equilibrium import Solution, solve_equilibrium, unsolved
+from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State, System
@@ -21,22 +20,6 @@ from pftwin.scene import Scene
 from pftwin.spatial import Pose, Scalar
 
 Carry = tuple[State, Ledger | None]
-
-
-class Integrator(NamedTuple):
-    """A way to take one step."""
-
-    advance: Callable[..., tuple[State, Ledger | None]]
-    order: int
-    guided_at: float  # where in the step it wants the guided bodies: 0 its start, 1 its end
-
-
-INTEGRATORS = {
-    "linear_implicit": Integrator(linear_implicit.linear_implicit, linear_implicit.ORDER, linear_implicit.GUIDED_AT),
-    "symplectic_euler": Integrator(
-        symplectic_euler.symplectic_euler, symplectic_euler.ORDER, symplectic_euler.GUIDED_AT
-    ),
-}
 
 
 class Trajectory(eqx.Module):
@@ -57,17 +40,6 @@ def substeps_for(interval: float, dt: float) -> int:
     if not dt > 0:
         raise InputError(f"found {dt!r}", where="dt", expected="a positive number of seconds")
     return max(1, -int(-(interval / dt - 1e-9) // 1))
-
-
-def integrator_named(name: str) -> Integrator:
-    """The integrator of that name.
-
-    Raises:
-        InputError: no such integrator.
-    """
-    if name not in INTEGRATORS:
-        raise InputError(f"no integrator {name!r}", where="integrator", expected=f"one of: {', '.join(INTEGRATORS)}")
-    return INTEGRATORS[name]
 
 
 def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
@@ -108,12 +80,12 @@ def starting_state(scene: Scene, start: Solution) -> State:
 def _parts(now: Carry) -> tuple[Any, Any]:
     """What is stored of a frame, as two rows: a batch of which poses alone are asked for never makes the other."""
     state, books = now
-    return (state.position, state.orientation), (state.velocity, state.spin, state.memories, books)
+    return (state.position, state.orientation), (state.velocity, state.spin, state.memories, state.carried, books)
 
 
 def _whole(pose: Any, rest: Any) -> Carry:
     """The inverse of `_parts`."""
-    return State(*pose, *rest[:3]), rest[3]
+    return State(*pose, *rest[:4]), rest[4]
 
 
 def trajectory(
@@ -128,7 +100,7 @@ def trajectory(
 
     Args:
         scene: any leaf of it may be traced.
-        integrator: a name in `INTEGRATORS`.
+        integrator: a name, with options: see `pftwin.dynamics.integrators`.
         substeps: steps between two recorded frames. A traced number is not part of the program, but there is no reverse
             mode by it; 0 stays in the equilibrium.
         start: an equilibrium to start from; by default it is solved for.
@@ -136,13 +108,14 @@ def trajectory(
 
     Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
     """
-    advance, _, guided_at = integrator_named(integrator)
+    chosen = integrator_named(integrator)
     system = scene.system()
     if start is None:
         start = starting_equilibrium(scene)
     motion = scene.motion
     step = motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
-    state = starting_state(scene, start)
+    first = Guide.sample(motion, jnp.asarray(motion.start_time, dtype=float))
+    state = chosen.begin(system, starting_state(scene, start), first, step)
     carry: Carry = (state, Ledger(jnp.zeros_like(step), jnp.zeros_like(step)) if ledger else None)
 
     @partial(jax.checkpoint, prevent_cse=False)
@@ -153,8 +126,10 @@ def trajectory(
 
         @partial(jax.checkpoint, prevent_cse=False)
         def one_step(k: Scalar, now: Carry) -> Carry:
-            time = began + step * (jnp.asarray(k).astype(float) + guided_at)
-            return advance(system, now[0], Guide.sample(piece, time), step, now[1])
+            def guide_at(part: float) -> Guide:
+                return Guide.sample(piece, began + step * (jnp.asarray(k).astype(float) + part))
+
+            return chosen.advance(system, now[0], guide_at, step, now[1])
 
         return jax.lax.fori_loop(0, substeps, one_step, now)
 
@@ -174,11 +149,9 @@ def trajectory(
 
 
 __all__ = [
-    "INTEGRATORS",
     "System",
     "Trajectory",
     "first_guide",
-    "integrator_named",
     "start_before_search",
     "starting_equilibrium",
     "starting_state",

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scenes import knee, order_of, settled
 
+from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide
-from pftwin.dynamics.trajectory import INTEGRATORS
 from pftwin.scene import Scene
 
 J = jnp.asarray
@@ -22,7 +22,7 @@ COUNTS = (200, 400, 800, 1600)
 @eqx.filter_jit
 def journey(scene: Scene, start, count, integrator: str):
     """Final position [mm], energies at start and end, and the ledger, after `count` (traced) steps."""
-    sys, advance = scene.system(), INTEGRATORS[integrator].advance
+    sys, advance = scene.system(), integrator_named(integrator).advance
     step = DURATION / count
 
     def guide_at(t):
@@ -32,7 +32,7 @@ def journey(scene: Scene, start, count, integrator: str):
 
     def one(i, now):
         state, ledger, path = now
-        state, ledger = advance(sys, state, guide_at(step * i.astype(float)), step, ledger)
+        state, ledger = advance(sys, state, lambda _: guide_at(step * i.astype(float)), step, ledger)
         return state, ledger, path + step * state.position.array()
 
     def energy(state, t):

@@ -24,7 +24,7 @@ def long_damped(scene):
     damped = scene.with_effect(LinearDamping(J(3.0), J(1e-3), body="ground"))
     sys, guide = damped.system(), first_guide(damped)
     state = sys.start(damped.center_of_mass_pose(), guide)
-    return jax.lax.fori_loop(0, 10_000, lambda _, s: linear_implicit(sys, s, guide, J(1e-3))[0], state)
+    return jax.lax.fori_loop(0, 10_000, lambda _, s: linear_implicit(sys, s, lambda _: guide, J(1e-3))[0], state)
 
 
 def test_equilibrium_is_where_damped_motion_ends():

@@ -8,7 +8,7 @@ import time
 import pytest
 
 import pftwin
-from pftwin.dynamics import equilibrium, trajectory
+from pftwin.dynamics import equilibrium, integrators, trajectory
 from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.effects.gravity import Gravity
@@ -26,14 +26,14 @@ def test_a_constant_behind_a_custom_derivative_is_reached(monkeypatch):
 
 def test_a_function_replaced_by_another_of_pftwin_is_another_program(monkeypatch):
     before = reach(trajectory.trajectory)
-    euler = trajectory.INTEGRATORS["symplectic_euler"]
-    monkeypatch.setitem(trajectory.INTEGRATORS, "linear_implicit", euler)
+    euler = integrators.INTEGRATORS["symplectic_euler"]
+    monkeypatch.setitem(integrators.INTEGRATORS, "linear_implicit", euler)
     assert reach(trajectory.trajectory) != before
 
 
 def test_functions_from_elsewhere_are_refused(monkeypatch):
-    mine = trajectory.INTEGRATORS["linear_implicit"]._replace(advance=lambda *_: None)
-    monkeypatch.setitem(trajectory.INTEGRATORS, "mine", mine)
+    mine = integrators.INTEGRATORS["linear_implicit"]._replace(advance=lambda *_: None)
+    monkeypatch.setitem(integrators.INTEGRATORS, "mine", mine)
     with pytest.raises(CannotKeepError, match="test_reach"):
         reach(trajectory.trajectory)
 

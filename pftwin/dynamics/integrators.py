@@ -1,0 +1,102 @@
+"""Integrators by name. Each takes one step from state to state, and declares its order.
+
+A name may have options: "newmark:gamma=0.6,beta=0.3025", "newmark:rho=0.8".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+from pftwin.dynamics import linear_implicit, linear_implicit_bdf2, newmark, symplectic_euler
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.state import Guide, GuideAt, State, System
+from pftwin.errors import InputError
+from pftwin.spatial import Scalar
+
+Advance = Callable[[System, State, GuideAt, Scalar, Ledger | None], tuple[State, Ledger | None]]
+
+
+def _as_it_is(system: System, state: State, guide: Guide, step: Scalar) -> State:
+    return state
+
+
+class Integrator(NamedTuple):
+    """A way to take one step."""
+
+    advance: Advance
+    order: int
+    begin: Callable[[System, State, Guide, Scalar], State] = _as_it_is  # puts what the integrator carries into a state
+    options: Callable[..., Integrator] | None = None  # the same with options, where it has any
+
+
+def _newmark(gamma: float | None = None, beta: float | None = None, rho: float | None = None) -> Integrator:
+    """Newmark's method with its weights, or the generalised-alpha method with the damping of highest frequencies."""
+    if rho is not None:
+        if gamma is not None or beta is not None:
+            raise InputError("found rho together with gamma or beta", where="newmark", expected="one or the other")
+        if not 0 <= rho <= 1:
+            raise InputError(
+                f"found rho = {rho:g}", where="newmark", expected="0 (all damped at once) to 1 (no damping)"
+            )
+        weights = newmark.Weights.damped(rho)
+    else:
+        gamma = 0.5 if gamma is None else gamma
+        beta = 0.25 * (gamma + 0.5) ** 2 if beta is None else beta
+        if not (gamma >= 0.5 and 2 * beta >= gamma):
+            raise InputError(
+                f"found gamma = {gamma:g}, beta = {beta:g}",
+                where="newmark",
+                expected="gamma of at least 1/2 and beta of at least gamma / 2, which is stable at any step",
+            )
+        weights = newmark.Weights(gamma, beta, 0.0, 0.0)
+    order = newmark.ORDER if rho is not None or weights.gamma == 0.5 else 1
+    return Integrator(partial(newmark.newmark, **weights._asdict()), order, newmark.begin)
+
+
+INTEGRATORS = {
+    "linear_implicit": Integrator(linear_implicit.linear_implicit, linear_implicit.ORDER),
+    "linear_implicit_bdf2": Integrator(
+        linear_implicit_bdf2.linear_implicit_bdf2, linear_implicit_bdf2.ORDER, linear_implicit_bdf2.begin
+    ),
+    "symplectic_euler": Integrator(symplectic_euler.symplectic_euler, symplectic_euler.ORDER),
+    "newmark": Integrator(newmark.newmark, newmark.ORDER, newmark.begin, _newmark),
+}
+
+
+def integrator_named(name: str) -> Integrator:
+    """The integrator of that name, with its options.
+
+    Raises:
+        InputError: no such integrator or option, or an option's value that cannot be.
+    """
+    base, _, rest = name.partition(":")
+    if base not in INTEGRATORS:
+        raise InputError(f"no integrator {base!r}", where="integrator", expected=f"one of: {', '.join(INTEGRATORS)}")
+    found = INTEGRATORS[base]
+    if not rest:
+        return found
+    if found.options is None:
+        raise InputError(f"found options {rest!r}", where=f"integrator {base}", expected="none: it has no options")
+    return found.options(**_options(base, rest, found.options))
+
+
+def _options(base: str, text: str, of: Callable[..., Integrator]) -> dict[str, float]:
+    known = of.__code__.co_varnames[: of.__code__.co_argcount]
+    values = {}
+    for part in text.split(","):
+        key, _, value = (x.strip() for x in part.partition("="))
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if key not in known or not math.isfinite(number):
+            raise InputError(
+                f"found {part.strip()!r}",
+                where=f"integrator {base}",
+                expected=f"name=number with one of: {', '.join(known)}",
+            )
+        values[key] = number
+    return values

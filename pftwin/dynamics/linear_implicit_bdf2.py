@@ -1,0 +1,66 @@
+r"""The linearly implicit step of second order: backward differences over two steps, one force evaluation.
+
+With d the displacement over a step and D the change of velocity,
+
+    d_end = d / 3 + (2 h / 3) v_end,        D_end = D / 3 + (2 h / 3) M^-1 F(q_end, v_end, t_end)
+
+is the backward differentiation formula BDF2 (in rotations up to terms of third order). Forces are evaluated where the
+step would end if the velocity changed as it did over the last one, and every stiff term is linearised from there
+(`pftwin.dynamics.implicit_solve`). What the linearisation leaves out, the turning of forces and of the body, is of
+third order in the step, so one Newton iteration is enough, and it costs what `linear_implicit` costs. The formula's source:
+Curtiss & Hirschfelder 1952, PNAS 38:235; Hairer & Wanner, Solving Ordinary Differential Equations II, V.1.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from pftwin.dynamics.implicit_solve import Span, change_of_velocity, load_at_end
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.state import Guide, GuideAt, State, System, gyroscopic, moved
+from pftwin.spatial import Scalar, Twist, Vec3, Wrench
+
+ORDER = 2
+
+
+class Carried(NamedTuple):
+    """Of the last step."""
+
+    way: Twist  # d: displacement [m], turn [rad]
+    change: Twist  # D: of the velocities
+
+
+def begin(system: System, state: State, guide: Guide, step: Scalar) -> State:
+    """The state as if it had moved on evenly until now."""
+    velocity = Twist(state.velocity, state.spin)
+    carried = Carried(velocity.times(step), velocity.times(jnp.zeros_like(step)))
+    return eqx.tree_at(lambda s: s.carried, state, carried, is_leaf=lambda x: x is None)
+
+
+def linear_implicit_bdf2(
+    system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
+) -> tuple[State, Ledger | None]:
+    """The state one step later, and the energy ledger where one is kept."""
+    last, span = state.carried, (2 / 3) * step
+    now = Twist(state.velocity, state.spin)
+    expected = now.plus(1.0, last.change)
+    with jax.named_scope("loads"):
+        ahead = moved(state, last.way.times(1 / 3).plus(span, expected), expected)
+        loads, memories = system.loads(guide_at(1.0).instant(ahead.patella(), step, step), state.memories)
+    with jax.named_scope("implicit_solve"):
+        # What the expected velocity is more than the formula's share of the past has to be taken back.
+        more, i = last.change.times(2 / 3 / span), system.inertia
+        turning = Vec3(i.x * more.angular.x, i.y * more.angular.y, i.z * more.angular.z)
+        inertial = Wrench(-system.mass * more.linear, gyroscopic(i, expected.angular) - turning)
+        dv = change_of_velocity(system, inertial, loads, Span(span, span))
+    velocity = expected.plus(1.0, Twist(Vec3(*dv[:3]), Vec3(*dv[3:])))
+    way = last.way.times(1 / 3).plus(span, velocity)
+    after = moved(state, way, velocity)
+    after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, Carried(way, velocity.plus(-1.0, now))))
+    if ledger is not None:
+        ledger = ledger.entered(state, after, [load_at_end(load, dv, span) for load in loads], None, 1.0, step)
+    return after, ledger

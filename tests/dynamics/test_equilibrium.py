@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scenes import contact, flat_patch, knee, run, settled, starting_as_it_is, vec
+from scenes import J, contact, flat_patch, knee, run, settled, starting_as_it_is, vec
 
 from pftwin.dynamics.linear_implicit import linear_implicit
 from pftwin.dynamics.observe import Status, observe
@@ -14,8 +14,6 @@ from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajec
 from pftwin.effects.contact_law import Hertz
 from pftwin.effects.damping import LinearDamping
 from pftwin.spatial import Pose, Quaternion
-
-J = jnp.asarray
 
 
 @eqx.filter_jit

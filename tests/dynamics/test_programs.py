@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import contact, flat_patch, knee, starting_as_it_is
+from scenes import J, contact, flat_patch, knee, starting_as_it_is
 
 from pftwin.dynamics.trajectory import first_guide, trajectory
 from pftwin.effects.contact_law import Flores, Hertz
@@ -16,8 +15,6 @@ from pftwin.mocap.poses import PoseSeries
 from pftwin.motion import KneeMotion
 from pftwin.scene import Scene
 from pftwin.surfaces.patch import PolynomialPatch
-
-J = jnp.asarray
 
 
 def equations(jaxpr) -> int:

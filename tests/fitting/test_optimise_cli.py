@@ -66,21 +66,23 @@ def fit(toy: Path) -> Path:
 def test_a_plan_with_its_sureness(toy, fit, tmp_path):
     output = tmp_path / "plan.json"
     given = ["--limit", "peak_contact_force<=1e6 N", "--limit", "dislocation_margin >= -1 m", "--medialise", "-4:4"]
-    result = pftwin("optimise", toy, "--estimate", fit, *given, "--samples", 6, "-o", output, "--json", "-")
+    result = pftwin("optimise", toy, "--estimate", fit, *given, "--samples", 5, "-o", output, "--json", "-")
     assert result.exit_code == 0, result.output
     plan = json.loads(output.read_text())
     assert plan == json.loads(result.stdout)
     assert plan["met"]
     assert plan["amounts"] == {"tibial_tuberosity_transfer.medialisation": {"value": 0.0, "unit": "m"}}
     assert plan["share_of_draws"] == 1
-    assert plan["samples"] == 6
+    assert plan["samples"] == 5
     assert [x["holds"] for x in plan["limits"]] == [True, True]
     assert plan["notes"] == ["the parameters were estimated from synthetic measurements"]
-    assert "all limits hold in 100% of 6 draws" in " ".join(result.stderr.split())
+    assert "all limits hold in 100% of 5 draws" in " ".join(result.stderr.split())
     assert "peak contact force at most 1e+06 N" in result.stderr
 
 
+@pytest.mark.slow
 def test_what_cannot_be_met_is_said(toy):
+    """Compiles without an estimate what the plan above has compiled with one; in Python: test_optimise."""
     result = pftwin("optimise", toy, "--limit", "peak_contact_force<=1e-6 N", "--medialise", "0:4")
     assert result.exit_code == 0, result.output
     assert "no amount within the range meets the limits" in result.stdout

@@ -53,7 +53,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 MOST_MEMORY = 3e9  # bytes of a test process from which on compiled programs are dropped
-_most = MOST_MEMORY
+_limit = {"now": MOST_MEMORY}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -63,12 +63,11 @@ def _bounded_memory():
     The system does not get all of their memory back: the limit is then a third higher than what was left, or everything
     would be compiled anew for each of the modules that follow.
     """
-    global _most
     yield
-    if _memory() > _most:
+    if _memory() > _limit["now"]:
         jax.clear_caches()
         gc.collect()
-        _most = max(MOST_MEMORY, 4 / 3 * _memory())
+        _limit["now"] = max(MOST_MEMORY, 4 / 3 * _memory())
 
 
 def _memory() -> int:

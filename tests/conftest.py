@@ -13,6 +13,8 @@ from pftwin.runtime import configure
 
 _ROOT = Path(__file__).resolve().parents[1]
 configure(cache_dir=os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache")))
+# Single operations too are kept: both processes of a run need them, some thousands, each of a thirtieth of a second.
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 gc.set_threshold(100_000, 20, 20)  # tracing makes many objects, little garbage: looking for it took a tenth of the time

@@ -145,13 +145,11 @@ def test_a_contour_that_ends_on_a_rim_is_flagged(on_a_plate):
         assert bool(contacts(pair, at(0.0, 0.0, RADIUS - 0.4e-3, (tilt, 0.0, 0.0))).at_rim) is expected
 
 
-def test_a_batch_is_what_its_members_are():
-    mesh = plate()
-    pair = mesh_pair(contact_mesh(mesh), contact_mesh(icosphere(RADIUS, 16)))
+def test_a_batch_is_what_its_members_are(on_a_plate):
     heights = RADIUS - jnp.array([-1e-3, 0.1e-3, 0.3e-3])
-    together = jax.jit(jax.vmap(lambda z: pair.contacts(_lifted(z))))(heights)
+    together = jax.jit(jax.vmap(lambda z: on_a_plate.contacts(_lifted(z))))(heights)
     for k in range(3):
-        for a, b in zip(jax.tree.leaves(contacts(pair, _lifted(heights[k]))), jax.tree.leaves(together), strict=True):
+        for a, b in zip(*map(jax.tree.leaves, (contacts(on_a_plate, _lifted(heights[k])), together)), strict=True):
             np.testing.assert_allclose(a, b[k], rtol=1e-12, atol=1e-18)
 
 

@@ -51,17 +51,17 @@ def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
 
 def test_fit_with_a_posterior(toy, tmp_path):
     output = tmp_path / "fit.json"
-    options = ["--free", "K1,L1", "--starts", 2, "--posterior", 8, "--json", "-", "--noise", "position=1e-3"]
+    options = ["--free", "L1", "--starts", 2, "--posterior", 8, "--json", "-", "--noise", "position=1e-3"]
     result = pftwin("fit", toy, "-o", output, *options)
     assert result.exit_code == 0, result.output
     printed, written = json.loads(result.stdout), json.loads(output.read_text())
     assert written["posterior"] == printed["posterior"]
-    assert printed["posterior"]["names"] == ["K1", "L1"]
+    assert printed["posterior"]["names"] == ["L1"]
     assert printed["posterior"]["chains"] == 4
     assert printed["posterior"]["draws"] == 8
     assert str(tmp_path / "fit_posterior.png") in printed["files"]
     assert printed["posterior"]["sentence"] in " ".join(result.stderr.split())
-    assert Estimate.load(output).names == ("K1", "L1")
+    assert Estimate.load(output).names == ("L1",)
 
 
 def test_plan_experiment_says_what_helps(toy):

@@ -25,6 +25,7 @@ from pftwin.surfaces.charts import Chart, PlaneChart
 from pftwin.surfaces.patch import PolynomialPatch, exponents
 
 MASS, RADIUS, G = 0.12, 0.022, 9.81
+OPTIMISED = {"xla_backend_optimization_level": 3}  # of `jax.jit`, for programs that run longer than they compile
 
 
 def strong(x) -> jax.Array:

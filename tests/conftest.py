@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -12,8 +13,25 @@ from pftwin.runtime import configure
 
 _ROOT = Path(__file__).resolve().parents[1]
 configure(cache_dir=os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache")))
+# Single operations too are kept: both processes of a run need them, some thousands, each of a thirtieth of a second.
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+gc.set_threshold(100_000, 20, 20)  # tracing makes many objects, little garbage: looking for it took a tenth of the time
+
+OPTIMISATION = "--xla_backend_optimization_level"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The default run compiles programs without LLVM's optimisations: it takes half the time, and motions are short.
+
+    XLA's own passes and the switches of `configure` are those of users. Slow tests, the demo and the benchmarks run
+    with all optimisations, and so does any run with a level of its own in XLA_FLAGS:
+    XLA_FLAGS=--xla_backend_optimization_level=3 python -m pytest
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "not slow" in config.option.markexpr and OPTIMISATION not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {OPTIMISATION}=0".strip()
 
 
 @pytest.fixture(scope="session")
@@ -37,12 +55,24 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 MOST_MEMORY = 3e9  # bytes of a test process from which on compiled programs are dropped
+_limit = {"now": MOST_MEMORY}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _bounded_memory():
-    """Compiled programs pile up over a thousand tests: past a limit those of finished modules go."""
+    """Compiled programs pile up over a thousand tests: past a limit those of finished modules go.
+
+    The system does not get all of their memory back: the limit is then a third higher than what was left, or everything
+    would be compiled anew for each of the modules that follow.
+    """
     yield
-    status = Path("/proc/self/statm")
-    if status.is_file() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
+    if _memory() > _limit["now"]:
         jax.clear_caches()
+        gc.collect()
+        _limit["now"] = max(MOST_MEMORY, 4 / 3 * _memory())
+
+
+def _memory() -> int:
+    """Of this process [bytes]; 0 where the system does not say."""
+    status = Path("/proc/self/statm")
+    return int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if status.is_file() else 0

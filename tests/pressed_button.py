@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
-from scenes import gravity, knee_motion, tendon, vec
+from height_meshes import plate
+from scenes import J, gravity, knee_motion, tendon, vec
 
 from pftwin.effects.damping import LinearDamping
 from pftwin.effects.elastic_foundation import ElasticFoundation
@@ -17,16 +17,6 @@ from pftwin.surfaces.mesh import SurfaceMesh
 DOME, REACH = 0.025, 0.006  # the dome's radius of curvature and half its width [m]
 MASS, HEAVY = 0.12, 2.0
 ARM = 0.004  # of the tendons' insertions, sideways
-
-
-def plate(n: int = 8, half: float = 0.02) -> SurfaceMesh:
-    """A square of 2 n^2 triangles, looking along z."""
-    u = np.linspace(-half, half, n + 1)
-    x, y = (g.ravel() for g in np.meshgrid(u, u, indexing="ij"))
-    k = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return SurfaceMesh(np.stack([x, y, 0 * x], axis=1), faces, "plate")
 
 
 def disc(curvature: float, rings: int = 9, spokes: int = 24) -> SurfaceMesh:
@@ -47,17 +37,17 @@ def disc(curvature: float, rings: int = 9, spokes: int = 24) -> SurfaceMesh:
 def foundation(mesh: SurfaceMesh, modulus: float = 20e6, damping_time: float = 2e-3, **more) -> ElasticFoundation:
     """Two layers of 3 mm between the button and the plate."""
     layer = checked_layer(modulus, 0.4, 3e-3)
-    surfaces = pressed_surface(plate()), pressing_surface(mesh)
-    return ElasticFoundation(*surfaces, LinearFoundation(layer, layer), vec(0, 0, 0), jnp.asarray(damping_time), **more)
+    surfaces = pressed_surface(plate(8, 0.02)), pressing_surface(mesh)
+    return ElasticFoundation(*surfaces, LinearFoundation(layer, layer), vec(0, 0, 0), J(damping_time), **more)
 
 
 def pressed(mesh: SurfaceMesh, height: float = 0.0, n_frames: int = 31, **more) -> Scene:
     """Two tendons pull down on either side, a weak one towards a tibia that bends."""
     down = [tendon(2e3, 0.05, 2.0, (s * ARM, 0, 0.006), (2 * s * ARM, 0, -0.06), "ground", n) for s, n in _SIDES]
     across = tendon(200.0, 0.03, 1.0, (0, 0, 0.008), (0.0, 0.03, 0.02), "tibia", "across")
-    drag = LinearDamping(jnp.asarray(2.0), jnp.asarray(1e-3), body="ground")
+    drag = LinearDamping(J(2.0), J(1e-3), body="ground")
     effects = (gravity(MASS), *down, across, drag, foundation(mesh, **more))
-    body = PatellaBody(jnp.asarray(MASS), vec(3e-5, 3e-5, 4e-5), vec(0, 0, 0.004))
+    body = PatellaBody(J(MASS), vec(3e-5, 3e-5, 4e-5), vec(0, 0, 0.004))
     return Scene(body, effects, knee_motion(n_frames), Pose(vec(0, 0, height), Quaternion.identity()), "button")
 
 

@@ -25,8 +25,16 @@ from pftwin.spatial import Pose, Quaternion, Rotation, Vec3
 from pftwin.surfaces.charts import Chart, PlaneChart
 from pftwin.surfaces.patch import PolynomialPatch, exponents
 
-J = jnp.asarray
 MASS, RADIUS, G = 0.12, 0.022, 9.81
+OPTIMISED = {"xla_backend_optimization_level": 3}  # of `jax.jit`, for programs that run longer than they compile
+
+
+def strong(x) -> jax.Array:
+    """Numbers of a type of their own, as they come from files: those of Python are weak, and compile once more."""
+    return jnp.asarray(np.asarray(x) if isinstance(x, int | float) else x)
+
+
+J = strong
 
 
 def scalar(x) -> jax.Array:
@@ -74,6 +82,12 @@ def contact(law: ContactLaw, surface=None, center=(0, 0, 0)) -> SphereContact:
 
 def gravity(mass: float = MASS) -> Gravity:
     return Gravity(J(mass), vec(0, 0, -G))
+
+
+@eqx.filter_jit
+def about(effect: Effect, center_of_mass: Vec3) -> Effect:
+    """An effect made ready, in one program: operation by operation that of two meshes takes a quarter of a minute."""
+    return effect.about(center_of_mass)
 
 
 def system(*effects: Effect, mass: float = MASS, inertia=(3e-5, 3e-5, 4e-5)) -> System:

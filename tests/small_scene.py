@@ -12,6 +12,7 @@ from pftwin.effects.contact_law import Flores
 from pftwin.effects.gravity import Gravity
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.effects.tendon import Tendon
+from pftwin.leaves import number
 from pftwin.mocap.poses import PoseSeries
 from pftwin.motion import KneeMotion
 from pftwin.rotations import tibiofemoral_orientation
@@ -25,7 +26,7 @@ GROOVE_AT = 0.001  # lateral place of the groove's bottom [m]
 
 
 def vec(*values: float) -> Vec3:
-    return Vec3(*(jnp.asarray(float(v)) for v in values))
+    return Vec3(*(number(v) for v in values))
 
 
 def polynomial(heights: dict[tuple[int, int], float], degree: int = 2) -> PolynomialPatch:
@@ -36,8 +37,8 @@ def polynomial(heights: dict[tuple[int, int], float], degree: int = 2) -> Polyno
     axes = Rotation.from_array(jnp.asarray(np.stack([np.cross(y, z), y, z], axis=1)))
     c = jnp.asarray([heights.get((i, j), 0.0) * HALF_U**i * HALF_V**j for i, j in exponents(degree)])
     chart = PlaneChart(Vec3.from_array(jnp.asarray(0.026 * z)), axes)
-    nought = jnp.asarray(0.0)
-    return PolynomialPatch(chart, c, (nought, nought), (jnp.asarray(HALF_U), jnp.asarray(HALF_V)), degree)
+    nought = number(0.0)
+    return PolynomialPatch(chart, c, (nought, nought), (number(HALF_U), number(HALF_V)), degree)
 
 
 def groove() -> PolynomialPatch:
@@ -54,14 +55,14 @@ def small_scene(n_frames: int = 41) -> Scene:
     times = 0.01 * np.arange(n_frames)
     q = tibiofemoral_orientation(knee_flexion(times), np.full(n_frames, 0.05), np.full(n_frames, -0.03))
     tibia = PoseSeries(times, np.zeros((n_frames, 3)), np.stack([q.w, q.x, q.y, q.z], axis=1))
-    k1, l1, k2, l2 = (jnp.asarray(x) for x in (156.0, 0.1432, 629.0, 0.0714))
+    k1, l1, k2, l2 = (number(x) for x in (156.0, 0.1432, 629.0, 0.0714))
     effects = (
-        Gravity(jnp.asarray(0.12), vec(0, 0, -9.81)),
+        Gravity(number(0.12), vec(0, 0, -9.81)),
         Tendon(k1, l1, 0.01 * k1, vec(0.02, 0, -0.008), vec(0.22, 0.006, 0.035), "femur", name="quadriceps"),
         Tendon(k2, l2, 0.01 * k2, vec(-0.02, 0, -0.008), vec(-0.07, 0.004, 0.045), "tibia", name="patellar_tendon"),
-        SphereContact(groove(), Flores(jnp.asarray(2e8), jnp.asarray(0.6)), vec(0, 0, 0), jnp.asarray(0.022)),
+        SphereContact(groove(), Flores(number(2e8), number(0.6)), vec(0, 0, 0), number(0.022)),
     )
-    body = PatellaBody(jnp.asarray(0.12), vec(3e-5, 3e-5, 4e-5), vec(0.001, 0, 0.004))
+    body = PatellaBody(number(0.12), vec(3e-5, 3e-5, 4e-5), vec(0.001, 0, 0.004))
     start = Pose(vec(-0.005, 0.001, 0.05), Quaternion.identity())
     return Scene(body, effects, KneeMotion.from_poses(None, tibia), start, "small knee")
 

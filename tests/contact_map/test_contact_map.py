@@ -7,24 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from height_meshes import plate
 from typer.testing import CliRunner
 
 from pftwin.cli.app import app
 from pftwin.surfaces.icosphere import icosphere
-from pftwin.surfaces.mesh import SurfaceMesh, save_mesh
+from pftwin.surfaces.mesh import save_mesh
 
 RADIUS = 0.02
 PARTS = ("px_m", "py_m", "pz_m", "qw", "qx", "qy", "qz")
 HEADER = ",".join(["time_s", *(f"{b}_{p}" for b in ("femur", "patella") for p in PARTS)])
-
-
-def plate() -> SurfaceMesh:
-    n, side = 13, 0.06
-    x, y = np.meshgrid(np.linspace(-side / 2, side / 2, n), np.linspace(-side / 2, side / 2, n), indexing="ij")
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
-    a, b, c, d = i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return SurfaceMesh(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1), faces, "plate")
 
 
 def write_poses(path: Path, depths: list[float]) -> Path:
@@ -38,8 +30,8 @@ def write_poses(path: Path, depths: list[float]) -> Path:
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("map")
-    save_mesh(plate(), folder / "plate.stl")
-    save_mesh(plate().flipped(), folder / "upside_down.stl")
+    save_mesh(plate(12), folder / "plate.stl")
+    save_mesh(plate(12).flipped(), folder / "upside_down.stl")
     save_mesh(icosphere(RADIUS, 40), folder / "ball.stl")
     save_mesh(icosphere(RADIUS, 40), folder / "ball_mm.stl", units="mm")
     write_poses(folder / "poses.csv", [4e-4, 5e-4, -2e-4])

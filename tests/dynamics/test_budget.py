@@ -7,14 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import knee, order_of, settled
+from scenes import J, knee, order_of, settled
 
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide
 from pftwin.scene import Scene
 
-J = jnp.asarray
 DURATION = 0.2
 COUNTS = (200, 400, 800, 1600)
 

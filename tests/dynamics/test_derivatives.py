@@ -10,6 +10,7 @@ import pytest
 from scenes import (
     MASS,
     RADIUS,
+    J,
     contact,
     gravity,
     groove_patch,
@@ -29,7 +30,6 @@ from pftwin.motion import KneeMotion
 from pftwin.scene import PatellaBody, Scene
 from pftwin.spatial import Pose, Quaternion
 
-J = jnp.asarray
 N_FRAMES, INTERVAL, SUBSTEPS = 61, 2e-3, 10
 GROOVE = groove_patch(4)
 COEFFICIENTS = len(GROOVE.coefficients)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import MASS, G, gravity, march, order_of, record, state_at, still_guide, system, tendon
+from scenes import MASS, G, J, gravity, march, order_of, record, state_at, still_guide, system, tendon
 from scipy.special import ellipk
 
 from pftwin.dynamics import linear_implicit, symplectic_euler
 
-J = jnp.asarray
 INTEGRATORS = pytest.mark.parametrize("integrator", ["linear_implicit", "symplectic_euler"])
 STEPS = (800, 1600, 3200, 6400)
 

@@ -6,12 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import MASS, RADIUS, G, contact, energies, gravity, march, order_of, record, state_at, system
+from scenes import MASS, RADIUS, G, J, contact, energies, gravity, march, order_of, record, state_at, system
 from scipy.integrate import solve_ivp
 
 from pftwin.effects.contact_law import Flores, Hertz, HuntCrossley
 
-J = jnp.asarray
 K, V0 = 2e8, 0.2
 FLORES = "flores"
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import MASS, RADIUS, G, contact, flat_patch, gravity, knee, run, settled, starting_as_it_is, tendon, vec
+from scenes import MASS, RADIUS, G, J, contact, flat_patch, gravity, knee, run, settled, starting_as_it_is, tendon, vec
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -17,7 +16,6 @@ from pftwin.motion import KneeMotion
 from pftwin.scene import PatellaBody, Scene
 from pftwin.spatial import Pose, Quaternion
 
-J = jnp.asarray
 FRAMES = 41
 T = np.arange(FRAMES, dtype=np.float64) * 0.01
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import contact, flat_patch, knee, starting_as_it_is
+from scenes import J, contact, flat_patch, knee, starting_as_it_is
 
 from pftwin.dynamics.trajectory import first_guide, trajectory
 from pftwin.effects.contact_law import Flores, Hertz
@@ -16,8 +16,6 @@ from pftwin.mocap.poses import PoseSeries
 from pftwin.motion import KneeMotion
 from pftwin.scene import Scene
 from pftwin.surfaces.patch import PolynomialPatch
-
-J = jnp.asarray
 
 
 def equations(jaxpr) -> int:
@@ -104,3 +102,16 @@ def test_parameters_are_leaves_and_never_structure():
     assert jax.tree.structure(other) == jax.tree.structure(scene)
     assert jax.tree.structure(scene.without("gravity")) != jax.tree.structure(scene)
     assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(eqx.filter(scene, eqx.is_array)))
+
+
+def test_numbers_of_pythons_own_weak_type_will_do():
+    """As `jnp.asarray(0.1)` makes them; the tests' other scenes are of strong ones, as files and the rig are."""
+
+    def weak(a):
+        return jnp.asarray(float(a)) if eqx.is_inexact_array(a) and a.ndim == 0 else a
+
+    scene = jax.tree.map(weak, knee(5))
+    assert scene.effect("quadriceps").stiffness.weak_type
+    assert not knee(5).effect("quadriceps").stiffness.weak_type
+    ends = [v.aval for v in program(scene).outvars]
+    assert [(a.shape, a.dtype, a.weak_type) for a in ends] == [((5,), jnp.dtype(float), False)] * 3

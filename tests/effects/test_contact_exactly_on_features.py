@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import J, vec
+from height_meshes import plate
+from scenes import J, about, vec
 from scipy.spatial.transform import Rotation as Turn
 
 from pftwin.effects.base import Effect, Ground, Instant, Patella
@@ -30,13 +31,7 @@ RADIUS, SIDE, DEPTH = 0.0234375, 0.0078125, 0.000244140625  # [m] sums of powers
 SPOTS = {"vertex": (0.0, 0.0), "edge": (SIDE / 2, 0.0), "diagonal": (SIDE / 2, SIDE / 2), "face": (SIDE / 2, SIDE / 4)}
 
 
-def plate() -> SurfaceMesh:
-    n = 6
-    x, y = np.meshgrid(SIDE * np.arange(-n, n + 1), SIDE * np.arange(-n, n + 1), indexing="ij")
-    k = np.arange((2 * n + 1) ** 2).reshape(2 * n + 1, -1)
-    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return SurfaceMesh(np.stack([x, y, 0 * x], -1).reshape(-1, 3), faces, "plate")
+PLATE = plate(12, 6 * SIDE)
 
 
 def ball(down: str) -> SurfaceMesh:
@@ -53,10 +48,10 @@ def ball(down: str) -> SurfaceMesh:
 @pytest.fixture(scope="module", params=["contours", "layers"])
 def effect(request) -> Effect:
     if request.param == "contours":
-        sides = contact_mesh(plate()), contact_mesh(ball("corner"))
-        return MeshContact(*sides, Hertz(J(2e8)), vec(0, 0, 0)).about(vec(0, 0, 0))
+        sides = contact_mesh(PLATE), contact_mesh(ball("corner"))
+        return about(MeshContact(*sides, Hertz(J(2e8)), vec(0, 0, 0)), vec(0, 0, 0))
     layer = checked_layer(50e6, 0.45, 5e-3)
-    sides = pressed_surface(plate()), pressing_surface(ball("middle"))
+    sides = pressed_surface(PLATE), pressing_surface(ball("middle"))
     return ElasticFoundation(*sides, LinearFoundation(layer, layer), vec(0, 0, 0))
 
 

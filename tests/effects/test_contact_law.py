@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import J
 
 from pftwin.effects.contact_law import Flores, Hertz, HuntCrossley
 
-J = jnp.asarray
 K = J(2e6)
 DEPTH, RATE, V0 = J(2e-4), J(0.05), J(0.1)
 EXPONENTS = [1, 1.0, 1.5, 2, 2.2, "traced"]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import knee_motion, look, run, starting_as_it_is, vec
+from scenes import J, about, knee_motion, look, run, starting_as_it_is, vec
 
 from pftwin.dynamics.observe import Status, reservations
 from pftwin.effects.base import Effect
@@ -18,7 +17,6 @@ from pftwin.spatial import Pose, Quaternion
 from pftwin.surfaces.icosphere import icosphere
 
 BONE, BUTTON = 0.04, 0.012  # radii [m]
-J = jnp.asarray
 LAW = Hertz(J(1e3))  # so soft that in one short frame nothing moves
 
 
@@ -94,7 +92,7 @@ def test_pairs_that_there_is_no_room_for_are_said():
     from pftwin.surfaces.contour import mesh_pair
 
     made = contours()
-    tight = mesh_pair(made.femur, made.patella, room=Room(2048, 8192, 32))  # type: ignore[attr-defined]
+    tight = eqx.filter_jit(mesh_pair)(made.femur, made.patella, room=Room(2048, 8192, 32))  # type: ignore[attr-defined]
     short = eqx.tree_at(lambda e: e.meshes, made, tight, is_leaf=lambda x: x is None)
     report = eqx.filter_jit(lambda e, now: e.report(now, None)[0])
     deep, apart = (report(short, look((0, 0, BONE + BUTTON - d))) for d in (4e-3, -3e-3))
@@ -104,7 +102,7 @@ def test_pairs_that_there_is_no_room_for_are_said():
 
 
 def test_the_search_for_contours_alone_sees_nothing_of_it():
-    ready = contours().about(vec(0, 0, 0))
+    ready = about(contours(), vec(0, 0, 0))
     search = jax.jit(lambda pose: ready.meshes.contacts(pose))  # type: ignore[attr-defined]
     wholly, half = (search(Pose(vec(0, 0, z), Quaternion.identity())) for z in (0.001, BONE))
     assert int(wholly.pairs) == 0

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import gravity, look, march, state_at, system, vec
+from height_meshes import plate
+from scenes import J, gravity, look, march, state_at, system, vec
 
 from pftwin.effects.elastic_foundation import ElasticFoundation
 from pftwin.effects.foundation_law import LinearFoundation, checked_layer
@@ -15,27 +16,18 @@ from pftwin.spatial import Quaternion
 from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
 from pftwin.surfaces.depths import depths
 from pftwin.surfaces.icosphere import icosphere
-from pftwin.surfaces.mesh import SurfaceMesh
 
 RADIUS = 0.02
 SOFT = checked_layer(46.3e6, 0.46, 5e-3)
 
 
-def plate() -> SurfaceMesh:
-    n, side = 9, 0.06
-    x, y = np.meshgrid(np.linspace(-side / 2, side / 2, n), np.linspace(-side / 2, side / 2, n), indexing="ij")
-    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(n * n)], axis=1)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
-    a, b, c, d = i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1
-    return SurfaceMesh(vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), "plate")
-
-
 @pytest.fixture(scope="module")
 def effect() -> ElasticFoundation:
-    mesh = plate()
+    mesh = plate(8)
     side = (mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0).astype(int)
     femur = pressed_surface(mesh, labels=side)
-    return ElasticFoundation(femur, pressing_surface(icosphere(RADIUS, 40)), LinearFoundation(SOFT, SOFT), vec(0, 0, 0))
+    ball, law = pressing_surface(icosphere(RADIUS, 40)), LinearFoundation(SOFT, SOFT)
+    return ElasticFoundation(femur, ball, law, vec(0, 0, 0), J(0.0))
 
 
 @eqx.filter_jit
@@ -63,28 +55,27 @@ def test_a_ball_on_a_plate_bears_what_the_displaced_volume_says(effect):
 
 
 def test_the_force_is_minus_the_energys_gradient_and_the_stiffness_its_slope(effect):
-    z = jnp.asarray(RADIUS - 4e-4)
+    now = at_depth(0.0)
 
-    def energy(z):
-        return effect.load(look_at(z), None)[0].energy
+    def load(z):
+        return effect.load(eqx.tree_at(lambda n: n.patella.position.z, now, z), None)[0]
 
-    def force(z):
-        return effect.load(look_at(z), None)[0].total().force.z
+    def energy_and_force(z):
+        found = load(z)
+        return jnp.stack([found.energy, found.total().force.z])
 
-    def look_at(z):
-        now = at_depth(0.0)
-        return eqx.tree_at(lambda n: n.patella.position.z, now, z)
+    @jax.jit
+    def slopes(z):
+        return load(z), jax.jacrev(energy_and_force)(z), jax.jacfwd(energy_and_force)(z)
 
-    load = effect.load(look_at(z), None)[0]
-    assert float(-jax.grad(energy)(z)) == pytest.approx(float(load.total().force.z), rel=1e-9)
-    assert float(-jax.grad(force)(z)) == pytest.approx(float(load.bed.stiffness[2, 2]), rel=1e-9)
-    assert float(-jax.jvp(force, (z,), (jnp.ones_like(z),))[1]) == pytest.approx(
-        float(load.bed.stiffness[2, 2]), rel=1e-9
-    )
+    found, reverse, forward = slopes(J(RADIUS - 4e-4))
+    expected = [-float(found.total().force.z), -float(found.bed.stiffness[2, 2])]
+    np.testing.assert_allclose(reverse, expected, rtol=1e-9)
+    np.testing.assert_allclose(forward, expected, rtol=1e-9)
 
 
 def test_damping_resists_and_never_pulls(effect):
-    damped = eqx.tree_at(lambda e: e.damping_time, effect, 1e-3)
+    damped = eqx.tree_at(lambda e: e.damping_time, effect, J(1e-3))
     still, sinking, leaving = (seen(damped, at_depth(4e-4, velocity=(0, 0, v)))[0] for v in (0.0, -0.05, 10.0))
     assert sinking.total().force.z > still.total().force.z
     assert sinking.dissipation() > 0
@@ -92,7 +83,7 @@ def test_damping_resists_and_never_pulls(effect):
 
 
 def test_a_ball_comes_to_rest_under_its_weight(effect):
-    light = eqx.tree_at(lambda e: e.damping_time, effect, 2e-3)
+    light = eqx.tree_at(lambda e: e.damping_time, effect, J(2e-3))
     mass = 0.5
     sys = system(light, gravity(mass), mass=mass)
     rest = march(sys, state_at(sys, (0, 0, RADIUS + 1e-4)), 0.3, 300)
@@ -104,11 +95,16 @@ def test_a_ball_comes_to_rest_under_its_weight(effect):
 def test_the_sums_are_those_of_the_list_of_triangles(effect):
     pose = at_depth(1.5e-3, velocity=(0.01, 0.02, -0.03))
     pose = eqx.tree_at(lambda n: n.patella.spin, pose, vec(0.3, -0.4, 0.5))
-    damped = eqx.tree_at(lambda e: (e.damping_time, e.origin), effect, (2e-3, vec(0.0, 1e-3, 0.0)))
-    at = damped.pressed(pose)
-    found = depths(damped.button, damped.femur, at.position, at.rotation)
+    damped = eqx.tree_at(lambda e: (e.damping_time, e.origin), effect, (J(2e-3), vec(0.0, 1e-3, 0.0)))
+
+    @eqx.filter_jit
+    def listed(effect, now):
+        at = effect.pressed(now)
+        found = depths(effect.button, effect.femur, at.position, at.rotation)
+        return at, found, effect.law.press(found.depth)
+
+    at, found, answer = listed(damped, pose)
     count = np.asarray(found.listed)
-    answer = damped.law.press(found.depth)
     n, local = (np.asarray(v.array()) for v in (found.normal, found.local))
     turn = np.asarray(at.rotation.array())
     g = np.hstack([n, np.cross(local + np.array([0.0, 1e-3, 0.0]), n @ turn)])
@@ -116,13 +112,14 @@ def test_the_sums_are_those_of_the_list_of_triangles(effect):
     elastic, k = (np.asarray(found.area * a) for a in (answer.pressure, answer.slope))
     force = elastic + 2e-3 * k * rate
     count = count & (force > 0)
-    bed = damped.load(pose, None)[0].bed
+    load, _ = seen(damped, pose)
+    bed = load.bed
     np.testing.assert_allclose(bed.force, force[count] @ g[count], rtol=1e-10)
     np.testing.assert_allclose(bed.elastic, elastic[count] @ g[count], rtol=1e-10)
     np.testing.assert_allclose(bed.stiffness, (g[count].T * k[count]) @ g[count], rtol=1e-10)
     assert float(bed.size) == pytest.approx(force[count].sum(), rel=1e-12)
     heat = float(((force - elastic)[count] * rate[count]).sum())
-    assert float(damped.load(pose, None)[0].dissipation()) == pytest.approx(heat, rel=1e-10)
+    assert float(load.dissipation()) == pytest.approx(heat, rel=1e-10)
 
 
 def test_apart_nothing_is_borne(effect):

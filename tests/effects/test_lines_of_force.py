@@ -9,14 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import look, tendon, vec
+from scenes import J, look, tendon, vec
 
 from pftwin.effects.strands import StrandGroup
 from pftwin.effects.tendon import Tendon
 from pftwin.effects.tension import PrescribedTension
 from pftwin.spatial import Quaternion, Vec3
 
-J = jnp.asarray
 # A tendon of 500 N/m and 50 mm slack length that runs straight up to z = 100 mm.
 
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from height_meshes import plate
+from scenes import J, about
 
 from pftwin.dynamics.observe import Status, observe
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
@@ -20,20 +21,8 @@ from pftwin.rig import case
 from pftwin.spatial import Quaternion, Vec3
 from pftwin.surfaces.contact_mesh import contact_mesh
 from pftwin.surfaces.icosphere import icosphere
-from pftwin.surfaces.mesh import SurfaceMesh
 
 RADIUS = 0.025
-J = jnp.asarray
-
-
-def plate(n: int = 24, half: float = 0.03) -> SurfaceMesh:
-    """A square plate, normals up."""
-    u = np.linspace(-half, half, n + 1)
-    x, y = np.meshgrid(u, u, indexing="ij")
-    k = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return SurfaceMesh(np.stack([x, y, 0 * x], -1).reshape(-1, 3), faces, "plate")
 
 
 def vec(x: float, y: float, z: float) -> Vec3:
@@ -49,7 +38,7 @@ def instant(position: Vec3, velocity: Vec3, spin: Vec3) -> Instant:
 def on_a_plate() -> MeshContact:
     law = Flores(J(2e8), J(0.5))
     made = MeshContact(contact_mesh(plate()), contact_mesh(icosphere(RADIUS, 40)), law, vec(1e-3, 2e-3, 5e-3))
-    return made.about(vec(1e-3, 1e-3, -7e-3))
+    return about(made, vec(1e-3, 1e-3, -7e-3))
 
 
 @eqx.filter_jit

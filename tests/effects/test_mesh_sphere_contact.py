@@ -7,10 +7,10 @@ import sys
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import RADIUS, gravity, knee, look, march, run, settled, state_at, system, trochlea, vec
+from height_meshes import grid, lateral, level
+from scenes import RADIUS, J, gravity, knee, look, march, run, settled, state_at, system, trochlea, vec
 
 from pftwin.dynamics.observe import Status, observe
 from pftwin.dynamics.trajectory import first_guide
@@ -28,25 +28,11 @@ from pftwin.surfaces.implant import rig_implant, rig_region
 from pftwin.surfaces.mesh import SurfaceMesh
 from pftwin.surfaces.mesh_facets import MeshFacets, lateral_of_groove, mesh_facets
 
-J = jnp.asarray
 LAW = Hertz(J(2e8))
 BUTTON = J(0.025)
 
 
-def grid(heights, n: int = 41, half: tuple[float, float] = (0.03, 0.03)) -> SurfaceMesh:
-    """An open mesh over a rectangle, looking along z."""
-    u, v = (g.ravel() for g in np.meshgrid(*(np.linspace(-h, h, n) for h in half), indexing="ij"))
-    k = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return SurfaceMesh(np.stack([u, v, heights(u, v)], axis=1), faces)
-
-
-def lateral(mesh: SurfaceMesh) -> np.ndarray:
-    return mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > 0
-
-
-PLATE = mesh_facets(grid(lambda u, v: 0 * u))
+PLATE = mesh_facets(grid(level))
 SLOPE = np.radians(20)
 VEE_MESH = grid(lambda u, v: np.abs(v) * np.tan(SLOPE))
 VEE = mesh_facets(VEE_MESH, lateral(VEE_MESH))

@@ -4,43 +4,21 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import RADIUS, look, vec
+from height_meshes import grid, lateral, level
+from mesh_volumes import K, contact
+from scenes import RADIUS, J, look
 
-from pftwin.effects.contact_law import Hertz
 from pftwin.effects.mesh_volume_contact import MeshVolumeContact
 from pftwin.spatial import Vec3
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.patch_mesh import patch_mesh
 
-J = jnp.asarray
-K = 2e8
-LAW = Hertz(J(K))
 SLOPE = np.radians(20)
 
 
-def grid(heights, n: int = 41, half: tuple[float, float] = (0.03, 0.03)) -> SurfaceMesh:
-    """An open mesh over a rectangle, looking along z."""
-    u, v = (g.ravel() for g in np.meshgrid(*(np.linspace(-h, h, n) for h in half), indexing="ij"))
-    k = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return SurfaceMesh(np.stack([u, v, heights(u, v)], axis=1), faces)
-
-
-def lateral(mesh: SurfaceMesh) -> np.ndarray:
-    return mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > 0
-
-
-def contact(mesh: SurfaceMesh, law=LAW, labels=None, effective: float = RADIUS) -> MeshVolumeContact:
-    made = MeshVolumeContact(patch_mesh(mesh, RADIUS, labels), law, vec(0, 0, 0), J(RADIUS), J(effective))
-    return made.about(vec(0, 0, 0))
-
-
-FLAT = grid(lambda u, v: 0 * u)
+FLAT = grid(level)
 PLATE, HALVED = contact(FLAT), contact(FLAT, labels=lateral(FLAT))
 VEE_MESH = grid(lambda u, v: np.abs(v) * np.tan(SLOPE))
 VEE = contact(VEE_MESH, labels=lateral(VEE_MESH))

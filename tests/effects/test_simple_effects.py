@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import look, vec
+from scenes import J, look, vec
 
 from pftwin.effects.damping import LinearDamping
 from pftwin.effects.gravity import Gravity
 from pftwin.motion import Frame
 from pftwin.spatial import Quaternion
 
-J = jnp.asarray
 TURN = Quaternion.from_rotation_vector(vec(0.3, -0.5, 0.2))
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_estimates import made_estimate
 
 from fitting.estimate import Estimate
 from fitting.paper_study import (
@@ -28,41 +29,26 @@ from fitting.straight_springs import nearest_line, recorded_line, recorded_pulls
 from pftwin import rig
 from pftwin.tracking import follow
 
+NAMES = ("K1", "L1", "K2", "L2")
 PUBLISHED = np.array([156.0, 0.1432, 629.0, 0.0714])
 FOUND = {"paper": np.array([1.1, 1.05, 0.9, 1.01]), "likelihood": np.array([1.2, 1.0, 1.0, 0.98])}
 
 
 def estimate(objective: str, share: np.ndarray, sd: float, seconds: float) -> Estimate:
     """An estimate as a fit leaves it, with relative standard deviations of sd."""
-    return Estimate(
-        names=("K1", "L1", "K2", "L2"),
-        units=("N/m", "m", "N/m", "m"),
-        values=PUBLISHED * share,
-        covariance=np.diag((sd * PUBLISHED) ** 2),
+    return made_estimate(
+        dict(zip(NAMES, zip(PUBLISHED * share, sd * PUBLISHED, strict=True), strict=True)),
+        nominal=PUBLISHED,
         lower=0.7 * PUBLISHED,
         upper=1.3 * PUBLISHED,
-        nominal=PUBLISHED,
         objective=objective,
-        objective_value=0.0,
-        objective_unit="m",
-        channels=("position",),
         noise={"position": 1e-3},
-        noise_known=False,
         serial_correlation=0.9,
         condition=1e5,
-        rmse={},
-        method="least_squares",
-        seed=0,
-        reason="converged",
         evaluations=100,
         iterations=10,
         starts=32,
-        dropped=0,
         seconds=seconds,
-        history=[],
-        synthetic=True,
-        source="virtual rig",
-        scene_name="rig case 2, P5",
     )
 
 

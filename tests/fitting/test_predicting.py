@@ -124,7 +124,7 @@ def test_samples_spread_around_the_estimate(sampled, knee):
 def test_chunks_do_not_change_the_answer(sampled, knee):
     calls = []
     small = predict(
-        knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, chunk=8, threads=2, progress=lambda *a: calls.append(a)
+        knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, chunk=16, threads=2, progress=lambda *a: calls.append(a)
     )
     for name in MEASURES:
         np.testing.assert_allclose(small[name], sampled[name], rtol=1e-7, atol=1e-9, err_msg=name)

@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from made_estimates import made_estimate
 from typer.testing import CliRunner
 
-from fitting.estimate import Estimate
 from pftwin.cli import app
 from pftwin.cli.amounts import values
 from pftwin.errors import InputError
@@ -21,37 +21,7 @@ RUNNER = CliRunner(env={"COLUMNS": "200"})
 def fit(tmp_path_factory):
     """An estimate of case 2's stiffness K1 and slack length L2, as `pftwin fit` writes it."""
     path = tmp_path_factory.mktemp("fit") / "fit.json"
-    estimate = Estimate(
-        names=("K1", "L2"),
-        units=("N/m", "m"),
-        values=np.array([157.0, 0.0713]),
-        covariance=np.diag([2.0**2, 2e-4**2]),
-        lower=np.array([109.0, 0.05]),
-        upper=np.array([203.0, 0.093]),
-        nominal=np.array([156.0, 0.0714]),
-        objective="paper",
-        objective_value=1e-3,
-        objective_unit="m",
-        channels=("position",),
-        noise={},
-        noise_known=False,
-        serial_correlation=0.0,
-        condition=10.0,
-        rmse={},
-        method="least_squares",
-        seed=0,
-        reason="converged",
-        evaluations=1,
-        iterations=1,
-        starts=1,
-        dropped=0,
-        seconds=1.0,
-        history=[],
-        synthetic=True,
-        source="the virtual rig",
-        scene_name="rig case 2, P5",
-    )
-    return estimate.save(path)
+    return made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}).save(path)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scenes
+from scenes import J
 
 from fitting.treatments import (
     KINDS,
@@ -27,8 +28,6 @@ from pftwin.errors import InputError
 from pftwin.scene import Scene
 from pftwin.spatial import Vec3
 from pftwin.tracking import groove_line
-
-J = jnp.asarray
 
 
 def strands(name: str, y: float) -> StrandGroup:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ from mesh_samples import corners_of, point, random_poses
 
 from pftwin.rig.cases import implant_mesh
 from pftwin.spatial import Pose, Quaternion, Vec3
+from pftwin.surfaces import contour
 from pftwin.surfaces.bvh.nearest_wide import nearest_wide
 from pftwin.surfaces.bvh.tree import build_tree
 from pftwin.surfaces.bvh.wide import wide_tree
@@ -18,6 +20,7 @@ from pftwin.surfaces.mesh_facets import lateral_of_groove
 from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
 RADIUS = 0.025
+mesh_pair = eqx.filter_jit(contour.mesh_pair)  # operation by operation it takes a quarter of a minute for each shape
 
 
 def lateral(mesh: SurfaceMesh) -> np.ndarray:
@@ -51,16 +54,6 @@ def on_the_groove(n: int, depth: float, seed: int = 0, least: float = 0.2, mesh:
 def member(poses: Pose, k: int) -> Pose:
     """One pose of a batch."""
     return jax.tree.map(lambda x: x[k], poses)
-
-
-def plate(n: int = 24, half: float = 0.03, height=lambda x, y: 0.0 * x) -> SurfaceMesh:
-    """A square plate of 2 n^2 triangles, normals up."""
-    u = np.linspace(-half, half, n + 1)
-    x, y = np.meshgrid(u, u, indexing="ij")
-    k = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return SurfaceMesh(np.stack([x, y, height(x, y)], -1).reshape(-1, 3), faces, "plate")
 
 
 def at(x: float, y: float, z: float, turn: tuple[float, float, float] = (0.1, 0.2, 0.3)) -> Pose:

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mesh_contacts import RADIUS, at, lateral, member, on_the_groove, plate
+from height_meshes import grid, plate
+from mesh_contacts import RADIUS, at, lateral, member, mesh_pair, on_the_groove
 
 from pftwin.spatial import Pose, Quaternion, Vec3
 from pftwin.surfaces.contact_mesh import contact_mesh
-from pftwin.surfaces.contour import Contacts, MeshPair, mesh_pair
+from pftwin.surfaces.contour import Contacts, MeshPair
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.mesh import SurfaceMesh
 from pftwin.surfaces.triangle import Triangle
@@ -67,7 +68,7 @@ def _lifted(z) -> Pose:
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 def test_gradients_are_those_of_finite_differences(mode):
-    mesh = plate(20, 0.03, lambda x, y: 8.0 * (y * y) - 3.0 * x * x)
+    mesh = grid(lambda x, y: 8.0 * (y * y) - 3.0 * x * x, 21)
     pair = mesh_pair(contact_mesh(mesh), contact_mesh(icosphere(RADIUS, 18)))
 
     def look(d):
@@ -89,7 +90,7 @@ def test_gradients_are_those_of_finite_differences(mode):
 
 def test_a_groove_is_touched_on_both_facets():
     # A groove of 14 mm radius under a button of 25 mm: two contacts, mirror images of each other.
-    mesh = plate(80, 0.02, lambda x, y: 0.6 * np.abs(y) - 2.0 * x * x)
+    mesh = grid(lambda x, y: 0.6 * np.abs(y) - 2.0 * x * x, 81, (0.02, 0.02))
     pair = mesh_pair(
         contact_mesh(mesh, mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > 0), contact_mesh(icosphere(RADIUS, 40))
     )
@@ -144,13 +145,11 @@ def test_a_contour_that_ends_on_a_rim_is_flagged(on_a_plate):
         assert bool(contacts(pair, at(0.0, 0.0, RADIUS - 0.4e-3, (tilt, 0.0, 0.0))).at_rim) is expected
 
 
-def test_a_batch_is_what_its_members_are():
-    mesh = plate()
-    pair = mesh_pair(contact_mesh(mesh), contact_mesh(icosphere(RADIUS, 16)))
+def test_a_batch_is_what_its_members_are(on_a_plate):
     heights = RADIUS - jnp.array([-1e-3, 0.1e-3, 0.3e-3])
-    together = jax.jit(jax.vmap(lambda z: pair.contacts(_lifted(z))))(heights)
+    together = jax.jit(jax.vmap(lambda z: on_a_plate.contacts(_lifted(z))))(heights)
     for k in range(3):
-        for a, b in zip(jax.tree.leaves(contacts(pair, _lifted(heights[k]))), jax.tree.leaves(together), strict=True):
+        for a, b in zip(*map(jax.tree.leaves, (contacts(on_a_plate, _lifted(heights[k])), together)), strict=True):
             np.testing.assert_allclose(a, b[k], rtol=1e-12, atol=1e-18)
 
 

@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mesh_contacts import RADIUS, at, plate
+from height_meshes import plate
+from mesh_contacts import RADIUS, at, mesh_pair
 
 from pftwin.spatial import Pose, Vec3
 from pftwin.surfaces.bvh.pairs import Room
 from pftwin.surfaces.contact_mesh import contact_mesh
-from pftwin.surfaces.contour import MeshPair, mesh_pair
+from pftwin.surfaces.contour import MeshPair
 from pftwin.surfaces.icosphere import icosphere
 
 

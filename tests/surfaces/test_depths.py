@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from mesh_samples import random_poses
+from scenes import OPTIMISED
 
 from pftwin.errors import InputError
 from pftwin.spatial import Pose, Quaternion, Vec3
@@ -43,7 +46,7 @@ def listed(button, femur, pose: Pose, leaves=None, band=0.0):
     return depths(button, femur, pose.position, pose.orientation.rotation(), leaves=leaves, band=band)
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=OPTIMISED)
 def _every(rows, points):
     def one(p):
         same = jax.tree.map(lambda a: jnp.broadcast_to(a, rows.shape[:1]), Vec3.from_array(p))

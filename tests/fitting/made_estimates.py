@@ -1,0 +1,48 @@
+"""Estimates as fits leave them, without a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fitting.estimate import Estimate
+
+UNITS = {"K": "N/m", "L": "m"}  # by a spring parameter's letter
+
+
+def made_estimate(values: Mapping[str, tuple[float, float]], **more: Any) -> Estimate:
+    """Of spring parameters by name, each with its standard deviation; `more` in the place of other fields."""
+    numbers, deviations = np.array(list(values.values())).T
+    fields: dict[str, Any] = {
+        "names": tuple(values),
+        "units": tuple(UNITS[name[0]] for name in values),
+        "values": numbers,
+        "covariance": np.diag(deviations**2),
+        "lower": 0.7 * numbers,
+        "upper": 1.3 * numbers,
+        "nominal": numbers,
+        "objective": "paper",
+        "objective_value": 0.0,
+        "objective_unit": "m",
+        "channels": ("position",),
+        "noise": {},
+        "noise_known": False,
+        "serial_correlation": 0.0,
+        "condition": 1.0,
+        "rmse": {},
+        "method": "least_squares",
+        "seed": 0,
+        "reason": "converged",
+        "evaluations": 1,
+        "iterations": 1,
+        "starts": 1,
+        "dropped": 0,
+        "seconds": 1.0,
+        "history": [],
+        "synthetic": True,
+        "source": "the virtual rig",
+        "scene_name": "rig case 2, P5",
+    }
+    return Estimate(**{**fields, **more})

@@ -1,0 +1,86 @@
+"""How sure an estimate is: its deviations, intervals, samples and profile; and its file."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from lifted_fits import NOISE, TRUTH, estimate, noisy, scene
+
+import fitting
+import fitting.fit
+from fitting.uncertainty import serial_correlation
+from pftwin.errors import InputError
+
+
+def test_noise_leaves_an_error_of_the_size_that_is_reported():
+    z = (estimate().values - TRUTH) / estimate().standard_deviations
+    assert np.abs(z).max() < 4
+    assert np.abs(z).max() > 0.01
+    assert (estimate().standard_deviations / TRUTH < 0.03).all()
+
+
+def test_samples_have_the_covariance():
+    samples = estimate().samples(20000, seed=1)
+    np.testing.assert_allclose(
+        np.cov(samples.T), estimate().covariance, rtol=0.1, atol=0.05 * estimate().covariance.max()
+    )
+    assert "positions fix" in estimate().sentence()
+    assert "K1" in estimate().summary()
+
+
+def test_planning_tells_what_a_fit_reports():
+    plan = fitting.plan_experiment(estimate().scene, noise={"position": NOISE}, candidates=())
+    np.testing.assert_allclose(plan.covariance, estimate().covariance, rtol=0.05)
+    assert plan.sentence().startswith("at best, positions fix")
+    with pytest.raises(InputError, match="no channel"):
+        fitting.plan_experiment(scene(), use=("magic",))
+
+
+def test_a_profile_is_about_a_parabola():
+    profile = fitting.profile_likelihood(estimate(), "L2", points=9)
+    low, high = profile.interval
+    assert profile.is_closed()
+    np.testing.assert_allclose([low, high], estimate().intervals[3], atol=0.5 * estimate().standard_deviations[3])
+    with pytest.raises(InputError, match="no parameter"):
+        fitting.profile_likelihood(estimate(), "K7")
+
+
+def test_serial_correlation_is_seen():
+    random = np.random.default_rng(0)
+    white = random.normal(size=(2000, 3))
+    present = np.ones(white.shape, bool)
+    assert abs(serial_correlation(white, present)) < 0.05
+    assert serial_correlation(np.cumsum(white, axis=0), present) > 0.9
+
+
+def test_an_estimate_is_saved_and_read_again(tmp_path):
+    path = estimate().save(tmp_path / "fit.json")
+    again = fitting.Estimate.load(path, scene())
+    assert again.to_dict() == estimate().to_dict()
+    assert json.loads(path.read_text())["sentence"] == estimate().sentence()
+    k1 = again.scene.effect("quadriceps").stiffness  # pyright: ignore[reportAttributeAccessIssue]
+    assert float(k1) == estimate().values[0]
+    with pytest.raises(InputError, match="holds no scene"):
+        _ = fitting.Estimate.load(path).scene
+
+
+def test_no_file_and_no_estimate(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        fitting.Estimate.load(tmp_path / "none.json")
+    (tmp_path / "other.json").write_text("{}")
+    with pytest.raises(InputError, match="no estimate"):
+        fitting.Estimate.load(tmp_path / "other.json")
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_truth():
+    """95 % intervals of 200 repeats cover the truth() in 90 to 99 %."""
+    covered = []
+    for seed in range(200):
+        found = fitting.fit_tendons(scene(), noisy(1000 + seed), starts=2)
+        covered.append((found.intervals[:, 0] <= TRUTH) & (found.intervals[:, 1] >= TRUTH))
+    share = np.mean(covered, axis=0)
+    assert (share >= 0.90).all(), share
+    assert (share <= 0.99).all(), share

@@ -47,6 +47,8 @@ class Ledger(eqx.Module):
             if load.bed is not None:
                 put_in, lost = _bedded(load.bed, before, velocity, spin, at, step)
                 work, heat = work + step * put_in, heat + step * lost
+            if load.heat is not None:
+                heat = heat + step * load.heat
             for term in load.stiff:
                 force = next(forces)
                 guided = term.rate + term.direction.dot(before.velocity) + term.moment.dot(before.spin)

@@ -4,8 +4,9 @@ With x the stretch beyond slack length, e the dashpot's and K0 = K + K1 the stif
 
     F = K x + K1 (x - e),      de/dt = (x - e) / tau,      never negative.
 
-Where F would be negative the strand hangs loose: its material is longer than the way between its ends, so that it pulls
-nothing, x = K1 e / K0, and shortens as the dashpot recovers. Energy (K x^2 + K1 (x - e)^2) / 2, heat K1 (x - e)^2 / tau.
+Where F would be negative the strand hangs loose: its material is longer than the way between its ends, so that it
+pulls nothing, x = K1 e / K0, and shortens as the dashpot recovers. It stores (K x^2 + K1 (x - e)^2) / 2 and loses
+K1 (x - e)^2 / tau as heat.
 
 Over a step de/dt is integrated exactly for a stretch that changes linearly with time (exponential integrator: Simo &
 Hughes 1998, Computational Inelasticity, chapter 10). Source of the model: Fung 1993, Biomechanics: Mechanical
@@ -91,6 +92,4 @@ class StandardLinearSolid(eqx.Module):
 
     def _energy(self, material: Scalar, dashpot: Scalar) -> Scalar:
         """Of both springs [J]."""
-        return 0.5 * (
-            self.stiffness * jnp.square(material) + self.maxwell_stiffness * jnp.square(material - dashpot)
-        )
+        return 0.5 * (self.stiffness * jnp.square(material) + self.maxwell_stiffness * jnp.square(material - dashpot))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 
@@ -29,14 +29,14 @@ def with_friction(contact: Effect, friction: Friction) -> Effect:
     """
     if isinstance(contact, WithFriction):
         return eqx.tree_at(lambda c: c.friction, contact, friction)
-    kinds: dict[type[Effect], type[Effect]] = {SphereContact: RoughSphereContact}
+    kinds: dict[type[Effect], Any] = {SphereContact: RoughSphereContact}
     if type(contact) not in kinds:
         from pftwin.effects import rough_mesh_contact as rough
 
         kinds = {kind.frictionless: kind for kind in (rough.RoughMeshSphereContact, rough.RoughMeshVolumeContact)}
     if type(contact) not in kinds:
         raise InputError(
-            f"friction for {contact.name!r}, a {type(contact).__name__}",
+            f"friction for {contact.name!r} ({type(contact).__name__})",
             where="friction",
             expected="the contact of a sphere, with a patch or with a mesh: by volume or by nearest points",
         )

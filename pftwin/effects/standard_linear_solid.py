@@ -55,8 +55,8 @@ class StandardLinearSolid(eqx.Module):
         pull = self.stiffness * stretch + self.maxwell_stiffness * (stretch - e)
         slope = jnp.where(dashpot < 0, self.stiffness, at_once)
         heat = self.maxwell_stiffness * jnp.square(material - e) / self.relaxation_time
-        held = (jnp.where(taut, a, 0.0) for a in (pull, slope))
-        return Pull(*held, self._energy(material, e), heat, dashpot)
+        tension, stiffness = (jnp.where(taut, a, 0.0) for a in (pull, slope))
+        return Pull(tension, stiffness, self._energy(material, e), heat, dashpot)
 
     def over(self, start: Scalar, end: Scalar, dashpot: Scalar, duration: Scalar | float) -> Pull:
         """At the end of a time over which the stretch goes from `start` to `end`.
@@ -87,8 +87,8 @@ class StandardLinearSolid(eqx.Module):
         bow = 0.5 * (first + last) - average
         square = jnp.square(average) + jnp.square(last - first) / 12 + jnp.square(bow) / 5
         heat = self.maxwell_stiffness * square / self.relaxation_time
-        held = (jnp.where(taut, a, 0.0) for a in (pull, slope))
-        return Pull(*held, self._energy(ends, after), heat, after)
+        tension, stiffness = (jnp.where(taut, a, 0.0) for a in (pull, slope))
+        return Pull(tension, stiffness, self._energy(ends, after), heat, after)
 
     def _energy(self, material: Scalar, dashpot: Scalar) -> Scalar:
         """Of both springs [J]."""

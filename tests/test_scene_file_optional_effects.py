@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -147,6 +148,21 @@ def test_all_of_them_run_from_a_file(toy: Path) -> None:
         assert np.isfinite(data[name]).all()
     assert np.abs(result.energies.budget_error).max() < 0.02 * np.abs(result.energies.work).max()
     assert float(data["contact_friction_medial"].max() + data["contact_friction_lateral"].max()) > 0
+
+
+def test_the_documented_tables_load(toy: Path) -> None:
+    """Each block of the page, in the place of the small knee's contact or beside its tendons."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "optional_effects.md").read_text()
+    blocks = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    kinds = {}
+    for block in blocks:
+        text = SCENE[: SCENE.index("[contact]")] + block if "[contact]" in block else LIGHT + block
+        for effect in load(toy, text).effects:
+            kinds[effect.name] = type(effect).__name__
+    assert kinds["contact"] in ("SphereContact", "RoughSphereContact")
+    assert (kinds["graft"], kinds["patellar_ligament"]) == ("ToeTendon", "ViscoelasticTendon")
+    assert (kinds["mpfl"], kinds["lpfl"]) == ("StrandGroup", "StrandGroup")
+    assert sum("friction =" in block for block in blocks) == 1
 
 
 ABSENT = """

@@ -5,7 +5,7 @@ At each contact, with N its normal force and v the sliding velocity of the spher
     F = -mu N v / sqrt(|v|^2 + v_s^2),
 
 which is Coulomb's mu N for |v| well above the slip speed v_s, and a stiff damper mu N / v_s below it: what would stick
-creeps instead, at v_s tan / sqrt(mu^2 - tan^2) on a slope with tan < mu. Regularised laws against Coulomb's: Vigue et
+creeps instead, at v_s tan / sqrt(mu^2 - tan^2) on a slope with tan < mu. Regularised laws against Coulomb's: Vigué et
 al. 2017, J Sound Vib 389:350. No friction against spinning about the normal: the contact has no size.
 
 An implicit step is given the secant c = mu N / sqrt(|v|^2 + v_s^2) as damping in both tangential directions, not the

@@ -103,7 +103,8 @@ def with_retinacula(
 
 def _fan(ends: tuple[tuple[float, float, float], tuple[float, float, float]]) -> NDArray[np.float64]:
     """Points at equal distances from one end to the other, (STRANDS, 3)."""
-    return np.linspace(*np.asarray(ends), STRANDS)
+    first, last = np.asarray(ends)
+    return np.linspace(first, last, STRANDS)
 
 
 def _in_reference_pose(points: NDArray[np.float64]) -> NDArray[np.float64]:

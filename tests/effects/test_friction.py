@@ -30,6 +30,7 @@ from scenes import (
 
 from pftwin.dynamics.linear_implicit import linear_implicit
 from pftwin.dynamics.state import Guide
+from pftwin.dynamics.trajectory import trajectory
 from pftwin.effects.base import Ground
 from pftwin.effects.contact_law import ContactLaw, Flores, Hertz
 from pftwin.effects.friction import Friction, WithFriction, tangents
@@ -227,10 +228,39 @@ def rough_knee(mu=0.1, creep=2e-3):
     return scene, scene.with_effect(with_friction(plain, Friction(J(mu), J(creep))))
 
 
-def test_a_knee_rests_where_it_would_without_friction():
+@pytest.fixture(scope="module")
+def starts():
+    return [settled(scene) for scene in rough_knee()]
+
+
+def test_a_knee_rests_where_it_would_without_friction(starts):
     """The search for equilibrium sees a patella that does not slide."""
-    one, two = (settled(s) for s in rough_knee())
+    one, two = starts
     np.testing.assert_allclose(one.pose.position.array(), two.pose.position.array(), atol=1e-10)
+
+
+@eqx.filter_jit
+def path_of(scene, start, substeps, integrator="linear_implicit"):
+    """The centre of mass [mm], and the ledger's heat."""
+    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=True)
+    assert path.ledger is not None
+    return 1e3 * path.states.position.array(), path.ledger.heat
+
+
+def test_a_knee_moves_alike_by_two_integrators_and_at_long_steps(starts):
+    """Explicit at 0.05 ms, which takes N as it is then; implicit, N a step late, at 0.1, 1 and 5 ms."""
+    plain, scene = rough_knee(mu=0.1, creep=5e-3)
+    explicit, heat = path_of(scene, starts[1], J(200), "symplectic_euler")
+    off = {}
+    for n in (100, 10, 2):
+        path, _ = path_of(scene, starts[1], J(n))
+        off[n] = float(jnp.abs(path - explicit).max())
+    assert np.all(np.diff(heat) >= 0)
+    felt = float(jnp.abs(path_of(plain, starts[0], J(100))[0] - explicit).max())
+    assert felt > 0.3
+    assert off[100] < 0.01 * felt
+    assert off[10] < 0.1 * felt
+    assert off[2] < 0.4 * felt
 
 
 @pytest.fixture(scope="module")

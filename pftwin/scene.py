@@ -115,8 +115,19 @@ _POSITIVE = {
     "restitution",
     "toe_strain",
     "half_size",
+    "relaxation_time",
+    "slip_speed",
 }
-_NOT_NEGATIVE = {"damping", "damping_time", "dissipation", "translational", "rotational", "tension"}
+_NOT_NEGATIVE = {
+    "coefficient",
+    "damping",
+    "damping_time",
+    "dissipation",
+    "maxwell_stiffness",
+    "translational",
+    "rotational",
+    "tension",
+}
 
 
 def check(scene: Scene) -> None:

@@ -53,6 +53,8 @@ class Ledger(eqx.Module):
             if load.bed is not None:
                 put_in, lost = _bedded(load.bed, before, velocity, spin, at, step)
                 work, heat = work + step * put_in, heat + step * lost
+            if load.heat is not None:
+                heat = heat + step * load.heat
             for term in load.stiff:
                 guided = term.rate + term.direction.dot(before.velocity) + term.moment.dot(before.spin)
                 rate = guided - term.direction.dot(velocity) - term.moment.dot(spin)

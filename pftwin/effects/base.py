@@ -153,6 +153,7 @@ class Load(NamedTuple):
     drag: Drag | None = None
     wrench: Wrench | None = None  # all that is not stiff: force in world axes, moment in patella axes
     energy: Scalar | None = None  # stored [J]
+    heat: Scalar | None = None  # lost inside the effect, whatever moves: beside what stiff terms and drag lose [W]
 
     def total(self) -> Wrench:
         """The whole wrench, stiff terms and drag included."""
@@ -171,12 +172,14 @@ class Load(NamedTuple):
         return w.force.dot(patella.velocity) + w.moment.dot(patella.spin)
 
     def dissipation(self) -> Scalar:
-        """Rate at which stiff terms and drag turn work into heat [W]."""
+        """Rate at which the effect turns work and what it stores into heat [W]."""
         lost = [jnp.sum((t.force - t.elastic) * t.rate) for t in self.stiff]
         if self.bed is not None:
             lost.append(self.bed.dissipation())
         if self.drag is not None:
             lost.append(self.drag.dissipation())
+        if self.heat is not None:
+            lost.append(self.heat)
         return sum(lost, start=jnp.zeros(()))
 
 

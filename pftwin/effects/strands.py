@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from pftwin.effects.base import Effect, Instant, Load, Observable
 from pftwin.effects.strings import Line, line_of_force
+from pftwin.effects.toe_region import toe_region
 from pftwin.spatial import Scalar, Vec3
 
 
@@ -37,20 +38,14 @@ class StrandGroup(Effect):
         """All strands' pulls as one group of stiff terms."""
         line = self.line(now)
         strain = (line.length - self.slack_length) / self.slack_length
-        toe = strain < self.toe_strain
-        e = jnp.maximum(strain, 0.0)
-        reference = 0.5 * self.toe_strain
-        elastic = self.stiffness * jnp.where(toe, e * e / (2 * self.toe_strain), e - reference)
-        slope = (self.stiffness / self.slack_length) * jnp.where(toe, e / self.toe_strain, 1.0)
+        toe = toe_region(strain, self.toe_strain)
+        elastic = self.stiffness * toe.force
+        slope = (self.stiffness / self.slack_length) * toe.slope
         viscous = jnp.where(strain > 0, self.stiffness * self.damping_time / self.slack_length, 0.0)
         tension = elastic + viscous * line.lengthening
         taut = tension > 0
         tension, slope, viscous = (jnp.where(taut, a, 0.0) for a in (tension, slope, viscous))
-        stored = (
-            self.stiffness
-            * self.slack_length
-            * jnp.where(toe, e**3 / (6 * self.toe_strain), 0.5 * (e - reference) ** 2 + self.toe_strain**2 / 24)
-        )
+        stored = self.stiffness * self.slack_length * toe.energy
         return Load(stiff=(line.term(tension, elastic, slope, viscous),), energy=jnp.sum(stored)), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pftwin.measured import Measured
     from pftwin.scene import Scene
 
-__all__ = ["case", "measured", "write_files"]
+__all__ = ["case", "measured", "with_retinacula", "write_files"]
 
 
 def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> Scene:
@@ -21,6 +23,15 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
     from pftwin.rig.cases import case as build
 
     return build(n, contact, chart=chart)
+
+
+def with_retinacula(
+    scene: Scene, ligaments: Sequence[str] = ("mpfl", "lpfl"), *, reference_strain: float = 0.0
+) -> Scene:
+    """A case with patellofemoral ligaments; see `pftwin.rig.retinacula.with_retinacula`."""
+    from pftwin.rig.retinacula import with_retinacula as build
+
+    return build(scene, ligaments, reference_strain=reference_strain)
 
 
 def measured(n: int) -> Measured:

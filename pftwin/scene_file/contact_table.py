@@ -11,11 +11,13 @@ from pftwin.effects.contact_law import Flores, Hertz, HuntCrossley
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.leaves import number, vector
 from pftwin.scene_file.effect_tables import EffectSection
+from pftwin.scene_file.friction_table import FrictionSection
 from pftwin.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
 from pftwin.scene_file.setting import Setting
 from pftwin.scene_file.surface_table import SurfaceSection
 
 if TYPE_CHECKING:
+    from pftwin.effects.base import Effect
     from pftwin.surfaces.sphere import SphereFit
 
 
@@ -94,6 +96,7 @@ class ContactSection(EffectSection):
     law: Annotated[FloresSection | HuntCrossleySection | HertzSection, Field(discriminator="type")] = Field(
         description='table: the normal force\'s law, type = "flores", "hunt_crossley" or "hertz"'
     )
+    friction: FrictionSection | None = Field(default=None, description="table: friction; none by default")
 
     @model_validator(mode="after")
     def _one_sphere(self) -> Self:
@@ -103,7 +106,7 @@ class ContactSection(EffectSection):
             raise problem("both button and radius_m or center_m are given", expected="one of them")
         return self
 
-    def build(self, setting: Setting, at: tuple[str | int, ...]) -> SphereContact:
+    def build(self, setting: Setting, at: tuple[str | int, ...]) -> Effect:
         """The effect."""
         surface = self.surface.build(setting, (*at, "surface"))
         center, radius = self.center_m, self.radius_m
@@ -114,4 +117,5 @@ class ContactSection(EffectSection):
             setting.buttons[self.label] = replace(sphere, center=center_here, axis=axis_here)
         assert radius is not None
         place = vector(setting.points("patella", center))
-        return SphereContact(surface, self.law.build(), place, number(radius), name=self.label)
+        contact = SphereContact(surface, self.law.build(), place, number(radius), name=self.label)
+        return contact if self.friction is None else self.friction.added(contact)

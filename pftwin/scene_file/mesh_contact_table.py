@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from pftwin.leaves import number, vector
 from pftwin.scene_file.contact_table import FloresSection, HertzSection, HuntCrossleySection
 from pftwin.scene_file.effect_tables import EffectSection
+from pftwin.scene_file.friction_table import FrictionSection
 from pftwin.scene_file.mesh_checks import check_start, refuse_patch
 from pftwin.scene_file.mesh_tables import (
     At,
@@ -48,6 +49,7 @@ class MeshContactSection(EffectSection):
         description="of the volume: radius of the sphere that has as large an overlap with a plane [m]; measured on "
         "the mesh by default",
     )
+    friction: FrictionSection | None = Field(default=None, description="table: friction, of a sphere; none by default")
     surface: SurfaceSection | None = Field(
         default=None, description="table: a smooth surface by which results tell where the groove is; none by default"
     )
@@ -56,6 +58,8 @@ class MeshContactSection(EffectSection):
     def _consistent(self) -> Self:
         if self.effective_radius_m is not None and self.method != "volume":
             raise problem(f'effective_radius_m with method = "{self.method}"', expected='method = "volume"')
+        if self.friction is not None and self.method == "contours":
+            raise problem('friction with method = "contours"', expected='method = "volume" or "nearest": a sphere')
         return self
 
     def build(self, setting: Setting, at: At) -> Effect:
@@ -74,7 +78,8 @@ class MeshContactSection(EffectSection):
         check_start(femur, ButtonMesh(icosphere(sphere.radius, _COARSE), sphere.center), setting, at)
         build = self._nearest if self.method == "nearest" else self._volume
         with setting.document.naming(*at):
-            return build(femur, sphere, surface)
+            contact = build(femur, sphere, surface)
+            return contact if self.friction is None else self.friction.added(contact)
 
     def _contours(self, femur: FemurMesh, button: ButtonMesh, surface: Surface | None) -> Effect:
         from pftwin.effects.mesh_contact import MeshContact

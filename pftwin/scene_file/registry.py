@@ -10,10 +10,14 @@ from pftwin.scene_file.mesh_contact_table import MeshContactSection
 from pftwin.scene_file.strands_table import StrandsSection
 from pftwin.scene_file.tendon_table import TendonSection
 from pftwin.scene_file.tension_table import PrescribedTensionSection
+from pftwin.scene_file.toe_tendon_table import ToeTendonSection
+from pftwin.scene_file.viscoelastic_tendon_table import ViscoelasticTendonSection
 
 EFFECTS: tuple[type[EffectSection], ...] = (
     GravitySection,
     TendonSection,
+    ToeTendonSection,
+    ViscoelasticTendonSection,
     StrandsSection,
     PrescribedTensionSection,
     ContactSection,

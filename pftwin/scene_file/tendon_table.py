@@ -3,6 +3,7 @@
 # ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -13,6 +14,7 @@ from pftwin.leaves import number, vector
 from pftwin.scene_file.effect_tables import Body, EffectSection
 from pftwin.scene_file.section import NotNegatives, Points, Positives, problem
 from pftwin.scene_file.setting import Setting
+from pftwin.spatial import Scalar, Vec3
 
 
 class TendonSection(EffectSection):
@@ -36,18 +38,29 @@ class TendonSection(EffectSection):
 
     def build(self, setting: Setting, at: tuple[str | int, ...]) -> Tendon:
         """The effect."""
-        stiffness = np.asarray(self.stiffness_N_per_m)
-        damping = np.asarray(self.damping_N_s_per_m or [0.0])
-        if self.damping_time_s is not None:
-            damping = stiffness * np.asarray(self.damping_time_s)
-        ends = setting.points("patella", self.insertion_m), setting.points(self.body, self.origin_m)
-        n = max(len(a) for a in (stiffness, self.slack_length_m, damping, *ends))
-        k, slack, c = (number(member_values(a, n)) for a in (stiffness, np.asarray(self.slack_length_m), damping))
-        insertion, origin = (vector(member_values(e, n)) for e in ends)
+        lists = (self.stiffness_N_per_m, self.slack_length_m, damping_of(self))
+        (k, slack, c), (insertion, origin) = group_leaves(setting, self.body, lists, self.insertion_m, self.origin_m)
         return Tendon(k, slack, c, insertion, origin, body=self.body, name=self.label)
 
 
 _ENDS = ("insertion_m", "origin_m")
+
+
+def damping_of(section: Any) -> list[float]:
+    """Damping c [N s/m], given as it is or as a time c / K; 0 by default."""
+    if section.damping_time_s is None:
+        return section.damping_N_s_per_m or [0.0]
+    return list(np.asarray(section.stiffness_N_per_m) * np.asarray(section.damping_time_s))
+
+
+def group_leaves(
+    setting: Setting, body: str, lists: Sequence[list[float]], insertion: list[list[float]], origin: list[list[float]]
+) -> tuple[list[Scalar], list[Vec3]]:
+    """Numbers and both ends of a group's members, with the members' axis in front; of a single one without it."""
+    ends = setting.points("patella", insertion), setting.points(body, origin)
+    n = max(len(a) for a in (*lists, *ends))
+    scalars = [number(member_values(np.asarray(a), n)) for a in lists]
+    return scalars, [vector(member_values(e, n)) for e in ends]
 
 
 def group_size(section: Any, *names: str) -> int:

@@ -1,0 +1,59 @@
+"""Tendons with a toe region: soft at first, then linear."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.effects.strings import Line, line_of_force
+from pftwin.effects.toe_region import toe_region
+from pftwin.spatial import Scalar, Vec3
+
+
+class ToeTendon(Effect):
+    r"""A tendon that stiffens over a toe region, then is linear, and never pushes.
+
+    With stretch s = L - L0 and the toe's end t = toe strain * L0: F = K s^2 / (2 t) for 0 < s < t, F = K (s - t / 2)
+    beyond, plus c dL/dt while taut, never negative. As the toe strain tends to 0 this is `Tendon`. A leading axis on
+    every leaf makes a group. Source: Blankevoort & Huiskes 1991, J Biomech Eng 113:263, there by strain.
+    """
+
+    stiffness: Scalar  # K, of the linear region [N/m]
+    slack_length: Scalar  # L0 [m]
+    toe_strain: Scalar  # end of the toe region, t / L0 [-]
+    damping: Scalar  # c [N s/m]
+    insertion: Vec3  # on the patella, patella frame [m]
+    origin: Vec3  # on the guided body, its frame [m]
+    body: str = eqx.field(static=True)
+    observables: ClassVar[dict[str, Observable]] = {
+        "tension": Observable("N", "tension"),
+        "length": Observable("m", "length"),
+    }
+
+    def line(self, now: Instant) -> Line:
+        """Where the tendon runs."""
+        return line_of_force(now, self.insertion, self.body, self.origin)
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """Its pull."""
+        line = self.line(now)
+        stretch = line.length - self.slack_length
+        toe = toe_region(stretch, self.toe_strain * self.slack_length)
+        # A tendon that shortens too fast to pull still gives up what it stores: as heat.
+        elastic = self.stiffness * toe.force
+        pull = elastic + self.damping * line.lengthening
+        taut = (stretch > 0) & (pull > 0)
+        tension, k, c = (jnp.where(taut, a, 0.0) for a in (pull, self.stiffness * toe.slope, self.damping))
+        return Load(stiff=(line.term(tension, elastic, k, c),), energy=jnp.sum(self.stiffness * toe.energy)), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Tension and length."""
+        (term,) = self.load(now, memory)[0].stiff
+        return {"tension": term.force, "length": self.line(now).length}
+
+    def about(self, center_of_mass: Vec3) -> ToeTendon:
+        """Insertion counted from the centre of mass."""
+        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

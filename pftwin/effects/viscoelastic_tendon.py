@@ -1,0 +1,90 @@
+"""Viscoelastic tendons: stiffer the faster they are pulled, and slacker the longer they are held."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.effects.standard_linear_solid import RELAXED, Pull, StandardLinearSolid
+from pftwin.effects.strings import Line, line_of_force
+from pftwin.spatial import Scalar, Vec3
+
+
+class ViscoelasticTendon(Effect):
+    r"""A tendon that is a standard linear solid; it pulls or hangs slack.
+
+    F = K s + K1 (s - e), de/dt = (s - e) / tau, with s = L - L0, never negative. A tendon that is stretched at once and
+    held relaxes from (K + K1) s to K s as exp(-t / tau). The dashpot's stretch e is memory: a motion starts with every
+    dashpot relaxed, as an equilibrium is. A leading axis on every leaf makes a group. Law, integration over a step and
+    sources: `pftwin.effects.standard_linear_solid`.
+    """
+
+    stiffness: Scalar  # K, when relaxed [N/m]
+    maxwell_stiffness: Scalar  # K1, what it is stiffer by when pulled at once [N/m]
+    relaxation_time: Scalar  # tau [s]
+    slack_length: Scalar  # L0 [m]
+    insertion: Vec3  # on the patella, patella frame [m]
+    origin: Vec3  # on the guided body, its frame [m]
+    body: str = eqx.field(static=True)
+    observables: ClassVar[dict[str, Observable]] = {
+        "tension": Observable("N", "tension"),
+        "length": Observable("m", "length"),
+        "dashpot_stretch": Observable("m", "stretch of the dashpot"),
+    }
+
+    @property
+    def solid(self) -> StandardLinearSolid:
+        """The law."""
+        return StandardLinearSolid(self.stiffness, self.maxwell_stiffness, self.relaxation_time)
+
+    def line(self, now: Instant) -> Line:
+        """Where the tendon runs."""
+        return line_of_force(now, self.insertion, self.body, self.origin)
+
+    def remember(self, now: Instant) -> Scalar:
+        """A dashpot that is relaxed at this length."""
+        return jnp.maximum(self.line(now).length - self.slack_length, 0.0)
+
+    def guess(self, now: Instant) -> Scalar:
+        """A dashpot that is relaxed whatever the length: an equilibrium is looked for among such."""
+        return RELAXED * jnp.ones_like(self.line(now).length)
+
+    def load(self, now: Instant, memory: Scalar) -> tuple[Load, Scalar]:
+        """Its pull, and the dashpot one step later.
+
+        That is where the present velocity leads in the step. What the step does to the velocity moves the dashpot
+        in the second order only, and what it does to the tension is in the stiffness.
+        """
+        line = self.line(now)
+        stretch = line.length - self.slack_length
+        if not isinstance(now.lead, float):  # the end of a step, seen from its start
+            pull = self.solid.over(stretch - now.lead * line.lengthening, stretch, memory, now.lead)
+            return self._load(line, pull), pull.dashpot
+        pull = self.solid.at(stretch, memory)
+        if isinstance(now.step, float) and now.step == 0.0:
+            return self._load(line, pull), memory
+        later = self.solid.over(stretch, stretch + now.step * line.lengthening, memory, now.step)
+        return self._load(line, pull), later.dashpot
+
+    def _load(self, line: Line, pull: Pull) -> Load:
+        # The tension is all elastic: what the dashpot loses does not depend on how fast the ends move apart.
+        term = line.term(pull.tension, pull.tension, pull.stiffness, jnp.zeros_like(pull.tension))
+        return Load(stiff=(term,), energy=jnp.sum(pull.energy), heat=jnp.sum(pull.heat))
+
+    def observe(self, now: Instant, memory: Scalar) -> dict[str, Scalar]:
+        """Tension, length and the dashpot's stretch."""
+        line = self.line(now)
+        stretch = line.length - self.slack_length
+        pull = self.solid.at(stretch, memory)
+        return {
+            "tension": pull.tension,
+            "length": line.length,
+            "dashpot_stretch": self.solid.resting(stretch, memory),
+        }
+
+    def about(self, center_of_mass: Vec3) -> ViscoelasticTendon:
+        """Insertion counted from the centre of mass."""
+        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

@@ -1,0 +1,29 @@
+"""friction = { ... } in [contact] and [mesh_contact]."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from pftwin.leaves import number
+from pftwin.scene_file.section import NotNegative, Positive, Section
+
+if TYPE_CHECKING:
+    from pftwin.effects.base import Effect
+
+
+class FrictionSection(Section):
+    """Coulomb friction, smooth about rest."""
+
+    coefficient: NotNegative = Field(description="coefficient of friction mu [-]")
+    slip_speed_m_per_s: Positive = Field(
+        default=1e-3, description="speed up to which contacts creep rather than slide [m/s]"
+    )
+
+    def added(self, contact: Effect) -> Effect:
+        """The contact with it."""
+        from pftwin.effects.friction import Friction
+        from pftwin.effects.rough_contact import with_friction
+
+        return with_friction(contact, Friction(number(self.coefficient), number(self.slip_speed_m_per_s)))

@@ -38,9 +38,7 @@ def _newmark(gamma: float | None = None, beta: float | None = None, rho: float |
         if gamma is not None or beta is not None:
             raise InputError("found rho together with gamma or beta", where="newmark", expected="one or the other")
         if not 0 <= rho <= 1:
-            raise InputError(
-                f"found rho = {rho:g}", where="newmark", expected="0 (all damped at once) to 1 (no damping)"
-            )
+            raise InputError(f"found rho = {rho:g}", where="newmark", expected="from 0 (most damping) to 1 (none)")
         weights = newmark.Weights.damped(rho)
     else:
         gamma = 0.5 if gamma is None else gamma
@@ -96,7 +94,7 @@ def _options(base: str, text: str, of: Callable[..., Integrator]) -> dict[str, f
             raise InputError(
                 f"found {part.strip()!r}",
                 where=f"integrator {base}",
-                expected=f"name=number with one of: {', '.join(known)}",
+                expected=f"name=number, of: {', '.join(known)}",
             )
         values[key] = number
     return values

@@ -4,11 +4,12 @@ With d the displacement over a step and D the change of velocity,
 
     d_end = d / 3 + (2 h / 3) v_end,        D_end = D / 3 + (2 h / 3) M^-1 F(q_end, v_end, t_end)
 
-is the backward differentiation formula BDF2 (in rotations up to terms of third order). Forces are evaluated where the
-step would end if the velocity changed as it did over the last one, and every stiff term is linearised from there
-(`pftwin.dynamics.implicit_solve`). What the linearisation leaves out, the turning of forces and of the body, is of
-third order in the step, so one Newton iteration is enough, and it costs what `linear_implicit` costs. The formula's source:
-Curtiss & Hirschfelder 1952, PNAS 38:235; Hairer & Wanner, Solving Ordinary Differential Equations II, V.1.
+(the first step, with no past, is d_end = h v_end, D_end = h M^-1 F_end) is the backward differentiation formula BDF2,
+in rotations up to terms of third order. Forces are evaluated where the step would end if the velocity changed as it did
+over the last one, and every stiff term is linearised from there (`pftwin.dynamics.implicit_solve`). What that leaves
+out, the turning of forces and of the body, is of third order in the step, so one Newton iteration is enough, and the
+step costs what `linear_implicit` costs. Source of the formula: Curtiss & Hirschfelder 1952, PNAS 38:235; Hairer &
+Wanner, Solving Ordinary Differential Equations II, V.1.
 """
 
 from __future__ import annotations
@@ -32,12 +33,14 @@ class Carried(NamedTuple):
 
     way: Twist  # d: displacement [m], turn [rad]
     change: Twist  # D: of the velocities
+    share: Scalar  # of the last step in the next: 1/3, of nothing in the first 0
 
 
 def begin(system: System, state: State, guide: Guide, step: Scalar) -> State:
-    """The state as if it had moved on evenly until now."""
-    velocity = Twist(state.velocity, state.spin)
-    carried = Carried(velocity.times(step), velocity.times(jnp.zeros_like(step)))
+    """The state without a past."""
+    zero = jnp.zeros_like(state.position.x)
+    nothing = Twist(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+    carried = Carried(nothing, nothing, zero)
     return eqx.tree_at(lambda s: s.carried, state, carried, is_leaf=lambda x: x is None)
 
 
@@ -45,22 +48,24 @@ def linear_implicit_bdf2(
     system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
 ) -> tuple[State, Ledger | None]:
     """The state one step later, and the energy ledger where one is kept."""
-    last, span = state.carried, (2 / 3) * step
+    last = state.carried
+    span = (1 - last.share) * step
     now = Twist(state.velocity, state.spin)
     expected = now.plus(1.0, last.change)
     with jax.named_scope("loads"):
-        ahead = moved(state, last.way.times(1 / 3).plus(span, expected), expected)
+        ahead = moved(state, last.way.times(last.share).plus(span, expected), expected)
         loads, memories = system.loads(guide_at(1.0).instant(ahead.patella(), step, step), state.memories)
     with jax.named_scope("implicit_solve"):
         # What the expected velocity is more than the formula's share of the past has to be taken back.
-        more, i = last.change.times(2 / 3 / span), system.inertia
+        more, i = last.change.times((1 - last.share) / span), system.inertia
         turning = Vec3(i.x * more.angular.x, i.y * more.angular.y, i.z * more.angular.z)
         inertial = Wrench(-system.mass * more.linear, gyroscopic(i, expected.angular) - turning)
         dv = change_of_velocity(system, inertial, loads, Span(span, span))
     velocity = expected.plus(1.0, Twist(Vec3(*dv[:3]), Vec3(*dv[3:])))
-    way = last.way.times(1 / 3).plus(span, velocity)
+    way = last.way.times(last.share).plus(span, velocity)
     after = moved(state, way, velocity)
-    after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, Carried(way, velocity.plus(-1.0, now))))
+    carried = Carried(way, velocity.plus(-1.0, now), jnp.full_like(span, 1 / 3))
+    after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
     if ledger is not None:
         ledger = ledger.entered(state, after, [load_at_end(load, dv, span) for load in loads], None, 1.0, step)
     return after, ledger

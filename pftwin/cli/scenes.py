@@ -32,7 +32,10 @@ ContactOption = Annotated[
     ),
 ]
 IntegratorOption = Annotated[
-    str, typer.Option("--integrator", metavar="NAME", help="linear_implicit or symplectic_euler.")
+    str,
+    typer.Option(
+        "--integrator", metavar="NAME", help="linear_implicit, linear_implicit_bdf2, newmark or symplectic_euler."
+    ),
 ]
 StepOption = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s].")]
 

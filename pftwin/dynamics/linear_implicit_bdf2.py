@@ -54,7 +54,8 @@ def linear_implicit_bdf2(
     expected = now.plus(1.0, last.change)
     with jax.named_scope("loads"):
         ahead = moved(state, last.way.times(last.share).plus(span, expected), expected)
-        loads, memories = system.loads(guide_at(1.0).instant(ahead.patella(), step, step), state.memories)
+        there = guide_at(1.0).instant(ahead.patella(), step, step, reach=span, twist=now)
+        loads, memories = system.loads(there, state.memories)
     with jax.named_scope("implicit_solve"):
         # What the expected velocity is more than the formula's share of the past has to be taken back.
         more, i = last.change.times((1 - last.share) / span), system.inertia

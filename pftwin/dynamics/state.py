@@ -40,10 +40,18 @@ class Guide(eqx.Module):
         """Both bodies at the times."""
         return Guide(*motion.frames(times), times)
 
-    def instant(self, patella: Patella, step: Scalar | float, lead: Scalar | float = 0.0) -> Instant:
+    def instant(
+        self,
+        patella: Patella,
+        step: Scalar | float,
+        lead: Scalar | float = 0.0,
+        *,
+        reach: Scalar | None = None,
+        twist: Twist | None = None,
+    ) -> Instant:
         """What effects may look at."""
         femur = Ground() if self.femur is None else self.femur
-        return Instant(patella, femur, self.tibia, self.time, step, lead)
+        return Instant(patella, femur, self.tibia, self.time, step, lead, reach, twist)
 
 
 GuideAt = Callable[[float], Guide]  # the guided bodies at a part of a step: 0 its start, 1 its end

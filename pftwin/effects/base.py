@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.motion import Frame
-from pftwin.spatial import Quaternion, Rotation, Scalar, Vec3, Wrench
+from pftwin.spatial import Quaternion, Rotation, Scalar, Twist, Vec3, Wrench
 
 
 class Ground:
@@ -62,6 +62,8 @@ class Instant(eqx.Module):
     time: Scalar | float  # [s]
     step: Scalar | float  # time until the next look [s], for memories that move along; 0 when only looking
     lead: Scalar | float = 0.0  # how far this instant lies ahead of the state that an implicit step starts from [s]
+    reach: Scalar | None = None  # where not the lead: displacement here per change of velocity [s]
+    twist: Twist | None = None  # where not the patella's here: that of the state that the step starts from
 
     def turn_in_femur(self) -> Rotation:
         """Patella frame to the femur's."""

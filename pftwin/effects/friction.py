@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
-from pftwin.spatial import Scalar, Vec3, safe_sqrt
+from pftwin.spatial import Scalar, Twist, Vec3, safe_sqrt
 
 _FACETS = ("medial", "lateral")
 
@@ -41,14 +41,15 @@ class LastPush(NamedTuple):
 
     direction: Vec3  # g: the force's
     moment: Vec3  # and its moment's [m]
-    unchanged: Scalar  # f + (h k + c) g . v, with the velocity at that step's start [N]
+    unchanged: Scalar  # f + (h k + c) g . v, with the velocity that the step looked at [N]
     weight: Scalar  # h k + c [N s/m]
 
     @staticmethod
     def of(push: StiffTerm, now: Instant) -> LastPush:
         """To be remembered."""
-        weight = now.lead * push.stiffness + push.damping
-        unchanged = push.force + weight * _pace(push.direction, push.moment, now)
+        weight = (now.lead if now.reach is None else now.reach) * push.stiffness + push.damping
+        here = Twist(now.patella.velocity, now.patella.spin)
+        unchanged = push.force + weight * _pace(push.direction, push.moment, here)
         return LastPush(push.direction, push.moment, unchanged, weight)
 
 
@@ -159,13 +160,14 @@ def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
     """
     if isinstance(now.lead, float):
         return jnp.maximum(push.force, 0.0)
-    came_to = jnp.maximum(last.unchanged - last.weight * _pace(last.direction, last.moment, now), 0.0)
+    twist = Twist(now.patella.velocity, now.patella.spin) if now.twist is None else now.twist
+    came_to = jnp.maximum(last.unchanged - last.weight * _pace(last.direction, last.moment, twist), 0.0)
     return jnp.where(push.stiffness > 0, came_to, 0.0)
 
 
-def _pace(direction: Vec3, moment: Vec3, now: Instant) -> Scalar:
+def _pace(direction: Vec3, moment: Vec3, twist: Twist) -> Scalar:
     """How fast the patella moves along a wrench direction."""
-    return direction.dot(now.patella.velocity) + moment.dot(now.patella.spin)
+    return direction.dot(twist.linear) + moment.dot(twist.angular)
 
 
 def tangents(normal: Vec3) -> tuple[Vec3, Vec3]:

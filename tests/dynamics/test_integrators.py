@@ -15,6 +15,8 @@ from pftwin.dynamics import newmark
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.observe import Status, observe
 from pftwin.dynamics.trajectory import trajectory
+from pftwin.effects.friction import Friction
+from pftwin.effects.rough_contact import with_friction
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 
@@ -96,6 +98,19 @@ def between_springs(stiffness: float = K):
     return system(tendon(*pull, (0, 0, 0.1), name="above"), tendon(*pull, (0, 0, -0.1), name="below"))
 
 
+def test_with_friction_too(held):
+    """Friction goes by what normal forces really came to, whatever velocity a step looked ahead with."""
+    scene = held[0]
+    rough = scene.with_effect(with_friction(scene.effects[3], Friction(J(0.1), J(1e-3))))
+    start = settled(rough)
+    fine = np.asarray(path(rough, start, J(100), "newmark"))
+    errors = {n: np.sqrt(np.mean((np.asarray(path(rough, start, J(10), n)) - fine) ** 2)) for n in NAMES[:2]}
+    assert errors["linear_implicit"] < 0.1  # mm
+    assert errors["linear_implicit_bdf2"] < 0.3 * errors["linear_implicit"]
+    smooth = np.asarray(path(scene, held[1], J(10), "newmark"))
+    assert np.abs(fine[-1] - smooth[-1]).max() > 0.05  # friction matters here
+
+
 def test_average_acceleration_keeps_the_energy_of_springs():
     """The trapezoidal rule keeps it to rounding where forces are linear; the damped method spends some."""
     sprung, x0 = between_springs(), 0.02
@@ -138,7 +153,8 @@ def slopes(held):
     found, h, one = {}, 1e-5, J(1.0)
     for name in ("newmark", "linear_implicit_bdf2"):
         value = partial(total, integrator=name)
-        ends = [float(compiled(value)(J(x))) for x in (h, -h)]
+        at = compiled(value)
+        ends = [float(at(J(x))) for x in (h, -h)]
         forward = compiled(lambda f, value=value: jax.jvp(value, (f,), (one,))[1])
         found[name] = float(forward(J(0.0))), float(compiled(jax.grad(value))(J(0.0))), (ends[0] - ends[1]) / (2 * h)
     return found

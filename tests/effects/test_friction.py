@@ -208,7 +208,7 @@ def test_a_carpet_takes_a_block_along():
         def one(i, s):
             at = Vec3(belt * 1e-3 * (i + 1).astype(float), J(0.0), J(0.0))
             femur = Frame(at, Frame.world().rotation, vec(belt, 0, 0), zero)
-            return linear_implicit(sys, s, Guide(femur, Frame.world(), J(0.0)), J(1e-3))[0]
+            return linear_implicit(sys, s, lambda _: Guide(femur, Frame.world(), J(0.0)), J(1e-3))[0]
 
         return jax.lax.fori_loop(0, n, one, state)
 

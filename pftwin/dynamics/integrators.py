@@ -1,6 +1,6 @@
 """Integrators by name. Each takes one step from state to state, and declares its order.
 
-A name may have options: "newmark:gamma=0.6,beta=0.3025", "newmark:rho=0.8".
+A name may have options: "newmark:gamma=0.6,beta=0.3025", "newmark:rho=0.8", "diffrax:Kvaerno5:rtol=1e-9".
 """
 
 from __future__ import annotations
@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from inspect import signature
+from typing import Any, NamedTuple
 
-from pftwin.dynamics import linear_implicit, linear_implicit_bdf2, newmark, symplectic_euler
+from pftwin.dynamics import diffrax_solver, linear_implicit, linear_implicit_bdf2, newmark, symplectic_euler
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 from pftwin.errors import InputError
@@ -54,6 +55,22 @@ def _newmark(gamma: float | None = None, beta: float | None = None, rho: float |
     return Integrator(partial(newmark.newmark, **weights._asdict()), order, newmark.begin)
 
 
+def _diffrax(
+    solver: str, *, rtol: float = 1e-7, atol: float = 1e-9, adaptive: float = 1.0, adjoint: str = "forward"
+) -> Integrator:
+    """A solver of diffrax with its tolerances, or in steps of constant length; and which derivatives it has."""
+    if min(rtol, atol) <= 0 or adaptive not in (0, 1) or adjoint not in diffrax_solver.ADJOINTS:
+        raise InputError(
+            f"found rtol={rtol:g}, atol={atol:g}, adaptive={adaptive:g}, adjoint={adjoint}",
+            where=f"integrator diffrax:{solver}",
+            expected=f"tolerances above 0, adaptive 1 or 0, adjoint one of: {', '.join(diffrax_solver.ADJOINTS)}",
+        )
+    order = diffrax_solver.solver_named(solver).order(None)  # pyright: ignore[reportArgumentType]
+    options = {"solver": solver, "rtol": rtol, "atol": atol, "adaptive": bool(adaptive), "adjoint": adjoint}
+    assert order is not None
+    return Integrator(partial(diffrax_solver.diffrax_step, **options), order, diffrax_solver.begin)
+
+
 INTEGRATORS = {
     "linear_implicit": Integrator(linear_implicit.linear_implicit, linear_implicit.ORDER),
     "linear_implicit_bdf2": Integrator(
@@ -71,8 +88,12 @@ def integrator_named(name: str) -> Integrator:
         InputError: no such integrator or option, or an option's value that cannot be.
     """
     base, _, rest = name.partition(":")
+    if base == "diffrax":
+        solver, _, rest = rest.partition(":")
+        return _diffrax(solver, **(_options(name, rest, _diffrax) if rest else {}))
     if base not in INTEGRATORS:
-        raise InputError(f"no integrator {base!r}", where="integrator", expected=f"one of: {', '.join(INTEGRATORS)}")
+        known = ", ".join((*INTEGRATORS, "diffrax:SOLVER"))
+        raise InputError(f"no integrator {base!r}", where="integrator", expected=f"one of: {known}")
     found = INTEGRATORS[base]
     if not rest:
         return found
@@ -81,20 +102,21 @@ def integrator_named(name: str) -> Integrator:
     return found.options(**_options(base, rest, found.options))
 
 
-def _options(base: str, text: str, of: Callable[..., Integrator]) -> dict[str, float]:
-    known = of.__code__.co_varnames[: of.__code__.co_argcount]
-    values = {}
+def _options(base: str, text: str, of: Callable[..., Integrator]) -> dict[str, Any]:
+    known = {p.name: p.default for p in signature(of).parameters.values() if p.default is not p.empty}
+    values: dict[str, Any] = {}
     for part in text.split(","):
         key, _, value = (x.strip() for x in part.partition("="))
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if key not in known or not math.isfinite(number):
-            raise InputError(
-                f"found {part.strip()!r}",
-                where=f"integrator {base}",
-                expected=f"name=number, of: {', '.join(known)}",
-            )
-        values[key] = number
+        values[key] = value if isinstance(known.get(key), str) else _number(value)
+        if key not in known or values[key] is None:
+            wanted = f"name=value, of: {', '.join(known)}"
+            raise InputError(f"found {part.strip()!r}", where=f"integrator {base}", expected=wanted)
     return values
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

@@ -24,7 +24,7 @@ from jaxtyping import Array
 
 from pftwin.dynamics.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.state import Guide, GuideAt, State, System, gyroscopic, moved
+from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, gyroscopic, moved
 from pftwin.effects.base import Load
 from pftwin.leaves import all_changes
 from pftwin.spatial import Scalar, Twist, Vec3, Wrench
@@ -62,16 +62,10 @@ class Weights(NamedTuple):
 def begin(system: System, state: State, guide: Guide, step: Scalar) -> State:
     """The state with its own accelerations."""
     loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
-    now = _acceleration(system, state.spin, loads)
+    now = acceleration(system, state.spin, loads)
     return eqx.tree_at(
         lambda s: s.carried, state, Carried(now, now, jnp.zeros_like(now.linear.x)), is_leaf=lambda x: x is None
     )
-
-
-def _acceleration(system: System, spin: Vec3, loads: list[Load]) -> Twist:
-    total = sum((load.total() for load in loads), start=Wrench(Vec3.zero(), gyroscopic(system.inertia, spin)))
-    m, i = total.moment, system.inertia
-    return Twist((1 / system.mass) * total.force, Vec3(m.x / i.x, m.y / i.y, m.z / i.z))
 
 
 class _Step(NamedTuple):
@@ -122,7 +116,7 @@ def newmark(
     velocity, unsettled = _solved(given, w)
     after, algorithmic, _ = given.end(velocity, w)
     loads, memories = system.loads(given.guide.instant(after.patella(), step), after.memories)
-    actual = _acceleration(system, after.spin, loads)
+    actual = acceleration(system, after.spin, loads)
     after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, Carried(algorithmic, actual, unsettled)))
     if ledger is not None:
         ledger = ledger.entered(state, after, loads, None, 1.0, step)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from pftwin.effects.base import Effect, Ground, Instant, Load, Patella
 from pftwin.motion import Frame, KneeMotion, MotionPiece
-from pftwin.spatial import Pose, Quaternion, Scalar, Twist, Vec3
+from pftwin.spatial import Pose, Quaternion, Scalar, Twist, Vec3, Wrench
 
 
 class State(eqx.Module):
@@ -54,7 +54,7 @@ class Guide(eqx.Module):
         return Instant(patella, femur, self.tibia, self.time, step, lead, reach, twist)
 
 
-GuideAt = Callable[[float], Guide]  # the guided bodies at a part of a step: 0 its start, 1 its end
+GuideAt = Callable[[float | Scalar], Guide]  # the guided bodies at a part of a step: 0 its start, 1 its end
 
 
 class System(eqx.Module):
@@ -102,6 +102,13 @@ def gyroscopic(inertia: Vec3, spin: Vec3) -> Vec3:
         (inertia.z - inertia.x) * spin.z * spin.x,
         (inertia.x - inertia.y) * spin.x * spin.y,
     )
+
+
+def acceleration(system: System, spin: Vec3, loads: list[Load]) -> Twist:
+    """What loads and the spin's own moment give: world axes, patella axes."""
+    total = sum((load.total() for load in loads), start=Wrench(Vec3.zero(), gyroscopic(system.inertia, spin)))
+    m, i = total.moment, system.inertia
+    return Twist((1 / system.mass) * total.force, Vec3(m.x / i.x, m.y / i.y, m.z / i.z))
 
 
 def moved(state: State, way: Twist, velocity: Twist) -> State:

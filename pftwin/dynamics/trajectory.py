@@ -126,7 +126,7 @@ def trajectory(
 
         @partial(jax.checkpoint, prevent_cse=False)
         def one_step(k: Scalar, now: Carry) -> Carry:
-            def guide_at(part: float) -> Guide:
+            def guide_at(part: float | Scalar) -> Guide:
                 return Guide.sample(piece, began + step * (jnp.asarray(k).astype(float) + part))
 
             return chosen.advance(system, now[0], guide_at, step, now[1])

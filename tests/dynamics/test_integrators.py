@@ -198,9 +198,9 @@ def test_a_step_whose_equations_are_not_solved_says_so(held, monkeypatch):
     [
         ("euler", "no integrator 'euler'"),
         ("linear_implicit:gamma=1", "it has no options"),
-        ("newmark:delta=1", "name=number, of: gamma, beta, rho"),
-        ("newmark:gamma=", "name=number"),
-        ("newmark:gamma=nan", "name=number"),
+        ("newmark:delta=1", "name=value, of: gamma, beta, rho"),
+        ("newmark:gamma=", "name=value"),
+        ("newmark:gamma=nan", "name=value"),
         ("newmark:gamma=0.4", "stable at any step"),
         ("newmark:gamma=0.5,beta=0.1", "stable at any step"),
         ("newmark:rho=1.5", "from 0"),

@@ -34,7 +34,9 @@ ContactOption = Annotated[
 IntegratorOption = Annotated[
     str,
     typer.Option(
-        "--integrator", metavar="NAME", help="linear_implicit, linear_implicit_bdf2, newmark or symplectic_euler."
+        "--integrator",
+        metavar="NAME",
+        help="linear_implicit, linear_implicit_bdf2, newmark, symplectic_euler or diffrax:SOLVER.",
     ),
 ]
 StepOption = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s].")]

@@ -141,6 +141,19 @@ def record(sys: System, state: State, step, count: int, integrator: str = "linea
     return jax.lax.scan(one, (state, Ledger(zero, zero)), None, length=count)[1]
 
 
+def oscillator_errors(counts, integrator: str) -> tuple[list[float], float]:
+    """A mass on a damped tendon, let go above its rest: x = x0 exp(-zeta w t) (cos(...) + ...). Errors of x, and x0."""
+    k, c, slack, x0, t = 200.0, 1.2, 0.05, 0.004, 0.35
+    hanging = system(gravity(), tendon(k, slack, c))
+    rest = 0.1 - slack - MASS * G / k
+    start = state_at(hanging, (0, 0, rest + x0))
+    w, zeta = np.sqrt(k / MASS), c / (2 * np.sqrt(k * MASS))
+    damped = w * np.sqrt(1 - zeta**2)
+    exact = x0 * np.exp(-zeta * w * t) * (np.cos(damped * t) + zeta * w / damped * np.sin(damped * t))
+    ends = [march(hanging, start, t, n, integrator) for n in counts]
+    return [abs(float(e.position.z) - rest - exact) for e in ends], x0
+
+
 def stored(sys: System, state: State) -> jax.Array:
     """Potential energy of a state: the sum of what the effects store."""
     loads, _ = sys.loads(still_guide().instant(state.patella(), 0.0), state.memories)

@@ -9,7 +9,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import MASS, OPTIMISED, G, gravity, knee, march, order_of, record, settled, state_at, system, tendon
+from scenes import (
+    MASS,
+    OPTIMISED,
+    knee,
+    march,
+    order_of,
+    oscillator_errors,
+    record,
+    settled,
+    state_at,
+    system,
+    tendon,
+)
 
 from pftwin.dynamics import newmark
 from pftwin.dynamics.integrators import integrator_named
@@ -29,15 +41,7 @@ COUNTS = (100, 200, 400, 800)
 
 @EACH
 def test_order_on_a_damped_oscillator(integrator):
-    k, c, slack, x0, t = 200.0, 1.2, 0.05, 0.004, 0.35
-    hanging = system(gravity(), tendon(k, slack, c))
-    rest = 0.1 - slack - MASS * G / k
-    start = state_at(hanging, (0, 0, rest + x0))
-    w, zeta = np.sqrt(k / MASS), c / (2 * np.sqrt(k * MASS))
-    damped = w * np.sqrt(1 - zeta**2)
-    exact = x0 * np.exp(-zeta * w * t) * (np.cos(damped * t) + zeta * w / damped * np.sin(damped * t))
-    ends = [march(hanging, start, t, n, integrator) for n in COUNTS]
-    errors = [abs(float(e.position.z) - rest - exact) for e in ends]
+    errors, _ = oscillator_errors(COUNTS, integrator)
     assert order_of(errors)[-1] == pytest.approx(integrator_named(integrator).order, abs=0.2)
 
 

@@ -53,6 +53,10 @@ class Frame(eqx.Module):
         """World velocity of the body-fixed point that is now at the world position p [m/s]."""
         return self.velocity + self.angular_velocity.cross(p - self.origin)
 
+    def slowed(self, factor: Scalar | float) -> Frame:
+        """The same place, other velocities: 0 stands still."""
+        return Frame(self.origin, self.rotation, factor * self.velocity, factor * self.angular_velocity)
+
     def relative_velocity(self, velocity: Vec3, at: Vec3) -> Vec3:
         """A world velocity less that of the body-fixed point at the world position `at` [m/s]."""
         return velocity - self.velocity_at(at)
@@ -89,6 +93,15 @@ class SegmentMotion(eqx.Module):
             jnp.asarray(poses.times, dtype=float),
             jnp.asarray(CubicSpline(poses.times, poses.positions).c, dtype=float),
             jnp.asarray(CubicSpline(poses.times, poses.quaternions).c, dtype=float),
+        )
+
+    def at_speed(self, factor: float, start: float) -> SegmentMotion:
+        """The same poses, run through so many times as fast from a time on."""
+        powers = factor ** np.arange(3.0, -1.0, -1.0)[:, None, None]
+        return SegmentMotion(
+            jnp.asarray(start + (np.asarray(self.knots, dtype=float) - start) / factor, dtype=float),
+            jnp.asarray(powers * np.asarray(self.position_coefficients, dtype=float), dtype=float),
+            jnp.asarray(powers * np.asarray(self.quaternion_coefficients, dtype=float), dtype=float),
         )
 
     def pieces(self, interval: Scalar) -> Piece:
@@ -175,6 +188,20 @@ class KneeMotion(eqx.Module):
         interval = _rounded((times[-1] - times[0]) / (times.size - 1))
         start = _rounded(times[0])
         return KneeMotion(None if moving is None else fit(moving), fit(tibia), start, interval, times.size)
+
+    def at_speed(self, factor: float) -> KneeMotion:
+        """The same poses, run through so many times as fast (on the host).
+
+        Raises:
+            InputError: a factor that is not a positive number.
+        """
+        if not (np.isfinite(factor) and factor > 0):
+            raise InputError(f"found {factor!r}", where="speed", expected="a positive number, 1 as it was recorded")
+        femur, tibia = (
+            None if body is None else body.at_speed(factor, self.start_time) for body in (self.femur, self.tibia)
+        )
+        assert tibia is not None
+        return KneeMotion(femur, tibia, self.start_time, _rounded(self.frame_interval / factor), self.n_frames)
 
     @property
     def end_time(self) -> float:

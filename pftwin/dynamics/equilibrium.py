@@ -23,13 +23,14 @@ from jaxtyping import Array
 
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.state import Guide, System
-from pftwin.dynamics.static_load import look_around, moved, residual, still
+from pftwin.dynamics.static_load import Surroundings, look_around, moved, residual, still
 from pftwin.spatial import Pose, Scalar, safe_sqrt
 
 REACH = 2e-3  # longest step [m]
 SEARCH_STEPS = 4  # loads at rest that make rough memories right
 MOST_ITERATIONS = 200
 PATIENCE = 50  # iterations after which steps that make it worse are followed by shorter ones
+RIDGE = 1e-12  # of the tangent's trace: a direction in which nothing holds the patella has no derivative, not NaN
 MOST_CAUTION = 1e4  # what their shift is multiplied by at most
 
 
@@ -77,6 +78,18 @@ def _solved(matrix: list[list[Scalar]], shift: Scalar, r: list[Scalar]) -> tuple
     return d, definite
 
 
+def downhill(there: Surroundings, shift: Scalar) -> list[Scalar]:
+    """Newton's step with the tangent plus a multiple of the identity, where that leads downhill.
+
+    Elsewhere the stiff terms' own positive semidefinite part takes the tangent's place.
+    """
+    r, stiffness = there.residual(), there.tangent()
+    tangent = [[stiffness[i, j] for j in range(6)] for i in range(6)]
+    both = jax.tree.map(lambda a, b: jnp.stack([a, b]), tangent, there.convex())  # compiled once for the two of them
+    steps, definite = jax.vmap(lambda matrix: _solved(matrix, shift, r))(both)
+    return [jnp.where(definite[0], a[0], a[1]) for a in steps]
+
+
 def _size(r: list[Scalar]) -> Scalar:
     square = sum((a * a for a in r[1:]), start=r[0] * r[0])
     return jnp.where(jnp.isnan(square), square, safe_sqrt(square))  # a load that is not known is not none
@@ -85,15 +98,11 @@ def _size(r: list[Scalar]) -> Scalar:
 def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _Iterate:
     """One Newton iteration; a pose that meets the tolerance stays."""
     searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
-    there = look_around(system, guide, at.pose, at.memories)
+    there = look_around(system, lambda d: still(guide, moved(at.pose, d)), at.memories, at.residual.dtype)
     r, stiffness = there.residual(), there.tangent()
     size = _size(r)
-    tangent = [[stiffness[i, j] for j in range(6)] for i in range(6)]
-    convex = [[there.convex[max(i, j)][min(i, j)] for j in range(6)] for i in range(6)]
-    both = jax.tree.map(lambda a, b: jnp.stack([a, b]), tangent, convex)  # compiled once for the two of them
     caution = _caution(at, size)
-    steps, definite = jax.vmap(lambda matrix: _solved(matrix, caution * size / REACH, r))(both)
-    d = [jnp.where(definite[0], a[0], a[1]) for a in steps]
+    d = downhill(there, caution * size / REACH)
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
     floor = (size < tolerance) & (size > 0.5 * at.residual)  # rounding: Newton's iteration has no more to give
@@ -152,7 +161,8 @@ def _solve_equilibrium_jvp(primals: Any, tangents: Any) -> tuple[Solution, Solut
 
     # In a loop and by the library's solver: what is stored is not computed again for every use of its entries.
     dr = jax.lax.map(slope, jnp.array([1.0, 0.0], solution.residual.dtype))[0]
-    d = list(jnp.linalg.solve(solution.stiffness, dr))
+    ridge = RIDGE * jnp.trace(solution.stiffness) * jnp.eye(6, dtype=dr.dtype)
+    d = list(jnp.linalg.solve(solution.stiffness + ridge, dr))
     zeros = [jnp.zeros_like(a) for a in d]
     _, change = jax.jvp(lambda *step: moved(solution.pose, list(step)), zeros, d)
     none = jax.tree.map(lambda a: None if not eqx.is_inexact_array(a) else jnp.zeros_like(a), solution)

@@ -11,7 +11,14 @@ from functools import partial
 from inspect import signature
 from typing import Any, NamedTuple
 
-from pftwin.dynamics import diffrax_solver, linear_implicit, linear_implicit_bdf2, newmark, symplectic_euler
+from pftwin.dynamics import (
+    diffrax_solver,
+    linear_implicit,
+    linear_implicit_bdf2,
+    newmark,
+    quasi_static,
+    symplectic_euler,
+)
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 from pftwin.errors import InputError
@@ -78,6 +85,7 @@ INTEGRATORS = {
     ),
     "symplectic_euler": Integrator(symplectic_euler.symplectic_euler, symplectic_euler.ORDER),
     "newmark": Integrator(newmark.newmark, newmark.ORDER, newmark.begin, _newmark),
+    "quasi_static": Integrator(quasi_static.quasi_static, quasi_static.ORDER, quasi_static.begin),
 }
 
 

@@ -30,6 +30,7 @@ class Status(enum.IntFlag):
     START_NOT_IN_EQUILIBRIUM = 16
     STEP_TOO_LONG = 32
     SEARCH_OVERFLOW = 64
+    SNAPPED = 128
 
     def describe(self) -> str:
         """The status in words."""
@@ -48,6 +49,7 @@ _WORDS = {
     Status.STEP_TOO_LONG: "the patella moves or turns too far within one step, or the step's equations are not solved:"
     " take a shorter one",
     Status.SEARCH_OVERFLOW: "the search for what touches ran out of room: a contact may be wrong",
+    Status.SNAPPED: "the equilibrium ended and the patella snapped to another one, in a dynamic burst without a time",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
@@ -95,7 +97,13 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
     # A loop, which is the same program as one frame's and so is compiled as quickly.
     patella, center, seen, kinetic, stored, status = map_rows(lambda at: look(*at), (path.states, guides))
     badly_started = jnp.where(path.start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
-    return Observation(patella, center, seen, kinetic, stored, status | badly_started)
+    return Observation(patella, center, seen, kinetic, stored, status | badly_started | _snapped(path))
+
+
+def _snapped(path: Trajectory) -> Array | int:
+    """Frames before which a motion without inertia has left its equilibrium for another."""
+    snaps = getattr(path.states.carried, "snaps", None)
+    return 0 if snaps is None else jnp.where(jnp.diff(snaps, prepend=0) > 0, int(Status.SNAPPED), 0)
 
 
 def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar) -> Array:

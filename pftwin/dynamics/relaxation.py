@@ -7,21 +7,59 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.dynamics.linear_implicit import linear_implicit
-from pftwin.dynamics.state import Guide, System
+from pftwin.dynamics.state import Guide, State, System
+from pftwin.dynamics.static_load import LEVER
 from pftwin.effects.damping import LinearDamping
-from pftwin.spatial import Pose
+from pftwin.spatial import Pose, Scalar
 
 STEPS = 1500
 STEP = 2e-3  # [s]
 RATE = 20.0  # [1/s]: overdamped against the tendons' slow modes, settled well within the time given
 
 
-def relax(system: System, guide: Guide, pose: Pose) -> Pose:
-    """The pose after a while, from another; of the centre of mass, in the world."""
+BURST_STEP, BURST_STEPS = 5e-3, 4000  # of a burst [s], and how many at most
+AWAY = 100  # steps that a burst takes at least: slow at first, where an equilibrium has only just ended
+QUIET = 1e-5  # [m/s] the patella rests when it has become as slow as that
+
+
+def _damped(system: System) -> System:
     i = system.inertia
     damping = LinearDamping(RATE * system.mass, RATE * jnp.maximum(jnp.maximum(i.x, i.y), i.z), body="ground")
-    damped = eqx.tree_at(lambda s: s.effects, system, (*system.effects, damping))
+    return eqx.tree_at(lambda s: s.effects, system, (*system.effects, damping))
+
+
+def relax(system: System, guide: Guide, pose: Pose) -> Pose:
+    """The pose after a while, from another; of the centre of mass, in the world."""
+    damped = _damped(system)
     state = damped.start(pose, guide)
     step = jnp.asarray(STEP, dtype=pose.position.x.dtype)
     state = jax.lax.fori_loop(0, STEPS, lambda _, s: linear_implicit(damped, s, lambda _: guide, step)[0], state)
     return Pose(state.position, state.orientation)
+
+
+def come_to_rest(system: System, state: State, guide: Guide, moves: Scalar) -> State:
+    """Where the patella rests if it is let go where it is, on guided bodies that stand still.
+
+    Args:
+        system: what moves.
+        state: at whose pose it is let go; whatever an integrator carries stays.
+        guide: standing still.
+        moves: whether it moves at all; else the state stays as it is.
+    """
+    damped = _damped(system)
+    step = jnp.asarray(BURST_STEP, dtype=state.position.x.dtype)
+    zero = jax.tree.map(jnp.zeros_like, state.velocity)
+    memories = (*state.memories, None)
+    at_rest = eqx.tree_at(lambda s: (s.velocity, s.spin, s.memories), state, (zero, zero, memories))
+
+    def one_step(now: tuple[State, Scalar, Scalar]) -> tuple[State, Scalar, Scalar]:
+        after, _ = linear_implicit(damped, now[0], lambda _: guide, step)
+        faster = (after.velocity - now[0].velocity).norm() + LEVER * (after.spin - now[0].spin).norm()
+        speed = after.velocity.norm() + LEVER * after.spin.norm() + faster
+        return after, now[1] + 1, (speed > QUIET) | (now[1] < AWAY)
+
+    rested, _, _ = jax.lax.while_loop(
+        lambda now: now[2] & (now[1] < BURST_STEPS), one_step, (at_rest, jnp.zeros((), int), moves)
+    )
+    rested = eqx.tree_at(lambda s: (s.velocity, s.spin, s.memories), rested, (zero, zero, rested.memories[:-1]))
+    return jax.tree.map(lambda a, b: jnp.where(moves, a, b), rested, state)

@@ -40,6 +40,10 @@ class Guide(eqx.Module):
         """Both bodies at the times."""
         return Guide(*motion.frames(times), times)
 
+    def slowed(self, factor: Scalar | float) -> Guide:
+        """The same places, other velocities: 0 stands still."""
+        return Guide(None if self.femur is None else self.femur.slowed(factor), self.tibia.slowed(factor), self.time)
+
     def instant(
         self,
         patella: Patella,
@@ -72,6 +76,10 @@ class System(eqx.Module):
     def remember(self, now: Instant) -> tuple[Any, ...]:
         """The memories to start with."""
         return tuple(e.remember(now) for e in self.effects)
+
+    def refined(self, memories: tuple[Any, ...], looked: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Memories with what a look at a trial pose has found better: see `Effect.refined`."""
+        return tuple(e.refined(m, new) for e, m, new in zip(self.effects, memories, looked, strict=True))
 
     def guess(self, now: Instant) -> tuple[Any, ...]:
         """Rough memories: see `Effect.guess`."""

@@ -6,6 +6,7 @@ angle as angle * lever [m].
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from jaxtyping import Array
 
 from pftwin.dynamics.solve import Lower, add_outer
 from pftwin.dynamics.state import Guide, System
-from pftwin.effects.base import Instant, Patella
+from pftwin.effects.base import Bed, Drag, Instant, Patella, StiffTerm
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
 
 LEVER = 0.02  # turns moments into forces and angles into lengths: about the patella's half width [m]
@@ -47,8 +48,10 @@ class Surroundings(NamedTuple):
     """What one pose and its twelve neighbours tell."""
 
     memories: tuple[Any, ...]
-    table: Array  # (13, 6) static loads: here, a little ahead along each axis, a little back
-    convex: Lower  # the stiff terms' own stiffness, positive semidefinite
+    table: Array  # (13, 6) loads: here, a little ahead along each axis, a little back
+    terms: list[StiffTerm]  # here
+    beds: list[Bed]
+    drags: list[Drag]
 
     def residual(self) -> list[Scalar]:
         """Components of the load here."""
@@ -61,31 +64,55 @@ class Surroundings(NamedTuple):
         """
         return ((self.table[7:] - self.table[1:7]) / (2 * difference(self.table.dtype))).T
 
+    def convex(self) -> list[list[Scalar]]:
+        """The stiff terms' own stiffness, positive semidefinite."""
+        return self._summed([t.stiffness for t in self.terms], [b.stiffness for b in self.beds])
 
-def look_around(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -> Surroundings:
-    """Loads at a pose and at its twelve neighbours, all at once, so that effects are compiled once."""
-    dtype = pose.position.x.dtype
+    def viscosity(self) -> list[list[Scalar]]:
+        """What the load loses per velocity [N s/m], as far as stiff terms, beds and drags say it."""
+        rows = self._summed([t.damping for t in self.terms], [b.damping_time * b.stiffness for b in self.beds])
+        for drag in self.drags:
+            each = [drag.translational] * 3 + [drag.rotational / LEVER**2] * 3
+            rows = [[a + each[i] if i == j else a for j, a in enumerate(row)] for i, row in enumerate(rows)]
+        return rows
+
+    def _summed(self, weights: list[Scalar], beds: list[Array]) -> list[list[Scalar]]:
+        zero = jnp.zeros((), self.table.dtype)
+        low: Lower = [[zero] * (i + 1) for i in range(6)]
+        for term, weight in zip(self.terms, weights, strict=True):
+            low = add_outer(low, components(Wrench(term.direction, term.moment)), weight)
+        scale = jnp.asarray([1.0] * 3 + [1 / LEVER] * 3, self.table.dtype)
+        for own in beds:
+            scaled = scale[:, None] * own * scale[None, :]
+            low = [[a + scaled[i, j] for j, a in enumerate(row)] for i, row in enumerate(low)]
+        return [[low[max(i, j)][min(i, j)] for j in range(6)] for i in range(6)]
+
+
+def look_around(
+    system: System, instant_at: Callable[[list[Scalar]], Instant], memories: tuple[Any, ...], dtype: Any
+) -> Surroundings:
+    """Loads at a pose and at its twelve neighbours, all at once, so that effects are compiled once.
+
+    Args:
+        system: whose loads.
+        instant_at: from a displacement of the pose, in metres and angles * lever, to what effects look at.
+        memories: of the effects.
+        dtype: of the numbers.
+    """
     small = difference(dtype)
-    zero = jnp.zeros((), dtype)
 
     def evaluate(displacement: Array) -> tuple[Array, Any]:
-        loads, later = system.loads(still(guide, moved(pose, [displacement[i] for i in range(6)])), memories)
+        loads, later = system.loads(instant_at([displacement[i] for i in range(6)]), memories)
         r = components(sum((load.total() for load in loads), start=Wrench.zero()))
-        own = [term for load in loads for term in load.stiff], [load.bed for load in loads if load.bed is not None]
-        return jnp.stack(r), (later, own)
+        terms = [term for load in loads for term in load.stiff]
+        beds = [load.bed for load in loads if load.bed is not None]
+        return jnp.stack(r), (later, terms, beds, [load.drag for load in loads if load.drag is not None])
 
     steps = small * jnp.eye(6, dtype=dtype)
     here = jnp.zeros((1, 6), dtype)
     table, rest = jax.vmap(evaluate)(jnp.concatenate([here, steps, -steps]))
-    later, (terms, beds) = jax.tree.map(lambda a: a[0], rest)
-    convex: Lower = [[zero] * (i + 1) for i in range(6)]
-    for term in terms:
-        convex = add_outer(convex, components(Wrench(term.direction, term.moment)), term.stiffness)
-    for bed in beds:
-        scale = jnp.asarray([1.0] * 3 + [1 / LEVER] * 3, dtype)
-        own = scale[:, None] * bed.stiffness * scale[None, :]
-        convex = [[a + own[i, j] for j, a in enumerate(row)] for i, row in enumerate(convex)]
-    return Surroundings(later, table, convex)
+    later, terms, beds, drags = jax.tree.map(lambda a: a[0], rest)
+    return Surroundings(later, table, terms, beds, drags)
 
 
 def difference(dtype: Any) -> float:

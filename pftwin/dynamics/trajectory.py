@@ -59,12 +59,7 @@ def _of_center(scene: Scene, pose: Pose) -> Pose:
 
 def first_guide(scene: Scene) -> Guide:
     """The guided bodies at the first frame, standing still."""
-    guide = Guide.sample(scene.motion, jnp.asarray(scene.motion.start_time, dtype=float))
-    still = jax.tree.map(jnp.zeros_like, [guide.tibia.velocity, guide.tibia.angular_velocity])
-    guide = eqx.tree_at(lambda g: [g.tibia.velocity, g.tibia.angular_velocity], guide, still)
-    if guide.femur is not None:
-        guide = eqx.tree_at(lambda g: [g.femur.velocity, g.femur.angular_velocity], guide, still)
-    return guide
+    return Guide.sample(scene.motion, jnp.asarray(scene.motion.start_time, dtype=float)).slowed(0.0)
 
 
 def starting_state(scene: Scene, start: Solution) -> State:

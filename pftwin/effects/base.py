@@ -210,6 +210,10 @@ class Effect(eqx.Module):
         """A rough memory that a few loads at rest make right: cheaper to compile where loads are taken anyway."""
         return self.remember(now)
 
+    def refined(self, memory: Any, looked: Any) -> Any:
+        """A memory with what a look at a trial pose has found better: places, not what began or went by."""
+        return memory
+
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """What a result should show of this effect, by the names in `observables`."""
         return {}

@@ -97,6 +97,10 @@ class WithFriction(Effect):
         """What the contact guesses, and no force before."""
         return self._first(now, self.alone().guess(now))
 
+    def refined(self, memory: FrictionMemory, looked: FrictionMemory) -> FrictionMemory:
+        """What the contact refines."""
+        return memory._replace(contact=self.alone().refined(memory.contact, looked.contact))
+
     def _first(self, now: Instant, memory: Any) -> FrictionMemory:
         zero = jnp.zeros_like(now.patella.position.x)
         nowhere = Vec3(zero, zero, zero)

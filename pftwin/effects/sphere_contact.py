@@ -91,6 +91,10 @@ class SphereContact(Effect):
         start = self.guess(now)
         return start._replace(places=jax.lax.fori_loop(0, SEARCH_STEPS, improve, start.places))
 
+    def refined(self, memory: ContactMemory, looked: ContactMemory) -> ContactMemory:
+        """The look's points."""
+        return memory._replace(places=looked.places)
+
     def touches(self, now: Instant, memory: ContactMemory) -> tuple[Touch, Touch, ContactMemory]:
         """The medial and the lateral contact at this instant, and the memory for the next."""
         c, velocity = self.centre_in_chart(now)

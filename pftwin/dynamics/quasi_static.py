@@ -193,7 +193,7 @@ def _stable(branch: _Branch, there: Surroundings) -> Scalar:
     span = (1 - branch.origin.carried.share) * branch.step
     k, c = there.tangent(), there.viscosity()
     rows = [[k[i, j] - (branch.rates / span) * c[i][j] for j in range(6)] for i in range(6)]
-    slack = NEUTRAL * sum((rows[i][i] for i in range(1, 6)), start=rows[0][0])
+    slack = sum((rows[i][i] for i in range(1, 6)), start=rows[0][0]) * jnp.asarray(NEUTRAL, rows[0][0].dtype)
     middle = [[0.5 * (rows[i][j] + rows[j][i]) + (slack if i == j else 0.0) for j in range(6)] for i in range(6)]
     stable = jnp.isfinite(slack)
     for pivot in eliminate(middle, [slack] * 6)[1]:

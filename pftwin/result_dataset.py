@@ -76,7 +76,7 @@ def attributes_of(result: Result) -> dict[str, Any]:
         "real_time_factor": result.real_time_factor,
         "tracking": "not assessed: no contact surface" if outcome is None else outcome.describe(),
     }
-    plain = {k: v if isinstance(v, int | float | str) else str(v) for k, v in result.settings.items()}
+    plain = {k: _plain(v) for k, v in result.settings.items()}
     return {**attributes, **plain, **{f"timing_{k}": float(v) for k, v in result.timing.items()}}
 
 
@@ -154,3 +154,10 @@ def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, .
         last = i == len(rest) - 1
         names.append("axis" if last and size == len(_AXES) else f"{effect}_{i}_{size}")
     return tuple(names)
+
+
+def _plain(value: Any) -> int | float | str:
+    """What NetCDF has a type for."""
+    if isinstance(value, bool):
+        return int(value)
+    return value if isinstance(value, int | float | str) else str(value)

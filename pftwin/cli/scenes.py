@@ -32,14 +32,21 @@ ContactOption = Annotated[
     ),
 ]
 IntegratorOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--integrator",
         metavar="NAME",
-        help="linear_implicit, linear_implicit_bdf2, newmark, symplectic_euler or diffrax:SOLVER.",
+        help="linear_implicit (with --tolerance linear_implicit_bdf2), linear_implicit_bdf2, newmark, quasi_static,"
+        " symplectic_euler or diffrax:SOLVER.",
     ),
 ]
-StepOption = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s].")]
+StepOption = Annotated[
+    float | None, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s]: 0.001 if left out.")
+]
+ToleranceOption = Annotated[
+    str | None,
+    typer.Option("--tolerance", metavar='"0.05 mm"', help="Instead of --dt: the longest step with an error below."),
+]
 
 
 @dataclass(frozen=True)
@@ -95,7 +102,9 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
         return Chosen(rig.case(case, contact=name), rig.measured(case) if measured else None, name)
 
 
-def simulated(chosen: Chosen, integrator: str, dt: float) -> tuple[Result, float]:
+def simulated(
+    chosen: Chosen, integrator: str | None, dt: float | None, tolerance: str | None = None
+) -> tuple[Result, float]:
     """The result with the timing of a warm run, and how long the first run took, compilation included [s].
 
     Warns where contact leaves the part of a fitted button that is a sphere.
@@ -109,9 +118,10 @@ def simulated(chosen: Chosen, integrator: str, dt: float) -> tuple[Result, float
 
     scene, began = chosen.scene, time.perf_counter()
     with working(f"compiling and simulating {scene.name}"):
-        simulate(scene, integrator=integrator, dt=dt)
+        result = simulate(scene, integrator=integrator, dt=dt, tolerance=tolerance)
         first = time.perf_counter() - began
-        result = simulate(scene, integrator=integrator, dt=dt)
+        if tolerance is None:  # the run that was chosen for a tolerance is a warm one
+            result = simulate(scene, integrator=integrator, dt=dt)
     if chosen.button is not None:
         from pftwin.cap import check_cap
 

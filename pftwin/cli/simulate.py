@@ -13,6 +13,7 @@ from pftwin.cli.scenes import (
     IntegratorOption,
     SceneArgument,
     StepOption,
+    ToleranceOption,
     chosen_scene,
     simulated,
 )
@@ -26,8 +27,9 @@ def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.nc", help="The result as NetCDF.")],
     case: CaseOption = None,
     contact: ContactOption = None,
-    integrator: IntegratorOption = "linear_implicit",
-    dt: StepOption = 1e-3,
+    integrator: IntegratorOption = None,
+    dt: StepOption = None,
+    tolerance: ToleranceOption = None,
     csv: Annotated[bool, typer.Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
     sto: Annotated[bool, typer.Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
     json: JsonOption = None,
@@ -41,7 +43,7 @@ def simulate(
     table, storage = (output.with_suffix(".csv") if csv else None), (output.with_suffix(".sto") if sto else None)
     check_outputs(output, table, storage, json)
     chosen = chosen_scene(scene, case, contact)
-    result, first = simulated(chosen, integrator, dt)
+    result, first = simulated(chosen, integrator, dt, tolerance)
     with working("writing"):
         result.save(output)
         if table is not None:

@@ -10,6 +10,7 @@ from pftwin.cli.scenes import (
     IntegratorOption,
     SceneArgument,
     StepOption,
+    ToleranceOption,
     chosen_scene,
     simulated,
 )
@@ -27,8 +28,9 @@ def validate(
     *,
     case: CaseOption = None,
     contact: ContactOption = None,
-    integrator: IntegratorOption = "linear_implicit",
-    dt: StepOption = 1e-3,
+    integrator: IntegratorOption = None,
+    dt: StepOption = None,
+    tolerance: ToleranceOption = None,
     json: JsonOption = None,
 ) -> None:
     """Simulate, and compare with the measurements: the rows of Table 1 of Michaud et al. 2024.
@@ -42,7 +44,7 @@ def validate(
     from pftwin.metrics import PAPER_TABLE_1
     from pftwin.metrics import validate as compare
 
-    result, first = simulated(chosen, integrator, dt)
+    result, first = simulated(chosen, integrator, dt, tolerance)
     names = {e.name for e in chosen.scene.effects}
     springs: dict[str, Any] = {}
     if chosen.measured.tibial_spring_force is None and "patellar_tendon" not in names:

@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from pftwin.cli import (
+    accuracy,
     contact_map,
     demo,
     doctor_mesh,
@@ -82,6 +83,7 @@ app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)
 app.command("equilibrium")(equilibrium.equilibrium)
 app.command("validate")(validate.validate)
+app.command("accuracy")(accuracy.accuracy)
 app.command("fit")(fit.fit)
 app.command("plan-experiment")(plan_experiment.plan_experiment)
 app.command("fit-surface")(fit_surface.fit_surface)

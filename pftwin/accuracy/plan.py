@@ -1,0 +1,63 @@
+"""What is measured: which contact models, integrators, float types and numbers of steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from pftwin.dynamics.integrators import integrator_named
+from pftwin.errors import InputError
+
+SUBSTEPS = (1, 2, 5, 10, 20, 50)  # of 10 ms frames: 10 to 0.2 ms
+SHORT = (10, 20, 50, 100, 200)  # explicit steps are unstable in contact above 0.4 ms
+ADAPTIVE = (1, 2, 10)  # the solver chooses its own steps within these
+REFERENCE = 256  # substeps of the converged run
+CYLINDER = "-cylinder"  # of a patch's name: over a cylinder instead of a plane
+SMOOTH = ("P2", "P4", "P5", "P5-cylinder", "P8", "spline")
+MESHES = ("CM", "FM", "volume")
+COMMON = ("linear_implicit", "linear_implicit_bdf2", "newmark", "quasi_static")
+FURTHER = ("symplectic_euler", "diffrax:Tsit5")
+FLOATS = ("float64", "float32")
+
+
+class Setting(NamedTuple):
+    """One program to measure: everything but the step."""
+
+    contact: str
+    integrator: str
+    dtype: str
+    batch: bool  # whether many variants side by side are measured too
+    gradient: bool  # and derivatives
+
+    @property
+    def substeps(self) -> tuple[int, ...]:
+        """Numbers of steps between two frames."""
+        name = self.integrator
+        return SHORT if name == "symplectic_euler" else ADAPTIVE if name.startswith("diffrax") else SUBSTEPS
+
+
+def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence[str]) -> list[Setting]:
+    """Everything with everything, batches and derivatives included.
+
+    Raises:
+        InputError: an unknown integrator or float type.
+    """
+    for name in integrators:
+        integrator_named(name)
+    for name in floats:
+        if name not in FLOATS:
+            raise InputError(f"no float type {name!r}", where="--dtype", expected=f"one of: {', '.join(FLOATS)}")
+    return [Setting(c, i, d, True, True) for c in contacts for i in integrators for d in floats]
+
+
+def everything() -> list[Setting]:
+    """The whole table. Batches and derivatives for the steps that batches are for, and for every integrator on P5."""
+    stepping = COMMON[:2]
+    found = []
+    for contact in (*SMOOTH, *MESHES):
+        smooth = contact in SMOOTH
+        for integrator in (*COMMON, *FURTHER) if smooth else COMMON:
+            for dtype in FLOATS if smooth else FLOATS[:1]:
+                more = smooth and dtype == "float64" and (contact == "P5" or integrator in stepping)
+                found.append(Setting(contact, integrator, dtype, more, more))
+    return found

@@ -1,0 +1,84 @@
+"""The compiled functions whose times are taken: one run with all results, many variants, and derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from pftwin.batches import batched
+from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.observe import Observation, observe
+from pftwin.dynamics.trajectory import trajectory
+from pftwin.scene import Scene
+
+VARIANTS = 64
+SPREAD = 0.02  # of the variants' mass, to either side
+COLUMNS = 4  # parameters that derivatives are taken by, at most
+FITTED = ("stiffness", "slack_length")
+
+
+class Programs(NamedTuple):
+    """Functions of (scene's arrays, start, number of steps), not compiled yet; the number is traced."""
+
+    arrays: Any
+    one: Callable[..., Any]
+    many: Callable[..., Any]
+    columns: Callable[..., Any]
+    n_columns: int
+
+
+def programs(scene: Scene, integrator: str) -> Programs:
+    """Those of a scene and an integrator."""
+    arrays, fixed = eqx.partition(scene.unnamed(), eqx.is_array)
+
+    def run(a: Any, start: Solution, substeps: Array) -> Observation:
+        whole = eqx.combine(a, fixed)
+        return observe(whole, trajectory(whole, integrator=integrator, substeps=substeps, start=start))
+
+    def tracked(whole: Scene, start: Solution, substeps: Array) -> Array:
+        states = trajectory(whole, integrator=integrator, substeps=substeps, start=start).states
+        arm = states.orientation.rotate(whole.tracked_point() - whole.patella.center_of_mass)
+        return (states.position + arm).array()
+
+    def variants(a: Any, start: Solution, substeps: Array) -> Array:
+        whole = eqx.combine(a, fixed)
+        factors = jnp.asarray(np.linspace(1 - SPREAD, 1 + SPREAD, VARIANTS), dtype=float)
+
+        def one(factor: Array) -> Array:
+            return tracked(eqx.tree_at(lambda s: s.patella.mass, whole, whole.patella.mass * factor), start, substeps)
+
+        return batched(one)(factors)
+
+    places = _parameters(scene)
+
+    def derivatives(a: Any, start: Solution, substeps: Array) -> Array:
+        whole = eqx.combine(a, fixed)
+
+        def by(factors: Array) -> Array:
+            values = [_at(whole, p) * factors[i] for i, p in enumerate(places)]
+            return tracked(eqx.tree_at(lambda s: [_at(s, p) for p in places], whole, values), start, substeps)
+
+        return jax.jacfwd(by)(jnp.ones(len(places)))
+
+    return Programs(arrays, run, variants, derivatives, len(places))
+
+
+def _parameters(scene: Scene) -> list[tuple[int, str] | None]:
+    """Stiffness and slack length of the first tendons: effect and field; of a scene without any the mass (None)."""
+    found: list[tuple[int, str] | None] = [
+        (i, field)
+        for i, effect in enumerate(scene.effects)
+        for field in FITTED
+        if isinstance(value := getattr(effect, field, None), jax.Array) and value.ndim == 0
+    ]
+    return found[:COLUMNS] or [None]
+
+
+def _at(scene: Scene, place: tuple[int, str] | None) -> Array:
+    return scene.patella.mass if place is None else getattr(scene.effects[place[0]], place[1])

@@ -1,0 +1,140 @@
+"""`pftwin accuracy`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from pftwin.cli.scenes import CaseOption, SceneArgument
+from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
+from pftwin.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from pftwin.accuracy.measure import Row, SceneOf
+    from pftwin.measured import Measured
+    from pftwin.scene import Scene
+
+OWN = "as it is"  # a scene file's contact
+
+
+def accuracy(
+    scene: SceneArgument = None,
+    *,
+    case: CaseOption = None,
+    contact: Annotated[
+        list[str] | None,
+        typer.Option("--contact", metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; again for more."),
+    ] = None,
+    integrator: Annotated[
+        list[str] | None, typer.Option("--integrator", metavar="NAME", help="Again for more; the common four.")
+    ] = None,
+    dtype: Annotated[
+        list[str] | None, typer.Option("--dtype", metavar="float64|float32", help="Again for more: float64.")
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="Everything; takes half an hour.")] = False,
+    folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="For tables and figures.")] = Path("accuracy"),
+    json: JsonOption = None,
+) -> None:
+    """Measure what accuracy costs in time: contact models, integrators, steps and float types, with the best settings.
+
+    Example: `pftwin accuracy --case 1 --contact P5 --out accuracy`
+    """
+    if scene is not None and case is not None:
+        raise InputError("both a scene file and --case given", expected="one of them")
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: there is a file of that name; try: another folder")
+    check_outputs(json)
+    start_computing()
+    from pftwin.accuracy.plan import COMMON, FLOATS, chosen, everything
+    from pftwin.accuracy.run import measure_all, write
+    from pftwin.benchmarks.machine import describe
+
+    if full and (contact or integrator or dtype):
+        raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
+    source = _source(scene, case)
+    plan = everything() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
+    with working("measuring"):
+        found = measure_all(plan, source.scene_of, source.measured, _tell)
+    synthetic = source.measured is not None and source.measured.synthetic
+    about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}
+    paths = write(found, folder, source.title, about)
+    write_json({"about": about, "rows": [r.to_dict() for r in found.rows], "files": [str(p) for p in paths]}, json)
+    out(json).print(_table(found.rows))
+    out(json).print(_advice(found.rows))
+    out(json).print(f"written: {', '.join(str(p) for p in paths)}", markup=False, highlight=False)
+
+
+def _tell(line: str) -> None:
+    err().print(line, style="dim", markup=False, highlight=False)
+
+
+class _Source(NamedTuple):
+    """Where scenes come from."""
+
+    scene_of: SceneOf  # by the contact's name
+    own: str  # the contact's name if none is asked for
+    measured: Measured | None
+    title: str
+
+
+def _source(scene: Path | None, case: int | None) -> _Source:
+    if scene is not None:
+        from pftwin.scene_file import load_scene_file
+
+        loaded = load_scene_file(scene)
+        return _Source(
+            lambda name: load_scene_file(scene, contact=None if name == OWN else name).scene,
+            OWN,
+            loaded.measured,
+            loaded.scene.name,
+        )
+    from pftwin import rig
+    from pftwin.accuracy.plan import CYLINDER
+
+    n = 1 if case is None else case
+
+    def of_the_rig(name: str) -> Scene:
+        if name.endswith(CYLINDER):
+            return rig.case(n, contact=name.removesuffix(CYLINDER), chart="cylinder")
+        return rig.case(n, contact=name)
+
+    return _Source(of_the_rig, "P5", rig.measured(n), f"case {n} of the virtual rig")
+
+
+def _table(rows: list[Row]) -> Table:
+    """What fits a terminal; the rest is in the files."""
+    from pftwin.accuracy.table import short
+    from pftwin.demo import narrow_table
+
+    table = narrow_table("Errors from the converged run of the same contact; speed in times real time")
+    table.add_column("step, ms", no_wrap=True)
+    for name in ("rms, mm", "max, mm", "force, N", "one run", "64 runs"):
+        table.add_column(name, justify="right", no_wrap=True)
+    last = ""
+    for r in rows:
+        if (name := f"{r.contact}, {r.integrator}, {r.dtype}") != last:
+            table.add_section()
+            table.add_row(f"[bold]{name}[/bold]")
+            last = name
+        figures = (r.position_rms_mm, r.position_max_mm, r.force_rms_n, r.real_time, r.real_time_batch)
+        table.add_row(f"  {r.step_ms:g}", *map(short, figures))
+    return table
+
+
+def _advice(rows: list[Row]) -> Table:
+    from pftwin.accuracy.table import described, recommended, short
+    from pftwin.demo import narrow_table
+
+    table = narrow_table("Recommended: the fastest that was measured within an error")
+    for name in ("error, rms", "", "setting", "x real time"):
+        table.add_column(name, no_wrap=True)
+    for level, one, many in recommended(rows):
+        for i, (kind, row) in enumerate((("one run", one), ("64 runs", many))):
+            speed = None if row is None else (row.real_time, row.real_time_batch)[i]
+            cells = ("none measured", "-") if row is None or speed is None else (described(row), short(speed))
+            table.add_row("" if i else f"{level:g} mm", kind, *cells)
+    return table

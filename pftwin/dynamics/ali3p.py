@@ -1,0 +1,113 @@
+r"""ALI3-P, the paper's formulation: augmented Lagrangian of index 3 in natural coordinates, with projections.
+
+At a step's end, with Newmark's average acceleration, dq/dt and d2q/dt2 follow from q, which solves
+
+    M d2q/dt2 + J^T (alpha Phi + lambda) = Q,        lambda <- lambda + alpha Phi
+
+by Newton's iteration with the tangent M + gamma h C + beta h^2 (J^T alpha J + K); J = dPhi/dq. Rigid bodies and guided
+ones are constraints Phi(q, t) = 0 alike (`natural_coordinates`). Then velocities and accelerations are projected on
+dPhi/dt = 0 and d2Phi/dt2 = 0 with the same matrix (`ali3p_projection`). Source: Michaud et al. 2024, section 2.3.1;
+Bayo & Ledesma 1996, Nonlinear Dyn 9:113; Cuadrado et al. 2004, Multibody Syst Dyn 12:1; Dopico et al. 2014, J Comput
+Nonlinear Dyn 9:041006.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.ali3p_bodies import Bodies, driven, guided, patella_at
+from pftwin.dynamics.ali3p_newton import BETA, GAMMA, Predicted, penalty_of, solved_step
+from pftwin.dynamics.ali3p_projection import constrained
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.natural_coordinates import (
+    constraints,
+    coordinates,
+    jacobian,
+    rates,
+    rates_wanted,
+    second_rates,
+    second_rates_wanted,
+)
+from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
+from pftwin.spatial import Scalar, Twist, Vec3
+
+ORDER = 2
+
+
+class Carried(NamedTuple):
+    """From step to step; bodies are patella, tibia, and the femur where it moves."""
+
+    place: Array  # q (n, 12) [m]
+    rate: Array  # dq/dt, projected
+    second_rate: Array  # d2q/dt2, projected
+    multipliers: Array  # lambda (n, 12): 6 of rigid constraints, then force and moment / LENGTH that hold the body [N]
+    drift: Scalar  # largest constraint that any step so far has left [m]
+    unsettled: Scalar  # last change of the velocity, where it has not become small [m/s]
+
+
+def begin(system: System, state: State, guide: Guide, step: Scalar) -> State:
+    """The state with its natural coordinates.
+
+    Guided bodies start without acceleration of their origin and turning: the first step's result does not depend on it.
+    """
+    loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
+    zero = Vec3(*(jnp.zeros_like(state.position.x) for _ in range(3)))
+    rows = [patella_at(state, acceleration(system, state.spin, loads))]
+    for f in guided(guide):
+        there, motion = coordinates(f.origin, f.rotation), rates(f.velocity, f.angular_velocity, f.rotation)
+        rows.append((there, motion, second_rates(Twist(zero, zero), f.angular_velocity, f.rotation)))
+    place, rate, second_rate = (jnp.stack(values) for values in zip(*rows, strict=True))
+    nothing = jnp.zeros_like(state.position.x)
+    carried = Carried(place, rate, second_rate, jnp.zeros_like(place), nothing, nothing)
+    return eqx.tree_at(lambda s: s.carried, state, carried, is_leaf=lambda x: x is None)
+
+
+def ali3p(
+    system: System,
+    state: State,
+    guide_at: GuideAt,
+    step: Scalar,
+    ledger: Ledger | None = None,
+    *,
+    penalty: float | None = None,
+) -> tuple[State, Ledger | None]:
+    """The state one step later, and the energy ledger where one is kept.
+
+    Args:
+        penalty: beta h^2 alpha as a multiple of the patella's mass: how fast the multipliers converge, not to what.
+    """
+    last: Carried = state.carried
+    to = driven(guide_at, step)
+    factor = penalty_of(step.dtype) if penalty is None else penalty
+    given = Predicted(
+        Bodies(system, state.memories, guide_at(1.0).time, step),
+        last.place + step * last.rate + (0.5 - BETA) * step * step * last.second_rate,
+        last.rate + (1 - GAMMA) * step * last.second_rate,
+        last.second_rate,
+        last.multipliers,
+        to,
+        factor,
+    )
+    second_rate, multipliers, unsettled = solved_step(given)
+    place, rate = given.motion(second_rate)
+    _, loads, memories = given.bodies.forces(place, rate)
+
+    j, metric = jacobian(place, to), given.metric(place, loads)
+    scale = given.scale()
+
+    def projected(value: Array, wanted: Array) -> Array:
+        return constrained(metric, j, scale, jnp.einsum("nij,nj->ni", metric, value), wanted)[0]
+
+    rate = projected(rate, rates_wanted(place, to))
+    second_rate = projected(second_rate, second_rates_wanted(place, rate, to))
+    drift = jnp.maximum(last.drift, jnp.abs(constraints(place, to)).max())
+    carried = Carried(place, rate, second_rate, multipliers, drift, unsettled)
+    after = given.bodies.state(place, rate, state)
+    after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
+    if ledger is not None:
+        ledger = ledger.entered(state, after, loads, None, 1.0, step)
+    return after, ledger

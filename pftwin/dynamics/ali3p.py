@@ -19,21 +19,21 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.dynamics.ali3p_bodies import Bodies, driven, guided, patella_at
+from pftwin.dynamics.ali3p_bodies import Bodies, driven, guided, masses
 from pftwin.dynamics.ali3p_newton import BETA, GAMMA, Predicted, penalty_of, solved_step
 from pftwin.dynamics.ali3p_projection import constrained
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.natural_coordinates import (
+    Driven,
     constraints,
     coordinates,
     jacobian,
     rates,
     rates_wanted,
-    second_rates,
     second_rates_wanted,
 )
-from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
-from pftwin.spatial import Scalar, Twist, Vec3
+from pftwin.dynamics.state import Guide, GuideAt, State, System
+from pftwin.spatial import Scalar
 
 ORDER = 2
 
@@ -50,19 +50,22 @@ class Carried(NamedTuple):
 
 
 def begin(system: System, state: State, guide: Guide, step: Scalar) -> State:
-    """The state with its natural coordinates.
+    """The state with its natural coordinates, and the accelerations and multipliers that solve its equations.
 
-    Guided bodies start without acceleration of their origin and turning: the first step's result does not depend on it.
+    Guided bodies start without a second rate of their frames' coordinates, which is not known here: the first step
+    comes to the same result with any.
     """
-    loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
-    zero = Vec3(*(jnp.zeros_like(state.position.x) for _ in range(3)))
-    rows = [patella_at(state, acceleration(system, state.spin, loads))]
-    for f in guided(guide):
-        there, motion = coordinates(f.origin, f.rotation), rates(f.velocity, f.angular_velocity, f.rotation)
-        rows.append((there, motion, second_rates(Twist(zero, zero), f.angular_velocity, f.rotation)))
-    place, rate, second_rate = (jnp.stack(values) for values in zip(*rows, strict=True))
+    place, rate = guided(guide)
+    axes = state.orientation.rotation()
+    place = place.at[0].set(coordinates(state.position, axes))
+    rate = rate.at[0].set(rates(state.velocity, axes.apply(state.spin), axes))
+    to = Driven(place, rate, jnp.zeros_like(rate))
+    forces, _, _ = Bodies(system, state.memories, guide.time, jnp.zeros_like(step)).forces(place, rate)
+    metric = jnp.broadcast_to(jnp.diag(masses(system)), (len(place), 12, 12))
+    scale, wanted = penalty_of(step.dtype) * system.mass, second_rates_wanted(place, rate, to)
+    second_rate, multipliers = constrained(metric, jacobian(place, to), scale, forces, wanted)
     nothing = jnp.zeros_like(state.position.x)
-    carried = Carried(place, rate, second_rate, jnp.zeros_like(place), nothing, nothing)
+    carried = Carried(place, rate, second_rate, multipliers, nothing, nothing)
     return eqx.tree_at(lambda s: s.carried, state, carried, is_leaf=lambda x: x is None)
 
 

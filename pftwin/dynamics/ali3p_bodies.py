@@ -18,13 +18,12 @@ from pftwin.dynamics.natural_coordinates import (
     Driven,
     axes_of,
     coordinates,
-    frame_of,
     rates,
-    second_rates,
+    twist_of,
     wrench_map,
 )
 from pftwin.dynamics.state import Guide, GuideAt, State, System
-from pftwin.effects.base import Instant, Load, Patella
+from pftwin.effects.base import Instant, Load, Patella, StiffTerm
 from pftwin.motion import Frame
 from pftwin.spatial import Quaternion, Scalar, Twist, Vec3, Wrench
 
@@ -40,31 +39,20 @@ def masses(system: System) -> Array:
     return jnp.repeat(each, 3)
 
 
-def patella_at(state: State, acceleration: Twist) -> tuple[Array, Array, Array]:
-    """(12,) natural coordinates of a state's patella, their rates and second rates; spin and its rate are its own."""
-    axes = state.orientation.rotation()
-    omega, turning = axes.apply(state.spin), Twist(acceleration.linear, axes.apply(acceleration.angular))
-    q = coordinates(state.position, axes)
-    return q, rates(state.velocity, omega, axes), second_rates(turning, omega, axes)
-
-
-def guided(guide: Guide) -> list[Frame]:
-    """The bodies that recorded motions drive."""
-    return [guide.tibia] if guide.femur is None else [guide.tibia, guide.femur]
+def guided(guide: Guide) -> tuple[Array, Array]:
+    """Coordinates of the bodies that recorded motions drive, and their rates (n, 12): zeros for the first body."""
+    frames = [guide.tibia] if guide.femur is None else [guide.tibia, guide.femur]
+    place = [coordinates(f.origin, f.rotation) for f in frames]
+    rate = [rates(f.velocity, f.angular_velocity, f.rotation) for f in frames]
+    nothing = jnp.zeros_like(place[0])
+    return jnp.stack([nothing, *place]), jnp.stack([nothing, *rate])
 
 
 def driven(guide_at: GuideAt, step: Scalar) -> Driven:
     """What the bodies are to follow at the step's end."""
 
-    def rows(part: Scalar) -> tuple[Array, Array]:
-        frames = guided(guide_at(part))
-        place = [coordinates(f.origin, f.rotation) for f in frames]
-        rate = [rates(f.velocity, f.angular_velocity, f.rotation) for f in frames]
-        nothing = jnp.zeros_like(place[0])
-        return jnp.stack([nothing, *place]), jnp.stack([nothing, *rate])
-
     end = jnp.ones_like(step)
-    (place, rate), (_, change) = jax.jvp(rows, (end,), (end,))
+    (place, rate), (_, change) = jax.jvp(lambda part: guided(guide_at(part)), (end,), (end,))
     return Driven(place, rate, change / step)
 
 
@@ -76,25 +64,20 @@ class Bodies(eqx.Module):
     time: Scalar
     step: Scalar  # until the next look [s]
 
-    def instant(self, q: Array, dq: Array) -> Instant:
-        """What effects see, made of the coordinates (n, 12) and their rates alone."""
-        axes, change = axes_of(q[0]), axes_of(dq[0])
-        spin = Vec3(
-            0.5 * (change.ey.dot(axes.ez) - change.ez.dot(axes.ey)),
-            0.5 * (change.ez.dot(axes.ex) - change.ex.dot(axes.ez)),
-            0.5 * (change.ex.dot(axes.ey) - change.ey.dot(axes.ex)),
-        )
-        patella = Patella(Vec3.from_array(q[0, :3]), axes, Vec3.from_array(dq[0, :3]), spin)
-        tibia, *femur = (frame_of(a, b) for a, b in zip(q[1:], dq[1:], strict=True))
+    def instant(self, q: Array, twists: list[Twist]) -> Instant:
+        """What effects see, made of nothing but the coordinates (n, 12) and what `twist_of` says of their rates."""
+        own, *others = ((Vec3.from_array(a[:3]), axes_of(a), twist) for a, twist in zip(q, twists, strict=True))
+        tibia, *femur = (Frame(at, axes, by.linear, axes.apply(by.angular)) for at, axes, by in others)
+        patella = Patella(own[0], own[1], own[2].linear, own[2].angular)
         return Guide(femur[0] if femur else None, tibia, self.time).instant(patella, self.step)
 
     def state(self, q: Array, dq: Array, last: State) -> State:
         """The patella's; its quaternion has the sign that goes on from the last one."""
-        seen = self.instant(q, dq).patella
-        turn = Quaternion.from_rotation(seen.rotation)
-        sign = jnp.where(turn.array() @ last.orientation.array() < 0, -1.0, 1.0).astype(q.dtype)
-        turn = Quaternion.from_array(sign * turn.array())
-        return State(seen.position, turn, seen.velocity, seen.spin, self.memories, last.carried)
+        axes, twist = axes_of(q[0]), twist_of(q[0], dq[0])
+        turn = Quaternion.from_rotation(axes).array()
+        sign = jnp.where(turn @ last.orientation.array() < 0, -1.0, 1.0).astype(q.dtype)
+        turn = Quaternion.from_array(sign * turn)
+        return State(Vec3.from_array(q[0, :3]), turn, twist.linear, twist.angular, self.memories, last.carried)
 
     def forces(self, q: Array, dq: Array) -> tuple[Array, list[Load], tuple[Any, ...]]:
         """Generalised forces (n, 12) on all bodies, the loads that they come from, and the memories that these leave.
@@ -103,29 +86,32 @@ class Bodies(eqx.Module):
         drag, which are linear in those bodies' motion: by the principle of virtual power they feel minus the force
         times the rate's derivative. A load that is a wrench alone acts from nowhere: gravity, and known tensions.
         """
+        own, *others = (twist_of(a, b) for a, b in zip(q, dq, strict=True))
 
-        def looked(others: Array) -> tuple[list[Array], tuple[list[Load], tuple[Any, ...]]]:
-            loads, memories = self.system.loads(self.instant(q, jnp.concatenate([dq[:1], others])), self.memories)
+        def looked(others: list[Twist]) -> tuple[list[Array], tuple[list[Load], tuple[Any, ...]]]:
+            loads, memories = self.system.loads(self.instant(q, [own, *others]), self.memories)
             return [flow for load in loads for flow in _flows(load)], (loads, memories)
 
-        flows, react, (loads, memories) = jax.vjp(looked, dq[1:], has_aux=True)
+        flows, react, (loads, memories) = jax.vjp(looked, others, has_aux=True)
         efforts = [effort for load in loads for effort in _efforts(load)]
-        (reactions,) = react([jnp.broadcast_to(e, f.shape) for e, f in zip(efforts, flows, strict=True)])
+        (pulled,) = react([-jnp.broadcast_to(e, f.shape) for e, f in zip(efforts, flows, strict=True)])
         total = sum((load.total() for load in loads), start=Wrench.zero())
-        own = wrench_map(q[0]) @ jnp.concatenate([total.force.array(), total.moment.array()])
-        return jnp.concatenate([own[None], -reactions]), loads, memories
+        wrenches = [total, *(Wrench(p.linear, p.angular) for p in pulled)]
+        rows = [jnp.stack([*_parts(w.force), *_parts(w.moment)]) for w in wrenches]
+        return jnp.stack([wrench_map(a) @ row for a, row in zip(q, rows, strict=True)]), loads, memories
 
     def metric(self, q: Array, loads: list[Load], by_velocity: Scalar, by_place: Scalar) -> Array:
         """M + by_velocity C + by_place K (n, 12, 12): K and C are the loads' own slopes, on the patella.
 
         Slopes against the guided bodies' coordinates are left out: their constraints determine these wholly.
         """
-        slope = jnp.zeros((6, 6), q.dtype)
+        slope, terms = jnp.zeros((6, 6), q.dtype), [term for load in loads for term in load.stiff]
+        if terms:
+            each = [jnp.atleast_1d(by_place * t.stiffness + by_velocity * t.damping) for t in terms]
+            along = [_columns(t) for t in terms]
+            weights, along = jnp.maximum(jnp.concatenate(each), 0.0), jnp.concatenate(along, axis=1)
+            slope = (along * weights[None, :]) @ along.T
         for load in loads:
-            for term in load.stiff:
-                g = jnp.stack([*_rows(term.direction), *_rows(term.moment)]).reshape(6, -1)
-                weight = by_place * term.stiffness + by_velocity * term.damping
-                slope = slope + (g * jnp.atleast_1d(jnp.maximum(weight, 0.0))[None, :]) @ g.T
             if load.bed is not None:
                 slope = slope + by_velocity * load.bed.slope(by_place / by_velocity)
             if load.drag is not None:
@@ -136,8 +122,13 @@ class Bodies(eqx.Module):
         return own.at[0].add(to_natural @ slope @ to_natural.T)
 
 
-def _rows(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
+def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
     return v.x, v.y, v.z
+
+
+def _columns(term: StiffTerm) -> Array:
+    """(6, k) wrench directions of a group of k terms."""
+    return jnp.stack([jnp.atleast_1d(x) for x in (*_parts(term.direction), *_parts(term.moment))])
 
 
 def _flows(load: Load) -> list[Array]:

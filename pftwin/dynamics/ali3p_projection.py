@@ -2,10 +2,10 @@ r"""Velocities and accelerations projected on the constraints: the nearest, in a
 
     (W + s J^T J) x = W x* + J^T (s b - sigma),      sigma <- sigma + s (J x - b),
 
-iterated to rounding: each turn leaves the share |W| / s of what the constraints J x = b still miss. With W = M + gamma h
-C + beta h^2 K and s = beta h^2 alpha the matrix is the leading one of the step's own Newton iteration. Source: Bayo &
-Ledesma 1996, Nonlinear Dyn 9:113; Cuadrado et al. 1997, Mech Mach Theory 32:187; with multipliers: Dopico et al. 2014,
-J Comput Nonlinear Dyn 9:041006.
+iterated to rounding: each turn leaves the share |W| / s of what the constraints J x = b still miss. With W = M + gamma
+h C + beta h^2 K and s = beta h^2 alpha the matrix is that of the step's own Newton iteration. Source: Bayo & Ledesma
+1996, Nonlinear Dyn 9:113; Cuadrado et al. 1997, Mech Mach Theory 32:187; with multipliers: Dopico et al. 2014, J Comput
+Nonlinear Dyn 9:041006.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 r"""Natural coordinates of rigid bodies, their constraints, and what velocities and wrenches are in them.
 
-A body has twelve: a point r and three vectors u, v, w along its axes, each LENGTH long, all in world axes [m]. They make
-the mass matrix constant and leave no gyroscopic forces. Two groups of constraints hold them, all in metres, so that
-what is left of them reads as a length:
+A body has twelve: a point r and three vectors u, v, w along its axes, each LENGTH long, all in world axes [m]. With
+them the mass matrix is constant and there are no gyroscopic forces. Two groups of constraints hold them, all in metres,
+so that what is left of them reads as a length:
 
     rigid     (u.u - L^2) / (2 L), ...,      u.v / L, ...                              for every body
     driving   r - r_p(t),   (v.w_p(t) - w.v_p(t)) / (2 L), ...                         for guided bodies
@@ -22,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.motion import Frame
 from pftwin.spatial import Rotation, Twist, Vec3
 
 LENGTH = 0.02  # of the three vectors: about the patella's half width [m]
@@ -62,20 +61,7 @@ def coordinates(origin: Vec3, axes: Rotation) -> Array:
 
 def rates(velocity: Vec3, omega: Vec3, axes: Rotation) -> Array:
     """(12,) their rates; velocity and angular velocity in world axes."""
-    return jnp.concatenate(
-        [velocity.array(), *(LENGTH * omega.cross(e).array() for e in (axes.ex, axes.ey, axes.ez))]
-    )
-
-
-def second_rates(acceleration: Twist, omega: Vec3, axes: Rotation) -> Array:
-    """(12,) their second rates; all in world axes."""
-    turning = rates(acceleration.linear, acceleration.angular, axes)
-    inward = rates(Vec3(*(jnp.zeros_like(omega.x) for _ in range(3))), omega, _turning(omega, axes))
-    return turning + inward
-
-
-def _turning(omega: Vec3, axes: Rotation) -> Rotation:
-    return Rotation(omega.cross(axes.ex), omega.cross(axes.ey), omega.cross(axes.ez))
+    return jnp.concatenate([velocity.array(), *(LENGTH * omega.cross(e).array() for e in (axes.ex, axes.ey, axes.ez))])
 
 
 def axes_of(q: Array) -> Rotation:
@@ -83,11 +69,15 @@ def axes_of(q: Array) -> Rotation:
     return Rotation(*(Vec3.from_array(q[3 * i : 3 * i + 3] / LENGTH) for i in (1, 2, 3)))
 
 
-def frame_of(q: Array, dq: Array) -> Frame:
-    """The frame of a body that moves."""
+def twist_of(q: Array, dq: Array) -> Twist:
+    """Velocity of a body's point in world axes, and its angular velocity in the body's own."""
     axes, change = axes_of(q), axes_of(dq)
-    omega = 0.5 * (axes.ex.cross(change.ex) + axes.ey.cross(change.ey) + axes.ez.cross(change.ez))
-    return Frame(Vec3.from_array(q[:3]), axes, Vec3.from_array(dq[:3]), omega)
+    spin = Vec3(
+        0.5 * (change.ey.dot(axes.ez) - change.ez.dot(axes.ey)),
+        0.5 * (change.ez.dot(axes.ex) - change.ex.dot(axes.ez)),
+        0.5 * (change.ex.dot(axes.ey) - change.ey.dot(axes.ex)),
+    )
+    return Twist(Vec3.from_array(dq[:3]), spin)
 
 
 def wrench_map(q: Array) -> Array:

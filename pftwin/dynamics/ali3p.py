@@ -25,6 +25,7 @@ from pftwin.dynamics.ali3p_projection import constrained
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.natural_coordinates import (
     Driven,
+    as_rigid,
     constraints,
     coordinates,
     jacobian,
@@ -80,6 +81,8 @@ def ali3p(
 ) -> tuple[State, Ledger | None]:
     """The state one step later, and the energy ledger where one is kept.
 
+    A step whose equations are not solved says so, and leaves rigid bodies all the same.
+
     Args:
         penalty: beta h^2 alpha as a multiple of the patella's mass: how fast the multipliers converge, not to what.
     """
@@ -97,17 +100,23 @@ def ali3p(
     )
     second_rate, multipliers, unsettled = solved_step(given)
     place, rate = given.motion(second_rate)
+    drift = jnp.maximum(last.drift, jnp.abs(constraints(place, to)).max())
+    # An unsolved step keeps its bodies rigid and the rates they had: whatever the iteration came to, nothing blows up.
+    failed, nothing = unsettled > 0, jnp.zeros_like(place)
+    place, rate = jnp.where(failed, as_rigid(place, to), place), jnp.where(failed, last.rate, rate)
+    second_rate, multipliers = jnp.where(failed, nothing, second_rate), jnp.where(failed, nothing, multipliers)
     _, loads, memories = given.bodies.forces(place, rate)
 
     j, metric = jacobian(place, to), given.metric(place, loads)
     scale = given.scale()
 
     def projected(value: Array, wanted: Array) -> Array:
-        return constrained(metric, j, scale, jnp.einsum("nij,nj->ni", metric, value), wanted)[0]
+        # By what has to be added: solved for the whole, the large penalty's rounding would be paid on all of it.
+        missing = wanted - jnp.einsum("nki,ni->nk", j, value)
+        return value + constrained(metric, j, scale, jnp.zeros_like(value), missing)[0]
 
     rate = projected(rate, rates_wanted(place, to))
     second_rate = projected(second_rate, second_rates_wanted(place, rate, to))
-    drift = jnp.maximum(last.drift, jnp.abs(constraints(place, to)).max())
     carried = Carried(place, rate, second_rate, multipliers, drift, unsettled)
     after = given.bodies.state(place, rate, state)
     after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))

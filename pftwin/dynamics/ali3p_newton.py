@@ -11,13 +11,14 @@ from jaxtyping import Array
 
 from pftwin.dynamics.ali3p_bodies import Bodies, masses
 from pftwin.dynamics.ali3p_projection import constrained, solved, with_penalty
-from pftwin.dynamics.natural_coordinates import Driven, constraints, directions, jacobian
+from pftwin.dynamics.natural_coordinates import LENGTH, Driven, constraints, directions, jacobian
 from pftwin.effects.base import Load
 from pftwin.leaves import all_changes
 from pftwin.spatial import Scalar
 
 GAMMA, BETA = 0.5, 0.25  # Newmark's average acceleration
 MOST_ITERATIONS = 20
+FARTHEST = LENGTH  # that one iteration moves the coordinates [m]
 SETTLED = {"float64": 1e-9, "float32": 1e-4}  # last change of the rates at a step's end [m/s]
 PENALTY = {"float64": 1e6, "float32": 1e3}
 
@@ -73,6 +74,8 @@ def solved_step(given: Predicted) -> tuple[Array, Array, Scalar]:
         right, loads = given.unbalanced(second_rate, multipliers + missed)
         tangent = with_penalty(given.metric(place, loads), jacobian(place, given.to), scale)
         change = solved(tangent, -right)
+        way = BETA * h * h * jnp.sqrt(jnp.sum(change * change))
+        change = change * jnp.minimum(1.0, FARTHEST / jnp.maximum(way, FARTHEST))
         second_rate = second_rate + change
         multipliers = multipliers + alpha * constraints(given.motion(second_rate)[0], given.to)
         return second_rate, multipliers, GAMMA * h * jnp.sqrt(jnp.sum(change * change)), count + 1
@@ -81,6 +84,7 @@ def solved_step(given: Predicted) -> tuple[Array, Array, Scalar]:
     second_rate, multipliers, size, _ = jax.lax.while_loop(
         lambda now: (now[2] > settled) & (now[3] < MOST_ITERATIONS), improve, start
     )
+    size = jnp.where(jnp.isfinite(size), size, jnp.inf)
     return second_rate, multipliers, jnp.where(size > settled, size, 0.0)
 
 

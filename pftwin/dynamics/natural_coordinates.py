@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.spatial import Rotation, Twist, Vec3
+from pftwin.spatial import Quaternion, Rotation, Twist, Vec3
 
 LENGTH = 0.02  # of the three vectors: about the patella's half width [m]
 
@@ -78,6 +78,12 @@ def twist_of(q: Array, dq: Array) -> Twist:
         0.5 * (change.ex.dot(axes.ey) - change.ey.dot(axes.ex)),
     )
     return Twist(Vec3.from_array(dq[:3]), spin)
+
+
+def as_rigid(q: Array, to: Driven) -> Array:
+    """Coordinates (n, 12) near by that fulfil every constraint: for steps that were not solved."""
+    turn = Quaternion.from_rotation(axes_of(q[0])).rotation()
+    return to.place.at[0].set(coordinates(Vec3.from_array(q[0, :3]), turn))
 
 
 def wrench_map(q: Array) -> Array:

@@ -19,7 +19,6 @@ from scenes import (
     contact,
     gravity,
     knee,
-    knee_motion,
     march,
     order_of,
     record,
@@ -34,7 +33,6 @@ from toy_scene_files import load
 
 from pftwin.dynamics import ali3p_newton
 from pftwin.dynamics.ali3p_bodies import driven
-from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.natural_coordinates import (
     LENGTH,
     constraints,
@@ -133,11 +131,11 @@ def test_velocities_and_accelerations_are_projected(states, followed):
 
 def test_the_same_motion_as_in_independent_coordinates(held):
     """Differences from `newmark` shrink with the square of the step."""
-    apart = []
-    for n in (5, 10, 20, 40):
-        one, two = (moved(*held, J(n), i)[0].position.array() for i in ("ali3p", "newmark"))
-        apart.append(1e3 * np.abs(one - two).max())
-    assert apart[1] < 1e-4  # mm, at 1 ms
+    counts = (5, 10, 20, 40)
+    one, two = (np.stack([moved(*held, J(n), i)[0].position.array() for n in counts]) for i in ("ali3p", "newmark"))
+    apart = 1e3 * np.abs(one - two).max((1, 2))
+    assert apart[1] < 1e-3  # mm, at 1 ms
+    assert apart[1] < 0.5 * 1e3 * np.abs(two[1] - two[3]).max()  # less than what both are off by
     assert order_of(apart).mean() == pytest.approx(2, abs=0.25)
 
 
@@ -196,9 +194,10 @@ def test_a_free_top_keeps_energy_and_angular_momentum():
     drift = [conserved(march(top, start, 0.6, n, "ali3p")) for n in (300, 600, 1200)]
     energy = [abs(e - e0) / e0 for e, _ in drift]
     momentum = [np.linalg.norm(turning - l0) / np.linalg.norm(l0) for _, turning in drift]
-    assert max(energy[-1], momentum[-1]) < 1e-4
-    assert order_of(energy).min() > 1.8
-    assert order_of(momentum).min() > 1.8
+    assert momentum[-1] < 1e-6
+    assert order_of(momentum) == pytest.approx(2, abs=0.2)
+    assert energy[-1] < 1e-9  # of third order
+    assert order_of(energy).min() > 2.5
 
 
 def test_memories_of_effects_come_along(fixed):
@@ -214,7 +213,7 @@ def test_memories_of_effects_come_along(fixed):
     assert 1e3 * np.abs(one[0].position.array() - two[0].position.array()).max() < 2e-4
     stretch = one[1].effects[t.name]["dashpot_stretch"]
     np.testing.assert_allclose(stretch, two[1].effects[t.name]["dashpot_stretch"], atol=1e-7)
-    assert np.ptp(stretch) > 1e-3
+    assert np.ptp(stretch) > 1e-4
 
     falling = system(gravity(), contact(Flores(J(2e8), J(0.6))))
     thrown = state_at(falling, (0, 0, RADIUS + 1e-4), (0, 0, -0.2))
@@ -224,6 +223,7 @@ def test_memories_of_effects_come_along(fixed):
     assert rebound[0] > 0.1
 
 
+@pytest.mark.slow
 def test_on_meshes(toy: Path):
     """Contours of coarse triangles: as with `newmark`, and every step is solved."""
     scene = load(toy, CONTOURS)
@@ -236,34 +236,39 @@ def test_on_meshes(toy: Path):
     assert np.asarray(seen.effects["mesh_contact"]["force"]).min() > 1
 
 
-@eqx.filter_jit
-def _thrown(theta):
-    """A button thrown on a plate, held by a tendon: heights [mm] by contact's stiffness, tendon's, start."""
-    falling = system(gravity(), tendon(300 * (1 + theta[1]), 0.05, 0.5), contact(Flores(1e6 * (1 + theta[0]), J(0.8))))
+def thrown_heights(theta, integrator: str = "ali3p"):
+    """A button thrown on a plate, held by a tendon [mm]; by the contact's stiffness, the tendon's, and the start."""
+    held_back = tendon(20 * (1 + theta[1]), 0.05, 0.5), contact(Flores(1e6 * (1 + theta[0]), J(0.8)))
+    falling = system(gravity(), *held_back)
     start = state_at(falling, (1e-3, 0, RADIUS + 1e-3), (0, 0, -0.2))
     start = eqx.tree_at(lambda s: s.position.z, start, start.position.z + 1e-3 * theta[2])
-    return 1e3 * record(falling, start, J(5e-4), 60, "ali3p")[0].position.z
+    return 1e3 * record(falling, start, J(5e-4), 60, integrator)[0].position.z
 
 
-def test_derivatives_apart_touching_and_after_lift_off():
-    """Forward is reverse is central differences."""
+def test_derivatives_apart_touching_and_after_lift_off_and_a_batch():
+    """Forward is reverse is central differences; a batch is its members one by one."""
     zero, h = jnp.zeros(3), 1e-6
-    heights = np.asarray(_thrown(zero)) - 1e3 * RADIUS
+    one = jnp.eye(3)
+    both = jax.jit(jax.vmap(lambda theta, d: jax.jvp(thrown_heights, (theta,), (d,))))
+    paths, slopes = both(jnp.concatenate([h * one, -h * one, 0 * one, 0.1 * one]), jnp.tile(one, (4, 1)))
+    heights, forward = np.asarray(paths[6]) - 1e3 * RADIUS, np.asarray(slopes[6:9])
+    difference = np.asarray(paths[:3] - paths[3:6]) / (2 * h)
     touching = np.flatnonzero(heights < 0)
     phases = {"apart": slice(0, touching[0]), "touching": touching, "after": slice(touching[-1] + 1, None)}
     assert heights[phases["after"]].size > 5
-    forward = np.asarray(jax.jit(jax.vmap(lambda d: jax.jvp(_thrown, (zero,), (d,))[1]))(jnp.eye(3)))
-    difference = np.stack([(_thrown(h * d) - _thrown(-h * d)) / (2 * h) for d in jnp.eye(3)])
     for phase, rows in phases.items():
         size = np.abs(difference[:, rows]).max(1)
-        np.testing.assert_array_less(np.abs(forward - difference)[:, rows].max(1), 1e-5 * size + 1e-9)
+        np.testing.assert_array_less(np.abs(forward - difference)[:, rows].max(1), 1e-5 * size + 1e-8)
         assert (size[1:] > 0).all(), phase
-        assert (size[0] == 0) == (phase == "apart")
+        assert (size[0] < 1e-8) == (phase == "apart")
     weights = J(np.random.default_rng(1).normal(size=len(heights)))
-    gradient = jax.jit(jax.grad(lambda theta: weights @ _thrown(theta)))(zero)
-    np.testing.assert_allclose(gradient, forward @ np.asarray(weights), rtol=1e-8)
+    alone = jax.jit(jax.value_and_grad(lambda theta: weights @ thrown_heights(theta)))
+    np.testing.assert_allclose(alone(zero)[1], forward @ np.asarray(weights), rtol=1e-8)
+    for path, theta in zip(paths[9:], 0.1 * one, strict=True):
+        assert weights @ path == pytest.approx(float(alone(theta)[0]), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_guided_motion(fixed):
     """Of the patella and of the multipliers, by a shift of the tibia that grows and by the tendon's stiffness."""
     scene, start = fixed
@@ -287,7 +292,25 @@ def test_derivatives_by_the_guided_motion(fixed):
     assert np.abs(difference).max(1).min() > 1e-3
 
 
-def test_a_step_that_is_not_solved_says_so(fixed, monkeypatch):
+def test_the_penalty_changes_nothing_but_the_iterations():
+    top = system(inertia=(2e-5, 5e-5, 6e-5))
+    start = state_at(top, (0, 0, 0), spin=(0.3, 12.0, 0.2))
+    usual, soft = (march(top, start, 0.1, 100, i) for i in ("ali3p", "ali3p:penalty=1e3"))
+    np.testing.assert_allclose(soft.spin.array(), usual.spin.array(), rtol=1e-7)
+    assert float(soft.carried.drift) < 1e-11
+    assert float(soft.spin.x) != float(usual.spin.x)
+
+
+def test_a_step_that_is_not_solved_says_so():
+    """A body that turns by five radians in a step: Newton's iteration finds no way, and numbers stay numbers."""
+    top = system(inertia=(2e-5, 5e-5, 6e-5))
+    states, _ = record(top, state_at(top, (0, 0, 0), spin=(30.0, 90.0, 10.0)), J(5e-2), 40, "ali3p")
+    assert np.isfinite(states.orientation.array()).all()
+    assert (np.asarray(states.carried.unsettled) > 0).any()
+
+
+@pytest.mark.slow
+def test_a_frame_whose_steps_are_not_solved_has_the_status(fixed, monkeypatch):
     monkeypatch.setattr(ali3p_newton, "MOST_ITERATIONS", 1)
     cut_off = eqx.filter_jit(lambda s, a: observe(s, trajectory(s, integrator="ali3p", substeps=1, start=a)))
     seen = cut_off(*fixed)
@@ -295,29 +318,14 @@ def test_a_step_that_is_not_solved_says_so(fixed, monkeypatch):
     assert np.isfinite(seen.center.array()).all()
 
 
-def test_the_penalty_changes_nothing_but_the_iterations(fixed):
-    usual, soft = (moved(*fixed, J(10), i)[0] for i in ("ali3p", "ali3p:penalty=1e3"))
-    assert 1e3 * np.abs(usual.position.array() - soft.position.array()).max() < 1e-7
-    assert float(soft.carried.drift.max()) < 1e-11
-
-
-def test_a_batch_is_its_members_and_single_precision_is_close(fixed):
+def test_single_precision_is_close(fixed):
     scene, start = fixed
-
-    def end(factor):
-        soft = eqx.tree_at(lambda s: s.effects[1].stiffness, scene, scene.effects[1].stiffness * factor)
-        return 1e3 * trajectory(soft, integrator="ali3p", substeps=10, start=start).states.position.array()
-
-    factors = J([0.95, 1.0, 1.1])
-    batch, alone = jax.jit(jax.vmap(end))(factors), jax.jit(end)
-    for row, factor in zip(batch, factors, strict=True):
-        np.testing.assert_allclose(row, alone(factor), atol=1e-9)
-    assert np.abs(batch[0] - batch[2]).max() > 0.01
+    double = moved(scene, start, J(10))[0].position.array()
     with jax.enable_x64(False):
         small = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32) if eqx.is_inexact_array(a) else a, (scene, start))
         states, seen = moved(*small, jnp.asarray(10, jnp.int32))
-        assert {a.dtype for a in jax.tree.leaves(states)} == {np.dtype(np.float32)}
+        assert {a.dtype for a in jax.tree.leaves(states) if eqx.is_inexact_array(a)} == {np.dtype(np.float32)}
         assert not np.asarray(seen.status).any()
         assert float(states.carried.drift.max()) < 1e-7
-        single = 1e3 * np.asarray(states.position.array(), np.float64)
-    assert np.abs(single - alone(J(1.0))).max() < 0.02
+        single = np.asarray(states.position.array(), np.float64)
+    assert 1e3 * np.abs(single - double).max() < 0.02

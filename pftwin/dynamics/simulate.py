@@ -95,7 +95,8 @@ def simulate(
     Args:
         scene: what is there.
         integrator: "linear_implicit" (default); "linear_implicit_bdf2", of second order at the same cost; "newmark",
-            iterated, with options as in "newmark:rho=0.8"; "symplectic_euler", explicit; "diffrax:Tsit5" and the like.
+            iterated, with options as in "newmark:rho=0.8"; "ali3p", the paper's formulation in natural coordinates;
+            "symplectic_euler", explicit; "diffrax:Tsit5" and the like.
         dt: longest step [s]; the step used is the largest that divides the interval between two frames.
         energy_budget: keep account of work and heat at every step.
 

@@ -73,6 +73,7 @@ class Result:
     settings: dict[str, Any]
     timing: dict[str, float]  # [s]
     dtype: str  # of the simulation
+    constraint_drift: float | None = None  # largest, where the integrator has constraints to keep [m]
 
     @classmethod
     def build(
@@ -120,6 +121,7 @@ class Result:
             settings=dict(settings),
             timing=dict(timing),
             dtype=str(seen.center.x.dtype),
+            constraint_drift=None if seen.drift is None else float(np.max(seen.drift)),
         )
 
     @cached_property
@@ -187,6 +189,8 @@ class Result:
         ]
         if np.isfinite(self.largest_indentation):
             lines.append(f"largest indentation: {1e3 * self.largest_indentation:.3f} mm")
+        if self.constraint_drift is not None:
+            lines.append(f"largest constraint drift: {self.constraint_drift:.2g} m")
         if np.isfinite(self.real_time_factor):
             lines.append(f"{self.real_time_factor:.3g} x real time")
         return "\n".join(lines)

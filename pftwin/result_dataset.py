@@ -76,6 +76,8 @@ def attributes_of(result: Result) -> dict[str, Any]:
         "real_time_factor": result.real_time_factor,
         "tracking": "not assessed: no contact surface" if outcome is None else outcome.describe(),
     }
+    if result.constraint_drift is not None:
+        attributes["largest_constraint_drift_m"] = result.constraint_drift
     plain = {k: _plain(v) for k, v in result.settings.items()}
     return {**attributes, **plain, **{f"timing_{k}": float(v) for k, v in result.timing.items()}}
 

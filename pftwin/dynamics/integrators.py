@@ -12,6 +12,7 @@ from inspect import signature
 from typing import Any, NamedTuple
 
 from pftwin.dynamics import (
+    ali3p,
     diffrax_solver,
     linear_implicit,
     linear_implicit_bdf2,
@@ -62,6 +63,14 @@ def _newmark(gamma: float | None = None, beta: float | None = None, rho: float |
     return Integrator(partial(newmark.newmark, **weights._asdict()), order, newmark.begin)
 
 
+def _ali3p(penalty: float = 0.0) -> Integrator:
+    """The paper's formulation with its penalty, as a multiple of the patella's mass; 0: one that fits the precision."""
+    if penalty and not penalty >= 10:
+        raise InputError(f"found penalty = {penalty:g}", where="ali3p", expected="at least 10 times the patella's mass")
+    advance = partial(ali3p.ali3p, penalty=penalty) if penalty else ali3p.ali3p
+    return Integrator(advance, ali3p.ORDER, ali3p.begin)
+
+
 def _diffrax(
     solver: str, *, rtol: float = 1e-7, atol: float = 1e-9, adaptive: float = 1.0, adjoint: str = "forward"
 ) -> Integrator:
@@ -86,6 +95,7 @@ INTEGRATORS = {
     "symplectic_euler": Integrator(symplectic_euler.symplectic_euler, symplectic_euler.ORDER),
     "newmark": Integrator(newmark.newmark, newmark.ORDER, newmark.begin, _newmark),
     "quasi_static": Integrator(quasi_static.quasi_static, quasi_static.ORDER, quasi_static.begin),
+    "ali3p": Integrator(ali3p.ali3p, ali3p.ORDER, ali3p.begin, _ali3p),
 }
 
 

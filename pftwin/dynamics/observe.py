@@ -70,6 +70,7 @@ class Observation(eqx.Module):
     kinetic_energy: Scalar
     potential_energy: dict[str, Scalar]  # stored by each effect that stores any [J]
     status: Array  # (n,) int, bits of `Status`
+    drift: Array | None = None  # (n,) largest violation of a constraint so far, where the integrator has any [m]
 
 
 def observe(scene: Scene, path: Trajectory) -> Observation:
@@ -97,7 +98,8 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
     # A loop, which is the same program as one frame's and so is compiled as quickly.
     patella, center, seen, kinetic, stored, status = map_rows(lambda at: look(*at), (path.states, guides))
     badly_started = jnp.where(path.start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
-    return Observation(patella, center, seen, kinetic, stored, status | badly_started | _snapped(path))
+    flags = status | badly_started | _snapped(path)
+    return Observation(patella, center, seen, kinetic, stored, flags, getattr(path.states.carried, "drift", None))
 
 
 def _snapped(path: Trajectory) -> Array | int:

@@ -103,7 +103,8 @@ def simulate(
         scene: what is there.
         integrator: "linear_implicit" (default); "linear_implicit_bdf2", of second order at the same cost (default with
             a tolerance); "newmark", iterated, with options as in "newmark:rho=0.8"; "quasi_static", without inertia;
-            "symplectic_euler", explicit; "diffrax:Tsit5" and the like.
+            "ali3p", the paper's formulation in natural coordinates; "symplectic_euler", explicit;
+            "diffrax:Tsit5" and the like.
         dt: longest step [s], 1e-3 by default; the step used is the largest that divides the interval between frames.
         tolerance: instead of `dt`, how far off the path may be, such as "0.05 mm": see `pftwin.dynamics.tolerance`. The
             result's settings say which step was chosen and what error is left by estimate.

@@ -83,6 +83,21 @@ def _whole(pose: Any, rest: Any) -> Carry:
     return State(*pose, *rest[:4]), rest[4]
 
 
+def _settled(state: State) -> State:
+    """Before the first step of a frame: what earlier ones left unsolved was told with their own frame."""
+    if getattr(state.carried, "unsettled", None) is None:
+        return state
+    return eqx.tree_at(lambda s: s.carried.unsettled, state, jnp.zeros_like(state.carried.unsettled))
+
+
+def _unsettled_at_most(state: State, before: State) -> State:
+    """A frame tells of the worst of its steps, not of the last."""
+    worst = getattr(before.carried, "unsettled", None)
+    if worst is None:
+        return state
+    return eqx.tree_at(lambda s: s.carried.unsettled, state, jnp.maximum(state.carried.unsettled, worst))
+
+
 def trajectory(
     scene: Scene,
     *,
@@ -124,9 +139,10 @@ def trajectory(
             def guide_at(part: float | Scalar) -> Guide:
                 return Guide.sample(piece, began + step * (jnp.asarray(k).astype(float) + part))
 
-            return chosen.advance(system, now[0], guide_at, step, now[1])
+            after, books = chosen.advance(system, now[0], guide_at, step, now[1])
+            return _unsettled_at_most(after, now[0]), books
 
-        return jax.lax.fori_loop(0, substeps, one_step, now)
+        return jax.lax.fori_loop(0, substeps, one_step, (_settled(now[0]), now[1]))
 
     def one_frame(now: Carry, index: Scalar) -> tuple[Carry, tuple[Array, Array]]:
         now = from_rows(*rows_of(now), index)

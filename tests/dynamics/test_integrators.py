@@ -33,7 +33,7 @@ from pftwin.errors import InputError
 from pftwin.scene import Scene
 
 J = jnp.asarray
-NAMES = ("linear_implicit", "linear_implicit_bdf2", "symplectic_euler", "newmark", "newmark:rho=0.5")
+NAMES = ("linear_implicit", "linear_implicit_bdf2", "symplectic_euler", "newmark", "newmark:rho=0.5", "ali3p")
 EACH = pytest.mark.parametrize("integrator", NAMES)
 SECOND = pytest.mark.parametrize("integrator", [n for n in NAMES if integrator_named(n).order == 2])
 COUNTS = (100, 200, 400, 800)
@@ -209,6 +209,8 @@ def test_a_step_whose_equations_are_not_solved_says_so(held, monkeypatch):
         ("newmark:gamma=0.5,beta=0.1", "stable at any step"),
         ("newmark:rho=1.5", "from 0"),
         ("newmark:rho=0.5,gamma=0.5", "one or the other"),
+        ("ali3p:penalty=1", "at least 10 times the patella's mass"),
+        ("ali3p:gamma=0.5", "name=value, of: penalty"),
     ],
 )
 def test_names_and_options_that_cannot_be(name, words):

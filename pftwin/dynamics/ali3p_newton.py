@@ -1,0 +1,124 @@
+"""The equations of one step of ALI3-P, solved by Newton's iteration with multipliers; see `ali3p`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.ali3p_bodies import Bodies, masses
+from pftwin.dynamics.ali3p_projection import constrained, solved, with_penalty
+from pftwin.dynamics.natural_coordinates import LENGTH, Driven, constraints, directions, jacobian
+from pftwin.effects.base import Load
+from pftwin.leaves import all_changes
+from pftwin.spatial import Scalar
+
+GAMMA, BETA = 0.5, 0.25  # Newmark's average acceleration
+MOST_ITERATIONS = 20
+FARTHEST = LENGTH  # that one iteration moves the coordinates [m]
+SETTLED = {"float64": 1e-9, "float32": 1e-4}  # last change of the rates at a step's end [m/s]
+PENALTY = {"float64": 1e6, "float32": 1e3}
+
+
+def penalty_of(dtype: Any) -> float:
+    """The multiple of the patella's mass that beta h^2 alpha is, where none is chosen."""
+    return PENALTY[str(dtype)]
+
+
+class Predicted(eqx.Module):
+    """One step's givens."""
+
+    bodies: Bodies
+    place: Array  # (n, 12) where the step ends without acceleration there
+    rate: Array
+    second_rate: Array  # a first guess
+    multipliers: Array  # likewise
+    to: Driven  # what guided bodies are to follow at the end
+    penalty: float = eqx.field(static=True)
+
+    def motion(self, second_rate: Array) -> tuple[Array, Array]:
+        """Coordinates and rates at the end, with an acceleration there."""
+        h = self.bodies.step
+        return self.place + BETA * h * h * second_rate, self.rate + GAMMA * h * second_rate
+
+    def scale(self) -> Scalar:
+        """beta h^2 alpha [kg]."""
+        return self.penalty * self.bodies.system.mass
+
+    def metric(self, place: Array, loads: list[Load]) -> Array:
+        """M + gamma h C + beta h^2 K (n, 12, 12)."""
+        h = self.bodies.step
+        return self.bodies.metric(place, loads, GAMMA * h, BETA * h * h)
+
+    def unbalanced(self, second_rate: Array, multipliers: Array) -> tuple[Array, list[Load]]:
+        """M d2q/dt2 - Q + J^T multipliers (n, 12), and the loads."""
+        place, rate = self.motion(second_rate)
+        forces, loads, _ = self.bodies.forces(place, rate)
+        held = jnp.einsum("nki,nk->ni", jacobian(place, self.to), multipliers)
+        return masses(self.bodies.system)[None, :] * second_rate - forces + held, loads
+
+
+@eqx.filter_custom_jvp
+def solved_step(given: Predicted) -> tuple[Array, Array, Scalar]:
+    """d2q/dt2 and multipliers at the step's end; the last change of the rates, where it has not become small."""
+    h, scale = given.bodies.step, given.scale()
+    settled, alpha = SETTLED[str(h.dtype)], scale / (BETA * h * h)
+
+    def improve(now: tuple[Array, Array, Scalar, Scalar]) -> tuple[Array, Array, Scalar, Scalar]:
+        second_rate, multipliers, _, count = now
+        place, _ = given.motion(second_rate)
+        missed = alpha * constraints(place, given.to)
+        right, loads = given.unbalanced(second_rate, multipliers + missed)
+        tangent = with_penalty(given.metric(place, loads), jacobian(place, given.to), scale)
+        change = solved(tangent, -right)
+        way = BETA * h * h * jnp.sqrt(jnp.sum(change * change))
+        change = change * jnp.minimum(1.0, FARTHEST / jnp.maximum(way, FARTHEST))
+        second_rate = second_rate + change
+        multipliers = multipliers + alpha * constraints(given.motion(second_rate)[0], given.to)
+        return second_rate, multipliers, GAMMA * h * jnp.sqrt(jnp.sum(change * change)), count + 1
+
+    start = given.second_rate, given.multipliers, jnp.full_like(h, jnp.inf), jnp.zeros((), int)
+    second_rate, multipliers, size, _ = jax.lax.while_loop(
+        lambda now: (now[2] > settled) & (now[3] < MOST_ITERATIONS), improve, start
+    )
+    size = jnp.where(jnp.isfinite(size), size, jnp.inf)
+    return second_rate, multipliers, jnp.where(size > settled, size, 0.0)
+
+
+@solved_step.def_jvp
+def _solved_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """At the solution both equations hold, whatever tangent the iteration used; six unknowns are left of them.
+
+    Guided bodies are where they are to be, and the patella's coordinates change along its six rigid displacements B
+    only, to which no J^T lambda has a component: B^T of the first equation is six equations for them.
+    """
+    (given,) = primals
+    second_rate, multipliers, unsettled = solved_step(given)
+    place, _ = given.motion(second_rate)
+    h = given.bodies.step
+    moving, still = eqx.partition(given, eqx.is_inexact_array)
+    changes = all_changes(moving, tangents[0])
+    per_metre = 1 / (BETA * h * h)
+    basis = directions(place[0])
+
+    predicted = jax.jvp(lambda m: eqx.combine(m, still).motion(second_rate)[0], (moving,), (changes,))[1]
+    known = changes.to.place - predicted
+
+    def residual(second_rate: Array, moving: Any) -> Array:
+        return eqx.combine(moving, still).unbalanced(second_rate, multipliers)[0]
+
+    def along(direction: Array) -> Array:
+        change = jnp.zeros_like(place).at[0].set(per_metre * (basis @ direction))
+        return jax.jvp(lambda a: residual(a, moving), (second_rate,), (change,))[1]
+
+    tangent = jax.vmap(along)(jnp.eye(6, dtype=place.dtype))  # (6, n, 12)
+    rest = jax.jvp(residual, (second_rate, moving), (per_metre * known, changes))[1]
+    steps = jnp.linalg.solve((tangent[:, 0] @ basis).T, -(rest[0] @ basis))
+    left = rest + jnp.einsum("k,kni->ni", steps, tangent)
+    change = (per_metre * known).at[0].add(per_metre * (basis @ steps))
+    mass = jnp.broadcast_to(jnp.diag(masses(given.bodies.system)), (len(place), 12, 12))
+    holding = constrained(mass, jacobian(place, given.to), given.scale(), -left, jnp.zeros_like(left))[1]
+    return (second_rate, multipliers, unsettled), (change, holding, jnp.zeros_like(unsettled))

@@ -1,0 +1,207 @@
+"""What holds of every run, whatever the case: each check gives None, or what is wrong in a few words.
+
+Tolerances are stated here and nowhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.dynamics.observe import DEEPEST, Status
+from pftwin.hard_cases.case import UNKNOWN, Case
+from pftwin.hard_cases.knee import Knee
+from pftwin.hard_cases.programs import Run
+
+Floats = NDArray[np.float64]
+
+
+class Tolerance(NamedTuple):
+    """By float type."""
+
+    unit: float  # of the quaternion's length
+    created: float  # energy from nowhere, as a share of the largest that moves
+    least: float  # and energy below which nothing is said [J]
+    place: float  # of depths found in two ways [m]
+    symmetric: float  # [m] and of quaternion components
+    same: float  # of two runs that have to be one [m] and of quaternion components
+    still: float  # [m] of what must not move
+
+
+TOLERANCES = {
+    "float64": Tolerance(1e-9, 0.01, 1e-7, 2e-5, 1e-7, 1e-7, 1e-6),
+    "float32": Tolerance(1e-5, 0.02, 1e-4, 5e-5, 1e-3, 2e-3, 2e-4),
+}
+
+
+class Look(NamedTuple):
+    """One case's run on the host, with what the checks need."""
+
+    case: Case
+    knee: Knee
+    contact: str
+    run: Run
+    tolerance: Tolerance
+
+    @property
+    def flags(self) -> NDArray[np.int64]:
+        """(n,) bits of `Status`."""
+        return np.asarray(self.run.seen.status, dtype=np.int64)
+
+    def report(self, name: str) -> Floats:
+        """(n,) what the contact reports."""
+        return np.asarray(self.run.seen.effects["contact"][name], dtype=np.float64)
+
+    def clean(self) -> NDArray[np.bool_]:
+        """(n,) frames before the first that the run refuses itself."""
+        return np.cumsum(self.flags & int(UNKNOWN)) == 0
+
+    def indentation(self) -> Floats:
+        """(n,) the larger of the two facets' [m]."""
+        return np.fmax(self.report("indentation_medial"), self.report("indentation_lateral"))
+
+
+def finite(look: Look) -> str | None:
+    """All that is observed, in all frames; facets' own reports are NaN where they have no contact."""
+    states = look.run.states
+    arrays = [states.position.array(), states.orientation.array(), states.velocity.array(), states.spin.array()]
+    arrays += [look.run.ledger.work, look.run.ledger.heat, look.run.seen.kinetic_energy, look.report("force")]
+    bad = ~np.logical_and.reduce([np.isfinite(np.asarray(a)).reshape(len(look.flags), -1).all(axis=1) for a in arrays])
+    return f"not finite from frame {np.argmax(bad)}" if bad.any() else None
+
+
+def unit_quaternion(look: Look) -> str | None:
+    """The orientation's quaternion has length 1."""
+    off = np.abs(np.linalg.norm(np.asarray(look.run.states.orientation.array(), np.float64), axis=1) - 1)
+    worst = off[look.clean()].max(initial=0.0)
+    return f"quaternion's length off by {worst:.1g}" if not worst <= look.tolerance.unit else None
+
+
+def flags_allowed(look: Look) -> str | None:
+    """Flags that a case must have, and none but those it may have; those of geometry are checked by themselves."""
+    every = Status(int(np.bitwise_or.reduce(look.flags)))
+    expected = look.case.expected
+    if expected.must & ~every:
+        return f"flag missing: {(expected.must & ~every).describe()}"
+    geometry = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION
+    more = every & ~(expected.may | expected.must | geometry)
+    return f"flag not expected: {more.describe()}" if more else None
+
+
+def energy(look: Look) -> str | None:
+    """T + V - work + heat never rises above its start by more than a share of the largest energy that moves."""
+    seen, ledger = look.run.seen, look.run.ledger
+    stored = [np.asarray(v, np.float64) for v in seen.potential_energy.values()]
+    kinetic = np.asarray(seen.kinetic_energy, np.float64)
+    total = kinetic + sum(stored)
+    work, heat = (np.asarray(a, np.float64) for a in (ledger.work, ledger.heat))
+    clean = look.clean()
+    rise = (total - total[0] - work + heat)[clean]
+    parts = [kinetic, *(v - v[0] for v in stored), work, heat]
+    scale = max((float(np.abs(p[clean]).max(initial=0.0)) for p in parts), default=0.0)
+    created = rise.max(initial=0.0)
+    bound = look.tolerance.created * scale + look.tolerance.least
+    return f"{created:.2g} J from nowhere, {100 * created / scale:.1f} % of the largest" if created > bound else None
+
+
+def penetration(look: Look) -> str | None:
+    """What an indentation would store by Hertz's law is no more than the energy that there was for it."""
+    law = look.knee.law
+    depth = np.maximum(np.nan_to_num(look.indentation()), 0.0)
+    stored = law.stiffness * depth ** (law.exponent + 1) / (law.exponent + 1)
+    seen, work = look.run.seen, np.asarray(look.run.ledger.work, np.float64)
+    others = [np.asarray(v, np.float64) for n, v in seen.potential_energy.items() if n != "contact"]
+    total = np.asarray(seen.kinetic_energy, np.float64) + sum(np.asarray(v, np.float64) for v in seen.potential_energy.values())
+    available = total[0] + np.maximum(work, 0.0) - sum(others)
+    clean = look.clean()
+    scale = float(np.max(np.abs(total[clean]), initial=0.0))
+    over = (0.5 * stored - available)[clean]  # two halves of one contact count once
+    worst = over.max(initial=0.0)
+    return f"indentation stores {worst:.2g} J too much" if worst > look.tolerance.least + 0.02 * scale else None
+
+
+def place(look: Look) -> str | None:
+    """Force where the exhaustive search says that the button touches, and nowhere else; and as deep as it says."""
+    depth, found, force = np.asarray(look.run.depth, np.float64), look.indentation(), look.report("force")
+    clean, near = look.clean(), look.tolerance.place * max(1.0, look.knee.radius / 0.022)
+    near = near + (0.0105 * look.knee.radius if look.contact == "contours" else 0.0)  # its flat triangles
+    distant = clean & (force > 0) & (depth < -near)
+    if distant.any():
+        return f"force at a distance of {1e3 * -depth[distant].min():.2g} mm"
+    if look.contact in ("contours", "volume"):  # their indentation is another one than the nearest point's
+        missed = clean & (force <= 0) & (depth > np.maximum(near, DEEPEST * look.knee.radius))
+        return f"no force {1e3 * depth[missed].max():.2g} mm deep" if missed.any() else None
+    off = np.where(clean & ((depth > near) | (found > near)), np.abs(np.nan_to_num(found) - depth), 0.0)
+    k = int(np.argmax(off))
+    if off[k] > near + 0.02 * abs(depth[k]):
+        return f"frame {k}: {1e3 * found[k]:.3g} mm deep where it is {1e3 * depth[k]:.3g} mm"
+    return None
+
+
+def geometry_flags(look: Look) -> str | None:
+    """NO_CONTACT and DEEP_INDENTATION where the exhaustive search says so."""
+    depth, clean = np.asarray(look.run.depth, np.float64), look.clean()
+    near = look.tolerance.place * max(1.0, look.knee.radius / 0.022)
+    if look.contact in ("contours", "volume"):
+        near = near + 0.0105 * look.knee.radius
+    none, deep = ((look.flags & int(f)) > 0 for f in (Status.NO_CONTACT, Status.DEEP_INDENTATION))
+    limit = DEEPEST * look.knee.radius
+    wrong = {
+        # The law's damping takes all force off on the way out: an indentation without force is none that was missed.
+        "says no contact, touches": clean & none & (depth > near) & ~(look.indentation() > 0),
+        "touches nothing, does not say so": clean & ~none & (depth < -near),
+        "too deep, does not say so": clean & ~deep & (depth > limit + 2 * near),
+        "says too deep, is not": clean & deep & (depth < limit - 2 * near),
+    }
+    if look.contact in ("contours", "volume"):
+        del wrong["says too deep, is not"], wrong["too deep, does not say so"]  # by area or volume, not by depth
+    said = [f"frame {np.argmax(w)}: {words}" for words, w in wrong.items() if w.any()]
+    return said[0] if said else None
+
+
+def symmetric(look: Look) -> str | None:
+    """A scene symmetric about y = 0 stays so."""
+    if not look.case.expected.symmetric or look.contact in ("contours", "volume"):  # a mesh's diagonals are not
+        return None
+    p, q = (np.asarray(a, np.float64)[look.clean()] for a in _poses(look))
+    off = max(np.abs(p[:, 1]).max(initial=0.0), np.abs(q[:, [1, 3]]).max(initial=0.0))
+    return f"leaves the plane of symmetry by {off:.1g}" if off > look.tolerance.symmetric else None
+
+
+def still(look: Look) -> str | None:
+    """What has to stay where it is does."""
+    if not look.case.expected.still:
+        return None
+    p, q = (np.asarray(a, np.float64) for a in _poses(look))
+    off = max(np.abs(p - p[0]).max(), 0.02 * np.abs(q - q[0]).max())
+    return f"moves by {1e3 * off:.2g} mm" if off > look.tolerance.still else None
+
+
+def at_end(look: Look) -> str | None:
+    """Loaded at the last frame, or not."""
+    wanted, force = look.case.expected.force_at_end, look.report("force")[-1]
+    if wanted is None or (force > 0) == wanted:
+        return None
+    return f"a force of {force:.2g} N at the end"
+
+
+def _poses(look: Look) -> tuple[Floats, Floats]:
+    states = look.run.states
+    return np.asarray(states.position.array(), np.float64), np.asarray(states.orientation.array(), np.float64)
+
+
+CHECKS: tuple[Callable[[Look], str | None], ...] = (
+    finite,
+    flags_allowed,
+    unit_quaternion,
+    energy,
+    penetration,
+    place,
+    geometry_flags,
+    symmetric,
+    still,
+    at_end,
+)

@@ -23,7 +23,7 @@ class Tolerance(NamedTuple):
     """By float type."""
 
     unit: float  # of the quaternion's length
-    created: float  # energy from nowhere, as a share of the largest that moves
+    created: float  # energy from nowhere, as a share of the largest that moves; times the milliseconds of longer steps
     least: float  # and energy below which nothing is said [J]
     place: float  # of depths found in two ways [m]
     symmetric: float  # [m] and of quaternion components
@@ -45,6 +45,8 @@ class Look(NamedTuple):
     contact: str
     run: Run
     tolerance: Tolerance
+    step: float  # [s]
+    depth: Floats  # (n,) of the button in the surface, by exhaustive search [m]
 
     @property
     def flags(self) -> NDArray[np.int64]:
@@ -92,18 +94,20 @@ def flags_allowed(look: Look) -> str | None:
 
 
 def energy(look: Look) -> str | None:
-    """T + V - work + heat never rises above its start by more than a share of the largest energy that moves."""
+    """T + V - work never rises: not above its start, nor above what is left of it at any later frame.
+
+    Heat can only lower it, so the account of heat plays no part.
+    """
     seen, ledger = look.run.seen, look.run.ledger
     stored = [np.asarray(v, np.float64) for v in seen.potential_energy.values()]
-    kinetic = np.asarray(seen.kinetic_energy, np.float64)
-    total = kinetic + sum(stored)
-    work, heat = (np.asarray(a, np.float64) for a in (ledger.work, ledger.heat))
+    kinetic, work = np.asarray(seen.kinetic_energy, np.float64), np.asarray(ledger.work, np.float64)
     clean = look.clean()
-    rise = (total - total[0] - work + heat)[clean]
-    parts = [kinetic, *(v - v[0] for v in stored), work, heat]
+    left = (kinetic + sum(stored) - work)[clean]
+    parts = [kinetic, *(v - v[0] for v in stored), work]
     scale = max((float(np.abs(p[clean]).max(initial=0.0)) for p in parts), default=0.0)
-    created = rise.max(initial=0.0)
-    bound = look.tolerance.created * scale + look.tolerance.least
+    created = (left - np.minimum.accumulate(left)).max(initial=0.0)
+    longer = max(1.0, look.step / 1e-3)  # the account of work is of first order in the step
+    bound = look.tolerance.created * longer * scale + look.tolerance.least
     return f"{created:.2g} J from nowhere, {100 * created / scale:.1f} % of the largest" if created > bound else None
 
 
@@ -125,7 +129,7 @@ def penetration(look: Look) -> str | None:
 
 def place(look: Look) -> str | None:
     """Force where the exhaustive search says that the button touches, and nowhere else; and as deep as it says."""
-    depth, found, force = np.asarray(look.run.depth, np.float64), look.indentation(), look.report("force")
+    depth, found, force = look.depth, look.indentation(), look.report("force")
     clean, near = look.clean(), look.tolerance.place * max(1.0, look.knee.radius / 0.022)
     near = near + (0.0105 * look.knee.radius if look.contact == "contours" else 0.0)  # its flat triangles
     distant = clean & (force > 0) & (depth < -near)
@@ -143,7 +147,7 @@ def place(look: Look) -> str | None:
 
 def geometry_flags(look: Look) -> str | None:
     """NO_CONTACT and DEEP_INDENTATION where the exhaustive search says so."""
-    depth, clean = np.asarray(look.run.depth, np.float64), look.clean()
+    depth, clean = look.depth, look.clean()
     near = look.tolerance.place * max(1.0, look.knee.radius / 0.022)
     if look.contact in ("contours", "volume"):
         near = near + 0.0105 * look.knee.radius

@@ -17,8 +17,9 @@ from pftwin.hard_cases.batch import Batch, batches, member, steps_of
 from pftwin.hard_cases.case import Case
 from pftwin.hard_cases.contacts import CONTACTS
 from pftwin.hard_cases.integrators import INTEGRATORS, Method
+from pftwin.hard_cases.knee import RATE
 from pftwin.hard_cases.mates import batch_mates
-from pftwin.hard_cases.programs import PARAMETERS, Run, compiled, poses, run, slopes
+from pftwin.hard_cases.programs import PARAMETERS, Run, compiled, depths, poses, run, slopes
 from pftwin.hard_cases.starts import Starts, starts_of
 from pftwin.hard_cases.verdict import Cell, Evidence, verdict
 
@@ -103,6 +104,7 @@ def _run_batch(
     forward = compiled(run, double, integrator=method.name)
     nothing = jnp.zeros((n, len(PARAMETERS)))
     plain = jax.device_get(forward(batch.scenes, starts.chosen, substeps, nothing))
+    depth = np.asarray(compiled(depths, double)(batch.scenes, plain.seen.center), np.float64)
     columns = None
     if selection.derivatives and method.differentiated:
         columns = np.asarray(compiled(slopes, double, integrator=method.name)(batch.scenes, starts.chosen, substeps))
@@ -117,7 +119,7 @@ def _run_batch(
     for k, case in enumerate(batch.cases):
         own = None if columns is None else columns[k]
         reference = references.get((case.name, method.name))
-        evidence = Evidence(runs, own, reference, starts.wrong.get(case.name), mates.get(case.name))
+        evidence = Evidence(runs, own, reference, starts.wrong.get(case.name), mates.get(case.name), depth[k], 1 / RATE / int(substeps[k]))
         cells.append(verdict(case, contact, method, dtype, evidence))
     return cells
 

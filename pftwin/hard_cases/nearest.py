@@ -40,24 +40,31 @@ def depth_everywhere(button: Effect, center: Vec3) -> Array:
 
 
 def _above_patch(surface: Any, center: Vec3, radius: Scalar) -> Array:
+    """By samples of two squares, one below the centre and one over the patch, each drawn closer about its nearest."""
     c = surface.chart.to_frame(center)
-    u0, v0 = surface.chart.foot(c)
-    reach = jnp.minimum(WIDE * radius, 0.1)  # beyond that a patch is a plane
     side = jnp.linspace(-1.0, 1.0, SAMPLES)
     grid_u, grid_v = (g.ravel() for g in jnp.meshgrid(side, side))
 
     def closer(_: int, place: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         u0, v0, half = place
         u, v = u0 + half * grid_u, v0 + half * grid_v
-        away = _away(surface, c, u, v)
-        k = jnp.argmin(away.squared_norm())
+        k = jnp.argmin(_away(surface, c, u, v).squared_norm())
         return u[k], v[k], half * (4 / SAMPLES)
 
-    u, v, _ = jax.lax.fori_loop(0, ZOOMS, closer, (u0, v0, reach))
-    away = _away(surface, c, u, v)
+    over = (*surface.center, WIDE * jnp.maximum(*surface.half_size))
+    found = [jax.lax.fori_loop(0, ZOOMS, closer, s) for s in ((*surface.chart.foot(c), WIDE * radius), over)]
+    return jnp.where(
+        jnp.abs(_signed(surface, c, *found[0][:2])) < jnp.abs(_signed(surface, c, *found[1][:2])),
+        _signed(surface, c, *found[0][:2]),
+        _signed(surface, c, *found[1][:2]),
+    )
+
+
+def _signed(surface: Any, c: Vec3, u: Array, v: Array) -> Array:
+    """The distance of a point of the chart's frame to the surface's at (u, v), negative where it is below [m]."""
     jet = surface.jet(u, v)
-    outward = surface.chart.normal(u, jet.f, jet.u, jet.v)
-    return jnp.where(away.dot(outward) < 0, -away.norm(), away.norm())
+    away = _away(surface, c, u, v)
+    return jnp.where(away.dot(surface.chart.normal(u, jet.f, jet.u, jet.v)) < 0, -away.norm(), away.norm())
 
 
 def _away(surface: Any, c: Vec3, u: Array, v: Array) -> Vec3:

@@ -26,7 +26,7 @@ from pftwin.effects.base import Effect
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.hard_cases.nearest import depth_everywhere
 from pftwin.scene import Scene
-from pftwin.spatial import Pose
+from pftwin.spatial import Pose, Vec3
 from pftwin.surfaces.patch import PolynomialPatch
 
 # Compiled without LLVM's optimisations, which takes a third of the time: the runs are short.
@@ -49,7 +49,6 @@ class Run(eqx.Module):
     states: State
     seen: Observation
     ledger: Ledger
-    depth: Array  # of the button in the surface, by exhaustive search [m]
 
 
 def varied(scene: Scene, p: Array) -> Scene:
@@ -121,9 +120,13 @@ def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: st
     changed = varied(scene, p)
     path = trajectory(changed, integrator=integrator, substeps=substeps, start=start, ledger=True)
     assert path.ledger is not None
-    seen = observe(changed, path)
-    button = changed.system().effects[scene.index("contact")]
-    return Run(path.states, seen, path.ledger, jax.lax.map(lambda c: depth_everywhere(button, c), seen.center))
+    return Run(path.states, observe(changed, path), path.ledger)
+
+
+def depths(scene: Scene, centers: Vec3) -> Array:
+    """(n,): how deep the button is at places of its centre, by exhaustive search [m]."""
+    button = scene.system().effects[scene.index("contact")]
+    return jax.lax.map(lambda c: depth_everywhere(button, c), centers)
 
 
 def slopes(scene: Scene, start: Solution, substeps: Array, integrator: str) -> Array:

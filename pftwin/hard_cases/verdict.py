@@ -36,11 +36,14 @@ class Evidence(NamedTuple):
     reference: NDArray[np.float64] | None  # float64's finite differences, likewise
     start: str | None  # what is wrong with its equilibrium
     mates: str | None  # what depends on the batch
+    depth: NDArray[np.float64]  # (n,) by exhaustive search [m]
+    step: float  # [s]
 
 
 def verdict(case: Case, contact: str, method: Method, dtype: str, evidence: Evidence) -> Cell:
     """Pass; fail with the first thing that is wrong; refused where the run itself says that its step is too long."""
-    look = Look(case, case.builder(), contact, evidence.runs[case.name], TOLERANCES[dtype])
+    run, tolerance = evidence.runs[case.name], TOLERANCES[dtype]
+    look = Look(case, case.builder(), contact, run, tolerance, evidence.step, evidence.depth)
 
     def cell(outcome: str, reason: str) -> Cell:
         return Cell(case.name, contact, method.name, dtype, outcome, reason)

@@ -24,7 +24,7 @@ Height = Callable[[Floats, Floats], Floats]
 
 CYLINDER = " cylinder"  # what a patch's name ends with where it lies over a cylinder
 CELLS = (8, 8)  # of the spline
-SAMPLES = 61  # along each side of the rectangle, for fits
+SAMPLES = 41  # along each side of the rectangle, for fits
 MESH = (3, 4)  # cells of the mesh along and across: 12 triangles on each facet
 
 

@@ -108,11 +108,11 @@ def _run_batch(
     columns = None
     if selection.derivatives and method.differentiated:
         columns = np.asarray(compiled(slopes, double, integrator=method.name)(batch.scenes, starts.chosen, substeps))
-        if double:
+        if double and any(c.expected.smooth for c in batch.cases):
             found = _differences(lambda p: forward(batch.scenes, starts.chosen, substeps, p), n)
             references.update({(c.name, method.name): found[k] for k, c in enumerate(batch.cases)})
     mates: dict[str, str] = {}
-    if selection.mates:
+    if selection.mates and n > 1:
         mates = batch_mates(batch, starts.chosen, substeps, plain, method, dtype)
     runs = {c.name: member(plain, k) for k, c in enumerate(batch.cases)}
     cells = []

@@ -11,7 +11,9 @@ from pftwin.hard_cases.knee import Knee
 
 NOTHING = Status.OK
 RELEASED = Status.START_NOT_IN_EQUILIBRIUM
-UNKNOWN = Status.NOT_FINITE | Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW  # what a simulation may refuse itself with
+UNKNOWN = (  # what a simulation may refuse itself with
+    Status.NOT_FINITE | Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
+)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,9 @@ def _level(ground: Ground, height: float, pull: float = 0.02, **changes: object)
     forward = Strand(156, 0.06, (0.02, 0, -0.008), (0.10, 0.0, RADIUS - pull))
     back = Strand(156, 0.06, (-0.02, 0, -0.008), (-0.10, 0.0, RADIUS - pull))
     start = (0.0, 0.0, RADIUS + height)
-    knee = replace(FREE, ground=ground, quadriceps=forward, patellar_tendon=back, start=start, center_of_mass=(0, 0, 0.0))
+    knee = replace(
+        FREE, ground=ground, quadriceps=forward, patellar_tendon=back, start=start, center_of_mass=(0, 0, 0.0)
+    )
     return replace(knee, **changes)  # pyright: ignore[reportArgumentType]
 
 
@@ -40,7 +42,8 @@ CASES = (
     Case(
         "dislocation_across_the_edge",
         TOPIC,
-        "Pulled sideways over the groove's edge and beyond the fitted rectangle, onto the patch's continuation: no jump,"
+        "Pulled sideways over the groove's edge and beyond the fitted rectangle, onto the patch's continuation:"
+        " no jump,"
         " and flagged from where it is no surface any more.",
         lambda: replace(
             _level(PLATE, 0.0),
@@ -55,7 +58,8 @@ CASES = (
     Case(
         "fall_back_into_the_groove",
         TOPIC,
-        "Let go high on the lateral facet: it slides down, crosses the bottom and meets the medial facet while the lateral"
+        "Let go high on the lateral facet: it slides down, crosses the bottom and meets the medial facet while"
+        " the lateral"
         " contact still bears.",
         lambda: replace(FREE, ground=STEEP, start=(0.0, 0.011, RADIUS + 0.022), tibia=standing),
         Expected(must=RELEASED, may=RELEASED),
@@ -65,7 +69,8 @@ CASES = (
     Case(
         "wedged_high_riding",
         TOPIC,
-        "Pulled hard into a groove with walls of 70 deg: wedged between two facets whose normals are nearly opposite, so"
+        "Pulled hard into a groove with walls of 70 deg: wedged between two facets whose normals are nearly"
+        " opposite, so"
         " each bears far more than the pull.",
         lambda: _level(STEEP, 0.012, 0.06),
         Expected(smooth=True, symmetric=True),
@@ -73,7 +78,8 @@ CASES = (
     Case(
         "sphere_on_a_ridge",
         TOPIC,
-        "Exactly on the crest of a ridge, everything symmetric: unstable, but nothing tells left from right, so it has to"
+        "Exactly on the crest of a ridge, everything symmetric: unstable, but nothing tells left from right, so"
+        " it has to"
         " stay in the middle plane.",
         lambda: _level(RIDGE, -0.0036, -0.01),
         Expected(may=RELEASED, symmetric=True),
@@ -99,7 +105,8 @@ CASES = (
     Case(
         "near_singular_equilibrium",
         TOPIC,
-        "A groove that hardly rises and tendons that hardly hold: an equilibrium whose stiffness across is a thousandth of"
+        "A groove that hardly rises and tendons that hardly hold: an equilibrium whose stiffness across is a"
+        " thousandth of"
         " that along, and moves far for little.",
         lambda: _level(SHALLOW, 0.0, 0.002),
         Expected(symmetric=True),
@@ -116,14 +123,17 @@ CASES = (
         TOPIC,
         "Facets of 80 deg: a polynomial over a plane is at its worst, curvatures at the bottom are sharper than the"
         " button, and normals turn by 160 deg within millimetres.",
-        lambda: _level(Ground(lambda u, v: np.sqrt(v**2 + 0.004**2) * np.tan(np.radians(80)), (0.02, 0.012)), 0.06, 0.06),
+        lambda: _level(
+            Ground(lambda u, v: np.sqrt(v**2 + 0.004**2) * np.tan(np.radians(80)), (0.02, 0.012)), 0.06, 0.06
+        ),
         Expected(symmetric=True, may=Status.STEP_TOO_LONG),
         contacts=PATCHES,
     ),
     Case(
         "button_larger_than_the_groove",
         TOPIC,
-        "A groove of 55 deg facets, 2 mm round at the bottom: the button rests on its flanks and never sees the bottom.",
+        "A groove of 55 deg facets, 2 mm round at the bottom: the button rests on its flanks and never sees the"
+        " bottom.",
         lambda: _level(NARROW, 0.02, 0.04),
         Expected(smooth=True, symmetric=True),
         contacts=PATCHES,
@@ -131,7 +141,8 @@ CASES = (
     Case(
         "patch_barely_larger_than_the_contact",
         TOPIC,
-        "A patch of 8 by 8 mm below a button of 22 mm radius: contacts lie on its edge, and the search for facets reaches"
+        "A patch of 8 by 8 mm below a button of 22 mm radius: contacts lie on its edge, and the search for"
+        " facets reaches"
         " beyond it on all sides.",
         lambda: _level(SMALL_PATCH, 0.002, 0.02),
         Expected(symmetric=True),

@@ -82,9 +82,7 @@ def _chart(ground: Ground, round_: bool) -> Chart:
 
 
 @lru_cache(maxsize=512)
-def _fitted(
-    ground: Ground, name: str, round_: bool
-) -> tuple[Floats, tuple[float, float], tuple[float, float]]:
+def _fitted(ground: Ground, name: str, round_: bool) -> tuple[Floats, tuple[float, float], tuple[float, float]]:
     """Coefficients, middle and half size of the rectangle."""
     u, v, h = ground.grid(SAMPLES, SAMPLES)
     if round_:
@@ -97,7 +95,7 @@ def _fitted(
     if name == "spline":
         return _spline(a, b, h), center, half
     basis = np.stack([a.ravel() ** i * b.ravel() ** j for i, j in exponents(parse_degree(name))], axis=1)
-    return np.linalg.lstsq(basis, h.ravel(), rcond=None)[0], center, half
+    return np.asarray(np.linalg.lstsq(basis, h.ravel(), rcond=None)[0], np.float64), center, half
 
 
 def _spline(a: Floats, b: Floats, h: Floats) -> Floats:

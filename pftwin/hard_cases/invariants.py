@@ -1,69 +1,14 @@
-"""What holds of every run, whatever the case: each check gives None, or what is wrong in a few words.
-
-Tolerances are stated here and nowhere else.
-"""
+"""What holds of every run, whatever the case: each check gives None, or what is wrong in a few words."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pftwin.dynamics.observe import DEEPEST, Status
-from pftwin.hard_cases.case import UNKNOWN, Case
-from pftwin.hard_cases.knee import Knee
-from pftwin.hard_cases.programs import Run
-
-Floats = NDArray[np.float64]
-
-
-class Tolerance(NamedTuple):
-    """By float type."""
-
-    unit: float  # of the quaternion's length
-    created: float  # energy from nowhere, as a share of the largest that moves; times the milliseconds of longer steps
-    least: float  # and energy below which nothing is said [J]
-    place: float  # of depths found in two ways [m]
-    symmetric: float  # [m] and of quaternion components
-    same: float  # of two runs that have to be one [m] and of quaternion components
-    still: float  # [m] of what must not move
-
-
-TOLERANCES = {
-    "float64": Tolerance(1e-9, 0.01, 1e-7, 2e-5, 1e-7, 1e-7, 1e-6),
-    "float32": Tolerance(1e-5, 0.02, 1e-4, 5e-5, 1e-3, 2e-3, 2e-4),
-}
-
-
-class Look(NamedTuple):
-    """One case's run on the host, with what the checks need."""
-
-    case: Case
-    knee: Knee
-    contact: str
-    run: Run
-    tolerance: Tolerance
-    step: float  # [s]
-    depth: Floats  # (n,) of the button in the surface, by exhaustive search [m]
-
-    @property
-    def flags(self) -> NDArray[np.int64]:
-        """(n,) bits of `Status`."""
-        return np.asarray(self.run.seen.status, dtype=np.int64)
-
-    def report(self, name: str) -> Floats:
-        """(n,) what the contact reports."""
-        return np.asarray(self.run.seen.effects["contact"][name], dtype=np.float64)
-
-    def clean(self) -> NDArray[np.bool_]:
-        """(n,) frames before the first that the run refuses itself."""
-        return np.cumsum(self.flags & int(UNKNOWN)) == 0
-
-    def indentation(self) -> Floats:
-        """(n,) the larger of the two facets' [m]."""
-        return np.fmax(self.report("indentation_medial"), self.report("indentation_lateral"))
+from pftwin.hard_cases.expectations import at_end, still, symmetric
+from pftwin.hard_cases.look import Look
 
 
 def finite(look: Look) -> str | None:
@@ -118,7 +63,9 @@ def penetration(look: Look) -> str | None:
     stored = law.stiffness * depth ** (law.exponent + 1) / (law.exponent + 1)
     seen, work = look.run.seen, np.asarray(look.run.ledger.work, np.float64)
     others = [np.asarray(v, np.float64) for n, v in seen.potential_energy.items() if n != "contact"]
-    total = np.asarray(seen.kinetic_energy, np.float64) + sum(np.asarray(v, np.float64) for v in seen.potential_energy.values())
+    total = np.asarray(seen.kinetic_energy, np.float64) + sum(
+        np.asarray(v, np.float64) for v in seen.potential_energy.values()
+    )
     available = total[0] + np.maximum(work, 0.0) - sum(others)
     clean = look.clean()
     scale = float(np.max(np.abs(total[clean]), initial=0.0))
@@ -164,37 +111,6 @@ def geometry_flags(look: Look) -> str | None:
         del wrong["says too deep, is not"], wrong["too deep, does not say so"]  # by area or volume, not by depth
     said = [f"frame {np.argmax(w)}: {words}" for words, w in wrong.items() if w.any()]
     return said[0] if said else None
-
-
-def symmetric(look: Look) -> str | None:
-    """A scene symmetric about y = 0 stays so."""
-    if not look.case.expected.symmetric or look.contact in ("contours", "volume"):  # a mesh's diagonals are not
-        return None
-    p, q = (np.asarray(a, np.float64)[look.clean()] for a in _poses(look))
-    off = max(np.abs(p[:, 1]).max(initial=0.0), np.abs(q[:, [1, 3]]).max(initial=0.0))
-    return f"leaves the plane of symmetry by {off:.1g}" if off > look.tolerance.symmetric else None
-
-
-def still(look: Look) -> str | None:
-    """What has to stay where it is does."""
-    if not look.case.expected.still:
-        return None
-    p, q = (np.asarray(a, np.float64) for a in _poses(look))
-    off = max(np.abs(p - p[0]).max(), 0.02 * np.abs(q - q[0]).max())
-    return f"moves by {1e3 * off:.2g} mm" if off > look.tolerance.still else None
-
-
-def at_end(look: Look) -> str | None:
-    """Loaded at the last frame, or not."""
-    wanted, force = look.case.expected.force_at_end, look.report("force")[-1]
-    if wanted is None or (force > 0) == wanted:
-        return None
-    return f"a force of {force:.2g} N at the end"
-
-
-def _poses(look: Look) -> tuple[Floats, Floats]:
-    states = look.run.states
-    return np.asarray(states.position.array(), np.float64), np.asarray(states.orientation.array(), np.float64)
 
 
 CHECKS: tuple[Callable[[Look], str | None], ...] = (

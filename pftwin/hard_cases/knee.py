@@ -46,9 +46,9 @@ class Strand:
 
     def tendon(self, body: str, name: str) -> Tendon:
         """As an effect."""
-        numbers = (self.stiffness, self.slack_length, self.damping_time * self.stiffness)
-        points = vector(self.insertion), vector(self.origin)
-        return Tendon(*(number(x) for x in numbers), *points, body, name=name)
+        stiffness, slack = number(self.stiffness), number(self.slack_length)
+        damping = number(self.damping_time * self.stiffness)
+        return Tendon(stiffness, slack, damping, vector(self.insertion), vector(self.origin), body, name=name)
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,11 @@ LARGEST = 2000  # steps of a run that is looked at: side by side all take as man
 AGREE = {"float64": 1e-10, "float32": 1e-4}  # of poses side by side with different mates [m, quaternion components]
 
 
-def batch_mates(
-    batch: Batch, starts: Any, substeps: Any, plain: Run, method: Method, dtype: str
-) -> dict[str, str]:
+def batch_mates(batch: Batch, starts: Any, substeps: Any, plain: Run, method: Method, dtype: str) -> dict[str, str]:
     """By case: what differs.
 
-    All cases run side by side (`jax.vmap`), in reversed order with every second one NaN in all its numbers, and then with
-    the others NaN. What is left has to be what the undisturbed batch, in its own order, gives.
+    All cases run side by side (`jax.vmap`), in reversed order with every second one NaN in all its numbers, and then
+    with the others NaN. What is left has to be what the undisturbed batch, in its own order, gives.
     """
     if not method.side_by_side:
         return {}
@@ -59,5 +57,3 @@ def _poisoned(scenes: Any, which: Any) -> Any:
         return jnp.where(which.reshape((-1,) + (1,) * (a.ndim - 1)), jnp.nan, a)
 
     return jax.tree.map(spoil, scenes)
-
-

@@ -15,7 +15,7 @@ from pftwin.errors import InputError
 from pftwin.hard_cases import derivatives
 from pftwin.hard_cases.batch import Batch, batches, member, steps_of
 from pftwin.hard_cases.case import Case
-from pftwin.hard_cases.contacts import CONTACTS
+from pftwin.hard_cases.contacts import CONTACTS, PATCHES
 from pftwin.hard_cases.integrators import INTEGRATORS, Method
 from pftwin.hard_cases.knee import RATE
 from pftwin.hard_cases.mates import batch_mates
@@ -24,6 +24,7 @@ from pftwin.hard_cases.starts import Starts, starts_of
 from pftwin.hard_cases.verdict import Cell, Evidence, verdict
 
 DTYPES = ("float64", "float32")
+MOST_LOOKS = 200  # frames of a run whose depth is searched for
 Say = Callable[[str], None]
 
 
@@ -37,9 +38,10 @@ class Selection(NamedTuple):
     mates: bool = True
 
 
-def run_matrix(
-    cases: Sequence[Case], selection: Selection = Selection(), say: Say = lambda _: None
-) -> list[Cell]:
+EVERYTHING = Selection()
+
+
+def run_matrix(cases: Sequence[Case], selection: Selection = EVERYTHING, say: Say = lambda _: None) -> list[Cell]:
     """Runs cases and judges them.
 
     Args:
@@ -104,24 +106,42 @@ def _run_batch(
     forward = compiled(run, double, integrator=method.name)
     nothing = jnp.zeros((n, len(PARAMETERS)))
     plain = jax.device_get(forward(batch.scenes, starts.chosen, substeps, nothing))
-    depth = np.asarray(compiled(depths, double)(batch.scenes, plain.seen.center), np.float64)
+    depth = _depths(batch, plain, double)
     columns = None
-    if selection.derivatives and method.differentiated:
+    if selection.derivatives and (method.differentiated_on is None or contact in method.differentiated_on):
         columns = np.asarray(compiled(slopes, double, integrator=method.name)(batch.scenes, starts.chosen, substeps))
         if double and any(c.expected.smooth for c in batch.cases):
             found = _differences(lambda p: forward(batch.scenes, starts.chosen, substeps, p), n)
             references.update({(c.name, method.name): found[k] for k, c in enumerate(batch.cases)})
     mates: dict[str, str] = {}
-    if selection.mates and n > 1:
+    if selection.mates and n > 1 and contact in PATCHES:  # meshes' searches side by side compile for minutes
         mates = batch_mates(batch, starts.chosen, substeps, plain, method, dtype)
     runs = {c.name: member(plain, k) for k, c in enumerate(batch.cases)}
     cells = []
     for k, case in enumerate(batch.cases):
         own = None if columns is None else columns[k]
         reference = references.get((case.name, method.name))
-        evidence = Evidence(runs, own, reference, starts.wrong.get(case.name), mates.get(case.name), depth[k], 1 / RATE / int(substeps[k]))
+        evidence = Evidence(
+            runs,
+            own,
+            reference,
+            starts.wrong.get(case.name),
+            mates.get(case.name),
+            depth[k],
+            1 / RATE / int(substeps[k]),
+        )
         cells.append(verdict(case, contact, method, dtype, evidence))
     return cells
+
+
+def _depths(batch: Batch, plain: Run, float64: bool) -> NDArray[np.float64]:
+    """(cases, frames): by exhaustive search, NaN at the frames of long motions that are passed over."""
+    frames = plain.seen.status.shape[1]
+    looked = np.arange(0, frames, max(1, frames // MOST_LOOKS))
+    centers = jax.tree.map(lambda a: a[:, looked], plain.seen.center)
+    depth = np.full((len(batch.cases), frames), np.nan)
+    depth[:, looked] = np.asarray(compiled(depths, float64)(batch.scenes, centers))
+    return depth
 
 
 def _differences(forward: Callable[[Any], Run], n: int) -> NDArray[np.float64]:

@@ -71,7 +71,7 @@ def varied(scene: Scene, p: Array) -> Scene:
 
 
 def _raised(contact: Effect, by: Array) -> Effect:
-    """The contact with its surface raised by a change of its coefficients; a mesh has none, so the button is lowered."""
+    """The contact with its surface raised by its coefficients; a mesh has none, so the button is lowered."""
     if isinstance(contact, SphereContact):
         surface = contact.surface
         only = isinstance(surface, PolynomialPatch)  # the first coefficient is the height; a spline's add up to it
@@ -139,7 +139,9 @@ def slopes(scene: Scene, start: Solution, substeps: Array, integrator: str) -> A
 
 
 @lru_cache(maxsize=256)
-def compiled(function: Callable[..., Any], float64: bool, side_by_side: bool = False, **fixed: str) -> Callable[..., Any]:
+def compiled(
+    function: Callable[..., Any], float64: bool, side_by_side: bool = False, **fixed: str
+) -> Callable[..., Any]:
     """A program over the leading axis of all arguments; one for each float type, whose settings have to be in force."""
 
     def each(*args: Any) -> Any:

@@ -42,7 +42,9 @@ def _case(name: str, about: str, words: str, knee: Callable[[], Knee], **how: ob
 CASES = (
     _case("radius_negative", "A button of negative radius.", "positive", lambda: Knee(radius=-0.02)),
     _case("mass_zero", "A patella without mass.", "positive", lambda: Knee(mass=0.0)),
-    _case("restitution_zero", "Restitution 0: an infinite damping.", "positive", lambda: Knee(law=Law(restitution=0.0))),
+    _case(
+        "restitution_zero", "Restitution 0: an infinite damping.", "positive", lambda: Knee(law=Law(restitution=0.0))
+    ),
     _case(
         "restitution_above_one",
         "Restitution 1.2: every bounce would be higher than the last.",
@@ -74,7 +76,12 @@ CASES = (
         lambda: Knee(ground=Ground(TROCHLEA.height, (0.024, 0.0))),
         contacts=PATCHES,
     ),
-    _case("motion_of_three_frames", "A motion of three frames.", "at least 4", lambda: Knee(tibia=lambda: flexed(np.full(3, 45.0)))),
+    _case(
+        "motion_of_three_frames",
+        "A motion of three frames.",
+        "at least 4",
+        lambda: Knee(tibia=lambda: flexed(np.full(3, 45.0))),
+    ),
     _case("motion_uneven", "A motion with a gap of two frames in its times.", "evenly", lambda: Knee(tibia=_uneven)),
     _case("motion_not_finite", "A motion with a frame that is missing.", "not finite", lambda: Knee(tibia=_not_finite)),
     _case("motion_not_rotations", "Quaternions of length 1.1.", "unit quaternions", lambda: Knee(tibia=_not_unit)),

@@ -68,7 +68,8 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], machine: dict[str, An
     parts = [
         _INTRODUCTION,
         f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}. Made by "
-        f"`pftwin hard-cases --markdown docs/hard_cases.md` in {seconds / 60:.0f} minutes, compiling included, other work "
+        f"`pftwin hard-cases --markdown docs/hard_cases.md` in {seconds / 60:.0f} minutes, compiling included,"
+        f" other work "
         f"going on: {m['cpu']}, {m['cores']} cores, jax {m['jax']}, {m['date'][:10]}.",
         "## By contact, integrator and float type",
         _table(summary(cells)),
@@ -86,15 +87,15 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], machine: dict[str, An
 
 _INTRODUCTION = """# Hard cases
 
-Scenes that have broken simulators of contact before, each with every kind of contact, integrator and float type, forward
-and differentiated (`pftwin.hard_cases`). All scenes are made up. **Pass**: everything is finite; flags of the frames are
-right (contact, edge and depth by an exhaustive search that shares no code with the simulator's); the quaternion has length
-1; energy less the work of guided bodies never rises; no indentation stores more than there was; there is no force at a
-distance and no missed contact; a symmetric scene stays symmetric; the run does not depend on its place in a batch nor on
-what runs beside it, NaN included; derivatives by a tendon's stiffness and slack length, the surface's height and the
-contact's stiffness are finite, and where the motion is smooth those of finite differences. **Refused**: the input, or the
-run's own flags, say in words that there is no answer, before any number that is not finite. **Fail**: all else. Tolerances
-are in `pftwin/hard_cases/invariants.py` and `derivatives.py`."""
+Scenes that have broken simulators of contact before, each with every kind of contact, integrator and float type,
+forward and differentiated (`pftwin.hard_cases`). All scenes are made up. **Pass**: everything is finite; flags of the
+frames are right (contact, edge and depth by an exhaustive search that shares no code with the simulator's); the
+quaternion has length 1; energy less the work of guided bodies never rises; no indentation stores more than there was;
+there is no force at a distance and no missed contact; a symmetric scene stays symmetric; the run does not depend on
+its place in a batch nor on what runs beside it, NaN included; derivatives by a tendon's stiffness and slack length,
+the surface's height and the contact's stiffness are finite, and where the motion is smooth those of finite
+differences. **Refused**: the input, or the run's own flags, say in words that there is no answer, before any number
+that is not finite. **Fail**: all else. Tolerances are in `pftwin/hard_cases/look.py` and `derivatives.py`."""
 
 
 def _table(rows: list[list[str]]) -> str:

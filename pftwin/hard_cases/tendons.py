@@ -57,7 +57,8 @@ CASES = (
     Case(
         "tendon_reversed",
         TOPIC,
-        "A tendon of nearly no slack length pulls the patella straight through its own origin: length 0 is passed at full"
+        "A tendon of nearly no slack length pulls the patella straight through its own origin: length 0 is"
+        " passed at full"
         " speed, and the direction turns round within one step.",
         lambda: _afloat(_along_x(1e-6, 0.01)),
         Expected(must=RELEASED | Status.NO_CONTACT, may=RELEASED, symmetric=True, force_at_end=False),
@@ -67,7 +68,9 @@ CASES = (
         "tendon_soft",
         TOPIC,
         "Tendons of 100 N/m: they hardly hold the patella against its weight.",
-        lambda: Knee(quadriceps=replace(QUADRICEPS, stiffness=1e2), patellar_tendon=replace(PATELLAR_TENDON, stiffness=1e2)),
+        lambda: Knee(
+            quadriceps=replace(QUADRICEPS, stiffness=1e2), patellar_tendon=replace(PATELLAR_TENDON, stiffness=1e2)
+        ),
         Expected(smooth=True),
     ),
     Case(

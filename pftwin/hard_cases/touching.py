@@ -67,7 +67,8 @@ CASES = (
     ),
     _dropped(
         "bounce_to_rest",
-        "Dropped by 3 mm with a restitution of 0.5: ever shorter bounces (Zeno's) that end in rest, and leave the button"
+        "Dropped by 3 mm with a restitution of 0.5: ever shorter bounces (Zeno's) that end in rest, and leave"
+        " the button"
         " loaded with the weight.",
         above(0.003, law=Law(restitution=0.5)),
     ),
@@ -84,7 +85,8 @@ CASES = (
     ),
     _dropped(
         "deep_start",
-        "Starts 1.2 mm inside the plate, with 30 times its weight's work stored: thrown out at 8 m/s, flagged as too deep,"
+        "Starts 1.2 mm inside the plate, with 30 times its weight's work stored: thrown out at 8 m/s, flagged as"
+        " too deep,"
         " and without energy from nowhere.",
         above(-0.0012),
         RELEASED | UNKNOWN,
@@ -93,7 +95,8 @@ CASES = (
     Case(
         "two_facet_chatter",
         TOPIC,
-        "Dropped off the middle into a groove, nearly without loss: it rattles from facet to facet, contacts come and go"
+        "Dropped off the middle into a groove, nearly without loss: it rattles from facet to facet, contacts"
+        " come and go"
         " one by one and both at once.",
         lambda: replace(FREE, ground=VEE, law=Law(restitution=0.95), start=(0.0, 0.004, RADIUS + 0.009)),
         Expected(must=RELEASED, may=RELEASED),
@@ -110,7 +113,8 @@ CASES = (
     Case(
         "contact_hard",
         TOPIC,
-        "Contact stiffness 1e11 N/m^1.5: a micrometre of indentation, vibrations of some 10 kHz, steps of a millisecond.",
+        "Contact stiffness 1e11 N/m^1.5: a micrometre of indentation, vibrations of some 10 kHz, steps of a"
+        " millisecond.",
         lambda: Knee(law=Law(stiffness=1e11)),
         Expected(),
     ),

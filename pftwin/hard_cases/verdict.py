@@ -11,10 +11,13 @@ from pftwin.dynamics.observe import Status
 from pftwin.hard_cases import derivatives
 from pftwin.hard_cases.case import UNKNOWN, Case
 from pftwin.hard_cases.integrators import Method
-from pftwin.hard_cases.invariants import CHECKS, TOLERANCES, Look
+from pftwin.hard_cases.invariants import CHECKS
+from pftwin.hard_cases.look import TOLERANCES, Look
 from pftwin.hard_cases.programs import Run
 
-REFUSES = Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW  # what says that a run, or its step, is not to be trusted
+REFUSES = (
+    Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
+)  # what says that a run, or its step, is not to be trusted
 
 
 class Cell(NamedTuple):
@@ -51,7 +54,7 @@ def verdict(case: Case, contact: str, method: Method, dtype: str, evidence: Evid
     if case.expected.refusal is not None:
         return cell("fail", "not refused")
     every = Status(int(np.bitwise_or.reduce(look.flags)))
-    if every & UNKNOWN and (method.explicit or case.expected.may & UNKNOWN):
+    if every & UNKNOWN and (method.may_refuse or case.expected.may & UNKNOWN):
         return _refused(look, every, cell)
     wrong = [words for check in CHECKS if (words := check(look)) is not None]
     wrong += [w for w in (evidence.start, evidence.mates, _same(look, evidence), _slopes(look, evidence, dtype)) if w]
@@ -66,6 +69,8 @@ def _refused(look: Look, every: Status, cell: object) -> Cell:
     if lost.any() and not said[: first + 1].any():
         return cell("fail", f"not finite from frame {first}, and nothing said before")  # pyright: ignore
     skipped = {"finite", "flags_allowed", "at_end", "still"}
+    if every & Status.ENERGY_FROM_NOWHERE:
+        skipped |= {"energy", "penetration"}  # the run says so itself, by what it is of its largest energy
     wrong = [w for check in CHECKS if check.__name__ not in skipped and (w := check(look)) is not None]
     if wrong:
         return cell("fail", "before it refuses itself: " + "; ".join(wrong))  # pyright: ignore

@@ -13,6 +13,8 @@ from pftwin.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from pftwin.hard_cases import Selection as Selected
+
 ContactsOption = Annotated[
     list[str] | None,
     typer.Option("--contact", metavar="NAME", help="A kind of contact, again for more; all if left out."),
@@ -90,11 +92,18 @@ def hard_cases(
         from pftwin.benchmarks.machine import describe
         from pftwin.mocap.text_files import write_text
 
-        write_text(markdown, table.markdown(cells, cases, describe(), seconds))
+        write_text(markdown, table.markdown(cells, cases, describe(), seconds, _scope(chosen)))
     write_json({"seconds": seconds, "cells": table.as_dicts(cells)}, json)
     out(json).print(_table("hard cases", table.summary(cells)))
     if table.counts(cells)["fail"]:
         out(json).print(_table("what fails", table.reasons(cells, "fail")))
+
+
+def _scope(chosen: Selected) -> str:
+    """What of the matrix was run, in a sentence."""
+    names = (", ".join(x) for x in (chosen.contacts, (m.name for m in chosen.integrators), chosen.dtypes))
+    less = "" if chosen.derivatives else ", without derivatives and without batches side by side"
+    return f"Run: {'; '.join(names)}{less}."
 
 
 def _known(wanted: list[str] | None, known: tuple[str, ...], option: str) -> tuple[str, ...]:

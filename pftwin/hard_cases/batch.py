@@ -45,9 +45,11 @@ def batches(cases: Sequence[Case], contact: str) -> tuple[list[Batch], dict[str,
         if contact not in case.contacts:
             continue
         try:
-            groups.setdefault(case.group, []).append((case, built(case, contact).unnamed()))
+            scene = built(case, contact).unnamed()
         except InputError as error:
             refused[case.name] = error
+        else:
+            groups.setdefault(case.group, []).append((case, scene))
     return [Batch(tuple(c for c, _ in g), stacked([s for _, s in g])) for g in groups.values()], refused
 
 

@@ -61,16 +61,15 @@ def as_dicts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     return [c._asdict() for c in cells]
 
 
-def markdown(cells: Sequence[Cell], cases: Sequence[Case], machine: dict[str, Any], seconds: float) -> str:
-    """The page docs/hard_cases.md."""
+def markdown(cells: Sequence[Cell], cases: Sequence[Case], machine: dict[str, Any], seconds: float, scope: str) -> str:
+    """The page docs/hard_cases.md; `scope` says in a sentence what of the matrix was run."""
     found, m = counts(cells), machine
     topics = dict.fromkeys(c.topic for c in cases)
     parts = [
         _INTRODUCTION,
-        f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}. Made by "
-        f"`pftwin hard-cases --markdown docs/hard_cases.md` in {seconds / 60:.0f} minutes, compiling included,"
-        f" other work "
-        f"going on: {m['cpu']}, {m['cores']} cores, jax {m['jax']}, {m['date'][:10]}.",
+        f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}. {scope} Made by "
+        f"`pftwin hard-cases --markdown docs/hard_cases.md` in {seconds / 60:.0f} minutes, compiling included, other"
+        f" work going on: {m['cpu']}, {m['cores']} cores, jax {m['jax']}, {m['date'][:10]}.",
         "## By contact, integrator and float type",
         _table(summary(cells)),
         "## By case\nOver all kinds of contact and float types.",

@@ -75,6 +75,7 @@ def test_what_is_refused_is_what_was_to_be(cells):
     }
 
 
+@pytest.mark.slow
 def test_runs_do_not_depend_on_their_batch():
     """Side by side, in another order, beside members whose every number is NaN."""
     cases = [case_named(n) for n in ("plain_knee", "bounce_to_rest", "tendon_reversed", "contact_hard", "noise")]
@@ -87,7 +88,7 @@ def test_tables_count_every_cell_once(cells):
     (row,) = summary(cells)[1:]
     assert sum(int(x) for x in row[3:]) == len(cells)
     assert len(by_case(cells)) == 1 + len({c.case for c in cells})
-    page = markdown(cells, catalogue(), {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01"}, 60.0)
+    page = markdown(cells, catalogue(), {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01"}, 60.0, "Run: P5.")
     assert all(f"**{c.name}**" in page for c in catalogue())
     assert all(row[0] in page for row in reasons(cells, "fail"))
 
@@ -105,6 +106,22 @@ def test_a_contact_is_made_anew_for_each_float_type():
     double = contact_on(case_named("plain_knee").builder(), "contours")
     assert single.law.contact_stiffness.dtype == np.float32  # pyright: ignore
     assert double.law.contact_stiffness.dtype == np.float64  # pyright: ignore
+
+
+def test_the_command_writes_json_and_the_page(tmp_path):
+    from typer.testing import CliRunner
+
+    from pftwin.cli.app import app
+
+    page, data = tmp_path / "page.md", tmp_path / "cells.json"
+    args = ["--case", "mass_zero", "--case", "radius_negative", "--contact", "P5", "--dtype", "float64"]
+    done = CliRunner().invoke(app, ["hard-cases", *args, "--json", str(data), "--markdown", str(page)])
+    assert done.exit_code == 0, done.output
+    assert "2 cases, 10 cells: 0 pass, 0 fail, 10 refused. Run: P5;" in page.read_text(encoding="utf-8")
+    assert '"outcome": "refused"' in data.read_text(encoding="utf-8")
+    wrong = CliRunner().invoke(app, ["hard-cases", "--contact", "P99"])
+    assert wrong.exit_code == 2
+    assert "expected: one of: P2" in " ".join(wrong.output.split())
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 FARTHEST = 0.25  # a way within one step beyond this share of the button's radius leaps over what it should feel
 MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is exact
 MOST_CREATED = 0.02  # energy from nowhere, as a share of the largest that moves; times the milliseconds of longer steps
+MOST_SO_FAR = 0.2  # and as a share of the largest that has moved so far
 LEAST_CREATED = 1e-6  # below which nothing is said [J]
 DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
 
@@ -120,9 +121,13 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
     total = sum(stored.values(), start=kinetic)
     left = total - work
     rise = left - jax.lax.cummin(left)
-    moving, size = (jnp.where(jnp.isfinite(x), x, 0.0).max() for x in (jnp.abs(jnp.stack(changes)), jnp.abs(total)))
-    rounding = 1000 * jnp.finfo(left.dtype).eps * size
-    return jax.lax.cummax(rise) > MOST_CREATED * jnp.maximum(1.0, step / 1e-3) * moving + rounding + LEAST_CREATED
+    moving, size = (
+        jnp.where(jnp.isfinite(x), x, 0.0) for x in (jnp.abs(jnp.stack(changes)).max(axis=0), jnp.abs(total))
+    )
+    # Of all that ever moves; where that blows up later, of what has moved so far, in which little is much.
+    most = jnp.minimum(MOST_CREATED * moving.max(), MOST_SO_FAR * jax.lax.cummax(moving))
+    rounding = 1000 * jnp.finfo(left.dtype).eps * jax.lax.cummax(size)
+    return jax.lax.cummax(rise) > jnp.maximum(1.0, step / 1e-3) * most + rounding + LEAST_CREATED
 
 
 def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar) -> Array:

@@ -20,7 +20,7 @@ UNKNOWN = (  # what a simulation may refuse itself with
 class Expected:
     """What has to come out, beside what holds of every case (see `pftwin.hard_cases.invariants`).
 
-    Flags of geometry (no contact, left the patch, deep indentation) are not listed: they have to be there where an
+    Flags of geometry are not listed: those of no contact and of deep indentation have to be there where an
     exhaustive search for the nearest point says so, and nowhere else.
     """
 

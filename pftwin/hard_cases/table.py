@@ -88,7 +88,7 @@ _INTRODUCTION = """# Hard cases
 
 Scenes that have broken simulators of contact before, each with every kind of contact, integrator and float type,
 forward and differentiated (`pftwin.hard_cases`). All scenes are made up. **Pass**: everything is finite; flags of the
-frames are right (contact, edge and depth by an exhaustive search that shares no code with the simulator's); the
+frames are right (contact and depth by an exhaustive search that shares no code with the simulator's); the
 quaternion has length 1; energy less the work of guided bodies never rises; no indentation stores more than there was;
 there is no force at a distance and no missed contact; a symmetric scene stays symmetric; the run does not depend on
 its place in a batch nor on what runs beside it, NaN included; derivatives by a tendon's stiffness and slack length,

@@ -117,6 +117,7 @@ _POSITIVE = {
     "half_size",
     "relaxation_time",
     "slip_speed",
+    "effective_radius",
 }
 _NOT_NEGATIVE = {
     "coefficient",
@@ -127,6 +128,10 @@ _NOT_NEGATIVE = {
     "translational",
     "rotational",
     "tension",
+}
+_LIMITS = {  # beyond which a law has no sense: bounces that grow, a stiffness without bound where contact begins
+    "restitution": (0.0, 1.0, "at most 1"),
+    "hertz_exponent": (1.0, np.inf, "at least 1"),
 }
 
 
@@ -143,23 +148,29 @@ def check(scene: Scene) -> None:
             raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
     leaves, structure = jax.tree.flatten(scene)
     values = [np.ones(0) if isinstance(a, Tracer) else np.asarray(a, dtype=float).ravel() for a in leaves]
-    positive, not_negative = _limited(structure)
+    positive, not_negative, limited = _limited(structure)
     # All at once, for this is done before every run; what is wrong is looked for where something is.
     finite = np.isfinite(np.concatenate([*values, np.ones(1)])).all()
     smallest, least = (
         np.concatenate([*(values[i] for i in which), np.ones(1)]).min() for which in (positive, not_negative)
     )
-    if not (finite and smallest > 0 and least >= 0):
+    outside = any(not _within(values[i], *_LIMITS[name][:2]) for i, name in limited)
+    if outside or not (finite and smallest > 0 and least >= 0):
         _refuse(scene)
 
 
 @lru_cache(maxsize=64)
-def _limited(structure: Any) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Which leaves of a scene of this structure must be positive, and which not negative."""
+def _limited(structure: Any) -> tuple[tuple[int, ...], tuple[int, ...], tuple[tuple[int, str], ...]]:
+    """Which leaves of a scene of this structure must be positive, which not negative, and which are in `_LIMITS`."""
     numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
     fields = [({_part(p) for p in path}, i) for path, i in jax.tree_util.tree_leaves_with_path(numbered)]
     positive, not_negative = (tuple(i for parts, i in fields if parts & limit) for limit in (_POSITIVE, _NOT_NEGATIVE))
-    return positive, not_negative
+    limited = tuple((i, name) for parts, i in fields for name in _LIMITS if name in parts)
+    return positive, not_negative, limited
+
+
+def _within(values: np.ndarray, low: float, high: float) -> bool:
+    return bool(np.all((values >= low) & (values <= high)))
 
 
 def _refuse(scene: Scene) -> None:
@@ -178,6 +189,10 @@ def _refuse(scene: Scene) -> None:
             raise InputError(f"found {worst:g}", where=f"{scene.name}: {field}", expected="a positive number")
         if _NOT_NEGATIVE & set(parts) and worst < 0:
             raise InputError(f"found {worst:g}", where=f"{scene.name}: {field}", expected="zero or a positive number")
+        for name, (low, high, words) in _LIMITS.items():
+            if name in parts and not _within(values, low, high):
+                found = float(values.max() if high < np.inf else worst)
+                raise InputError(f"found {found:g}", where=f"{scene.name}: {field}", expected=words)
 
 
 def _part(key: object) -> object:

@@ -17,6 +17,7 @@ from pftwin.cli import (
     equilibrium,
     fit,
     fit_surface,
+    hard_cases,
     init,
     optimise,
     plan_experiment,
@@ -89,6 +90,7 @@ app.command("plan-experiment")(plan_experiment.plan_experiment)
 app.command("fit-surface")(fit_surface.fit_surface)
 app.command("doctor-mesh")(doctor_mesh.doctor_mesh)
 app.command("contact-map")(contact_map.contact_map)
+app.command("hard-cases")(hard_cases.hard_cases)
 app.command("treat")(treat.treat)
 app.command("optimise")(optimise.optimise)
 app.command("init")(init.init)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -16,6 +17,9 @@ from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 
 FARTHEST = 0.25  # a way within one step beyond this share of the button's radius leaps over what it should feel
 MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is exact
+MOST_CREATED = 0.02  # energy from nowhere, as a share of the largest that moves; times the milliseconds of longer steps
+MOST_SO_FAR = 0.2  # and as a share of the largest that has moved so far
+LEAST_CREATED = 1e-6  # below which nothing is said [J]
 DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
 
 
@@ -30,7 +34,8 @@ class Status(enum.IntFlag):
     START_NOT_IN_EQUILIBRIUM = 16
     STEP_TOO_LONG = 32
     SEARCH_OVERFLOW = 64
-    SNAPPED = 128
+    ENERGY_FROM_NOWHERE = 128
+    SNAPPED = 256
 
     def describe(self) -> str:
         """The status in words."""
@@ -50,6 +55,8 @@ _WORDS = {
     " take a shorter one",
     Status.SEARCH_OVERFLOW: "the search for what touches ran out of room: a contact may be wrong",
     Status.SNAPPED: "the equilibrium ended and the patella snapped to another one, in a dynamic burst without a time",
+    Status.ENERGY_FROM_NOWHERE: "there is more energy than before, less the work done: step too long, or forces that"
+    " have no potential, as those of coarse meshes",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
@@ -98,7 +105,14 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
     # A loop, which is the same program as one frame's and so is compiled as quickly.
     patella, center, seen, kinetic, stored, status = map_rows(lambda at: look(*at), (path.states, guides))
     badly_started = jnp.where(path.start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
-    flags = status | badly_started | _snapped(path)
+    # What was finite at the start, and loads that are all known, become infinite by too long a step alone.
+    lost, unknown = ((status & int(flag)) > 0 for flag in (Status.NOT_FINITE, Status.SEARCH_OVERFLOW))
+    blown_up = lost & ~lost[0] & ~unknown.any()
+    flags = status | badly_started | jnp.where(blown_up, int(Status.STEP_TOO_LONG), 0)
+    if path.ledger is not None:
+        created = _created(kinetic, stored, path.ledger.work, path.step) & ~lost
+        flags = flags | jnp.where(created, int(Status.ENERGY_FROM_NOWHERE), 0)
+    flags = flags | _snapped(path)
     return Observation(patella, center, seen, kinetic, stored, flags, getattr(path.states.carried, "drift", None))
 
 
@@ -106,6 +120,24 @@ def _snapped(path: Trajectory) -> Array | int:
     """Frames before which a motion without inertia has left its equilibrium for another."""
     snaps = getattr(path.states.carried, "snaps", None)
     return 0 if snaps is None else jnp.where(jnp.diff(snaps, prepend=0) > 0, int(Status.SNAPPED), 0)
+
+
+def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Scalar) -> Array:
+    """(n,): whether by a frame kinetic and stored energy, less the work done, have risen above what was left of them.
+
+    Heat only lowers them, so its account plays no part; that of work is of first order in the step.
+    """
+    changes = [kinetic, work, *(energy - energy[0] for energy in stored.values())]
+    total = sum(stored.values(), start=kinetic)
+    left = total - work
+    rise = left - jax.lax.cummin(left)
+    moving, size = (
+        jnp.where(jnp.isfinite(x), x, 0.0) for x in (jnp.abs(jnp.stack(changes)).max(axis=0), jnp.abs(total))
+    )
+    # Of all that ever moves; where that blows up later, of what has moved so far, in which little is much.
+    most = jnp.minimum(MOST_CREATED * moving.max(), MOST_SO_FAR * jax.lax.cummax(moving))
+    rounding = 1000 * jnp.finfo(left.dtype).eps * jax.lax.cummax(size)
+    return jax.lax.cummax(rise) > jnp.maximum(1.0, step / 1e-3) * most + rounding + LEAST_CREATED
 
 
 def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar) -> Array:

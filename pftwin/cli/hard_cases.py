@@ -1,0 +1,130 @@
+"""`pftwin hard-cases`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, write_json
+from pftwin.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from pftwin.hard_cases import Selection as Selected
+
+ContactsOption = Annotated[
+    list[str] | None,
+    typer.Option("--contact", metavar="NAME", help="A kind of contact, again for more; all if left out."),
+]
+IntegratorsOption = Annotated[
+    list[str] | None,
+    typer.Option("--integrator", metavar="NAME", help="An integrator, again for more; all if left out."),
+]
+DtypesOption = Annotated[
+    list[str] | None, typer.Option("--dtype", metavar="float64|float32", help="A float type; both if left out.")
+]
+CasesOption = Annotated[
+    list[str] | None, typer.Option("--case", metavar="NAME", help="A case, again for more; all if left out.")
+]
+MarkdownOption = Annotated[Path | None, typer.Option("--markdown", metavar="FILE", help="Write the page of the docs.")]
+ListOption = Annotated[
+    bool, typer.Option("--list", help="Name the cases and say what is hard about them; run nothing.")
+]
+QuickOption = Annotated[
+    bool, typer.Option("--quick", help="Neither derivatives nor batches side by side: a third of the time.")
+]
+
+
+def hard_cases(
+    *,
+    case: CasesOption = None,
+    contact: ContactsOption = None,
+    integrator: IntegratorsOption = None,
+    dtype: DtypesOption = None,
+    list_: ListOption = False,
+    quick: QuickOption = False,
+    json: JsonOption = None,
+    markdown: MarkdownOption = None,
+) -> None:
+    """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
+
+    Everything takes an hour of one core, most of it compiling; one contact with one integrator a minute.
+
+    Example: `pftwin hard-cases --contact P5 --integrator linear_implicit --dtype float64`
+    """
+    import time
+
+    check_outputs(json, markdown)
+    start_computing()
+    from pftwin.dynamics.integrators import integrator_named
+    from pftwin.hard_cases import (
+        CONTACTS,
+        DTYPES,
+        INTEGRATORS,
+        Selection,
+        case_named,
+        catalogue,
+        method_named,
+        run_matrix,
+        table,
+    )
+
+    cases = tuple(case_named(n) for n in case) if case else catalogue()
+    if list_:
+        out(json).print(_table("hard cases", [["case", "what is hard"], *([c.name, c.about] for c in cases)]))
+        return
+    for name in integrator or ():
+        integrator_named(name)
+    chosen = Selection(
+        _known(contact, CONTACTS, "--contact"),
+        tuple(method_named(n) for n in integrator) if integrator else INTEGRATORS,
+        _known(dtype, DTYPES, "--dtype"),
+        derivatives=not quick,
+        mates=not quick,
+    )
+    began = time.perf_counter()
+    cells = run_matrix(cases, chosen, lambda words: err().print(words, style="dim", highlight=False))
+    seconds = time.perf_counter() - began
+    if markdown is not None:
+        from pftwin.benchmarks.machine import describe
+        from pftwin.mocap.text_files import write_text
+
+        write_text(markdown, table.markdown(cells, cases, describe(), seconds, _scope(chosen)))
+    write_json({"seconds": seconds, "cells": table.as_dicts(cells)}, json)
+    out(json).print(_table("hard cases", table.summary(cells)))
+    if table.counts(cells)["fail"]:
+        out(json).print(_table("what fails", table.reasons(cells, "fail")))
+
+
+def _scope(chosen: Selected) -> str:
+    """What of the matrix was run, in a sentence."""
+    names = (", ".join(x) for x in (chosen.contacts, (m.name for m in chosen.integrators), chosen.dtypes))
+    less = "" if chosen.derivatives else ", without derivatives and without batches side by side"
+    return f"Run: {'; '.join(names)}{less}."
+
+
+def _known(wanted: list[str] | None, known: tuple[str, ...], option: str) -> tuple[str, ...]:
+    """What was asked for, or all there is.
+
+    Raises:
+        InputError: a name that is not among those known.
+    """
+    for name in wanted or ():
+        if name not in known:
+            raise InputError(f"found {name!r}", where=option, expected=f"one of: {', '.join(known)}")
+    return tuple(wanted) if wanted else known
+
+
+def _table(title: str, rows: list[list[str]]) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
+    made = Table(title=title)
+    for name in rows[0]:
+        made.add_column(name)
+    for row in rows[1:]:
+        made.add_row(*(escape(cell) for cell in row))
+    return made

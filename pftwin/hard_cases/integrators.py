@@ -1,0 +1,31 @@
+"""The integrators that all cases run with. A new one is a line in `INTEGRATORS`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Method(NamedTuple):
+    """An integrator, and how it is used here."""
+
+    name: str  # as `pftwin.dynamics.integrators` has it
+    longest_step: float = 1.0  # that the matrix gives it [s]
+    may_refuse: bool = False  # whether it may say that a step is too long for a case, where the case does not
+    only: tuple[str, ...] | None = None  # kinds of contact that it runs with; None: all
+    float32: bool = True
+    differentiated_on: tuple[str, ...] | None = None  # kinds of contact with which derivatives are looked at; None: all
+    side_by_side: bool = True  # whether batches of it are looked at too
+
+
+INTEGRATORS = (
+    Method("linear_implicit"),
+    Method("linear_implicit_bdf2", may_refuse=True),  # not damped enough for impacts shorter than a step
+    Method("newmark", may_refuse=True, differentiated_on=("P5",), side_by_side=False),  # compiles for minutes
+    Method("symplectic_euler", longest_step=1e-4, may_refuse=True),
+    Method("diffrax:Tsit5", may_refuse=True, only=("P5",), float32=False),
+)
+
+
+def method_named(name: str) -> Method:
+    """That of `INTEGRATORS`, or any other integrator as it comes."""
+    return next((m for m in INTEGRATORS if m.name == name), Method(name))

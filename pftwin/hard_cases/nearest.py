@@ -1,0 +1,86 @@
+"""How deep a button is in a surface by an exhaustive search, which no time stepping, memory or tree can lead astray."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.effects.base import Effect
+from pftwin.effects.mesh_contact import MeshContact
+from pftwin.effects.mesh_volume_contact import MeshVolumeContact
+from pftwin.effects.sphere_contact import SphereContact
+from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.triangle import Triangle, closest_on_triangle
+
+SAMPLES = 61  # along each side of a square about the point below the centre
+WIDE = 1.5  # half that square's side at first, in radii
+ZOOMS = 4  # times that the square is drawn closer about the nearest sample
+
+
+def depth_everywhere(button: Effect, center: Vec3) -> Array:
+    """Radius less the distance of the sphere's centre to the nearest point of the surface [m].
+
+    Negative where it touches nothing. A centre below a patch counts as inside; a mesh's side is told by its nearest
+    triangle's normal.
+
+    Args:
+        button: a contact, made ready by `about`.
+        center: of the sphere, femur frame [m].
+    """
+    if isinstance(button, SphereContact):
+        return button.radius - _above_patch(button.surface, center, button.radius)
+    if isinstance(button, MeshVolumeContact):
+        return button.radius - _above_mesh(button.mesh.facets.triangles, center)
+    assert isinstance(button, MeshContact)
+    rim = Vec3.from_array(button.patella.corners.points).norm()
+    return jnp.max(rim) - _above_mesh(button.femur.tree.triangles, center)
+
+
+def _above_patch(surface: Any, center: Vec3, radius: Scalar) -> Array:
+    """By samples of two squares, one below the centre and one over the patch, each drawn closer about its nearest."""
+    c = surface.chart.to_frame(center)
+    side = jnp.linspace(-1.0, 1.0, SAMPLES)
+    grid_u, grid_v = (g.ravel() for g in jnp.meshgrid(side, side))
+
+    def closer(_: int, place: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        u0, v0, half = place
+        u, v = u0 + half * grid_u, v0 + half * grid_v
+        k = jnp.argmin(_away(surface, c, u, v).squared_norm())
+        return u[k], v[k], half * (4 / SAMPLES)
+
+    over = (*surface.center, WIDE * jnp.maximum(*surface.half_size))
+    found = [jax.lax.fori_loop(0, ZOOMS, closer, s) for s in ((*surface.chart.foot(c), WIDE * radius), over)]
+    return jnp.where(
+        jnp.abs(_signed(surface, c, *found[0][:2])) < jnp.abs(_signed(surface, c, *found[1][:2])),
+        _signed(surface, c, *found[0][:2]),
+        _signed(surface, c, *found[1][:2]),
+    )
+
+
+def _signed(surface: Any, c: Vec3, u: Array, v: Array) -> Array:
+    """The distance of a point of the chart's frame to the surface's at (u, v), negative where it is below [m]."""
+    jet = surface.jet(u, v)
+    away = _away(surface, c, u, v)
+    return jnp.where(away.dot(surface.chart.normal(u, jet.f, jet.u, jet.v)) < 0, -away.norm(), away.norm())
+
+
+def _away(surface: Any, c: Vec3, u: Array, v: Array) -> Vec3:
+    """From the surface's points to the centre."""
+    p = surface.chart.local_point(u, v, jax.vmap(surface.height)(u, v) if jnp.ndim(u) else surface.height(u, v))
+    p = Vec3(*(jnp.broadcast_to(a, jnp.shape(u)) for a in (p.x, p.y, p.z)))
+    return Vec3(c.x - p.x, c.y - p.y, c.z - p.z)
+
+
+def _above_mesh(rows: Array, center: Vec3) -> Array:
+    triangles = Triangle.of_rows(rows)
+
+    def one(t: Triangle) -> tuple[Array, Array]:
+        away = center - closest_on_triangle(t, center).point
+        return away.norm(), away.dot(t.area_vector())
+
+    distance, side = jax.vmap(one)(triangles)
+    k = jnp.argmin(distance)
+    return jnp.where(side[k] < 0, -distance[k], distance[k])

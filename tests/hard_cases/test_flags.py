@@ -1,0 +1,42 @@
+"""A step that is too long is told by flags and in words: energy from nowhere, and what is not finite any more."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pftwin.dynamics.observe import Status
+from pftwin.hard_cases import case_named
+from pftwin.hard_cases.batch import built, member, stacked
+from pftwin.hard_cases.programs import compiled, rest, run
+
+
+def flags_of(names: list[str], integrator: str, substeps: int) -> list[Status]:
+    """All flags of each case's frames."""
+    cases = [case_named(n) for n in names]
+    scenes, none = stacked([built(c, "P5").unnamed() for c in cases]), jnp.zeros((len(cases), 4))
+    starts = compiled(rest, True)(scenes, none)
+    chosen = [member(starts.released if c.released else starts.equilibrium, k) for k, c in enumerate(cases)]
+    steps = jnp.full(len(cases), substeps)
+    seen = compiled(run, True, integrator=integrator)(scenes, stacked(chosen), steps, none).seen
+    return [Status(int(np.bitwise_or.reduce(row))) for row in np.asarray(jax.device_get(seen.status))]
+
+
+def test_a_bounce_shorter_than_an_undamped_step_is_said_to_create_energy():
+    bouncing, plain = flags_of(["bounce_to_rest", "plain_knee"], "linear_implicit_bdf2", 10)
+    assert Status.ENERGY_FROM_NOWHERE in bouncing
+    assert "more energy than before" in bouncing.describe()
+    assert plain == Status.OK
+
+
+def test_the_damped_step_creates_none():
+    for flags in flags_of(["bounce_to_rest", "plain_knee"], "linear_implicit", 10):
+        assert Status.ENERGY_FROM_NOWHERE not in flags
+
+
+def test_an_explicit_step_that_blows_up_says_that_it_is_too_long():
+    light, plain = flags_of(["patella_of_1_g", "plain_knee"], "symplectic_euler", 100)
+    assert Status.NOT_FINITE in light
+    assert Status.STEP_TOO_LONG in light
+    assert plain == Status.OK

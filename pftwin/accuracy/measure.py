@@ -104,7 +104,7 @@ def rows(setting: Setting, scene: Scene, reference: Converged, measured: Measure
     began = time.perf_counter()
     one = jax.jit(p.one).lower(p.arrays, start.answer, steps[setting.substeps[0]]).compile()
     compiling = time.perf_counter() - began
-    times = {n: measure(lambda n=n: one(p.arrays, start.answer, steps[n]), seconds=0.2).median for n in steps}
+    times = {n: measure(lambda n=n: one(p.arrays, start.answer, steps[n]), runs=3, seconds=0.2).median for n in steps}
     batch = _batch_times(p, start.answer, steps) if setting.batch else {}
     gradient = _gradient(p, start.answer, steps.get(GRADIENT_SUBSTEPS, steps[setting.substeps[0]]), setting)
     found = []

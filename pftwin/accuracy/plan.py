@@ -17,6 +17,8 @@ SMOOTH = ("P2", "P4", "P5", "P5-cylinder", "P8", "spline")
 MESHES = ("CM", "FM", "volume")
 COMMON = ("linear_implicit", "linear_implicit_bdf2", "newmark", "quasi_static")
 FURTHER = ("symplectic_euler", "diffrax:Tsit5")
+PAPERS = "ali3p"  # some hundred times slower than the rest: on P5 and on the coarse mesh
+LONG = (1, 2, 5, 10)  # its steps, 1 ms as in the paper among them
 FLOATS = ("float64", "float32")
 
 
@@ -33,7 +35,9 @@ class Setting(NamedTuple):
     def substeps(self) -> tuple[int, ...]:
         """Numbers of steps between two frames."""
         name = self.integrator
-        return SHORT if name == "symplectic_euler" else ADAPTIVE if name.startswith("diffrax") else SUBSTEPS
+        if name.startswith("diffrax"):
+            return ADAPTIVE
+        return {"symplectic_euler": SHORT, PAPERS: LONG}.get(name, SUBSTEPS)
 
 
 def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence[str]) -> list[Setting]:
@@ -60,4 +64,6 @@ def everything() -> list[Setting]:
             for dtype in FLOATS if smooth else FLOATS[:1]:
                 more = smooth and dtype == "float64" and (contact == "P5" or integrator in stepping)
                 found.append(Setting(contact, integrator, dtype, more, more))
+        if contact in ("P5", "CM"):
+            found.append(Setting(contact, PAPERS, "float64", False, False))
     return found

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.accuracy.plan import MESHES, REFERENCE, Setting
+from pftwin.accuracy.plan import MESHES, REFERENCE, REFERENCE_ON_MESHES, Setting
 from pftwin.accuracy.programs import VARIANTS, Programs, programs
 from pftwin.benchmarks.clock import measure
 from pftwin.dynamics.integrators import integrator_named
@@ -90,7 +90,7 @@ def converged(scene: Scene, contact: str) -> Converged:
     found = []
     for name in names:
         p = programs(scene, name)
-        seen = jax.jit(p.one)(p.arrays, start.answer, jnp.asarray(REFERENCE))
+        seen = jax.jit(p.one)(p.arrays, start.answer, jnp.asarray(REFERENCE_ON_MESHES if mesh else REFERENCE))
         found.append(_result(scene, start.answer, relaxed, seen))
     doubt = 1e3 * _rms(np.linalg.norm(found[0].center - found[1].center, axis=1))
     return Converged(found[0], doubt)

@@ -34,7 +34,7 @@ from pftwin.dynamics.natural_coordinates import (
     second_rates_wanted,
 )
 from pftwin.dynamics.state import Guide, GuideAt, State, System
-from pftwin.spatial import Scalar
+from pftwin.spatial import Scalar, Twist
 
 ORDER = 2
 
@@ -121,5 +121,5 @@ def ali3p(
     after = given.bodies.state(place, rate, state)
     after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
     if ledger is not None:
-        ledger = ledger.entered(state, after, loads, None, 1.0, step)
+        ledger = ledger.entered(state, after, loads, None, 1.0, step, Twist(after.velocity, after.spin))
     return after, ledger

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from pftwin.dynamics.state import State
 from pftwin.effects.base import Bed, Drag, Load
-from pftwin.spatial import Scalar, Vec3
+from pftwin.spatial import Scalar, Twist, Vec3
 
 
 class Ledger(eqx.Module):
@@ -30,6 +30,7 @@ class Ledger(eqx.Module):
         applied: Sequence[Scalar] | None,
         at: float,
         step: Scalar,
+        looked: Twist | None = None,
     ) -> Ledger:
         """With one step's entries.
 
@@ -40,7 +41,9 @@ class Ledger(eqx.Module):
             applied: the forces that the stiff terms really had, in the loads' order; None: as they are halfway.
             at: where in the step the loads' elastic forces stand: 0 at its start, 1 at its end.
             step: its length [s].
+            looked: the patella's velocities that the loads were taken at; by default those of `before`.
         """
+        seen = Twist(before.velocity, before.spin) if looked is None else looked
         velocity, spin = _middle(before.velocity, after.velocity), _middle(before.spin, after.spin)
         work, heat, forces = self.work, self.heat, None if applied is None else iter(applied)
         for load in loads:
@@ -48,15 +51,15 @@ class Ledger(eqx.Module):
                 w = load.wrench
                 work = work + step * (w.force.dot(velocity) + w.moment.dot(spin))
             if load.drag is not None:
-                put_in, lost = _dragged(load.drag, before, after, velocity, spin, at)
+                put_in, lost = _dragged(load.drag, seen, before, after, Twist(velocity, spin), at)
                 work, heat = work + step * put_in, heat + step * lost
             if load.bed is not None:
-                put_in, lost = _bedded(load.bed, before, velocity, spin, at, step)
+                put_in, lost = _bedded(load.bed, seen, Twist(velocity, spin), at, step)
                 work, heat = work + step * put_in, heat + step * lost
             if load.heat is not None:
                 heat = heat + step * load.heat
             for term in load.stiff:
-                guided = term.rate + term.direction.dot(before.velocity) + term.moment.dot(before.spin)
+                guided = term.rate + term.direction.dot(seen.linear) + term.moment.dot(seen.angular)
                 rate = guided - term.direction.dot(velocity) - term.moment.dot(spin)
                 elastic = term.elastic + (0.5 - at) * step * term.stiffness * rate
                 force = term.force + (elastic - term.elastic) if forces is None else next(forces)
@@ -65,19 +68,22 @@ class Ledger(eqx.Module):
         return Ledger(work, heat)
 
 
-def _dragged(drag: Drag, before: State, after: State, velocity: Vec3, spin: Vec3, at: float) -> tuple[Scalar, Scalar]:
+def _dragged(drag: Drag, seen: Twist, before: State, after: State, mean: Twist, at: float) -> tuple[Scalar, Scalar]:
     """Power put in by what drags and power lost, with the drag's force as it is at the place `at` within the step."""
-    moving, turning = before.velocity - drag.velocity, before.spin - drag.spin
-    ahead = drag.velocity + at * (after.velocity - before.velocity), drag.spin + at * (after.spin - before.spin)
+    moving, turning = seen.linear - drag.velocity, seen.angular - drag.spin
+    ahead = [
+        start + at * (end - start) - own
+        for start, end, own in ((before.velocity, after.velocity, moving), (before.spin, after.spin, turning))
+    ]
     w = Drag(drag.translational, drag.rotational, *ahead).wrench()
     put_in = w.force.dot(moving) + w.moment.dot(turning)
-    return put_in, -w.force.dot(velocity - moving) - w.moment.dot(spin - turning)
+    return put_in, -w.force.dot(mean.linear - moving) - w.moment.dot(mean.angular - turning)
 
 
-def _bedded(bed: Bed, before: State, velocity: Vec3, spin: Vec3, at: float, step: Scalar) -> tuple[Scalar, Scalar]:
+def _bedded(bed: Bed, seen: Twist, mean: Twist, at: float, step: Scalar) -> tuple[Scalar, Scalar]:
     """Power put in by the body that the bed stands on and power lost, with the bed's force as it is."""
-    guided = jnp.concatenate([(before.velocity - bed.velocity).array(), (before.spin - bed.spin).array()])
-    twist = jnp.concatenate([velocity.array(), spin.array()]) - guided
+    guided = jnp.concatenate([(seen.linear - bed.velocity).array(), (seen.angular - bed.spin).array()])
+    twist = jnp.concatenate([mean.linear.array(), mean.angular.array()]) - guided
     elastic = bed.elastic - (0.5 - at) * step * bed.stiffness @ twist
     return bed.force @ guided, (elastic - bed.force) @ twist
 

@@ -8,7 +8,9 @@ With d the displacement over a step and D the change of velocity,
 in rotations up to terms of third order. Forces are evaluated where the step would end if the velocity changed as it did
 over the last one, and every stiff term is linearised from there (`pftwin.dynamics.implicit_solve`). What that leaves
 out, the turning of forces and of the body, is of third order in the step, so one Newton iteration is enough, and the
-step costs what `linear_implicit` costs. Source of the formula: Curtiss & Hirschfelder 1952, PNAS 38:235; Hairer &
+step costs what `linear_implicit` costs. After an impact the past is no guide: a third of the change of velocity would go
+on into the next step and make energy of nothing. Where the change of velocity has changed by more than half of itself
+and by more than `ROUGH` allows, the next step starts afresh. Source of the formula: Curtiss & Hirschfelder 1952, PNAS 38:235; Hairer &
 Wanner, Solving Ordinary Differential Equations II, V.1.
 """
 
@@ -26,6 +28,8 @@ from pftwin.dynamics.state import Guide, GuideAt, State, System, gyroscopic, mov
 from pftwin.spatial import Scalar, Twist, Vec3, Wrench
 
 ORDER = 2
+ROUGH = 20.0  # change of the acceleration between two steps above which it may be that of an impact [m/s^2]
+LEVER = 0.02  # [m] turns angles into lengths
 
 
 class Carried(NamedTuple):
@@ -33,7 +37,7 @@ class Carried(NamedTuple):
 
     way: Twist  # d: displacement [m], turn [rad]
     change: Twist  # D: of the velocities
-    share: Scalar  # of the last step in the next: 1/3, of nothing in the first 0
+    share: Scalar  # of the last step in the next: 1/3; 0 at the first and after an impact
 
 
 def begin(system: System, state: State, guide: Guide, step: Scalar) -> State:
@@ -51,22 +55,34 @@ def linear_implicit_bdf2(
     last = state.carried
     span = (1 - last.share) * step
     now = Twist(state.velocity, state.spin)
-    expected = now.plus(1.0, last.change)
+    expected = now.plus(3 * last.share, last.change)
     with jax.named_scope("loads"):
         ahead = moved(state, last.way.times(last.share).plus(span, expected), expected)
         there = guide_at(1.0).instant(ahead.patella(), step, step, reach=span, twist=now)
         loads, memories = system.loads(there, state.memories)
     with jax.named_scope("implicit_solve"):
         # What the expected velocity is more than the formula's share of the past has to be taken back.
-        more, i = last.change.times((1 - last.share) / span), system.inertia
+        more, i = last.change.times(3 * last.share * (1 - last.share) / span), system.inertia
         turning = Vec3(i.x * more.angular.x, i.y * more.angular.y, i.z * more.angular.z)
         inertial = Wrench(-system.mass * more.linear, gyroscopic(i, expected.angular) - turning)
         dv = change_of_velocity(system, inertial, loads, Span(span, span))
     velocity = expected.plus(1.0, Twist(Vec3(*dv[:3]), Vec3(*dv[3:])))
     way = last.way.times(last.share).plus(span, velocity)
     after = moved(state, way, velocity)
-    carried = Carried(way, velocity.plus(-1.0, now), jnp.full_like(span, 1 / 3))
+    change = velocity.plus(-1.0, now)
+    carried = Carried(way, change, jnp.where(_impact(change, last.change, step), 0.0, jnp.full_like(span, 1 / 3)))
     after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
     if ledger is not None:
-        ledger = ledger.entered(state, after, [load_at_end(load, dv, span) for load in loads], None, 1.0, step)
+        ends = [load_at_end(load, dv, span) for load in loads]
+        ledger = ledger.entered(state, after, ends, None, 1.0, step, expected)
     return after, ledger
+
+
+def _impact(change: Twist, last: Twist, step: Scalar) -> Scalar:
+    """Whether the velocity has changed quite otherwise than in the step before."""
+    jump = _squared(change.plus(-1.0, last))
+    return (jump > 0.25 * _squared(change)) & (jump > (ROUGH * step) ** 2)
+
+
+def _squared(twist: Twist) -> Scalar:
+    return twist.linear.squared_norm() + LEVER**2 * twist.angular.squared_norm()

@@ -119,7 +119,7 @@ def newmark(
     actual = acceleration(system, after.spin, loads)
     after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, Carried(algorithmic, actual, unsettled)))
     if ledger is not None:
-        ledger = ledger.entered(state, after, loads, None, 1.0, step)
+        ledger = ledger.entered(state, after, loads, None, 1.0, step, velocity)
     return after, ledger
 
 

@@ -114,7 +114,7 @@ def quasi_static(
     after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
     if ledger is None:
         return after, None
-    followed = ledger.entered(state, after, loads, None, 1.0, step)
+    followed = ledger.entered(state, after, loads, None, 1.0, step, Twist(after.velocity, after.spin))
     return after, jax.tree.map(lambda a, b: jnp.where(snapped, a, b), _over_a_snap(ledger, branch, loads), followed)
 
 

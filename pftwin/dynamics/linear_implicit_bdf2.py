@@ -8,10 +8,10 @@ With d the displacement over a step and D the change of velocity,
 in rotations up to terms of third order. Forces are evaluated where the step would end if the velocity changed as it did
 over the last one, and every stiff term is linearised from there (`pftwin.dynamics.implicit_solve`). What that leaves
 out, the turning of forces and of the body, is of third order in the step, so one Newton iteration is enough, and the
-step costs what `linear_implicit` costs. After an impact the past is no guide: a third of the change of velocity would go
-on into the next step and make energy of nothing. Where the change of velocity has changed by more than half of itself
-and by more than `ROUGH` allows, the next step starts afresh. Source of the formula: Curtiss & Hirschfelder 1952, PNAS 38:235; Hairer &
-Wanner, Solving Ordinary Differential Equations II, V.1.
+step costs what `linear_implicit` costs. After an impact the past is no guide: a third of the change of velocity would
+go on into the next step and make energy of nothing. Where the change of velocity has changed by more than half of
+itself and by more than `ROUGH` allows, the next step starts afresh. Source of the formula: Curtiss & Hirschfelder 1952,
+PNAS 38:235; Hairer & Wanner, Solving Ordinary Differential Equations II, V.1.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from pftwin.cli import (
     demo,
     doctor_mesh,
     equilibrium,
+    explain,
     fit,
     fit_surface,
     init,
@@ -82,6 +83,7 @@ app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)
 app.command("equilibrium")(equilibrium.equilibrium)
 app.command("validate")(validate.validate)
+app.command("explain")(explain.explain)
 app.command("fit")(fit.fit)
 app.command("plan-experiment")(plan_experiment.plan_experiment)
 app.command("fit-surface")(fit_surface.fit_surface)

@@ -30,9 +30,7 @@ class PartCost:
     equations: int  # that it adds to a step
     share: float  # of a step's time that goes when it is left out
     spread: float  # half of what the middle half of the rounds covers
-    longest_step: (
-        float  # that an explicit method could take with it, at worst over the run; inf where it has no slope [s]
-    )
+    longest_step: float  # of an explicit method with it alone, at the run's worst moment; inf: any [s]
     stiff: bool  # whether that is less than the step
     work: float  # done on the patella over the run [J]
     moved: float  # the same, whichever way it went [J]

@@ -2,8 +2,8 @@
 
 On a CPU its own time counts, which other programs on the machine disturb far less than the clock on the wall.
 
-Every frame begins from the state of the whole scene's run there, so that a scene which would fly apart without a part is
-timed where the motion is, not where it would have gone.
+Every frame begins from the state of the whole scene's run there, so that a scene which would fly apart without a part
+is timed where the motion is, not where it would have gone.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 r"""How stiff a load is: the longest step at which an explicit method would stay stable with it alone.
 
 With M the mass matrix, K = sum k g g^T and C = sum c g g^T over the load's stiff terms (and its bed's and its drag's),
-the fastest oscillation has w^2 = |M^-1/2 K M^-1/2| and damping rate y = |M^-1/2 C M^-1/2|. The semi-implicit (symplectic)
-Euler method with damping taken at the step's start,
+the fastest oscillation has w^2 = |M^-1/2 K M^-1/2| and damping rate y = |M^-1/2 C M^-1/2|. The semi-implicit
+(symplectic) Euler method with damping taken at the step's start,
 
     v' = v - h (w^2 x + y v),   x' = x + h v',
 

@@ -12,7 +12,7 @@ from pftwin.audit.left_out import left_out
 from pftwin.audit.put_in import put_in
 from pftwin.audit.runs import Run, run_alone, run_side_by_side
 from pftwin.audit.shares import Share, in_turn
-from pftwin.audit.variant import Kind, NotApplicable, Variant
+from pftwin.audit.variant import KINDS, Kind, NotApplicable, Variant
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.trajectory import substeps_for
 from pftwin.errors import InputError
@@ -72,7 +72,7 @@ def audit(scene: Scene, *, tolerance: float = 1e-4, integrator: str = "linear_im
     integrator_named(integrator)
     substeps = substeps_for(scene.motion.frame_interval, dt)
     listed = [*left_out(scene), *put_in(scene, integrator)]
-    wanted = [v for v in listed if isinstance(v, Variant)]
+    wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
     own = run_alone(scene, integrator, substeps)
     runs = _runs(scene, wanted, integrator, substeps)
     shares = _shares(own, [runs[v.name, v.kind] for v in wanted])
@@ -99,7 +99,7 @@ def audit(scene: Scene, *, tolerance: float = 1e-4, integrator: str = "linear_im
 def _runs(scene: Scene, wanted: list[Variant], integrator: str, substeps: int) -> dict[tuple[str, Kind], Run]:
     """Those that differ in numbers only side by side, the others one by one."""
     alike = [v for v in wanted if v.alike]
-    found = {}
+    found: dict[tuple[str, Kind], Run] = {}
     if alike:
         together = run_side_by_side(scene, alike, integrator, substeps)
         found = {(v.name, v.kind): run for v, run in zip(alike, together, strict=True)}

@@ -63,11 +63,15 @@ def changes(scene: Scene, result: Result, own: Result) -> Changes:
     most = max(tensions, key=lambda name: _rms(tensions[name]), default=None)
     pull = None if most is None else tensions[most]
     return Changes(
-        _rms(apart),
-        float(apart.max()),
-        *turned,
-        *((None, None) if contact is None else (_rms(contact), float(np.abs(contact).max()))),
-        *((None, None) if pull is None else (_rms(pull), float(np.abs(pull).max()))),
+        center_rms=_rms(apart),
+        center_max=float(apart.max()),
+        flexion=turned[0],
+        rotation=turned[1],
+        tilt=turned[2],
+        contact_rms=None if contact is None else _rms(contact),
+        contact_max=None if contact is None else float(np.abs(contact).max()),
+        tension_rms=None if pull is None else _rms(pull),
+        tension_max=None if pull is None else float(np.abs(pull).max()),
         tension_of=most,
     )
 

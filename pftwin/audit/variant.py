@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from pftwin.scene import Scene
 
 Kind = Literal["left out", "put in", "changed", "yardstick"]
+KINDS: tuple[Kind, ...] = get_args(Kind)  # in the order of tables
 
 
 @dataclass(frozen=True)

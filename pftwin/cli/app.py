@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from pftwin.cli import (
+    audit,
     contact_map,
     demo,
     doctor_mesh,
@@ -84,6 +85,7 @@ app.command("simulate")(simulate.simulate)
 app.command("equilibrium")(equilibrium.equilibrium)
 app.command("validate")(validate.validate)
 app.command("explain")(explain.explain)
+app.command("audit")(audit.audit)
 app.command("fit")(fit.fit)
 app.command("plan-experiment")(plan_experiment.plan_experiment)
 app.command("fit-surface")(fit_surface.fit_surface)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _COLOUR = {"left out": COLOURS[0], "put in": COLOURS[1], "changed": COLOURS[2], "yardstick": "0.55"}
+_MOST = 150.0  # [%]: times beyond are written out
 _LEAST = 1e-3  # [mm], [N]: changes below are drawn as if they were none
 
 
@@ -76,7 +77,7 @@ def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> 
 
 def _time(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Column) -> None:
     """Shares beyond the axis are written out."""
-    inside = [v for v in share.values if abs(v) <= 100]
+    inside = [v for v in share.values if abs(v) <= _MOST]
     low, high = min(-10.0, *inside), max(10.0, *inside)
     margin = 0.15 * (high - low)
     axes.set_xlim(low - margin, high + margin)

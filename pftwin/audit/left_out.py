@@ -58,7 +58,7 @@ def _toes_of_strands(scene: Scene) -> Variant | None:
     def linear(e: Any) -> StrandGroup | None:
         if not isinstance(e, StrandGroup):
             return None
-        longer = 1 + 0.5 * e.toe_strain
+        longer = (1 + 0.5 * e.toe_strain) / (1 + 0.5 * _NO_TOE)
         new = e.stiffness * longer, e.slack_length * longer, jnp.full_like(e.toe_strain, _NO_TOE)
         return eqx.tree_at(lambda s: (s.stiffness, s.slack_length, s.toe_strain), e, new)
 

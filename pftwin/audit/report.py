@@ -63,7 +63,8 @@ def explanation_sheet(found: Explanation) -> Sheet:
     whole = ("one step", "", f"{found.equations}", f"{1e6 * found.step_time:.2f} us", "", "")
     rows += [(*rest, *[""] * 5), (*whole, f"{1e3 * found.kinetic_change:+.2g} mJ kinetic", "", "")]
     notes = [
-        "equations, share of time: what goes when the effect is left out; the rest is what no effect takes alone",
+        "equations, share of time: what goes when the effect is left out; the rest is negative where leaving out one "
+        "simplifies what others share",
         f"explicit up to: the longest step of an explicit method at the worst moment; stiff: below {_ms(found.step)}",
         f"energy over {found.steps} steps; the effects' works miss the change of kinetic energy by "
         f"{1e3 * found.energy_gap:.2g} mJ; {found.programs} programs compiled",
@@ -135,7 +136,9 @@ def audit_sheet(found: Audit, *, synthetic: bool = False) -> Sheet:
 
 
 def _number(value: float) -> str:
-    return "-" if math.isnan(value) else "0" if abs(value) < 1e-6 else f"{value:.2g}"
+    if math.isnan(value):
+        return "-"
+    return "0" if abs(value) < 1e-6 else f"{value:.2g}" if abs(value) < 99.5 else f"{value:,.0f}"
 
 
 def _time(cost: float | None, spread: float | None) -> str:

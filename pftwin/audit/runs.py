@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -70,6 +70,8 @@ def run_alone(scene: Scene, integrator: str, substeps: int) -> Run:
 def run_side_by_side(base: Scene, variants: Sequence[Variant], integrator: str, substeps: int) -> list[Run]:
     """Variants of the base in numbers only, each from its own equilibrium, in one program.
 
+    One whose search fails runs alone once more, by the base's program.
+
     Raises:
         InputError: a parameter that cannot give a right answer.
     """
@@ -83,7 +85,10 @@ def run_side_by_side(base: Scene, variants: Sequence[Variant], integrator: str, 
     runs = []
     for k, v in enumerate(variants):
         start, observed = jax.tree.map(lambda a, k=k: np.asarray(a)[k], (starts, seen))
-        runs.append(Run(_result(v.scene, start, observed, False, integrator, substeps), None))
+        run = Run(_result(v.scene, start, observed, False, integrator, substeps), None)
+        if not run.result.equilibrium.converged:  # alone, the damped relaxation helps
+            run = replace(run_alone(v.scene, integrator, substeps), again=None)
+        runs.append(run)
     return runs
 
 

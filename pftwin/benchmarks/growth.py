@@ -28,7 +28,7 @@ SUBSTEPS = 10  # of 10 ms
 INTEGRATOR = "linear_implicit"
 
 
-def rows(*, meshes: tuple[str, ...] = ("volume", "FM")) -> list[Row]:
+def rows(*, meshes: tuple[str, ...] = ("volume",)) -> list[Row]:
     """Equations and time of a step of growing scenes.
 
     Args:

@@ -66,7 +66,7 @@ def measure_topics(
         say("measuring growth ...")
         from pftwin.benchmarks import growth
 
-        rows += growth.rows(meshes=() if quick else ("volume", "FM"))
+        rows += growth.rows(meshes=() if quick else ("volume",))
     return rows, about
 
 

@@ -34,7 +34,7 @@ contact_force = "contact"
 STEP = ("--dt", "0.005")  # one step for all tests: one program to compile
 COMMANDS = (
     *("demo", "simulate", "equilibrium", "validate", "fit-surface", "doctor-mesh"),
-    *("init", "fit", "treat", "optimise", "plan-experiment"),
+    *("init", "fit", "treat", "optimise", "plan-experiment", "explain", "audit"),
 )
 
 

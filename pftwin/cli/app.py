@@ -11,10 +11,12 @@ from typer.core import TyperGroup
 
 from pftwin.cli import (
     accuracy,
+    audit,
     contact_map,
     demo,
     doctor_mesh,
     equilibrium,
+    explain,
     fit,
     fit_surface,
     hard_cases,
@@ -85,6 +87,8 @@ app.command("simulate")(simulate.simulate)
 app.command("equilibrium")(equilibrium.equilibrium)
 app.command("validate")(validate.validate)
 app.command("accuracy")(accuracy.accuracy)
+app.command("explain")(explain.explain)
+app.command("audit")(audit.audit)
 app.command("fit")(fit.fit)
 app.command("plan-experiment")(plan_experiment.plan_experiment)
 app.command("fit-surface")(fit_surface.fit_surface)

@@ -14,9 +14,10 @@ Lower = list[list[Scalar]]  # row i holds columns 0..i
 def add_outer(a: Lower, g: Sequence[Scalar], weight: Scalar) -> Lower:
     """a + w g g^T; entries with a leading axis (a group of terms) are summed over it."""
     if jnp.ndim(weight):
-        rows = jnp.stack([jnp.broadcast_to(x, weight.shape) for x in g])
-        gram = (rows * weight[None, :]) @ rows.T
-        return [[entry + gram[i, j] for j, entry in enumerate(row)] for i, row in enumerate(a)]
+        # Sums, not a product of matrices: around that XLA would not make one loop of a step.
+        rows = [jnp.broadcast_to(x, weight.shape) for x in g]
+        weighted = [weight * x for x in rows]
+        return [[entry + jnp.sum(weighted[i] * rows[j]) for j, entry in enumerate(row)] for i, row in enumerate(a)]
     weighted = [weight * x for x in g]
     return [[entry + weighted[i] * g[j] for j, entry in enumerate(row)] for i, row in enumerate(a)]
 

@@ -1,0 +1,58 @@
+"""What each effect of the DM knee costs and is worth: `pftwin explain` and `pftwin audit` on the scene of dm_knee.py.
+
+    python examples/dm_audit.py FOLDER_OF_DM_KNEE [--contact patch|mesh] [--tolerance 0.1] [--markdown] [-o FOLDER]
+
+The folder may be left out where PFTWIN_DATA names the folder that holds dm_knee. docs/audit.md has what came out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from dm_knee import build
+
+import pftwin
+from pftwin.audit.audit import audit
+from pftwin.audit.explain import explain
+from pftwin.audit.figure import audit_figure
+from pftwin.audit.report import audit_sheet, explanation_sheet
+from pftwin.audit.table import write_csv, write_netcdf
+from pftwin.cli.explain import show
+from pftwin.cli.terminal import out
+from pftwin.errors import PftwinError
+from pftwin.plots import save_figure
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command."""
+    data = os.environ.get("PFTWIN_DATA")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?" if data else None, default=data and Path(data) / "dm_knee")
+    parser.add_argument("--contact", choices=("patch", "mesh"), default="patch", help="sphere on a patch, or meshes")
+    parser.add_argument("--tolerance", type=float, default=0.1, help="what the path may be off by [mm]")
+    parser.add_argument("--dt", type=float, default=1e-3, help="time step [s]")
+    parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
+    parser.add_argument("-o", "--out", type=Path, help="folder for figure, CSV and NetCDF")
+    given = parser.parse_args(arguments)
+    pftwin.configure(cache_dir=os.environ.get("PFTWIN_CACHE"))
+    try:
+        scene = build(given.folder, contact=given.contact).scene
+        show(explanation_sheet(explain(scene, dt=given.dt)), out(), given.markdown)
+        found = audit(scene, tolerance=1e-3 * given.tolerance, dt=given.dt)
+        show(audit_sheet(found), out(), given.markdown)
+        if given.out:
+            given.out.mkdir(parents=True, exist_ok=True)
+            write_csv(found, given.out / "audit.csv")
+            write_netcdf(found, given.out / "audit.nc")
+            save_figure(audit_figure(found, f"{found.scene}: what each effect is worth"), given.out / "audit")
+    except PftwinError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

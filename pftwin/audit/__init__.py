@@ -1,0 +1,1 @@
+"""What each effect of a scene costs and is worth: `pftwin explain` and `pftwin audit`."""

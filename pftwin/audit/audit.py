@@ -1,0 +1,162 @@
+"""What each effect of a scene is worth: the run changed by leaving it out, or by putting in what it lacks."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import jax
+
+from pftwin.audit.changes import Changes, changes, lost
+from pftwin.audit.left_out import left_out
+from pftwin.audit.put_in import put_in
+from pftwin.audit.runs import Run, run_alone, run_side_by_side
+from pftwin.audit.shares import Share, in_turn
+from pftwin.audit.variant import KINDS, Kind, NotApplicable, Variant
+from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.trajectory import substeps_for
+from pftwin.errors import InputError
+from pftwin.result import Result
+from pftwin.scene import Scene, check
+
+
+@dataclass(frozen=True)
+class Worth:
+    """One variant beside the scene."""
+
+    name: str
+    kind: Kind
+    sentence: str
+    changes: Changes | None  # None where there is nothing to compare
+    cost: float | None  # time that it takes, as a share of the scene's run; None where it ran beside others
+    spread: float | None  # of that: half of what the middle half of the rounds covers
+    outcome: str  # what became of the run, where it differs from the scene's own; empty where it does not
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Audit:
+    """All variants of a scene."""
+
+    scene: str
+    integrator: str
+    step: float  # [s]
+    tolerance: float  # of the tracked point's place [m]
+    run_time: float  # of the scene's own run: median [s]
+    tracking: str | None  # what the patella does in the scene; None without a contact surface
+    status: str
+    programs: int  # compiled: of motion and of equilibrium
+    rows: tuple[Worth, ...]
+    not_applicable: tuple[NotApplicable, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+def audit(scene: Scene, *, tolerance: float = 1e-4, integrator: str = "linear_implicit", dt: float = 1e-3) -> Audit:
+    """Runs the scene with each effect left out, with those put in that it lacks, and with other inertia and steps.
+
+    Args:
+        scene: what is there.
+        tolerance: by how much the tracked point may be off before an effect is worth keeping [m].
+        integrator: as in `simulate`.
+        dt: longest step [s].
+
+    Raises:
+        InputError: a parameter of the scene, the tolerance, the step or the integrator that cannot give a right answer.
+    """
+    if not tolerance > 0:
+        raise InputError(f"found {tolerance!r}", where="tolerance", expected="a positive number of metres")
+    check(scene)
+    integrator_named(integrator)
+    substeps = substeps_for(scene.motion.frame_interval, dt)
+    listed = [*left_out(scene), *put_in(scene, integrator)]
+    wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
+    own = run_alone(scene, integrator, substeps)
+    runs = _runs(scene, wanted, integrator, substeps)
+    shares = _shares(own, [runs[v.name, v.kind] for v in wanted])
+    rows = [
+        _worth(scene, v, runs[v.name, v.kind].result, own.result, share, tolerance)
+        for v, share in zip(wanted, shares[1:], strict=True)
+    ]
+    assert shares[0] is not None
+    tracking = own.result.dislocations()
+    return Audit(
+        scene=scene.name,
+        integrator=integrator,
+        step=scene.motion.frame_interval / substeps,
+        tolerance=tolerance,
+        run_time=shares[0].seconds,
+        tracking=None if tracking is None else tracking.describe(),
+        status=own.result.status.describe(),
+        programs=_programs(scene, wanted, integrator),
+        rows=tuple(rows),
+        not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),
+    )
+
+
+def _runs(scene: Scene, wanted: list[Variant], integrator: str, substeps: int) -> dict[tuple[str, Kind], Run]:
+    """Those that differ in numbers only side by side, the others one by one."""
+    alike = [v for v in wanted if v.alike]
+    found: dict[tuple[str, Kind], Run] = {}
+    if alike:
+        together = run_side_by_side(scene, alike, integrator, substeps)
+        found = {(v.name, v.kind): run for v, run in zip(alike, together, strict=True)}
+    for v in wanted:
+        if not v.alike:
+            found[v.name, v.kind] = run_alone(v.scene, v.integrator or integrator, v.refine * substeps)
+    return found
+
+
+def _programs(scene: Scene, wanted: list[Variant], integrator: str) -> int:
+    """One of motion for each structure, integrator and number of steps, one of equilibrium for each structure."""
+    alone = [v for v in wanted if not v.alike]
+    structures = [scene, *(v.scene for v in alone)]
+    kinds = {jax.tree.structure(s.unnamed()) for s in structures}
+    moving = {
+        (jax.tree.structure(s.unnamed()), name, n)
+        for s, name, n in [(scene, integrator, 1), *((v.scene, v.integrator or integrator, v.refine) for v in alone)]
+    }
+    return len(kinds) + len(moving) + (len(alone) < len(wanted))
+
+
+def _shares(own: Run, runs: list[Run]) -> list[Share | None]:
+    """Times of the scene's own run and of all that ran alone, in turn."""
+    timed = [run.again for run in (own, *runs) if run.again is not None]
+    shares = iter(in_turn(timed))
+    return [None if run.again is None else next(shares) for run in (own, *runs)]
+
+
+def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Share | None, tolerance: float) -> Worth:
+    trouble = lost(result, own)
+    found = None if trouble is not None else changes(scene, result, own)
+    outcome = trouble or _outcome(result, own)
+    cost = None
+    if share is not None:
+        cost = 1 - share.ratio if v.kind == "left out" else share.ratio - 1
+    verdict = _verdict(v.kind, found, outcome, tolerance)
+    return Worth(v.name, v.kind, v.sentence, found, cost, share and share.spread, outcome, verdict)
+
+
+def _outcome(result: Result, own: Result) -> str:
+    """Where the patella dislocates in one of the runs alone; what flags the scene's run does not have."""
+    said = []
+    ours, theirs = own.dislocations(), result.dislocations()
+    if ours is not None and theirs is not None and bool(ours.events) != bool(theirs.events):
+        said.append("dislocates" if theirs.events else "does not dislocate")
+    new = result.status & ~own.status
+    return "; ".join([*said, *([new.describe()] if new else [])])
+
+
+def _verdict(kind: Kind, found: Changes | None, outcome: str, tolerance: float) -> str:
+    """In two or three words."""
+    matters = found is None or found.center_max > tolerance or "dislocate" in outcome
+    if found is None and kind == "left out":
+        return "indispensable"
+    return {
+        "left out": ("worth keeping", "could go"),
+        "put in": ("worth putting in", "not needed"),
+        "changed": ("matters", "does not matter"),
+        "yardstick": ("steps too long for that", "steps short enough"),
+    }[kind][0 if matters else 1]

@@ -1,0 +1,84 @@
+"""`pftwin audit`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pftwin.cli.demo import check_folder
+from pftwin.cli.explain import MarkdownOption, show
+from pftwin.cli.scenes import CaseOption, ContactOption, IntegratorOption, SceneArgument, StepOption, chosen_scene
+from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
+from pftwin.errors import InputError
+
+if TYPE_CHECKING:
+    from pftwin.audit.audit import Audit
+
+
+def audit(
+    scene: SceneArgument = None,
+    *,
+    case: CaseOption = None,
+    contact: ContactOption = None,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", metavar="MM", help="What the path may be off by before it matters [mm].")
+    ] = 0.1,
+    integrator: IntegratorOption = "linear_implicit",
+    dt: StepOption = 1e-3,
+    markdown: MarkdownOption = False,
+    json: JsonOption = None,
+) -> None:
+    """Say what each effect of a scene is worth: what changes when it is left out, and what it takes.
+
+    Effects that the scene lacks and could have are put in; inertia is doubled, halved and left out; steps are halved.
+
+    Example: `pftwin audit --case 2 --out audit`
+    """
+    if not (math.isfinite(tolerance) and tolerance > 0):
+        raise InputError(f"found {tolerance!r}", where="--tolerance", expected="a positive number of millimetres")
+    files = _files(out_dir)
+    check_outputs(json)
+    chosen = chosen_scene(scene, case, contact)
+    from pftwin.audit.audit import audit as weigh
+    from pftwin.audit.report import audit_sheet
+
+    with working(f"running {chosen.scene.name} with every effect left out in turn"):
+        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator, dt=dt)
+    synthetic = case is not None
+    if files:
+        _write(found, files, synthetic)
+    from pftwin.benchmarks.machine import describe
+
+    written = [str(p) for p in files.values()]
+    about = {"contact": chosen.contact, "synthetic": synthetic, "machine": describe(), "files": written}
+    write_json({**found.to_dict(), **about}, json)
+    console = out(json)
+    show(audit_sheet(found, synthetic=synthetic), console, markdown)
+    if written:
+        console.print(f"written: {', '.join(written)}", markup=False, highlight=False)
+
+
+def _files(folder: Path | None) -> dict[str, Path]:
+    """What is written, by kind; the folder is made later."""
+    if folder is None:
+        return {}
+    check_folder(folder)
+    return {kind: folder / f"audit.{kind}" for kind in ("csv", "nc", "png", "svg")}
+
+
+def _write(found: Audit, files: dict[str, Path], synthetic: bool) -> None:
+    from pftwin.audit.figure import audit_figure
+    from pftwin.audit.table import write_csv, write_netcdf
+    from pftwin.plots import save_figure
+
+    files["csv"].parent.mkdir(parents=True, exist_ok=True)
+    write_csv(found, files["csv"])
+    write_netcdf(found, files["nc"])
+    title = f"{found.scene}{' (synthetic rig)' if synthetic else ''}: what each effect is worth"
+    save_figure(audit_figure(found, title), files["png"].with_suffix(""))

@@ -29,8 +29,8 @@ def audit(
     tolerance: Annotated[
         float, typer.Option("--tolerance", metavar="MM", help="What the path may be off by before it matters [mm].")
     ] = 0.1,
-    integrator: IntegratorOption = "linear_implicit",
-    dt: StepOption = 1e-3,
+    integrator: IntegratorOption = None,
+    dt: StepOption = None,
     markdown: MarkdownOption = False,
     json: JsonOption = None,
 ) -> None:
@@ -49,7 +49,9 @@ def audit(
     from pftwin.audit.report import audit_sheet
 
     with working(f"running {chosen.scene.name} with every effect left out in turn"):
-        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator, dt=dt)
+        found = weigh(
+            chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator or "linear_implicit", dt=dt or 1e-3
+        )
     synthetic = case is not None
     if files:
         _write(found, files, synthetic)

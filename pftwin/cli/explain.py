@@ -22,8 +22,8 @@ def explain(
     *,
     case: CaseOption = None,
     contact: ContactOption = None,
-    integrator: IntegratorOption = "linear_implicit",
-    dt: StepOption = 1e-3,
+    integrator: IntegratorOption = None,
+    dt: StepOption = None,
     markdown: MarkdownOption = False,
     json: JsonOption = None,
 ) -> None:
@@ -37,7 +37,7 @@ def explain(
     from pftwin.audit.report import explanation_sheet
 
     with working(f"running {chosen.scene.name} with and without each effect"):
-        found = look(chosen.scene, integrator=integrator, dt=dt)
+        found = look(chosen.scene, integrator=integrator or "linear_implicit", dt=dt or 1e-3)
     from pftwin.benchmarks.machine import describe
 
     write_json({"contact": chosen.contact, **found.to_dict(), "machine": describe()}, json)

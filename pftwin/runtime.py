@@ -52,8 +52,9 @@ def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | o
     Raises:
         PftwinError: JAX has already started, and `fast_cpu` could have no effect any more.
     """
-    flags = fast_cpu_flags(os.environ.get("XLA_FLAGS", ""))
-    if fast_cpu and flags != os.environ.get("XLA_FLAGS"):
+    given = os.environ.get("XLA_FLAGS", "")
+    flags = fast_cpu_flags(given)
+    if fast_cpu and set(flags.split()) != set(given.split()):  # in whatever order
         if _jax_has_started():
             raise PftwinError(
                 "JAX has already computed something, so the fast CPU compilation cannot be switched on any more; "

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
 import pytest
 
+from pftwin import runtime
 from pftwin.runtime import FAST_CPU, VECTOR_WIDTH, fast_cpu_flags
 
 FAST = f"{VECTOR_WIDTH} --xla_backend_extra_options={','.join(FAST_CPU)}"
@@ -44,3 +46,12 @@ def test_too_late_is_an_error():
     code = "import os; os.environ.pop('XLA_FLAGS', None); import jax; jax.devices(); import pftwin; pftwin.configure()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
     assert "JAX has already computed something" in done.stderr
+
+
+def test_switches_may_stand_in_any_order(monkeypatch):
+    """Those of other people in front, between or behind: nothing has to be switched on any more."""
+    words = runtime.fast_cpu_flags("--xla_some_switch=1").split()
+    monkeypatch.setenv("XLA_FLAGS", " ".join(reversed(words)))
+    monkeypatch.setattr(runtime, "_jax_has_started", lambda: True)
+    runtime.configure()
+    assert os.environ["XLA_FLAGS"].split() == words[::-1]

@@ -28,7 +28,11 @@ class Found:
 
 
 def measure_all(
-    plan: Sequence[Setting], scene_of: SceneOf, measured: Measured | None, tell: Callable[[str], None]
+    plan: Sequence[Setting],
+    scene_of: SceneOf,
+    measured: Measured | None,
+    tell: Callable[[str], None],
+    keep: Callable[[list[Row]], None] = lambda _: None,
 ) -> Found:
     """Rows of a plan, the converged runs first.
 
@@ -37,6 +41,7 @@ def measure_all(
         scene_of: makes the scene with a contact, in JAX's present float type.
         measured: of the motion, if there are any.
         tell: gets a line before each piece of work.
+        keep: gets all rows so far after each, to put them where they are not lost.
     """
     references: dict[str, Converged] = {}
     found: list[Row] = []
@@ -49,6 +54,7 @@ def measure_all(
             tell(f"{k + 1} of {len(plan)}: {setting.contact}, {setting.integrator}, {setting.dtype}")
             with float_type(setting.dtype):
                 found += rows(setting, scene_of(setting.contact), references[setting.contact], measured)
+            keep(found)
     models = {} if measured is None else {c: _against(r, measured) for c, r in references.items()}
     return Found(found, references, models)
 

@@ -58,7 +58,7 @@ def accuracy(
     source = _source(scene, case)
     plan = everything() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
     with working("measuring"):
-        found = measure_all(plan, source.scene_of, source.measured, _tell)
+        found = measure_all(plan, source.scene_of, source.measured, _tell, lambda rows: _keep(rows, folder))
     synthetic = source.measured is not None and source.measured.synthetic
     about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}
     paths = write(found, folder, source.title, about)
@@ -70,6 +70,16 @@ def accuracy(
 
 def _tell(line: str) -> None:
     err().print(line, style="dim", markup=False, highlight=False)
+
+
+def _keep(rows: list[Row], folder: Path) -> None:
+    """What there is so far, should anything happen to the rest."""
+    from pftwin.accuracy.table import csv
+    from pftwin.output import written_whole
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with written_whole(folder / "accuracy.csv") as temporary:
+        temporary.write_text(csv(rows), encoding="utf-8")
 
 
 class _Source(NamedTuple):

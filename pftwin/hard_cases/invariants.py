@@ -84,7 +84,8 @@ def place(look: Look) -> str | None:
     if distant.any():
         return f"force at a distance of {1e3 * -depth[distant].min():.2g} mm"
     if look.contact in ("contours", "volume"):  # their indentation is another one than the nearest point's
-        missed = clean & (force <= 0) & (depth > np.maximum(near, DEEPEST * look.knee.radius))
+        # The law's damping takes all force off on the way out: an indentation without force is none that was missed.
+        missed = clean & (force <= 0) & ~(found > 0) & (depth > np.maximum(near, DEEPEST * look.knee.radius))
         return f"no force {1e3 * depth[missed].max():.2g} mm deep" if missed.any() else None
     off = np.where(clean & ((depth > near) | (found > near)), np.abs(np.nan_to_num(found) - depth), 0.0)
     k = int(np.argmax(off))

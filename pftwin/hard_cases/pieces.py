@@ -66,6 +66,6 @@ def runs(pieces: Sequence[Piece]) -> list[list[str]]:
         names = (
             ", ".join(dict.fromkeys(getattr(c, n) for c in piece.cells)) for n in ("contact", "integrator", "dtype")
         )
-        looked = "the run alone" if piece.quick else "derivatives and batches too"
+        looked = "the run alone" if piece.quick else "everything"
         rows.append([str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}", *names, looked])
     return rows

@@ -40,6 +40,17 @@ def by_case(cells: Sequence[Cell]) -> list[list[str]]:
     return rows
 
 
+def outcomes(cells: Sequence[Cell]) -> list[list[str]]:
+    """Rows of contact, integrator, float type, outcome and the cases that have it, a head first."""
+    groups: dict[tuple[str, str, str, str], list[str]] = {}
+    for c in cells:
+        groups.setdefault((c.contact, c.integrator, c.dtype, c.outcome), []).append(c.case)
+    return [
+        ["contact", "integrator", "float type", "outcome", "cases"],
+        *([*k, ", ".join(g)] for k, g in groups.items()),
+    ]
+
+
 def reasons(cells: Sequence[Cell], outcome: str) -> list[list[str]]:
     """Rows of case, where, and why, for one outcome; contacts and float types of one case and reason share a row."""
     groups: dict[tuple[str, str], list[Cell]] = {}
@@ -76,6 +87,8 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
         _table(reasons(cells, "fail")) if found["fail"] else "Nothing.",
         "## What is refused\nIn words, before anything is computed, or by flags of the frames that say so.",
         _table(reasons(cells, "refused")),
+        "## Every cell",
+        _table(outcomes(cells)),
         "## The cases",
         *(f"### {t[0].upper()}{t[1:]}\n" + _list(c for c in cases if c.topic == t) for t in topics),
     ]
@@ -86,19 +99,20 @@ _INTRODUCTION = """# Hard cases
 
 Scenes that have broken simulators of contact before (`pftwin.hard_cases`), with the kinds of contact, integrators and
 float types of the table below, and no others. All scenes are made up. **Pass**: everything is finite; flags of the
-frames are right (contact and depth by an exhaustive search that shares no code with the simulator's); the
-quaternion has length 1; energy less the work of guided bodies never rises; no indentation stores more than there was;
-there is no force at a distance and no missed contact; a symmetric scene stays symmetric; the run does not depend on
-its place in a batch nor on what runs beside it, NaN included; derivatives by a tendon's stiffness and slack length,
-the surface's height and the contact's stiffness are finite, and where the motion is smooth those of finite
-differences. **Refused**: the input, or the run's own flags, say in words that there is no answer, before any number
-that is not finite. **Fail**: all else. Tolerances are in `pftwin/hard_cases/look.py` and `derivatives.py`."""
+frames are right (contact and depth by an exhaustive search that shares no code with the simulator's); the quaternion
+has length 1; energy less the work of guided bodies never rises; no indentation stores more than there was; there is no
+force at a distance and no missed contact; a symmetric scene stays symmetric. Where the table says that everything was
+looked at: derivatives by a tendon's stiffness and slack length, the surface's height and the contact's stiffness are
+finite, and where the motion is smooth those of finite differences; and on patches the run depends neither on its place
+in a batch nor on what runs beside it, NaN included. **Refused**: the input, or the run's own flags, say in words that
+there is no answer, before any number that is not finite. **Fail**: all else. Tolerances are in
+`pftwin/hard_cases/look.py` and `derivatives.py`."""
 
 
-_NOT_RUN = """Cells that are in no row have not been run with this version. Of cells run twice the later counts. Some
-are left out by design (`pftwin/hard_cases/integrators.py`): `ali3p` and diffrax's solvers run on P5 in float64 alone,
-`ali3p` in cases of at most 1,000 steps and without derivatives; derivatives of `newmark` and `quasi_static` are looked
-at on P5.
+_NOT_RUN = """Cells that are in no row have not been run. Of cells run twice the later counts; each was judged by the
+code of its date. Some are left out by design (`pftwin/hard_cases/integrators.py`): `ali3p` and diffrax's solvers run on
+P5 in float64 alone, `ali3p` in cases of at most 1,000 steps and without derivatives; derivatives of `newmark` and
+`quasi_static` are looked at on P5; batches of these three are not.
 
 `quasi_static` has no inertia, so nothing falls, bounces or swings: what is let go snaps to where it can rest, and says
 so. Cases about bounces, restitution and free flight stay in the table with what then still has to hold: finite

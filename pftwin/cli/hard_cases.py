@@ -13,7 +13,9 @@ from pftwin.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from pftwin.hard_cases import Case
     from pftwin.hard_cases import Selection as Selected
+    from pftwin.hard_cases.pieces import Piece
 
 ContactsOption = Annotated[
     list[str] | None,
@@ -30,6 +32,10 @@ CasesOption = Annotated[
     list[str] | None, typer.Option("--case", metavar="NAME", help="A case, again for more; all if left out.")
 ]
 MarkdownOption = Annotated[Path | None, typer.Option("--markdown", metavar="FILE", help="Write the page of the docs.")]
+FromOption = Annotated[
+    list[Path] | None,
+    typer.Option("--from", metavar="FILE", help="Run nothing; show cells kept by --json. Again for more, newest last."),
+]
 ListOption = Annotated[
     bool, typer.Option("--list", help="Name the cases and say what is hard about them; run nothing.")
 ]
@@ -46,17 +52,17 @@ def hard_cases(
     dtype: DtypesOption = None,
     list_: ListOption = False,
     quick: QuickOption = False,
+    from_: FromOption = None,
     json: JsonOption = None,
     markdown: MarkdownOption = None,
 ) -> None:
     """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
 
-    Everything takes an hour of one core, most of it compiling; one contact with one integrator a minute.
+    Everything takes hours of one core, most of it compiling; one contact with one integrator minutes. Pieces that were
+    run one by one, with --json, make one page: --from FILE --from FILE --markdown FILE.
 
     Example: `pftwin hard-cases --contact P5 --integrator linear_implicit --dtype float64`
     """
-    import time
-
     check_outputs(json, markdown)
     start_computing()
     from pftwin.dynamics.integrators import integrator_named
@@ -68,7 +74,7 @@ def hard_cases(
         case_named,
         catalogue,
         method_named,
-        run_matrix,
+        pieces,
         table,
     )
 
@@ -85,25 +91,33 @@ def hard_cases(
         derivatives=not quick,
         mates=not quick,
     )
-    began = time.perf_counter()
-    cells = run_matrix(cases, chosen, lambda words: err().print(words, style="dim", highlight=False))
-    seconds = time.perf_counter() - began
+    if from_:
+        found = [pieces.read_piece(path) for path in from_]
+    else:
+        found = [_run(cases, chosen)]
+        write_json(found[0].as_dict(), json)
+    names = tuple(m.name for m in INTEGRATORS)
+    cells = pieces.merged(found, (tuple(c.name for c in catalogue()), CONTACTS, names, DTYPES))
     if markdown is not None:
-        from pftwin.benchmarks.machine import describe
         from pftwin.mocap.text_files import write_text
 
-        write_text(markdown, table.markdown(cells, cases, describe(), seconds, _scope(chosen)))
-    write_json({"seconds": seconds, "cells": table.as_dicts(cells)}, json)
+        write_text(markdown, table.markdown(cells, cases, found))
     out(json).print(_table("hard cases", table.summary(cells)))
     if table.counts(cells)["fail"]:
         out(json).print(_table("what fails", table.reasons(cells, "fail")))
 
 
-def _scope(chosen: Selected) -> str:
-    """What of the matrix was run, in a sentence."""
-    names = (", ".join(x) for x in (chosen.contacts, (m.name for m in chosen.integrators), chosen.dtypes))
-    less = "" if chosen.derivatives else ", without derivatives and without batches side by side"
-    return f"Run: {'; '.join(names)}{less}."
+def _run(cases: tuple[Case, ...], chosen: Selected) -> Piece:
+    """Runs what was chosen; says how far it has come."""
+    import time
+
+    from pftwin.benchmarks.machine import describe
+    from pftwin.hard_cases import run_matrix
+    from pftwin.hard_cases.pieces import Piece
+
+    began = time.perf_counter()
+    cells = run_matrix(cases, chosen, lambda words: err().print(words, style="dim", highlight=False))
+    return Piece(tuple(cells), time.perf_counter() - began, describe(), not chosen.derivatives)
 
 
 def _known(wanted: list[str] | None, known: tuple[str, ...], option: str) -> tuple[str, ...]:

@@ -82,3 +82,16 @@ def member(tree: Any, k: int) -> Any:
 def steps_of(case: Case, method: Method) -> int:
     """Steps within a frame."""
     return substeps_for(1 / RATE, min(case.step, method.longest_step))
+
+
+def short_enough(batch: Batch, method: Method) -> list[int]:
+    """Which of a batch's cases need no more steps than a method is given."""
+    frames = batch.scenes.motion.n_frames
+    most = method.most_steps
+    return [k for k, c in enumerate(batch.cases) if most is None or (frames - 1) * steps_of(c, method) <= most]
+
+
+def part(batch: Batch, which: list[int]) -> Batch:
+    """Some of a batch."""
+    at = np.asarray(which)
+    return Batch(tuple(batch.cases[k] for k in which), jax.tree.map(lambda a: a[at], batch.scenes))

@@ -10,7 +10,9 @@ class Method(NamedTuple):
 
     name: str  # as `pftwin.dynamics.integrators` has it
     longest_step: float = 1.0  # that the matrix gives it [s]
+    most_steps: int | None = None  # of a run: cases that need more are left out; None: no limit
     may_refuse: bool = False  # whether it may say that a step is too long for a case, where the case does not
+    inertia: bool = True  # without: energy is the stored one alone, and equilibria that end are told by a flag
     only: tuple[str, ...] | None = None  # kinds of contact that it runs with; None: all
     float32: bool = True
     differentiated_on: tuple[str, ...] | None = None  # kinds of contact with which derivatives are looked at; None: all
@@ -23,6 +25,17 @@ INTEGRATORS = (
     Method("newmark", may_refuse=True, differentiated_on=("P5",), side_by_side=False),  # compiles for minutes
     Method("symplectic_euler", longest_step=1e-4, may_refuse=True),
     Method("diffrax:Tsit5", may_refuse=True, only=("P5",), float32=False),
+    Method("quasi_static", may_refuse=True, inertia=False, differentiated_on=("P5",), side_by_side=False),
+    # Some 0.3 ms a step, and so few steps; undamped, as Newmark's method.
+    Method(
+        "ali3p",
+        most_steps=1000,
+        may_refuse=True,
+        only=("P5",),
+        float32=False,
+        differentiated_on=(),
+        side_by_side=False,
+    ),
 )
 
 

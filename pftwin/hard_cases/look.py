@@ -42,6 +42,7 @@ class Look(NamedTuple):
     tolerance: Tolerance
     step: float  # [s]
     depth: Floats  # (n,) of the button in the surface, by exhaustive search [m]
+    inertia: bool = True  # whether the motion has any: what moves then has kinetic energy
 
     @property
     def flags(self) -> NDArray[np.int64]:
@@ -51,6 +52,11 @@ class Look(NamedTuple):
     def report(self, name: str) -> Floats:
         """(n,) what the contact reports."""
         return np.asarray(self.run.seen.effects["contact"][name], dtype=np.float64)
+
+    def kinetic(self) -> Floats:
+        """(n,) energy of the motion [J]; none in a motion without inertia, whatever its rates are."""
+        seen = np.asarray(self.run.seen.kinetic_energy, np.float64)
+        return seen if self.inertia else 0.0 * seen
 
     def clean(self) -> NDArray[np.bool_]:
         """(n,) frames before the first that the run refuses itself."""

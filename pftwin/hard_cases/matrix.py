@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from pftwin.errors import InputError
 from pftwin.hard_cases import derivatives
-from pftwin.hard_cases.batch import Batch, batches, member, steps_of
+from pftwin.hard_cases.batch import Batch, batches, member, part, short_enough, steps_of
 from pftwin.hard_cases.case import Case
 from pftwin.hard_cases.contacts import CONTACTS, PATCHES
 from pftwin.hard_cases.integrators import INTEGRATORS, Method
 from pftwin.hard_cases.knee import RATE
 from pftwin.hard_cases.mates import batch_mates
 from pftwin.hard_cases.programs import PARAMETERS, Run, compiled, depths, poses, run, slopes
-from pftwin.hard_cases.starts import Starts, starts_of
+from pftwin.hard_cases.starts import Starts, starts_of, starts_part
 from pftwin.hard_cases.verdict import Cell, Evidence, verdict
 
 DTYPES = ("float64", "float32")
@@ -78,8 +78,12 @@ def _of_contact(
         starts = starts_of(batch, dtype)
         for method in methods:
             began = time.perf_counter()
-            cells += _run_batch(batch, starts, contact, method, dtype, selection, references)
-            say(f"{contact}, {method.name}, {dtype}: {len(batch.cases)} cases in {time.perf_counter() - began:.1f} s")
+            which = short_enough(batch, method)
+            if not which:
+                continue
+            own, own_starts = part(batch, which), starts_part(starts, which)
+            cells += _run_batch(own, own_starts, contact, method, dtype, selection, references)
+            say(f"{contact}, {method.name}, {dtype}: {len(which)} cases in {time.perf_counter() - began:.1f} s")
     return cells
 
 

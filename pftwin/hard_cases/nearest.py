@@ -24,7 +24,7 @@ def depth_everywhere(button: Effect, center: Vec3) -> Array:
     """Radius less the distance of the sphere's centre to the nearest point of the surface [m].
 
     Negative where it touches nothing. A centre below a patch counts as inside; a mesh's side is told by its nearest
-    triangle's normal.
+    triangle's normal, but a mesh that is open has no inside past its rim.
 
     Args:
         button: a contact, made ready by `about`.
@@ -83,4 +83,18 @@ def _above_mesh(rows: Array, center: Vec3) -> Array:
 
     distance, side = jax.vmap(one)(triangles)
     k = jnp.argmin(distance)
-    return jnp.where(side[k] < 0, -distance[k], distance[k])
+    nearest = closest_on_triangle(jax.tree.map(lambda a: a[k], triangles), center).point.array()
+    return jnp.where((side[k] < 0) & ~_on_rim(rows, nearest), -distance[k], distance[k])
+
+
+def _on_rim(rows: Array, point: Array) -> Array:
+    """Whether a point (3,) of a mesh lies on an edge along which no other triangle runs the other way."""
+    corners = rows.reshape(-1, 3, 3)
+    a, b = corners.reshape(-1, 3), jnp.roll(corners, -1, axis=1).reshape(-1, 3)
+    met = ((a[:, None] == b[None]) & (b[:, None] == a[None])).all(axis=-1).any(axis=1)
+    along = b - a
+    length = jnp.maximum((along * along).sum(axis=-1), jnp.finfo(rows.dtype).tiny)
+    share = jnp.clip(((point[None] - a) * along).sum(axis=-1) / length, 0.0, 1.0)
+    off = jnp.linalg.norm(a + share[:, None] * along - point[None], axis=-1)
+    near = 100 * jnp.finfo(rows.dtype).eps * jnp.abs(rows).max()
+    return (~met & (off <= near)).any()

@@ -40,6 +40,12 @@ def starts_of(batch: Batch, dtype: str) -> Starts:
     return Starts(chosen, _wrong(batch, found, scenes, search, dtype))
 
 
+def starts_part(starts: Starts, which: list[int]) -> Starts:
+    """Those of some of a batch."""
+    at = np.asarray(which)
+    return Starts(jax.tree.map(lambda a: a[at], starts.chosen), starts.wrong)
+
+
 def _converged(solution: Solution) -> np.ndarray:
     return np.asarray(solution.residual) < tolerance_of(solution.residual.dtype)
 

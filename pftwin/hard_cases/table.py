@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from pftwin.hard_cases.case import Case
+from pftwin.hard_cases.pieces import Piece, runs
 from pftwin.hard_cases.verdict import Cell
 
 OUTCOMES = ("pass", "fail", "refused")
@@ -40,6 +40,17 @@ def by_case(cells: Sequence[Cell]) -> list[list[str]]:
     return rows
 
 
+def outcomes(cells: Sequence[Cell]) -> list[list[str]]:
+    """Rows of contact, integrator, float type, outcome and the cases that have it, a head first."""
+    groups: dict[tuple[str, str, str, str], list[str]] = {}
+    for c in cells:
+        groups.setdefault((c.contact, c.integrator, c.dtype, c.outcome), []).append(c.case)
+    return [
+        ["contact", "integrator", "float type", "outcome", "cases"],
+        *([*k, ", ".join(g)] for k, g in groups.items()),
+    ]
+
+
 def reasons(cells: Sequence[Cell], outcome: str) -> list[list[str]]:
     """Rows of case, where, and why, for one outcome; contacts and float types of one case and reason share a row."""
     groups: dict[tuple[str, str], list[Cell]] = {}
@@ -56,20 +67,18 @@ def reasons(cells: Sequence[Cell], outcome: str) -> list[list[str]]:
     return rows
 
 
-def as_dicts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """For JSON."""
-    return [c._asdict() for c in cells]
-
-
-def markdown(cells: Sequence[Cell], cases: Sequence[Case], machine: dict[str, Any], seconds: float, scope: str) -> str:
-    """The page docs/hard_cases.md; `scope` says in a sentence what of the matrix was run."""
-    found, m = counts(cells), machine
+def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piece]) -> str:
+    """The page docs/hard_cases.md, from the pieces that were run."""
+    found, m = counts(cells), pieces[-1].machine
+    minutes = sum(p.seconds for p in pieces) / 60
     topics = dict.fromkeys(c.topic for c in cases)
     parts = [
         _INTRODUCTION,
-        f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}. {scope} Made by "
-        f"`pftwin hard-cases --markdown docs/hard_cases.md` in {seconds / 60:.0f} minutes, compiling included, other"
-        f" work going on: {m['cpu']}, {m['cores']} cores, jax {m['jax']}, {m['date'][:10]}.",
+        f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}. Made by "
+        f"`pftwin hard-cases` with `--json`, piece by piece, and then `--from` and `--markdown`, in {minutes:.0f}"
+        f" minutes with compiling, other work going on: {m['cpu']}, {m['cores']} cores, jax {m['jax']}.",
+        "## What was run, and when\n" + _NOT_RUN,
+        _table(runs(pieces)),
         "## By contact, integrator and float type",
         _table(summary(cells)),
         "## By case\nOver all kinds of contact and float types.",
@@ -78,6 +87,8 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], machine: dict[str, An
         _table(reasons(cells, "fail")) if found["fail"] else "Nothing.",
         "## What is refused\nIn words, before anything is computed, or by flags of the frames that say so.",
         _table(reasons(cells, "refused")),
+        "## Every cell",
+        _table(outcomes(cells)),
         "## The cases",
         *(f"### {t[0].upper()}{t[1:]}\n" + _list(c for c in cases if c.topic == t) for t in topics),
     ]
@@ -86,15 +97,27 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], machine: dict[str, An
 
 _INTRODUCTION = """# Hard cases
 
-Scenes that have broken simulators of contact before, each with every kind of contact, integrator and float type,
-forward and differentiated (`pftwin.hard_cases`). All scenes are made up. **Pass**: everything is finite; flags of the
-frames are right (contact and depth by an exhaustive search that shares no code with the simulator's); the
-quaternion has length 1; energy less the work of guided bodies never rises; no indentation stores more than there was;
-there is no force at a distance and no missed contact; a symmetric scene stays symmetric; the run does not depend on
-its place in a batch nor on what runs beside it, NaN included; derivatives by a tendon's stiffness and slack length,
-the surface's height and the contact's stiffness are finite, and where the motion is smooth those of finite
-differences. **Refused**: the input, or the run's own flags, say in words that there is no answer, before any number
-that is not finite. **Fail**: all else. Tolerances are in `pftwin/hard_cases/look.py` and `derivatives.py`."""
+Scenes that have broken simulators of contact before (`pftwin.hard_cases`), with the kinds of contact, integrators and
+float types of the table below, and no others. All scenes are made up. **Pass**: everything is finite; flags of the
+frames are right (contact and depth by an exhaustive search that shares no code with the simulator's); the quaternion
+has length 1; energy less the work of guided bodies never rises; no indentation stores more than there was; there is no
+force at a distance and no missed contact; a symmetric scene stays symmetric. Where the table says that everything was
+looked at: derivatives by a tendon's stiffness and slack length, the surface's height and the contact's stiffness are
+finite, and where the motion is smooth those of finite differences; and on patches the run depends neither on its place
+in a batch nor on what runs beside it, NaN included. **Refused**: the input, or the run's own flags, say in words that
+there is no answer, before any number that is not finite. **Fail**: all else. Tolerances are in
+`pftwin/hard_cases/look.py` and `derivatives.py`."""
+
+
+_NOT_RUN = """Cells that are in no row have not been run. Of cells run twice the later counts; each was judged by the
+code of its date. Some are left out by design (`pftwin/hard_cases/integrators.py`): `ali3p` and diffrax's solvers run on
+P5 in float64 alone, `ali3p` in cases of at most 1,000 steps and without derivatives; derivatives of `newmark` and
+`quasi_static` are looked at on P5; batches of these three are not.
+
+`quasi_static` has no inertia, so nothing falls, bounces or swings: what is let go snaps to where it can rest, and says
+so. Cases about bounces, restitution and free flight stay in the table with what then still has to hold: finite
+numbers, right contact and depth, right flags (a snap is told, and not wrong), the same rest, and stored energy less
+work that never rises; energy of the rates does not count. No equilibrium at all is refused, not passed."""
 
 
 def _table(rows: list[list[str]]) -> str:

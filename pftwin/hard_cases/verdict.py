@@ -46,7 +46,7 @@ class Evidence(NamedTuple):
 def verdict(case: Case, contact: str, method: Method, dtype: str, evidence: Evidence) -> Cell:
     """Pass; fail with the first thing that is wrong; refused where the run itself says that its step is too long."""
     run, tolerance = evidence.runs[case.name], TOLERANCES[dtype]
-    look = Look(case, case.builder(), contact, run, tolerance, evidence.step, evidence.depth)
+    look = Look(case, case.builder(), contact, run, tolerance, evidence.step, evidence.depth, method.inertia)
 
     def cell(outcome: str, reason: str) -> Cell:
         return Cell(case.name, contact, method.name, dtype, outcome, reason)

@@ -8,7 +8,8 @@ keep them right:
   lateral one laterally, so that each ends on its own facet. Where the distance has one minimum they meet in it.
 - They are watched: the distance is sampled on a coarse fan across the groove. Where nobody is near the fan's first
   (medial) minimum the medial point starts again there, and likewise the lateral one near the last, so a facet that
-  comes near is found before it touches. A point whose minimum has vanished goes where the other point is.
+  comes near is found before it touches. A point whose minimum has vanished goes where the other point is. Where the
+  distance still falls at the fan's end, as on a wall steeper than the fan is wide, who has gone on beyond it is right.
 - They share: each bears half of the contact law's force where they are one and all of it where they are two, smoothly
   in between, so the force has no jump where facets merge and nothing is counted twice.
 """
@@ -65,11 +66,14 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place
     # What only decides where a search starts is not differentiated.
     still, (c_still, radius_still) = _without_derivatives(surface), stop_gradient((c, radius))
     seen = scan_facets(still, c_still, radius_still, near)
+    _, middle = still.chart.foot(c_still)
+    ends = middle + FAN[0] * radius_still, middle + FAN[-1] * radius_still
     astray = ASTRAY * SPACING * radius_still
     in_order = places[0].v <= places[1].v
     points = []
     for own, other, fan_v, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
-        far, other_far = (jnp.abs(surface.clipped(p.v) - fan_v) > astray for p in (own, other))
+        at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius_still for end in ends]
+        far, other_far = (_astray(still.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
         # Nobody follows the fan's minimum: start there. The other point does: a minimum of one's own, too shallow for
         # the fan to see, is kept; whoever has none joins the other point, whose place is better than the fan's.
         new, joins = far & other_far, far & ~other_far & ~((own.settled > 0) & in_order)
@@ -81,6 +85,11 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place
     t = (jnp.where(gap < 0, -gap, gap) / radius - MERGED) * (1 / (APART - MERGED))
     share = jnp.where(t > 1, 1.0, jnp.where(t > 0, 0.5 + t * t * (1.5 - t), 0.5))
     return Facets(medial, lateral, share)
+
+
+def _astray(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
+    """Whether a point is too far from the fan's minimum; outside the fan there is nothing to be too far from."""
+    return ((beyond < -limit) & ~at_end[0]) | ((beyond > limit) & ~at_end[1])
 
 
 def _without_derivatives(surface: Surface) -> Surface:
@@ -104,9 +113,10 @@ def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[S
     for v in places:
         value, gradient = half_square(v, *profile.height_and_slope(v))
         phi.append(value - compliance * gradient * gradient)
-    falls = [after < before for before, after in pairwise(phi)]
     first, last = places[-1], places[0]
-    for k in range(len(falls)):
-        first = jnp.where(falls[-1 - k], first, places[-2 - k])
-        last = jnp.where(falls[k], places[k + 1], last)
+    # Samples that coincide at an edge neither rise nor fall.
+    for k, (before, after) in enumerate(pairwise(phi)):
+        last = jnp.where(after < before, places[k + 1], last)
+    for k, (before, after) in reversed(list(enumerate(pairwise(phi)))):
+        first = jnp.where(before < after, places[k], first)
     return first, last

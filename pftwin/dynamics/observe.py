@@ -100,7 +100,8 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         relative = femur_to_world.conjugate() * turn
         center = origin + relative.rotate(scene.tracked_point())
         status = _status(scene, seen, state, path.step)
-        return Pose(origin, relative), center, seen, system.kinetic_energy(state), stored, status
+        kinetic = jnp.zeros_like(path.step) if _without_inertia(state) else system.kinetic_energy(state)
+        return Pose(origin, relative), center, seen, kinetic, stored, status
 
     # A loop, which is the same program as one frame's and so is compiled as quickly.
     patella, center, seen, kinetic, stored, status = map_rows(lambda at: look(*at), (path.states, guides))
@@ -114,6 +115,11 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         flags = flags | jnp.where(created, int(Status.ENERGY_FROM_NOWHERE), 0)
     flags = flags | _snapped(path)
     return Observation(patella, center, seen, kinetic, stored, flags, getattr(path.states.carried, "drift", None))
+
+
+def _without_inertia(state: State) -> bool:
+    """Whether the motion knows of none: then nothing is in its velocities."""
+    return getattr(state.carried, "snaps", None) is not None
 
 
 def _snapped(path: Trajectory) -> Array | int:

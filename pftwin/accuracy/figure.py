@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -62,7 +62,12 @@ def _panel(ax: Axes, rows: Sequence[Row], speed: str) -> None:
         some = [r for r in group if np.isfinite(getattr(r, speed))]
         k = names.index(name)
         times = [1e3 / getattr(r, speed) for r in some]
-        line = {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)], "markersize": 4.5}
+        line: dict[str, Any] = {
+            "color": COLOURS[k % len(COLOURS)],
+            "marker": MARKERS[k % len(MARKERS)],
+            "markersize": 4.5,
+        }
+        line["linestyle"] = "-" if k < len(COLOURS) else "--"
         ax.plot(times, [r.position_rms_mm for r in some], label=name, **line)
         for r, t in zip(some, times, strict=True):
             if not name.startswith(("diffrax", "quasi")):

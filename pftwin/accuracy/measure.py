@@ -138,7 +138,7 @@ def _gradient(p: Programs, start: Any, substeps: Any, setting: Setting) -> float
     """The cost of a run with its derivatives, in runs."""
     if not setting.gradient:
         return float("nan")
-    plain, columns = jax.jit(p.one), jax.jit(p.columns)
+    plain, columns = jax.jit(p.path), jax.jit(p.columns)
     alone = measure(lambda: plain(p.arrays, start, substeps), seconds=0.2).median
     return measure(lambda: columns(p.arrays, start, substeps), runs=3, seconds=0.2).median / alone
 

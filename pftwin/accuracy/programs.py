@@ -27,7 +27,8 @@ class Programs(NamedTuple):
     """Functions of (scene's arrays, start, number of steps), not compiled yet; the number is traced."""
 
     arrays: Any
-    one: Callable[..., Any]
+    one: Callable[..., Any]  # with all results
+    path: Callable[..., Any]  # with the tracked point's path alone, as the following two
     many: Callable[..., Any]
     columns: Callable[..., Any]
     n_columns: int
@@ -45,6 +46,9 @@ def programs(scene: Scene, integrator: str) -> Programs:
         states = trajectory(whole, integrator=integrator, substeps=substeps, start=start).states
         arm = states.orientation.rotate(whole.tracked_point() - whole.patella.center_of_mass)
         return (states.position + arm).array()
+
+    def path(a: Any, start: Solution, substeps: Array) -> Array:
+        return tracked(eqx.combine(a, fixed), start, substeps)
 
     def variants(a: Any, start: Solution, substeps: Array) -> Array:
         whole = eqx.combine(a, fixed)
@@ -66,7 +70,7 @@ def programs(scene: Scene, integrator: str) -> Programs:
 
         return jax.jacfwd(by)(jnp.ones(len(places)))
 
-    return Programs(arrays, run, variants, derivatives, len(places))
+    return Programs(arrays, run, path, variants, derivatives, len(places))
 
 
 def _parameters(scene: Scene) -> list[tuple[int, str] | None]:

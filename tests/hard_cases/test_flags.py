@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from pftwin.dynamics.observe import Status
 from pftwin.hard_cases import case_named
@@ -24,14 +25,16 @@ def flags_of(names: list[str], integrator: str, substeps: int) -> list[Status]:
 
 
 def test_a_bounce_shorter_than_an_undamped_step_is_said_to_create_energy():
-    bouncing, plain = flags_of(["bounce_to_rest", "plain_knee"], "linear_implicit_bdf2", 10)
+    bouncing, plain = flags_of(["bounce_to_rest", "plain_knee"], "newmark", 10)
     assert Status.ENERGY_FROM_NOWHERE in bouncing
     assert "more energy than before" in bouncing.describe()
     assert plain == Status.OK
 
 
-def test_the_damped_step_creates_none():
-    for flags in flags_of(["bounce_to_rest", "plain_knee"], "linear_implicit", 10):
+@pytest.mark.parametrize("integrator", ["linear_implicit", "linear_implicit_bdf2"])
+def test_damped_steps_create_none(integrator):
+    """The second-order one starts afresh after an impact, and work is taken by the velocity of the loads."""
+    for flags in flags_of(["bounce_to_rest", "plain_knee"], integrator, 10):
         assert Status.ENERGY_FROM_NOWHERE not in flags
 
 

@@ -78,7 +78,7 @@ def attributes_of(result: Result) -> dict[str, Any]:
     }
     if result.constraint_drift is not None:
         attributes["largest_constraint_drift_m"] = result.constraint_drift
-    plain = {k: _plain(v) for k, v in result.settings.items()}
+    plain = {k: plain_attribute(v) for k, v in result.settings.items()}
     return {**attributes, **plain, **{f"timing_{k}": float(v) for k, v in result.timing.items()}}
 
 
@@ -158,7 +158,7 @@ def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, .
     return tuple(names)
 
 
-def _plain(value: Any) -> int | float | str:
+def plain_attribute(value: Any) -> int | float | str:
     """What NetCDF has a type for."""
     if isinstance(value, bool):
         return int(value)

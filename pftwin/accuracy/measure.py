@@ -14,6 +14,7 @@ import numpy as np
 
 from pftwin.accuracy.plan import MESHES, REFERENCE, REFERENCE_ON_MESHES, Setting
 from pftwin.accuracy.programs import VARIANTS, Programs, programs
+from pftwin.benchmarks.accuracy import rms
 from pftwin.benchmarks.clock import measure
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.simulate import settle
@@ -92,7 +93,7 @@ def converged(scene: Scene, contact: str) -> Converged:
         p = programs(scene, name)
         seen = jax.jit(p.one)(p.arrays, start.answer, jnp.asarray(REFERENCE_ON_MESHES if mesh else REFERENCE))
         found.append(_result(scene, start.answer, relaxed, seen))
-    doubt = 1e3 * _rms(np.linalg.norm(found[0].center - found[1].center, axis=1))
+    doubt = 1e3 * rms(np.linalg.norm(found[0].center - found[1].center, axis=1))
     return Converged(found[0], doubt)
 
 
@@ -152,11 +153,11 @@ def _errors(found: Result, reference: Result) -> dict[str, float]:
     tilt = np.degrees((found.angles.tilt - reference.angles.tilt + np.pi) % (2 * np.pi) - np.pi)
     force = float("nan")
     if found.contact is not None and reference.contact is not None:
-        force = _rms(found.effects[found.contact]["force"] - reference.effects[reference.contact]["force"])
+        force = rms(found.effects[found.contact]["force"] - reference.effects[reference.contact]["force"])
     return {
-        "position_rms_mm": _rms(apart),
+        "position_rms_mm": rms(apart),
         "position_max_mm": float(np.max(apart)),
-        "tilt_rms_deg": _rms(tilt),
+        "tilt_rms_deg": rms(tilt),
         "force_rms_n": force,
         "dislocation_ms": 1e3 * (_dislocation(found) - _dislocation(reference)),
     }
@@ -172,7 +173,3 @@ def _dislocation(result: Result) -> float:
 
 def _from_measurements(result: Result, measured: Measured) -> float:
     return validate(result, measured, tibial=None, femoral=None).mean_distance
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from pftwin.batches import batched
+from pftwin.benchmarks.problem import sphere_centre
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.trajectory import trajectory
@@ -43,9 +44,7 @@ def programs(scene: Scene, integrator: str) -> Programs:
         return observe(whole, trajectory(whole, integrator=integrator, substeps=substeps, start=start))
 
     def tracked(whole: Scene, start: Solution, substeps: Array) -> Array:
-        states = trajectory(whole, integrator=integrator, substeps=substeps, start=start).states
-        arm = states.orientation.rotate(whole.tracked_point() - whole.patella.center_of_mass)
-        return (states.position + arm).array()
+        return sphere_centre(whole, substeps, start, integrator).array()
 
     def path(a: Any, start: Solution, substeps: Array) -> Array:
         return tracked(eqx.combine(a, fixed), start, substeps)

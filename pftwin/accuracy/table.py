@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pftwin.accuracy.measure import Row
+from pftwin.result_dataset import plain_attribute
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -47,7 +48,7 @@ def dataset(rows: Sequence[Row], attributes: dict[str, Any]) -> Dataset:
         name: ("setting", v, dict(zip(("units", "long_name"), ABOUT[name], strict=True)) if name in ABOUT else {})
         for name, v in values.items()
     }
-    return Dataset(data, attrs={k: v if isinstance(v, int | float | str) else str(v) for k, v in attributes.items()})
+    return Dataset(data, attrs={k: plain_attribute(v) for k, v in attributes.items()})
 
 
 def csv(rows: Sequence[Row]) -> str:

@@ -36,9 +36,11 @@ def duration(scene: Scene) -> float:
     return scene.motion.end_time - scene.motion.start_time
 
 
-def sphere_centre(scene: Scene, substeps: int, start: Solution | None = None) -> Vec3:
+def sphere_centre(
+    scene: Scene, substeps: int | Array, start: Solution | None = None, integrator: str = "linear_implicit"
+) -> Vec3:
     """The button's sphere centre in the femur's frame over the recorded frames [m], from static equilibrium."""
-    states = trajectory(scene, substeps=substeps, start=start).states
+    states = trajectory(scene, integrator=integrator, substeps=substeps, start=start).states
     centre = states.position + states.orientation.rotate(scene.tracked_point() - scene.patella.center_of_mass)
     motion = scene.motion
     if motion.femur is None:

@@ -129,10 +129,9 @@ def _carried_along(branch: _Branch, state: State) -> Twist:
 
 def _over_a_snap(ledger: Ledger, branch: _Branch, landed: list[Any]) -> Ledger:
     """The guided bodies move first, the patella then: what it stores less at its end has become heat."""
-    stays = [jnp.zeros_like(branch.step)] * 6
     held = branch._replace(rates=jnp.zeros_like(branch.rates))
-    loads, _ = branch.system.loads(branch.guide.instant(held.after(stays).patella(), 0.0), branch.origin.memories)
-    standing = held.after(stays)
+    standing = held.after([jnp.zeros_like(branch.step)] * 6)
+    loads, _ = branch.system.loads(branch.guide.instant(standing.patella(), 0.0), branch.origin.memories)
     entered = ledger.entered(standing, standing, loads, None, 1.0, branch.step)
     stored = [sum((x.energy for x in own if x.energy is not None), jnp.zeros(())) for own in (loads, landed)]
     return eqx.tree_at(lambda a: a.heat, entered, entered.heat + stored[0] - stored[1])

@@ -7,13 +7,13 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Instant, Load, Observable
-from pftwin.effects.strings import Line, line_of_force
+from pftwin.effects.base import Instant, Load, Observable
+from pftwin.effects.strings import Strung
 from pftwin.effects.toe_region import toe_region
 from pftwin.spatial import Scalar, Vec3
 
 
-class StrandGroup(Effect):
+class StrandGroup(Strung):
     r"""Strands that stiffen over a toe region, then are linear, and never push.
 
     With strain e = (L - L0) / L0 and reference strain e1: F = k e^2 / (4 e1) for 0 < e < 2 e1, F = k (e - e1) beyond,
@@ -29,10 +29,6 @@ class StrandGroup(Effect):
     origin: Vec3
     body: str = eqx.field(static=True)
     observables: ClassVar[dict[str, Observable]] = {"tension": Observable("N", "sum of the strands' tensions")}
-
-    def line(self, now: Instant) -> Line:
-        """Where the strands run."""
-        return line_of_force(now, self.insertion, self.body, self.origin)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """All strands' pulls as one group of stiff terms."""
@@ -52,7 +48,3 @@ class StrandGroup(Effect):
         """Total tension."""
         (term,) = self.load(now, memory)[0].stiff
         return {"tension": jnp.sum(term.force)}
-
-    def about(self, center_of_mass: Vec3) -> StrandGroup:
-        """Insertions counted from the centre of mass."""
-        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
+import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Instant, StiffTerm, applied_at
+from pftwin.effects.base import Effect, Instant, StiffTerm, applied_at
 from pftwin.spatial import Scalar, Vec3
 
 
@@ -41,3 +42,42 @@ def line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3) -> Lin
 def _at_least(length: Scalar, least: float = 1e-9) -> Scalar:
     """Keeps a division finite, in value and in derivative, where a line has no length."""
     return jnp.where(length > least, length, least)
+
+
+class _Fixed(Protocol):
+    """What is fixed to the patella."""
+
+    @property
+    def insertion(self) -> Vec3: ...
+
+
+class _Stretched(_Fixed, Protocol):
+    """What runs from there to a point of a guided body."""
+
+    @property
+    def origin(self) -> Vec3: ...
+
+    @property
+    def body(self) -> str: ...
+
+
+_Any = TypeVar("_Any", bound=_Fixed)
+
+
+class PatellaEnd(Effect):
+    """An effect with a field `insertion`: its point of the patella, patella frame [m], or one for each line of a group.
+
+    The field is the subclass's, in its own place among the others: not declared here, where it would come first.
+    """
+
+    def about(self: _Any, center_of_mass: Vec3) -> _Any:
+        """Insertions counted from the centre of mass."""
+        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
+
+
+class Strung(PatellaEnd):
+    """An effect along the line from its insertion to its `origin`, a point of the guided `body` [m]."""
+
+    def line(self: _Stretched, now: Instant) -> Line:
+        """Where it runs."""
+        return line_of_force(now, self.insertion, self.body, self.origin)

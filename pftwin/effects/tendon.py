@@ -7,12 +7,12 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Instant, Load, Observable
-from pftwin.effects.strings import Line, line_of_force
+from pftwin.effects.base import Instant, Load, Observable
+from pftwin.effects.strings import Strung
 from pftwin.spatial import Scalar, Vec3
 
 
-class Tendon(Effect):
+class Tendon(Strung):
     r"""A spring-damper between the patella and a guided body; it pulls or hangs slack.
 
     F = K (L - L0) + c dL/dt, never negative, and nothing where L <= L0. A leading axis on every leaf makes a group.
@@ -29,10 +29,6 @@ class Tendon(Effect):
         "tension": Observable("N", "tension"),
         "length": Observable("m", "length"),
     }
-
-    def line(self, now: Instant) -> Line:
-        """Where the tendon runs."""
-        return line_of_force(now, self.insertion, self.body, self.origin)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """Its pull."""
@@ -51,7 +47,3 @@ class Tendon(Effect):
         """Tension and length."""
         (term,) = self.load(now, memory)[0].stiff
         return {"tension": term.force, "length": self.line(now).length}
-
-    def about(self, center_of_mass: Vec3) -> Tendon:
-        """Insertion counted from the centre of mass."""
-        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

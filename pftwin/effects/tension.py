@@ -8,12 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Instant, Load, Observable
-from pftwin.effects.strings import Line, line_of_force
+from pftwin.effects.base import Instant, Load, Observable
+from pftwin.effects.strings import Line, PatellaEnd, line_of_force
 from pftwin.spatial import Scalar, Vec3
 
 
-class PrescribedTension(Effect):
+class PrescribedTension(PatellaEnd):
     """Lines that pull with tensions given over time, from origins that may move on their body (wrapping muscles).
 
     `tension` has shape (n_samples, n_lines), `origin` the same per coordinate, `insertion` (n_lines,). Between samples
@@ -56,7 +56,3 @@ class PrescribedTension(Effect):
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Total tension."""
         return {"tension": jnp.sum(self.at(now.time)[0])}
-
-    def about(self, center_of_mass: Vec3) -> PrescribedTension:
-        """Insertions counted from the centre of mass."""
-        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

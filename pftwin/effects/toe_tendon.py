@@ -7,13 +7,13 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Instant, Load, Observable
-from pftwin.effects.strings import Line, line_of_force
+from pftwin.effects.base import Instant, Load, Observable
+from pftwin.effects.strings import Strung
 from pftwin.effects.toe_region import toe_region
 from pftwin.spatial import Scalar, Vec3
 
 
-class ToeTendon(Effect):
+class ToeTendon(Strung):
     r"""A tendon that stiffens over a toe region, then is linear, and never pushes.
 
     With stretch s = L - L0 and the toe's end t = toe strain * L0: F = K s^2 / (2 t) for 0 < s < t, F = K (s - t / 2)
@@ -33,10 +33,6 @@ class ToeTendon(Effect):
         "length": Observable("m", "length"),
     }
 
-    def line(self, now: Instant) -> Line:
-        """Where the tendon runs."""
-        return line_of_force(now, self.insertion, self.body, self.origin)
-
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """Its pull."""
         line = self.line(now)
@@ -53,7 +49,3 @@ class ToeTendon(Effect):
         """Tension and length."""
         (term,) = self.load(now, memory)[0].stiff
         return {"tension": term.force, "length": self.line(now).length}
-
-    def about(self, center_of_mass: Vec3) -> ToeTendon:
-        """Insertion counted from the centre of mass."""
-        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

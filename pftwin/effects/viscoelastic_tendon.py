@@ -7,13 +7,13 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.effects.base import Instant, Load, Observable
 from pftwin.effects.standard_linear_solid import RELAXED, Pull, StandardLinearSolid
-from pftwin.effects.strings import Line, line_of_force
+from pftwin.effects.strings import Line, Strung
 from pftwin.spatial import Scalar, Vec3
 
 
-class ViscoelasticTendon(Effect):
+class ViscoelasticTendon(Strung):
     r"""A tendon that is a standard linear solid; it pulls or hangs slack.
 
     F = K s + K1 (s - e), de/dt = (s - e) / tau, with s = L - L0, never negative. A tendon that is stretched at once and
@@ -39,10 +39,6 @@ class ViscoelasticTendon(Effect):
     def solid(self) -> StandardLinearSolid:
         """The law."""
         return StandardLinearSolid(self.stiffness, self.maxwell_stiffness, self.relaxation_time)
-
-    def line(self, now: Instant) -> Line:
-        """Where the tendon runs."""
-        return line_of_force(now, self.insertion, self.body, self.origin)
 
     def remember(self, now: Instant) -> Scalar:
         """A dashpot that is relaxed at this length."""
@@ -84,7 +80,3 @@ class ViscoelasticTendon(Effect):
             "length": line.length,
             "dashpot_stretch": self.solid.resting(stretch, memory),
         }
-
-    def about(self, center_of_mass: Vec3) -> ViscoelasticTendon:
-        """Insertion counted from the centre of mass."""
-        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

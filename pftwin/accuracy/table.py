@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors that settings are recommended for [mm]
+ALIKE = 0.9  # ratio of two speeds that measuring again may turn around
 ABOUT = {
     "order": ("1", "order that the integrator declares"),
     "step_ms": ("ms", "step"),
@@ -73,11 +74,15 @@ def front(rows: Iterable[Row], speed: str = "real_time") -> list[Row]:
 
 
 def recommended(rows: Sequence[Row], levels: Sequence[float] = LEVELS) -> list[Advice]:
-    """For each level of error the fastest setting, alone and in a batch."""
+    """For each level of error the fastest setting, alone and in a batch; of equally fast ones that in double precision,
+    and the most accurate.
+    """
 
     def fastest(level: float, speed: str) -> Row | None:
-        within = [r for r in front(rows, speed) if r.position_rms_mm <= level]
-        return within[0] if within else None
+        within = [r for r in rows if r.position_rms_mm <= level and np.isfinite(getattr(r, speed))]
+        enough = ALIKE * max((getattr(r, speed) for r in within), default=0.0)
+        fast = [r for r in within if getattr(r, speed) >= enough]
+        return min(fast, key=lambda r: (r.dtype == "float32", r.position_rms_mm), default=None)
 
     return [Advice(level, fastest(level, "real_time"), fastest(level, "real_time_batch")) for level in levels]
 

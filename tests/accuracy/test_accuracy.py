@@ -41,6 +41,8 @@ def test_the_front_is_what_nothing_beats():
 def test_advice_is_the_fastest_within_an_error():
     found = recommended([row(0.1, 1000), row(0.01, 100), row(0.02, 60)], (0.5, 0.02, 1e-4))
     assert [a.row and a.row.real_time for a in found] == [1000, 100, None]
+    alike = [row(0.1, 1000, dtype="float32"), row(0.1, 980), row(0.09, 950), row(0.01, 800)]
+    assert recommended(alike, (0.5,))[0].row == alike[2]
     assert "none measured" in advice_markdown([row(0.1, 1000)])
 
 

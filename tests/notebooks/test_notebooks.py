@@ -68,6 +68,7 @@ def test_places_are_recognised():
     assert not PLACES.search("see [docs](../docs/accuracy.md), https://doi.org/10.3389/work/1")
 
 
+@pytest.mark.slow
 def test_a_notebook_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """From beginning to end, in an empty folder: an assertion in it that fails is an error here."""
     import jax

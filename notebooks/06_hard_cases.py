@@ -441,7 +441,7 @@ Markdown(audit_sheet(weighed, synthetic=True).markdown())
 audit_figure(weighed, "Case 2 of the virtual rig (synthetic): what each effect is worth")
 
 # %% [markdown]
-# Friction, which the scene does not have, would move the path by 4 mm rms, more than anything that is in it: so this
+# Friction, which the scene does not have, would move the path by 4 mm rms, more than any other row here: so this
 # scene's figures hold for a joint that slides freely. The drag is worth a centimetre where the patella dislocates. A
 # patella twice as heavy to accelerate moves it by about a millimetre: the knee moves slowly, and inertia matters
 # little.

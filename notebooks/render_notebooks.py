@@ -48,6 +48,7 @@ def executed(name: str, folder: Path) -> nbformat.NotebookNode:
         resources={"metadata": {"path": str(folder)}},
     ).execute()
     book.metadata.pop("language_info", None)  # the version of whoever rendered it
+    book.metadata["jupytext"].pop("text_representation", None)  # as jupytext itself writes a notebook
     return book
 
 

@@ -27,8 +27,10 @@
 # The knee is case 1 of the virtual rig that comes with pftwin. **Its measurements are synthetic**: another, different
 # model made them. Agreement with them shows how exact the method is, not that it is true of a patient.
 #
-# Times depend on the machine and on what else it does, so nothing here is checked against a time. Errors do not:
-# every statement about an error is followed by an `assert` that stops the notebook should it ever become wrong.
+# Times depend on the machine and on what else it does: the load that is printed below says how many programs wanted a
+# core at that time, and one that is shared makes lines in figures crooked. So nothing here is checked against a time.
+# Errors are the same everywhere: every statement about an error is followed by an `assert` that stops the notebook
+# should it ever become wrong.
 
 # %%
 # %matplotlib inline
@@ -45,6 +47,7 @@ from pftwin.accuracy.figure import work_precision
 from pftwin.accuracy.plan import Setting
 from pftwin.accuracy.run import measure_all
 from pftwin.accuracy.table import advice_markdown, described, front, read_csv, recommended, short
+from pftwin.benchmarks.machine import describe
 from pftwin.dynamics import tolerance
 from pftwin.metrics import PAPER_TABLE_1
 from pftwin.plots import COLOURS, STYLE
@@ -54,6 +57,8 @@ pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast cod
 scene, measured = pftwin.rig.case(1, contact="P5"), pftwin.rig.measured(1)
 print(f"{scene.name}: {scene.motion.n_frames} frames, {1e3 * scene.motion.frame_interval:g} ms apart")
 print(f"measurements: {'synthetic' if measured.synthetic else 'real'}")
+machine = describe()
+print(", ".join(f"{key}: {machine[key]}" for key in ("cpu", "cores", "load", "jax", "date")))
 assert measured.synthetic
 
 # %% [markdown]
@@ -227,7 +232,7 @@ for wanted, run in runs.items():
 
 # %%
 with mpl.rc_context(STYLE):
-    figure = Figure(figsize=(8.0, 3.4))
+    figure = Figure(figsize=(8.0, 3.4), dpi=80)
     axes = figure.subplots()
     for k, (wanted, run) in enumerate(runs.items()):
         apart = 1e3 * np.linalg.norm(run.center - reference.result.center, axis=1)

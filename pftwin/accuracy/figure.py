@@ -71,7 +71,8 @@ def _panel(ax: Axes, rows: Sequence[Row], speed: str) -> None:
         ax.plot(times, [r.position_rms_mm for r in some], label=name, **line)
         for r, t in zip(some, times, strict=True):
             if not name.startswith(("diffrax", "quasi")):
-                ax.annotate(f"{r.step_ms:g}", (t, r.position_rms_mm), (3, 3), textcoords="offset points", fontsize=6.5)
+                at = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 6.5, "color": line["color"]}
+                ax.annotate(f"{r.step_ms:g}", (t, r.position_rms_mm), **at)
     best = front(rows, speed)
     ax.plot(
         [1e3 / getattr(r, speed) for r in best],

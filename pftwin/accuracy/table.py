@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import csv as comma_separated
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pftwin.accuracy.measure import Row
+from pftwin.errors import InputError
 from pftwin.result_dataset import plain_attribute
 
 if TYPE_CHECKING:
@@ -30,6 +34,7 @@ ABOUT = {
     "compile_s": ("s", "tracing and compiling one run"),
     "gradient": ("1", "a run with four forward derivatives, in plain runs"),
 }
+_NEEDED = ("step_ms", "position_rms_mm", "real_time")  # columns without which a row says nothing
 
 
 class Advice(NamedTuple):
@@ -60,6 +65,31 @@ def csv(rows: Sequence[Row]) -> str:
         cells = row.to_dict()
         lines.append(",".join(f"{c:.6g}" if isinstance(c, float) else f'"{c}"' for c in (cells[n] for n in names)))
     return "\n".join(lines) + "\n"
+
+
+def read_csv(path: str | os.PathLike[str]) -> list[Row]:
+    """Rows that `csv` wrote, of this version or of one that knew fewer columns: what it lacks is NaN.
+
+    Lines that start with # and columns that a row does not have are passed over.
+
+    Raises:
+        InputError: no such file, or one without the columns that make a row.
+    """
+    where, texts = str(path), ("contact", "integrator", "dtype", "status")
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=where) from error
+    found = []
+    for number, cells in enumerate(comma_separated.DictReader(x for x in lines if not x.startswith("#")), start=1):
+        if missing := [n for n in (*texts, "order", *_NEEDED) if not cells.get(n)]:
+            raise InputError(f"row {number} has no {missing[0]}", where=where, expected="a table of pftwin accuracy")
+        try:
+            values = {f.name: float(cells.get(f.name) or "nan") for f in fields(Row) if f.name not in texts}
+        except ValueError as error:
+            raise InputError(f"row {number}: {error}", where=where, expected="numbers") from error
+        found.append(Row(**{n: cells[n] for n in texts}, **{**values, "order": int(values["order"])}))
+    return found
 
 
 def front(rows: Iterable[Row], speed: str = "real_time") -> list[Row]:

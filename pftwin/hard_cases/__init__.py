@@ -8,6 +8,7 @@ from pftwin.hard_cases.case import Case
 from pftwin.hard_cases.contacts import CONTACTS
 from pftwin.hard_cases.integrators import INTEGRATORS, method_named
 from pftwin.hard_cases.matrix import DTYPES, Selection, run_matrix
+from pftwin.hard_cases.results import results
 from pftwin.hard_cases.verdict import Cell
 
 _TOPICS = (touching, tendons, grooves, moving, scattered, meshes, refused)
@@ -40,5 +41,6 @@ __all__ = [
     "case_named",
     "catalogue",
     "method_named",
+    "results",
     "run_matrix",
 ]

@@ -15,7 +15,7 @@ from pftwin import rig
 from pftwin.accuracy.measure import Row, compiling_anew, converged, float_type, rows
 from pftwin.accuracy.plan import COMMON, FLOATS, MESHES, SMOOTH, Setting, chosen, everything
 from pftwin.accuracy.run import Found, report, write
-from pftwin.accuracy.table import advice_markdown, front, recommended
+from pftwin.accuracy.table import advice_markdown, csv, front, read_csv, recommended
 from pftwin.cli.app import app
 from pftwin.errors import InputError
 from pftwin.metrics import validate
@@ -151,3 +151,28 @@ def test_the_command_refuses(tmp_path):
     assert "file of that name" in CliRunner().invoke(app, ["accuracy", "--case", "1", "--out", str(file)]).stderr
     full = CliRunner().invoke(app, ["accuracy", "--full", "--contact", "P5", "--out", str(tmp_path / "a")])
     assert "leave --full out" in full.stderr
+
+
+def test_a_table_that_was_kept_is_read_back(tmp_path):
+    """With a column that an older version did not know, one that no version knows, and what is said of the machine."""
+    good = [row(0.1, 1000.0), row(0.01, np.nan, dtype="float32", status="one, two")]
+    path = tmp_path / "kept.csv"
+    path.write_text(csv(good), encoding="utf-8")
+    assert repr(read_csv(path)) == repr(good)  # NaN and all
+    lines = [line.replace("gradient", "colour") for line in path.read_text().splitlines()]
+    path.write_text("\n".join(["# machine: a processor", *lines]))
+    assert [r.position_rms_mm for r in read_csv(path)] == [0.1, 0.01]
+    assert np.isnan([r.gradient for r in read_csv(path)]).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("a,b\n1,2\n", "no contact"), (None, "cannot be read"), ("fast", "could not convert")]
+)
+def test_a_file_that_is_no_table_is_refused(tmp_path, text, words):
+    path = tmp_path / "kept.csv"
+    if text == "fast":
+        text = csv([row(0.1, 1000)]).replace("1000", "fast")
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        read_csv(path)

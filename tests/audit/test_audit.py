@@ -200,6 +200,22 @@ def test_the_command_writes_everything(found, tmp_path, monkeypatch):
     assert "synthetic" in done.output
 
 
+def test_only_the_rows_that_are_wanted(found):
+    """With the figures that they have among the others, and fewer programs."""
+    some = audit(scene(), dt=0.01 / SUBSTEPS, only=("gravity", "steps half as long", "friction"))
+    assert [r.name for r in some.rows] == ["gravity", "steps half as long"]
+    assert [v.name for v in some.not_applicable] == ["friction"]
+    for r in some.rows:
+        assert r.changes.center_max == pytest.approx(row(found, r.name).changes.center_max, rel=1e-9)
+    assert some.programs == 2 + 3
+
+
+@pytest.mark.parametrize("only", [["gravity", "wind"], "gravity"])
+def test_rows_that_there_are_not_are_refused(only):
+    with pytest.raises(InputError, match="steps half as long"):
+        audit(scene(), only=only)
+
+
 @pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--tolerance", "nan"], ["--out", __file__]])
 def test_the_command_refuses_before_any_work(arguments):
     done = CliRunner().invoke(app, ["audit", "--case", "1", *arguments])

@@ -1,0 +1,466 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Hard cases, and only the effects that a scene calls for
+#
+# A number that comes out of a simulation is worth what is known of its reliability. You will get:
+#
+# 1. six scenes that break simulators of contact, run and drawn: a slow touch, a bounce, a saddle, a dislocation
+#    across the edge of the surface, steps that are too long, and input that is refused;
+# 2. the words in which pftwin says how far a run is to be trusted, all of them, from the code;
+# 3. a slice of the matrix that judges such scenes by what must hold of every run;
+# 4. for a knee of the virtual rig, what each effect costs (`explain`) and what it is worth (`audit`).
+#
+# All scenes here are made up, and the rig's motion is **synthetic**: this is about the method, not about a patient.
+# Statements about figures are followed by an `assert`, which stops the notebook should one become wrong; times are
+# shown but never checked.
+
+# %%
+# %matplotlib inline
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+from IPython.display import Markdown
+from matplotlib.figure import Figure
+
+import pftwin
+from pftwin import hard_cases
+from pftwin.audit.audit import audit
+from pftwin.audit.explain import explain
+from pftwin.audit.figure import audit_figure
+from pftwin.audit.report import audit_sheet, explanation_sheet
+from pftwin.hard_cases import table as tables
+from pftwin.hard_cases.knee import ABSENT
+from pftwin.plots import COLOURS, STYLE
+from pftwin.runtime import default_cache_dir
+
+pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+print(f"{len(hard_cases.catalogue())} hard cases are kept with the project")
+
+
+def table(head, rows):
+    """A table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return Markdown("\n".join(f"| {' | '.join(map(str, line))} |" for line in lines))
+
+
+# %% [markdown]
+# ## The scenes
+#
+# Seven of them come from the catalogue (`pftwin hard-cases --list` shows all). Others are made here of what is there,
+# by replacing numbers: the bounce with shorter steps, and a button on the crest of a ridge, with the tendons taken
+# away that would hold it. One starts exactly on the crest, the other a micrometre beside it.
+
+# %%
+NAMES = (
+    "slow_touch",
+    "bounce_to_rest",
+    "dislocation_across_the_edge",
+    "contact_hard",
+    "radius_negative",
+    "tendon_stiffness_negative",
+    "motion_not_finite",
+)
+cases = [hard_cases.case_named(name) for name in NAMES]
+for step in ("0.1 ms", "0.01 ms"):
+    about = f"The same in steps of {step}."
+    cases.append(replace(cases[1], name=f"bounce in {step}", about=about, step=1e-3 * float(step.split()[0])))
+
+
+def without_tendons(name, source, about):
+    """A case of the catalogue whose tendons hang slack."""
+    case = hard_cases.case_named(source)
+    return replace(
+        case, name=name, about=about, builder=lambda: replace(case.builder(), quadriceps=ABSENT, patellar_tendon=ABSENT)
+    )
+
+
+cases += [
+    without_tendons("crest", "sphere_on_a_ridge", "On a crest, without tendons: nothing tells left from right."),
+    without_tendons("beside the crest", "ridge_left_of_the_crest", "A micrometre beside it: it falls that way."),
+]
+table(["scene", "what is hard about it"], [[c.name, c.about] for c in cases])
+
+# %% [markdown]
+# All run with the contact of a sphere on a polynomial patch (P5), first with the default integrator
+# `linear_implicit`, in steps of 1 ms where nothing else is said, then with `symplectic_euler`, an explicit method, in
+# steps of 0.1 ms or less.
+#
+# What comes back for each scene is a result, or the error that it was refused with. Every frame of a result has a
+# **status**: nothing, or flags with words.
+
+# %%
+INTEGRATORS = ("linear_implicit", "symplectic_euler")
+ran = {name: hard_cases.results(cases, contact="P5", integrator=name) for name in INTEGRATORS}
+default = ran["linear_implicit"]
+
+
+def said(found):
+    """What a run, or a refusal, says of itself."""
+    return f"refused: {found}" if isinstance(found, pftwin.InputError) else found.status.describe()
+
+
+table(["scene", "what the run by linear_implicit says of itself"], [[name, said(f)] for name, f in default.items()])
+
+# %% [markdown]
+# "The run did not start from a converged equilibrium" is said wherever a scene lets the patella go in mid-air: that
+# is what was asked for. A run of a knee starts from its static equilibrium and must not say it.
+#
+# ## A slow touch
+#
+# A button is let go a nanometre above a plate. Contact laws with damping divide by the speed of approach, which is
+# nearly nothing here, and many codes answer with an infinite force. The force has to rise to the weight and stay
+# there.
+
+# %%
+touch = default["slow_touch"]
+weight = 0.12 * 9.81  # [N]
+force = touch.effects["contact"]["force"]
+print(f"force after half a second: {force[-1]:.4f} N, weight {weight:.4f} N")
+assert np.isfinite(force).all()
+assert abs(force[-1] - weight) < 1e-3 * weight
+assert force.max() < 1.5 * weight
+
+# %% [markdown]
+# ## A bounce
+#
+# Dropped by 3 mm with a coefficient of restitution of 0.5, a button has to rebound to about a quarter of that height,
+# 0.75 mm, then to a sixteenth, and so on to rest. The impact lasts about a millisecond.
+#
+# The figure shows height above the plate (left) and kinetic and stored energy together (right). Dots are frames, 10
+# ms apart; the impact itself falls between two of them. In steps of 1 ms the default method damps the impact away:
+# the button lands and stays. It comes to the right rest with the right force, but **it does not bounce**. Shorter
+# steps let it bounce ever more as it should; the explicit method gets there sooner.
+
+# %%
+SHOWN = (
+    ("linear_implicit", "bounce_to_rest"),
+    ("linear_implicit", "bounce in 0.1 ms"),
+    ("linear_implicit", "bounce in 0.01 ms"),
+    ("symplectic_euler", "bounce in 0.01 ms"),
+)
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(10.0, 3.8))
+    height, energy = figure.subplots(1, 2)
+    for k, (name, scene) in enumerate(SHOWN):
+        run = ran[name][scene]
+        early = run.times < 0.105
+        label = f"{name}, {1e3 * run.settings['dt_s']:g} ms"
+        line = {"color": COLOURS[k], "marker": "osD^"[k], "markersize": 4, "label": label}
+        height.plot(1e3 * run.times[early], 1e3 * (run.center[:, 2] - run.center[-1, 2])[early], **line)
+        energy.plot(1e3 * run.times[early], 1e3 * (run.energies.total - run.energies.total[-1])[early], **line)
+    height.set(title="height above rest", xlabel="time [ms]", ylabel="[mm]")
+    energy.set(title="kinetic and stored energy above rest", xlabel="time [ms]", ylabel="[mJ]")
+    handles, labels = height.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.suptitle("bounce_to_rest (made up): dropped by 3 mm, restitution 0.5")
+figure
+
+# %% [markdown]
+# How would you know, without a second run to compare with? By the **energy budget**, which every result has: what the
+# patella lost has to be what damping is known to have taken. What is left over says that the steps did not follow the
+# impact. Here the drop was worth 3.5 mJ.
+
+# %%
+bounced, unaccounted = {}, {}
+for name, scene in (*SHOWN, ("symplectic_euler", "bounce in 0.1 ms")):
+    run = ran[name][scene]
+    key = name, 1e3 * run.settings["dt_s"]
+    bounced[key] = 1e3 * (run.center[run.times > 0.025, 2].max() - run.center[-1, 2])
+    unaccounted[key] = 1e3 * run.energies.budget_error[-1]
+    assert abs(run.effects["contact"]["force"][-1] - weight) < 0.01 * weight  # the same rest for all
+    left = run.energies.total - run.energies.work
+    assert np.all(np.diff(left) < 1e-6)  # [J] no energy from nowhere
+
+table(
+    ["integrator", "step, ms", "highest frame after landing, mm", "energy unaccounted for, mJ"],
+    [[name, f"{step:g}", f"{bounced[name, step]:.2f}", f"{unaccounted[name, step]:.2g}"] for name, step in bounced],
+)
+
+# %%
+implicit = [bounced["linear_implicit", step] for step in (1.0, 0.1, 0.01)]
+assert implicit[0] < 0.05  # no bounce
+assert implicit[0] < implicit[1] < implicit[2] < 0.75
+assert implicit[2] < bounced["symplectic_euler", 0.01] < 0.85
+assert abs(unaccounted["linear_implicit", 1.0]) > 3.5 > 10 * abs(unaccounted["linear_implicit", 0.01])
+
+# %% [markdown]
+# A patella that glides under load has no such impacts. Where they matter, take short steps, and look at the budget.
+#
+# ## A saddle
+#
+# A ball on a crest may stay for ever or fall to either side. Exactly on the crest nothing tells left from right, and
+# a simulation that drifts off has an error that leans to one side. A micrometre beside it, it has to fall to that
+# side, at a rate that mechanics gives: the distance grows like exp(t / T), here with T near 0.1 s.
+#
+# The figure shows the distance from the middle plane on a logarithmic axis; a straight line is exponential growth. On
+# the crest there is nothing but the rounding of the computer's numbers, far smaller than an atom, and that grows at
+# the same rate.
+
+# %%
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(7.0, 3.4))
+    axes = figure.subplots()
+    for k, (name, label) in enumerate(
+        {"beside the crest": "let go 0.001 mm beside the crest", "crest": "on it"}.items()
+    ):
+        run = default[name]
+        axes.plot(
+            run.times[1:], 1e3 * np.abs(run.center[1:, 1]), color=COLOURS[k], marker="os"[k], markersize=3, label=label
+        )
+    axes.set(yscale="log", ylim=(1e-17, 10), xlabel="time [s]", ylabel="from the middle plane [mm]")
+    axes.set_title("Button on a ridge without tendons (made up)")
+    figure.legend(loc="outside lower center", ncols=2)
+figure
+
+# %%
+beside, on = default["beside the crest"], default["crest"]
+late = beside.times > 0.2
+rate, _ = np.polyfit(beside.times[late], np.log(np.abs(beside.center[late, 1])), 1)
+print(f"grows {abs(beside.center[-1, 1] / beside.center[0, 1]):.0f} times in half a second, by e in {1 / rate:.3f} s")
+assert np.abs(on.center[:, 1]).max() < 1e-12  # [m] a crest has no side
+assert np.all(beside.center[:, 1] < 0)  # to the side where it began
+assert 0.06 < 1 / rate < 0.1
+
+# %% [markdown]
+# With its tendons, as the catalogue has it, the same button stays on the ridge: their pull holds it. Whether an
+# equilibrium is a saddle is told by the stiffness across it, which `pftwin.equilibrium(scene).eigenvalues` has.
+#
+# ## A dislocation across the edge
+#
+# A surface that was fitted to a patch of bone ends somewhere. A patella that is pulled sideways over that edge meets
+# the patch's continuation along its tangent: the motion stays smooth, and each frame in which the button bears on it
+# is flagged.
+#
+# Left: the path of the button's centre across the groove, which overshoots and then circles the point that the tendon
+# pulls it to; right: the contact force. Filled dots are frames whose status says that a loaded contact is beyond the
+# edge. Those frames are not to be believed as anatomy, only as "it went over".
+
+# %%
+over = default["dislocation_across_the_edge"]
+beyond = (over.flags & pftwin.Status.LEFT_PATCH) > 0
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(9.0, 3.4))
+    place, load = figure.subplots(1, 2)
+    y, z = 1e3 * over.center[:, 1], 1e3 * over.center[:, 2]
+    contact_force = over.effects["contact"]["force"]
+    for axes, across, along in ((place, y, z), (load, over.times, contact_force)):
+        axes.plot(across, along, color=COLOURS[0], linewidth=1.0)
+        axes.plot(across[beyond], along[beyond], "o", color=COLOURS[1], markersize=4, label="flagged: beyond the edge")
+        axes.plot(
+            across[~beyond], along[~beyond], "o", color=COLOURS[0], markersize=4, fillstyle="none", label="not flagged"
+        )
+    place.axvspan(-12, 12, color="0.9", zorder=0)
+    place.annotate("fitted patch", (0, 1.0), xycoords=("data", "axes fraction"), xytext=(0, -11),
+                   textcoords="offset points", ha="center", fontsize=8)  # fmt: skip
+    place.set(title="path of the button's centre", xlabel="lateral [mm]", ylabel="out of the bone [mm]")
+    place.set_xlim(left=-14)
+    load.set(title="contact force", xlabel="time [s]", ylabel="[N]")
+    handles, labels = place.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    figure.suptitle("dislocation_across_the_edge (made up)")
+figure
+
+# %%
+print(f"{beyond.sum()} of {beyond.size} frames are flagged, the first at {over.times[np.argmax(beyond)]:.2f} s")
+assert beyond.any()
+assert not beyond[0]
+assert np.isfinite(over.center).all()
+assert y[beyond].min() > 0
+
+# %% [markdown]
+# ## Steps that are too long
+#
+# A contact a hundred times harder than usual vibrates at some 10 kHz. An explicit method in steps of 0.1 ms cannot
+# follow it: the energy explodes within a few steps. The implicit default, in steps ten times as long, is not
+# troubled.
+#
+# What matters is that the bad run **says so before the first number that is not finite**. The figure shows kinetic
+# energy; crosses are frames with a flag that refuses the run, and where its curve ends the numbers do. The implicit
+# run comes to rest for a moment at 0.45 s, where the tibia turns back.
+
+# %%
+REFUSES = pftwin.Status.STEP_TOO_LONG | pftwin.Status.NOT_FINITE | pftwin.Status.ENERGY_FROM_NOWHERE
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(7.0, 3.2))
+    axes = figure.subplots()
+    for k, name in enumerate(("linear_implicit", "symplectic_euler")):
+        run = ran[name]["contact_hard"]
+        kinetic = np.where(np.isfinite(run.energies.kinetic), run.energies.kinetic, np.nan)
+        label = f"{name}, {1e3 * run.settings['dt_s']:g} ms"
+        axes.plot(run.times, np.maximum(1e3 * kinetic, 1e-6), color=COLOURS[k], marker="o", markersize=3, label=label)
+        bad = (run.flags & REFUSES) > 0
+        axes.plot(run.times[bad], np.maximum(1e3 * kinetic[bad], 1e-6), "x", color="black", markersize=7,
+                  label="flagged: not to be trusted" if bad.any() else None)  # fmt: skip
+    axes.set(yscale="log", xlabel="time [s]", ylabel="kinetic energy [mJ]")
+    axes.set_title("contact_hard (made up): the lower curve is right, the upper one says that it is not")
+    figure.legend(loc="outside lower center", ncols=3)
+figure
+
+# %%
+bad, good = ran["symplectic_euler"]["contact_hard"], default["contact_hard"]
+refused = np.flatnonzero(bad.flags & REFUSES)
+print(f"the explicit run: {said(bad)}")
+print(f"the implicit one: {said(good)}")
+lost = np.flatnonzero(~np.isfinite(bad.center).all(axis=1))
+assert refused.size
+assert not lost.size or refused[0] <= lost[0]
+assert not good.status & REFUSES
+
+# %% [markdown]
+# ## Input that is refused
+#
+# The cheapest wrong run is the one that never starts. Impossible numbers are refused in words that name the field,
+# say what was found, and what was expected.
+
+# %%
+refusals = {name: found for name, found in default.items() if isinstance(found, pftwin.InputError)}
+for name, words in refusals.items():
+    print(f"{name}\n    {words}")
+assert set(refusals) == {"radius_negative", "tendon_stiffness_negative", "motion_not_finite"}
+for name, words in refusals.items():
+    assert hard_cases.case_named(name).expected.refusal in str(words)
+
+# %% [markdown]
+# ## What the statuses mean
+#
+# This table is made from the code: every flag that a frame can have, its words, and which of the runs above had it. A
+# frame with none of them is clean ("ok"). They are of three kinds: what happened (nothing touches, the patch was
+# left, it snapped), what to be careful about (a deep indentation, a start that is no equilibrium), and what not to
+# believe (the rest).
+
+# %%
+rows = []
+for flag in pftwin.Status:
+    had = [
+        f"{name} ({integrator})"
+        for integrator, runs in ran.items()
+        for name, found in runs.items()
+        if not isinstance(found, pftwin.InputError) and found.status & flag
+    ]
+    if flag:
+        shown = ", ".join(had[:2]) + (f" and {len(had) - 2} more" if len(had) > 2 else "")
+        rows.append([f"`{flag.name}`", flag.describe(), shown or "none of these"])
+assert len(rows) == len(pftwin.Status) - (pftwin.Status.OK in list(pftwin.Status))
+table(["flag", "in words", "runs above that have it"], rows)
+
+# %% [markdown]
+# `result.summary()` counts the frames of each, `result.flags` has them frame by frame, and they are in every file
+# that is written.
+#
+# ## A slice of the matrix
+#
+# Looking at curves does not scale. `pftwin hard-cases` runs all cases with contact models, integrators and float
+# types, and judges each run by what must hold of any: numbers are finite, no energy comes from nowhere, there is no
+# force at a distance and no missed contact (by an exhaustive search that shares no code with the simulator's), flags
+# are right. A cell **passes**, **fails**, or is **refused**: the run itself says in time that it is not to be
+# trusted. Here is the slice of the scenes above that are the catalogue's; the whole is in
+# [docs/hard_cases.md](../docs/hard_cases.md).
+
+# %%
+JUDGED = ("linear_implicit", "linear_implicit_bdf2", "symplectic_euler")
+chosen = hard_cases.Selection(
+    contacts=("P5",),
+    integrators=tuple(hard_cases.method_named(name) for name in JUDGED),
+    dtypes=("float64",),
+    derivatives=False,
+    mates=False,
+)
+cells = [c for c in hard_cases.run_matrix(cases, chosen) if c.case in NAMES]
+outcome = {(c.case, c.integrator): c.outcome for c in cells}
+table(["case", *JUDGED], [[name, *(outcome[name, i] for i in JUDGED)] for name in NAMES])
+
+# %%
+print(dict(tables.counts(cells)))
+for c in cells:
+    if c.outcome != "pass" and c.case not in refusals:
+        print(f"{c.case}, {c.integrator}: {c.outcome}: {c.reason}")
+assert tables.counts(cells)["fail"] == 0
+assert outcome["contact_hard", "symplectic_euler"] == "refused"
+assert all(outcome[name, "linear_implicit"] == "pass" for name in NAMES if name not in refusals)
+
+# %% [markdown]
+# ## What a scene calls for
+#
+# A model can have too little in it, and too much. Case 2 of the virtual rig (synthetic) has weight, two tendons,
+# contact and a drag on the patella; it dislocates. `explain` says what each of them **costs**: how many equations it
+# adds to a step and what share of a step's time goes with it, whether it is stiff, and the energy that it moved.
+
+# %%
+knee = pftwin.rig.case(2, contact="P5")
+explained = explain(knee)
+Markdown(explanation_sheet(explained).markdown())
+
+# %%
+work = sum(part.work for part in explained.parts if part.of is None)
+print(f"works add up to {1e3 * work:.2f} mJ, kinetic energy changed by {1e3 * explained.kinetic_change:.2f} mJ")
+assert abs(explained.energy_gap) < 1e-3  # [J] of some 3 J moved
+assert [part.name for part in explained.parts if part.stiff] == ["contact"]
+assert max(explained.parts, key=lambda part: part.equations).name == "contact"
+
+# %% [markdown]
+# Only the contact is stiff: an explicit method would have to take steps of less than a tenth of a millisecond because
+# of it alone. Its search for the nearest points is also most of the work.
+#
+# `audit` says what an effect is **worth**: it runs the scene without it, or with one that it lacks, and compares.
+# Some rows are chosen here, to save time; `audit(knee)` or `pftwin audit --case 2` makes all of them
+# ([docs/audit.md](../docs/audit.md)).
+
+# %%
+ROWS = (
+    "damping",
+    "tendons' damping",
+    "friction",
+    "patella inertia x 2",
+    "patella inertia x 1/2",
+    "steps half as long",
+)
+weighed = audit(knee, only=ROWS)
+Markdown(audit_sheet(weighed, synthetic=True).markdown())
+
+# %% [markdown]
+# The bars: how far the button's path moves (bar: rms over the motion; thin line: to the largest), how much the
+# contact force changes, and the time that the change takes. Note the logarithmic axes. The dashed line is the
+# tolerance below which an effect could go. The grey bar is the yardstick: what a step half as long changes. Bars
+# shorter than it say nothing.
+
+# %%
+audit_figure(weighed, "Case 2 of the virtual rig (synthetic): what each effect is worth")
+
+# %% [markdown]
+# Friction, which the scene does not have, would move the path by 4 mm rms, more than any other row here: so this
+# scene's figures hold for a joint that slides freely. The drag is worth a centimetre where the patella dislocates. A
+# patella twice as heavy to accelerate moves it by about a millimetre: the knee moves slowly, and inertia matters
+# little.
+
+# %%
+worth = {row.name: row for row in weighed.rows}
+largest = {name: 1e3 * row.changes.center_max for name, row in worth.items()}
+print({name: round(value, 3) for name, value in largest.items()}, "mm at most")
+assert set(worth) == set(ROWS)
+yardstick = largest.pop("steps half as long")
+assert yardstick < 0.1 < min(largest.values())  # steps are short enough, and every one of these matters
+typical = {name: 1e3 * row.changes.center_rms for name, row in worth.items()}
+assert max(typical, key=typical.get) == "friction"
+assert 3 < typical["friction"] < 6
+assert 8 < largest["damping"] < 16
+assert largest["patella inertia x 2"] < 2
+assert "dislocation" in weighed.tracking
+
+# %% [markdown]
+# **In short.** Read the status before the figures; take a method that fits the question (impacts want short steps);
+# leave out what the audit says is worth less than your tolerance, and put in what it says is worth more. `pftwin
+# explain scene.toml` and `pftwin audit scene.toml --out audit` do it for a knee of your own.

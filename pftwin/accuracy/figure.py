@@ -49,7 +49,7 @@ def work_precision(rows: Sequence[Row], title: str, *, contact: str | None = Non
             ax.set(title=name, xlabel="time spent per simulated second [ms]")
         axes[0].set_ylabel("error of the button's centre, rms [mm]")
         handles, labels = axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        figure.legend(handles, labels, loc="outside lower center", ncols=3 if len(panels) > 1 else 2)
         figure.suptitle(title)
     return figure
 

@@ -122,7 +122,7 @@ def test_behind_an_open_surface_is_too_deep_and_says_how_far():
     femur, button = contact_mesh(plate, lateral_of(plate)), contact_mesh(icosphere(BUTTON, 6))
     made = about(MeshContact(femur, button, LAW, vec(0, 0, 0)), vec(0, 0, 0))
     report = eqx.filter_jit(lambda now: made.report(now, None)[0])
-    below, beside, above = (report(look(place)) for place in ((0, 0.005, -0.07), (0.05, 0, -0.07), (0, 0, 0.07)))
+    below, beside, above = (report(look(place)) for place in ((0, 0.013, -0.07), (0.05, 0, -0.07), (0, 0, 0.07)))
     assert [Status(int(reservations(r))) for r in (below, beside, above)] == [Status.DEEP_INDENTATION] + [Status.OK] * 2
     assert float(below["indentation_lateral"]) == pytest.approx(0.07, abs=BUTTON)
     assert np.isnan(float(below["indentation_medial"]))

@@ -32,7 +32,7 @@ REACH = 2e-3  # longest step [m]
 SEARCH_STEPS = 4  # loads at rest that make rough memories right
 MOST_ITERATIONS = 200
 PATIENCE = 50  # iterations after which steps that make it worse are followed by shorter ones
-ROUNDINGS = 18  # of a stretch: see `_rounding`
+ROUNDINGS = 12  # of a stretch: see `_rounding`
 RIDGE = 1e-12  # of the tangent's trace: a direction in which nothing holds the patella has no derivative, not NaN
 MOST_CAUTION = 1e4  # what their shift is multiplied by at most
 
@@ -69,17 +69,17 @@ def tolerance_on_host(solution: Solution) -> NDArray[np.floating]:
 def _rounding(system: System, pose: Pose, there: Surroundings) -> Scalar:
     """What the load is uncertain by because places are rounded [N].
 
-    A stiff term's stretch s comes from coordinates of the size L of the patella's place and of the arm to its button's
-    middle, by `ROUNDINGS` independent roundings of eps / 2 * L each: the place itself, the arm's rotation, the change
-    to the surface's frame, and a distance less a radius. So s is off by sqrt(ROUNDINGS) eps / 2 * L, its force by k
-    times that along the term's direction; over all terms, at most the trace of their stiffness times that.
+    A stiff term's stretch comes from coordinates of the size L of the patella's place and of the arm to its button's
+    middle, by six independent roundings of eps / 2 * L: the place as it is stored, the arm's rotation (two), the sum of
+    both, the surface's point, the distance to it. A residual has them twice: where the last step was found, and where
+    it leads. With a force k s along g = (direction, moment / lever) it is off by k |g| sqrt(`ROUNDINGS`) eps / 2 * L;
+    the sum of all k |g| is at most the root of that of k times that of k |g|^2.
     """
-    followed = [effect.followed() for effect in system.effects]
-    arms = [p.norm() for p in followed if p is not None]
+    arms = [p.norm() for effect in system.effects if (p := effect.followed()) is not None]
     size = pose.position.norm() + (jnp.max(jnp.stack(arms)) if arms else 0.0)
     rows = there.convex()
-    trace = sum((rows[i][i] for i in range(1, 6)), start=rows[0][0])
-    return (0.5 * ROUNDINGS**0.5 * float(jnp.finfo(trace.dtype).eps)) * size * trace
+    force, moment = (rows[i][i] + rows[i + 1][i + 1] + rows[i + 2][i + 2] for i in (0, 3))
+    return (0.5 * ROUNDINGS**0.5 * float(jnp.finfo(size.dtype).eps)) * size * safe_sqrt(force * (force + moment))
 
 
 class _Iterate(NamedTuple):

@@ -66,11 +66,10 @@ def verdict(case: Case, contact: str, method: Method, dtype: str, evidence: Evid
 def _at_limit(look: Look) -> bool:
     """Whether what a run refuses itself with first is a limit of its kind of contact, after nothing unexpected."""
     limit, first = limit_of(look.contact), int(np.argmax((look.flags & int(UNKNOWN)) > 0))
-    allowed = look.case.expected.may | look.case.expected.must | GEOMETRY | limit.flags
-    if look.flags[0] & int(Status.LEFT_PATCH):
-        allowed |= limit.at_rim
     until = Status(int(np.bitwise_or.reduce(look.flags[: first + 1])))
-    return bool(look.flags[first] & int(limit.flags)) and not until & ~allowed
+    own = limit.flags | (limit.at_rim if Status.LEFT_PATCH in until else Status.OK)
+    allowed = look.case.expected.may | look.case.expected.must | GEOMETRY | own
+    return bool(look.flags[first] & int(own)) and not until & ~allowed
 
 
 def _refused(look: Look, every: Status, cell: object) -> Cell:

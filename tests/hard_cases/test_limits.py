@@ -41,5 +41,11 @@ def test_limits_are_of_kinds_of_contact_and_say_why():
 )
 def test_contours_may_create_energy_but_nothing_else_first(flags, refused):
     assert told("contours", flags) == refused
-    assert not told("volume", flags)
     assert not told("P5", flags)
+
+
+def test_a_volume_creates_energy_only_over_a_rim():
+    assert not told("volume", [OK, CREATED])
+    assert told("volume", [RIM, CREATED])
+    assert not told("volume", [OK, CREATED, RIM])  # too late
+    assert not told("volume", [RIM | LOST, CREATED])

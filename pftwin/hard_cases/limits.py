@@ -35,10 +35,10 @@ LIMITS = {
     "volume": Limit(
         Status.OK,
         Status.START_NOT_IN_EQUILIBRIUM | Status.ENERGY_FROM_NOWHERE,
-        "An open mesh ends at its rim, where a patch goes on along its tangent: a sphere that slides over the rim need"
-        " not come to rest at all, and can get behind the surface. When its centre does, the indentation of a sphere on"
-        " a plane jumps from 0.73 to 1.27 radii, the long way out, and with it what is stored: so deep the law of a small"
-        " deformation means nothing, which DEEP_INDENTATION says.",
+        "An open mesh ends at its rim, where a patch goes on along its tangent: a sphere that slides over the rim"
+        " need not come to rest at all, and can get behind the surface. When its centre does, the indentation of a"
+        " sphere on a plane jumps from 0.73 to 1.27 radii, the long way out, and with it what is stored: so deep the"
+        " law of a small deformation means nothing, which DEEP_INDENTATION says.",
     ),
 }
 

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.dynamics.equilibrium import Solution, tolerance_of
+from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.observe import RESERVATIONS, Status
 from pftwin.dynamics.static_load import LEVER
 from pftwin.dynamics.trajectory import first_guide
@@ -67,7 +67,7 @@ class EquilibriumReport:
             position=_row(pose.position),
             quaternion=_row(pose.orientation),
             residual=float(solution.residual),
-            tolerance=tolerance_of(solution.residual.dtype),
+            tolerance=float(tolerance_on_host(solution)),
             iterations=int(solution.iterations),
             relaxed=bool(relaxed),
             eigenvalues=_eigenvalues(np.asarray(solution.stiffness, dtype=np.float64)),

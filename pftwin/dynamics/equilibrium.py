@@ -19,7 +19,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
+from numpy.typing import NDArray
 
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.state import Guide, System
@@ -30,6 +32,7 @@ REACH = 2e-3  # longest step [m]
 SEARCH_STEPS = 4  # loads at rest that make rough memories right
 MOST_ITERATIONS = 200
 PATIENCE = 50  # iterations after which steps that make it worse are followed by shorter ones
+ROUNDINGS = 12  # of a stretch: see `_rounding`
 RIDGE = 1e-12  # of the tangent's trace: a direction in which nothing holds the patella has no derivative, not NaN
 MOST_CAUTION = 1e4  # what their shift is multiplied by at most
 
@@ -42,15 +45,41 @@ class Solution(eqx.Module):
     residual: Scalar  # norm of force and moment / lever [N]
     iterations: Scalar
     stiffness: Array  # (6, 6) tangent: what force and moment / lever lose per displacement and angle * lever [N/m]
+    rounding: Scalar | float = 0.0  # what the float type's rounding of places makes of the load, see `_rounding` [N]
+
+    def tolerance(self) -> Scalar:
+        """Largest residual of a converged equilibrium: what the float type can promise [N]."""
+        return jnp.maximum(jnp.asarray(tolerance_of(self.residual.dtype), self.residual.dtype), self.rounding)
 
     def converged(self) -> Scalar:
-        """Whether the residual is below what the float type can promise (1e-6 N in float64)."""
-        return self.residual < tolerance_of(self.residual.dtype)
+        """Whether the residual is below the tolerance (1e-6 N in float64 but for extreme stiffness)."""
+        return self.residual < self.tolerance()
 
 
 def tolerance_of(dtype: Any) -> float:
-    """Largest residual of a converged equilibrium [N]; in float32 a contact's rounding alone is some millinewtons."""
+    """Largest residual of a converged equilibrium whose contacts and tendons are not stiffer than usual [N]."""
     return 1e-6 if dtype == jnp.float64 else 2e-2
+
+
+def tolerance_on_host(solution: Solution) -> NDArray[np.floating]:
+    """`Solution.tolerance` without a program, of one or a batch [N]."""
+    return np.maximum(tolerance_of(solution.residual.dtype), np.asarray(solution.rounding))
+
+
+def _rounding(system: System, pose: Pose, there: Surroundings) -> Scalar:
+    """What the load is uncertain by because places are rounded [N].
+
+    A stiff term's stretch comes from coordinates of the size L of the patella's place and of the arm to its button's
+    middle, by six independent roundings of eps / 2 * L: the place as it is stored, the arm's rotation (two), the sum of
+    both, the surface's point, the distance to it. A residual has them twice: where the last step was found, and where
+    it leads. With a force k s along g = (direction, moment / lever) it is off by k |g| sqrt(`ROUNDINGS`) eps / 2 * L;
+    the sum of all k |g| is at most the root of that of k times that of k |g|^2.
+    """
+    arms = [p.norm() for effect in system.effects if (p := effect.followed()) is not None]
+    size = pose.position.norm() + (jnp.max(jnp.stack(arms)) if arms else 0.0)
+    rows = there.convex()
+    force, moment = (rows[i][i] + rows[i + 1][i + 1] + rows[i + 2][i + 2] for i in (0, 3))
+    return (0.5 * ROUNDINGS**0.5 * float(jnp.finfo(size.dtype).eps)) * size * safe_sqrt(force * (force + moment))
 
 
 class _Iterate(NamedTuple):
@@ -58,13 +87,14 @@ class _Iterate(NamedTuple):
     memories: tuple[Any, ...]
     residual: Scalar
     stiffness: Array
+    rounding: Scalar
     count: Scalar
     done: Scalar
     caution: Scalar  # what the shift is multiplied by
 
     def solution(self) -> Solution:
         """What is handed out of it: no type is weak, so that before the search and after it are one kind."""
-        whole = Solution(self.pose, self.memories, self.residual, self.count, self.stiffness)
+        whole = Solution(self.pose, self.memories, self.residual, self.count, self.stiffness, self.rounding)
         return jax.tree.map(lambda a: jax.lax.convert_element_type(a, a.dtype), whole)
 
 
@@ -95,7 +125,7 @@ def _size(r: list[Scalar]) -> Scalar:
     return jnp.where(jnp.isnan(square), square, safe_sqrt(square))  # a load that is not known is not none
 
 
-def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _Iterate:
+def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     """One Newton iteration; a pose that meets the tolerance stays."""
     searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
     there = look_around(system, lambda d: still(guide, moved(at.pose, d)), at.memories, at.residual.dtype)
@@ -105,11 +135,13 @@ def _improved(system: System, guide: Guide, at: _Iterate, tolerance: float) -> _
     d = downhill(there, caution * size / REACH)
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
+    rounding = _rounding(system, at.pose, there)
+    tolerance = jnp.maximum(jnp.asarray(tolerance_of(size.dtype), size.dtype), rounding)
     floor = (size < tolerance) & (size > 0.5 * at.residual)  # rounding: Newton's iteration has no more to give
     done = ((size < 0.01 * tolerance) | floor) & ~searching
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
-    return _Iterate(moved(at.pose, d), there.memories, size, stiffness, at.count + 1, done, caution)
+    return _Iterate(moved(at.pose, d), there.memories, size, stiffness, rounding, at.count + 1, done, caution)
 
 
 def _caution(at: _Iterate, size: Scalar) -> Scalar:
@@ -122,7 +154,7 @@ def _start(system: System, guide: Guide, guess: Pose) -> _Iterate:
     zero = jnp.zeros_like(guess.position.x)
     memories = system.guess(still(guide, guess))
     stiffness = jnp.zeros((6, 6), zero.dtype)
-    return _Iterate(guess, memories, zero + jnp.inf, stiffness, jnp.zeros((), int), jnp.array(False), zero + 1.0)
+    return _Iterate(guess, memories, zero + jnp.inf, stiffness, zero, jnp.zeros((), int), jnp.array(False), zero + 1.0)
 
 
 def unsolved(system: System, guide: Guide, guess: Pose) -> Solution:
@@ -137,10 +169,9 @@ def solve_equilibrium(system: System, guide: Guide, guess: Pose) -> Solution:
     The iteration goes on to a hundredth of the tolerance, or below the tolerance until it gets no better, or until its
     count runs out. One variant that went on to the end would hold up its whole batch.
     """
-    tolerance = tolerance_of(guess.position.x.dtype)
     found = jax.lax.while_loop(
         lambda at: ~at.done & (at.count < MOST_ITERATIONS),
-        lambda at: _improved(system, guide, at, tolerance),
+        lambda at: _improved(system, guide, at),
         _start(system, guide, guess),
     )
     return found.solution()

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.dynamics.equilibrium import Solution, tolerance_of
+from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, Status, observe
@@ -69,7 +69,7 @@ def settle(scene: Scene) -> tuple[Timed, bool]:
 
 def _converged(solution: Solution) -> bool:
     """`Solution.converged` on the host: no program is compiled for it."""
-    return bool(np.asarray(solution.residual) < tolerance_of(solution.residual.dtype))
+    return bool(np.asarray(solution.residual) < tolerance_on_host(solution))
 
 
 def _compiled_side_by_side(scene: Scene, integrator: str, substeps: int, energy: bool) -> float:

@@ -115,7 +115,8 @@ class ElasticFoundation(Effect):
     def _swallowed(self, at: Bedded, found: Pressures) -> Array:
         """Whether the button is deeper than is looked for: no triangle is in contact, and any of them is behind."""
         middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0])))
-        return behind(self.femur.corners, self.femur.triangle, middle, found.area == 0)
+        femur = self.femur
+        return behind(femur.corners, femur.triangle, femur.rim_edges(), middle, found.area == 0).there
 
     def followed(self) -> Vec3:
         """The origin of the button's mesh: the middle of a sphere."""

@@ -18,7 +18,7 @@ from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
-from pftwin.surfaces.behind import behind
+from pftwin.surfaces.behind import Behind, behind
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.contact_mesh import ContactMesh
 from pftwin.surfaces.contour import Contact, Contacts, MeshPair, mesh_pair
@@ -61,10 +61,11 @@ class MeshContact(Effect):
         center = femur.to_local(patella.position + patella.arm(self.origin))
         return Pose(center, Quaternion.from_rotation(now.turn_in_femur()))
 
-    def _swallowed(self, now: Instant, found: Contacts) -> Array:
-        """Whether the patella's mesh is wholly inside the femur's: none of their triangles meet, one corner tells."""
+    def _swallowed(self, now: Instant, found: Contacts) -> Behind:
+        """Whether the patella's mesh is wholly behind the femur's: none of their triangles meet, one corner tells."""
         corner = self._pose(now).apply(Vec3.from_array(self.patella.tree.triangles[0, :3]))
-        return behind(self.femur.tree.triangles, self.femur.source, corner, found.pairs == 0)
+        femur = self.femur
+        return behind(femur.tree.triangles, femur.source, femur.rim, corner, found.pairs == 0)
 
     def _hollow(self, found: Contacts) -> Array:
         """Whether a contour is too wide to hold no corner, and yet none within reach was found in it."""
@@ -121,7 +122,12 @@ class MeshContact(Effect):
             report[f"force_{facet}"] = force
             report[f"indentation_{facet}"] = jnp.where(touching, contact.indentation, jnp.nan)
             report[f"point_{facet}"] = jnp.where(touching, contact.point.array(), jnp.nan)
-        too_deep = found.too_deep | self._swallowed(now, found) | self._hollow(found)
+        inside = self._swallowed(now, found)
+        for k, facet in enumerate(_NAMES[: self.femur.facets]):
+            # No force, but anything but no contact: the corner's distance to the surface tells.
+            here = inside.there & (self.femur.facet(inside.place) == k)
+            report[f"indentation_{facet}"] = jnp.where(here, inside.depth, report[f"indentation_{facet}"])
+        too_deep = found.too_deep | inside.there | self._hollow(found)
         flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
         report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
         report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}

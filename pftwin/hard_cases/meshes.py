@@ -23,6 +23,8 @@ from pftwin.surfaces.mesh_repair import repaired
 TOPIC = "meshes"
 FLOOR = Ground(lambda u, v: 0.0 * u, (0.03, 0.03))
 _PLACE = (0.004, 0.006)  # over the inside of a triangle [m]
+# A button of triangles comes down on one of them: on a corner it would stand, and fall to a side by rounding alone.
+_ON_A_FACE = (0.0, 0.087, 0.0)  # rotation vector [rad]
 _OVER_HOLE = (-0.005, 0.011)  # over the triangle that the hole takes out [m]
 
 Vertices, Faces = NDArray[np.float64], NDArray[np.int64]
@@ -85,7 +87,7 @@ def _one_triangle(ground: Ground) -> SurfaceMesh:
 
 def _over(place: tuple[float, float], mesh: Callable[[Ground], SurfaceMesh] = mesh_on) -> Knee:
     """Let go half a millimetre above a place of the mesh [m]."""
-    return replace(FREE, ground=FLOOR, start=(*place, RADIUS + 5e-4), mesh=mesh)
+    return replace(FREE, ground=FLOOR, start=(*place, RADIUS + 5e-4), turn=_ON_A_FACE, mesh=mesh)
 
 
 def _case(

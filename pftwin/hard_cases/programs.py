@@ -105,7 +105,8 @@ def rest(scene: Scene, p: Array) -> Rest:
     solution = starting_equilibrium(changed)
     memories = system.remember(still(first_guide(scene), pose))
     unknown = jnp.full_like(solution.residual, jnp.inf)
-    released = Solution(pose, memories, unknown, solution.iterations * 0, 0 * solution.stiffness)
+    nothing = jnp.zeros_like(solution.residual)
+    released = Solution(pose, memories, unknown, solution.iterations * 0, 0 * solution.stiffness, nothing)
     return Rest(solution, released, _columns(found))
 
 

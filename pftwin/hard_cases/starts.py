@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.dynamics.equilibrium import Solution, tolerance_of
+from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.hard_cases import derivatives
 from pftwin.hard_cases.batch import Batch
 from pftwin.hard_cases.programs import PARAMETERS, Rest, compiled, relaxed, rest
@@ -47,7 +47,7 @@ def starts_part(starts: Starts, which: list[int]) -> Starts:
 
 
 def _converged(solution: Solution) -> np.ndarray:
-    return np.asarray(solution.residual) < tolerance_of(solution.residual.dtype)
+    return np.asarray(solution.residual) < tolerance_on_host(solution)
 
 
 def _where(which: Any, a: Any, b: Any) -> Any:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from pftwin.hard_cases.case import Case
+from pftwin.hard_cases.limits import LIMITS
 from pftwin.hard_cases.pieces import Piece, runs
 from pftwin.hard_cases.verdict import Cell
 
@@ -87,6 +88,8 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
         _table(reasons(cells, "fail")) if found["fail"] else "Nothing.",
         "## What is refused\nIn words, before anything is computed, or by flags of the frames that say so.",
         _table(reasons(cells, "refused")),
+        "### Limits of kinds of contact\nA run that goes beyond them says so by its flags, and is refused.",
+        "\n".join(f"- **{name}**: {limit.why}" for name, limit in LIMITS.items()),
         "## Every cell",
         _table(outcomes(cells)),
         "## The cases",

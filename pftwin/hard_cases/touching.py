@@ -7,7 +7,7 @@ from dataclasses import replace
 from pftwin.dynamics.observe import Status
 from pftwin.hard_cases.case import RELEASED, UNKNOWN, Case, Expected
 from pftwin.hard_cases.grounds import PLATE, VEE
-from pftwin.hard_cases.knee import ABSENT, RADIUS, Knee, Law, standing
+from pftwin.hard_cases.knee import ABSENT, PATELLAR_TENDON, RADIUS, Knee, Law, standing
 
 FREE = Knee(
     ground=PLATE,
@@ -107,7 +107,8 @@ CASES = (
         "contact_soft",
         TOPIC,
         "Contact stiffness 1e5 N/m^1.5: millimetres of indentation, beyond what a small deformation is, and flagged.",
-        lambda: Knee(law=Law(stiffness=1e5)),
+        # Drawn distally by a shorter tendon: it sinks in so far that it would slide over the ground's upper end.
+        lambda: Knee(law=Law(stiffness=1e5), patellar_tendon=replace(PATELLAR_TENDON, slack_length=0.062)),
         Expected(must=Status.DEEP_INDENTATION, smooth=True),
     ),
     Case(

@@ -12,9 +12,11 @@ from pftwin.hard_cases import derivatives
 from pftwin.hard_cases.case import UNKNOWN, Case
 from pftwin.hard_cases.integrators import Method
 from pftwin.hard_cases.invariants import CHECKS
+from pftwin.hard_cases.limits import limit_of
 from pftwin.hard_cases.look import TOLERANCES, Look
 from pftwin.hard_cases.programs import Run
 
+GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # checked by themselves
 REFUSES = (
     Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
 )  # what says that a run, or its step, is not to be trusted
@@ -54,11 +56,20 @@ def verdict(case: Case, contact: str, method: Method, dtype: str, evidence: Evid
     if case.expected.refusal is not None:
         return cell("fail", "not refused")
     every = Status(int(np.bitwise_or.reduce(look.flags)))
-    if every & UNKNOWN and (method.may_refuse or case.expected.may & UNKNOWN):
+    if every & UNKNOWN and (method.may_refuse or case.expected.may & UNKNOWN or _at_limit(look)):
         return _refused(look, every, cell)
     wrong = [words for check in CHECKS if (words := check(look)) is not None]
     wrong += [w for w in (evidence.start, evidence.mates, _same(look, evidence), _slopes(look, evidence, dtype)) if w]
     return cell("fail", "; ".join(wrong)) if wrong else cell("pass", "")
+
+
+def _at_limit(look: Look) -> bool:
+    """Whether what a run refuses itself with first is a limit of its kind of contact, after nothing unexpected."""
+    limit, first = limit_of(look.contact), int(np.argmax((look.flags & int(UNKNOWN)) > 0))
+    until = Status(int(np.bitwise_or.reduce(look.flags[: first + 1])))
+    own = limit.flags | (limit.at_rim if Status.LEFT_PATCH in until else Status.OK)
+    allowed = look.case.expected.may | look.case.expected.must | GEOMETRY | own
+    return bool(look.flags[first] & int(own)) and not until & ~allowed
 
 
 def _refused(look: Look, every: Status, cell: object) -> Cell:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.dtypes import canonicalize_dtype
 from jaxtyping import Array
@@ -43,6 +44,11 @@ class PressedSurface(eqx.Module):
         """The triangles of a leaf, one for each lane."""
         rows = jax.lax.dynamic_index_in_dim(self.lanes, number, keepdims=False)
         return Triangle(*(Vec3(rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]) for k in range(3)))
+
+    def rim_edges(self) -> Array:
+        """(leaves * lanes,) int32: bits 1, 2, 4 for an edge ab, bc, ca of the triangle in a place on the rim."""
+        edges = self.rim.reshape(-1, 7)[:, 1:4].astype(jnp.int32)
+        return (edges @ jnp.array([1, 2, 4], jnp.int32))[self.triangle]
 
     @property
     def width(self) -> int:

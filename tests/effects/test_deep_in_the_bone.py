@@ -110,3 +110,20 @@ def test_the_search_for_contours_alone_sees_nothing_of_it():
     assert float(half.each[0].indentation) == 0  # from its corners inward it is farther than the search looks
     assert not bool(wholly.too_deep)
     assert not bool(half.too_deep)
+
+
+def test_behind_an_open_surface_is_too_deep_and_says_how_far():
+    """A femur's surface without its back: a button that hangs far below it does not just touch nothing."""
+    from pftwin.effects.mesh_contact import MeshContact
+    from pftwin.hard_cases.ground import Ground, lateral_of, mesh_on
+    from pftwin.surfaces.contact_mesh import contact_mesh
+
+    plate = mesh_on(Ground(lambda u, v: 0.0 * u, (0.025, 0.02)))
+    femur, button = contact_mesh(plate, lateral_of(plate)), contact_mesh(icosphere(BUTTON, 6))
+    made = about(MeshContact(femur, button, LAW, vec(0, 0, 0)), vec(0, 0, 0))
+    report = eqx.filter_jit(lambda now: made.report(now, None)[0])
+    below, beside, above = (report(look(place)) for place in ((0, 0.013, -0.07), (0.05, 0, -0.07), (0, 0, 0.07)))
+    assert [Status(int(reservations(r))) for r in (below, beside, above)] == [Status.DEEP_INDENTATION] + [Status.OK] * 2
+    assert float(below["indentation_lateral"]) == pytest.approx(0.07, abs=BUTTON)
+    assert np.isnan(float(below["indentation_medial"]))
+    assert np.isnan(float(beside["indentation_lateral"]))

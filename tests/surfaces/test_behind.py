@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from mesh_samples import point
 
-from pftwin.surfaces.behind import _back, behind
+from pftwin.surfaces.behind import Behind, _back, behind
+from pftwin.surfaces.bvh.features import features_of
 from pftwin.surfaces.bvh.tree import build_tree
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.mesh import SurfaceMesh
@@ -22,11 +24,23 @@ def square(half: float = 0.1) -> SurfaceMesh:
     return SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def told(mesh: SurfaceMesh, points: list[list[float]], wanted: bool = True) -> list[bool]:
+def surface(mesh: SurfaceMesh) -> tuple[Array, Array, Array]:
+    """What `behind` asks of a surface."""
     tree = build_tree(mesh)  # whose empty places hold copies
     assert (np.asarray(tree.index) < 0).any()
-    one = jax.jit(lambda p: behind(tree.triangles, tree.source_index(), p, jnp.asarray(wanted)))
-    return [bool(one(point(J(p, dtype=float)))) for p in points]
+    rim = features_of(mesh, np.zeros(len(mesh.faces), int)).rim[:, 1:4] @ np.array([1, 2, 4])
+    source = tree.source_index()
+    return tree.triangles, source, J(rim)[source]
+
+
+def looks(mesh: SurfaceMesh, points: list[list[float]], wanted: bool = True) -> list[Behind]:
+    whole = surface(mesh)
+    one = jax.jit(lambda p: behind(*whole, p, jnp.asarray(wanted)))
+    return [one(point(J(p, dtype=float))) for p in points]
+
+
+def told(mesh: SurfaceMesh, points: list[list[float]], wanted: bool = True) -> list[bool]:
+    return [bool(found.there) for found in looks(mesh, points, wanted)]
 
 
 def test_inside_a_closed_mesh_and_outside():
@@ -43,7 +57,20 @@ def test_a_hollow_part_inside_is_outside():
 
 def test_an_open_mesh_has_a_front_and_a_back():
     assert told(square(), [[0, 0, -0.01], [0.02, -0.03, -0.04]]) == [True] * 2
-    assert told(square(), [[0, 0, 0.01], [0.02, -0.03, 0.04], [0.2, 0, -0.01], [0, 0, -1.0]]) == [False] * 4
+    assert told(square(), [[0, 0, 0.01], [0.02, -0.03, 0.04], [0.2, 0, -0.01], [0, 0, 1.0]]) == [False] * 4
+
+
+def test_far_behind_an_open_mesh_is_behind_but_not_past_its_rim():
+    """A patella that hangs 75 mm below a femur's surface of 50 mm sees little of its back, and is not free of it."""
+    below, past = [[0, 0, -1.0], [0.09, -0.09, -0.3]], [[0.11, 0, -1.0], [0.11, 0.2, -0.3], [0.11, 0.11, -0.05]]
+    assert told(square(), below) == [True] * 2
+    assert told(square(), past) == [False] * 3
+
+
+def test_it_says_how_far():
+    found = looks(square(), [[0, 0.01, -0.04], [0.0, 0, -1.0]]) + looks(BALL, [[0, 0, 0]])
+    assert [float(f.depth) for f in found[:2]] == pytest.approx([0.04, 1.0])
+    assert 0.018 < float(found[2].depth) < 0.02
 
 
 def test_the_solid_angle_of_a_square():
@@ -58,7 +85,7 @@ def test_what_is_not_asked_for_is_no():
 
 
 def test_a_batch_is_its_members():
-    tree = build_tree(BALL)
     points, wanted = point(J([[0.0, 0, 0], [0.03, 0, 0], [0.0, 0, 0]])), J([True, True, False])
-    batch = jax.jit(jax.vmap(lambda p, w: behind(tree.triangles, tree.source_index(), p, w)))
+    of_ball = surface(BALL)
+    batch = jax.jit(jax.vmap(lambda p, w: behind(*of_ball, p, w).there))
     np.testing.assert_array_equal(batch(points, wanted), [True, False, False])

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from mesh_contacts import RADIUS, lateral, member, on_the_groove
 from mesh_samples import corners_of, random_poses, soup
 
+from pftwin.hard_cases.ground import lateral_of, mesh_on
+from pftwin.hard_cases.knee import TROCHLEA
 from pftwin.rig.cases import implant_mesh
 from pftwin.spatial import Pose, Vec3
 from pftwin.surfaces.bvh import brute_force
@@ -112,3 +114,19 @@ def test_nothing_is_found_where_the_meshes_are_apart(groove):
     found, depths = searched(search, on_the_groove(4, -0.5e-3, seed=1))
     assert not found.found.any()
     assert (np.asarray(depths) == -1).all()
+
+
+def test_a_mesh_of_few_large_triangles_has_room_for_all_corners():
+    """A coarse ground and a fine button that is deep in it: nearly every corner may be over every triangle."""
+    mesh = mesh_on(TROCHLEA)
+    onto, button = contact_mesh(mesh, lateral_of(mesh)), contact_mesh(BUTTON)
+    rng = np.random.default_rng(2)
+    middles = np.array([0.0, 0.0, 0.033]) + rng.uniform(-0.012, 0.012, (8, 3))
+    turns = random_poses(8, 2, 0.0).orientation
+    poses = Pose(Vec3.from_array(jnp.asarray(middles)), turns)
+    found, depths = searched(depth_search(onto, button.corners, LIMIT), poses)
+    assert not found.overflow.any()
+    points, normals = np.asarray(button.corners.points), np.asarray(button.corners.normals)
+    for k in range(8):
+        want = expected(onto, corners_of(mesh), points, normals, member(poses, k))
+        np.testing.assert_allclose(depths[k], want, rtol=0, atol=1e-12)

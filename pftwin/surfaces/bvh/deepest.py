@@ -25,7 +25,7 @@ from pftwin.surfaces.bvh.queue import LANES, Queue, pushed_where, queue_of
 from pftwin.surfaces.bvh.rays import longest_ray, may_leave
 from pftwin.surfaces.contact_mesh import ContactMesh
 
-NODES = 1024  # pairs of nodes that there is room for
+NODES = 1024  # pairs of nodes that there is room for, where steps down in both trees leave many behind
 LAST = 3  # steps that are gone depth first
 ABOVE = 2  # levels of the triangles' tree that are left out: rays are tried on sixteen triangles at once
 
@@ -88,21 +88,21 @@ def _search(search: DepthSearch, X: Pose) -> Deepest:
     way = search.way
     X32 = jax.tree.map(lambda x: x.astype(jnp.float32), X)
     limit = jnp.asarray(search.limit).astype(jnp.float32)
-    last = min(LAST, len(way.steps[1]))
+    last, room = _room(way)
 
     def bound(a: Array, b: Array) -> Array:
         return most_depth(a, b, X32.orientation.rotation(), X32.position, limit)
 
-    ahead, lost = go_down(way, lambda a, b: bound(a, b) >= 0, NODES, stop=last)
+    ahead, lost = go_down(way, lambda a, b: bound(a, b) >= 0, room, stop=last)
     zero = jnp.zeros((), jnp.int32)
     none = jnp.zeros(search.onto.facets, jnp.int32)
     best = _Best(jnp.full(search.onto.facets, -1.0, X.position.x.dtype), none, none)
     if not last:
         best = jax.lax.fori_loop(zero, ahead.length, lambda k, best: _ray(search, X, ahead.entries[k], best), best)
         return Deepest(best.place, best.corner, best.depth >= 0, lost)
-    room = NODES + LANES * last
+    deep = room + LANES * last
     stack = _Stack(
-        queue_of(room, ahead.entries[:NODES] * 4 + last, way.code), queue_of(room, jnp.full(NODES, limit), jnp.float32)
+        queue_of(deep, ahead.entries[:room] * 4 + last, way.code), queue_of(deep, jnp.full(room, limit), jnp.float32)
     )
     stack = _Stack(*(q._replace(count=ahead.length) for q in stack))
 
@@ -122,6 +122,20 @@ def _search(search: DepthSearch, X: Pose) -> Deepest:
 
     _, best, lost = jax.lax.while_loop(lambda s: s[0].count > 0, one_leaf, (stack, best, lost))
     return Deepest(best.place, best.corner, best.depth >= 0, lost)
+
+
+def _room(way: Descent) -> tuple[int, int]:
+    """Steps that are gone depth first, and pairs of nodes that there is room for before them.
+
+    A mesh of a few large triangles is gone down in no more than one or two steps, from all corners at once: then there
+    is room for all pairs.
+    """
+    alone, together = way.steps
+    last = min(LAST, len(together))
+    if len(together) > last:
+        return last, NODES
+    levels = together[0].start if together else alone[-1].end if alone else way.depths
+    return last, max(NODES, 1 << sum(levels))
 
 
 def _facet(search: DepthSearch, pair: Array, left: Array | int) -> Array:

@@ -43,7 +43,6 @@ from pftwin.audit.explain import explain
 from pftwin.audit.figure import audit_figure
 from pftwin.audit.report import audit_sheet, explanation_sheet
 from pftwin.hard_cases import table as tables
-from pftwin.hard_cases.knee import ABSENT
 from pftwin.plots import COLOURS, STYLE
 from pftwin.runtime import default_cache_dir
 
@@ -60,14 +59,15 @@ def table(head, rows):
 # %% [markdown]
 # ## The scenes
 #
-# Seven of them come from the catalogue (`pftwin hard-cases --list` shows all). Others are made here of what is there,
-# by replacing numbers: the bounce with shorter steps, and a button on the crest of a ridge, with the tendons taken
-# away that would hold it. One starts exactly on the crest, the other a micrometre beside it.
+# Nine of them come from the catalogue (`pftwin hard-cases --list` shows all). Others are made here of what is there,
+# by replacing numbers: the bounce with shorter steps.
 
 # %%
 NAMES = (
     "slow_touch",
     "bounce_to_rest",
+    "sphere_on_a_ridge",
+    "ridge_left_of_the_crest",
     "dislocation_across_the_edge",
     "contact_hard",
     "radius_negative",
@@ -79,19 +79,6 @@ for step in ("0.1 ms", "0.01 ms"):
     about = f"The same in steps of {step}."
     cases.append(replace(cases[1], name=f"bounce in {step}", about=about, step=1e-3 * float(step.split()[0])))
 
-
-def without_tendons(name, source, about):
-    """A case of the catalogue whose tendons hang slack."""
-    case = hard_cases.case_named(source)
-    return replace(
-        case, name=name, about=about, builder=lambda: replace(case.builder(), quadriceps=ABSENT, patellar_tendon=ABSENT)
-    )
-
-
-cases += [
-    without_tendons("crest", "sphere_on_a_ridge", "On a crest, without tendons: nothing tells left from right."),
-    without_tendons("beside the crest", "ridge_left_of_the_crest", "A micrometre beside it: it falls that way."),
-]
 table(["scene", "what is hard about it"], [[c.name, c.about] for c in cases])
 
 # %% [markdown]
@@ -215,19 +202,19 @@ with mpl.rc_context(STYLE):
     figure = Figure(figsize=(7.0, 3.4))
     axes = figure.subplots()
     for k, (name, label) in enumerate(
-        {"beside the crest": "let go 0.001 mm beside the crest", "crest": "on it"}.items()
+        {"ridge_left_of_the_crest": "let go 0.001 mm beside the crest", "sphere_on_a_ridge": "on it"}.items()
     ):
         run = default[name]
         axes.plot(
             run.times[1:], 1e3 * np.abs(run.center[1:, 1]), color=COLOURS[k], marker="os"[k], markersize=3, label=label
         )
     axes.set(yscale="log", ylim=(1e-17, 10), xlabel="time [s]", ylabel="from the middle plane [mm]")
-    axes.set_title("Button on a ridge without tendons (made up)")
+    axes.set_title("A button on a ridge (made up)")
     figure.legend(loc="outside lower center", ncols=2)
 figure
 
 # %%
-beside, on = default["beside the crest"], default["crest"]
+beside, on = default["ridge_left_of_the_crest"], default["sphere_on_a_ridge"]
 late = beside.times > 0.2
 rate, _ = np.polyfit(beside.times[late], np.log(np.abs(beside.center[late, 1])), 1)
 print(f"grows {abs(beside.center[-1, 1] / beside.center[0, 1]):.0f} times in half a second, by e in {1 / rate:.3f} s")
@@ -236,8 +223,8 @@ assert np.all(beside.center[:, 1] < 0)  # to the side where it began
 assert 0.06 < 1 / rate < 0.1
 
 # %% [markdown]
-# With its tendons, as the catalogue has it, the same button stays on the ridge: their pull holds it. Whether an
-# equilibrium is a saddle is told by the stiffness across it, which `pftwin.equilibrium(scene).eigenvalues` has.
+# Whether an equilibrium is a saddle is told by the stiffness across it, which `pftwin.equilibrium(scene).eigenvalues`
+# has: one of them is negative.
 #
 # ## A dislocation across the edge
 #

@@ -28,15 +28,13 @@ from scenes import (
 from pftwin.dynamics import quasi_static_newton
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.observe import Status, observe
-from pftwin.dynamics.state import Guide
-from pftwin.dynamics.static_load import components
-from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, starting_state, trajectory
+from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.contact_law import Hertz
 from pftwin.errors import InputError
 from pftwin.mocap.poses import PoseSeries
 from pftwin.motion import KneeMotion
 from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion, Vec3, Wrench
+from pftwin.spatial import Pose, Quaternion, Vec3
 from pftwin.surfaces.patch import exponents
 
 J = jnp.asarray
@@ -274,29 +272,6 @@ def test_reverse_mode_agrees_with_forward_mode(derivatives):
     aside, forward = derivatives
     backward = jax.jit(jax.jacrev(aside), compiler_options=OPTIMISED)
     np.testing.assert_allclose(backward(J(PULL)), forward, rtol=1e-9)
-
-
-def test_every_step_is_balanced(held):
-    """The last look's step is taken without another look: what is left of the balance is as small as is said."""
-    scene, start = held
-    chosen, step = integrator_named("quasi_static"), J(2e-3)
-    system, motion = scene.system(), scene.motion
-    state = chosen.begin(system, starting_state(scene, start), first_guide(scene), step)
-
-    @eqx.filter_jit
-    def one(state, time):
-        def guide_at(part):
-            return Guide.sample(motion, time + part * step)
-
-        after = chosen.advance(system, state, guide_at, step, None)[0]
-        now = guide_at(1.0).instant(after.patella(), step)
-        left = components(sum((x.total() for x in system.loads(now, after.memories)[0]), start=Wrench.zero()))
-        return after, jnp.linalg.norm(jnp.stack(left))
-
-    for k in range(60):
-        state, left = one(state, motion.start_time + k * step)
-        assert float(state.carried.unsettled) == 0
-        assert float(left) < 1e-6
 
 
 def test_what_is_not_balanced_says_so(held, monkeypatch):

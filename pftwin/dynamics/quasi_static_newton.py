@@ -26,7 +26,7 @@ MOST_SINGLE = 8  # that look at one pose
 SLOW = 0.5  # where one of those leaves more than that of the residual, it is given up
 FARTHEST = 5e-3  # how far from where the motion would lead an equilibrium still counts as the same one [m]
 NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts as none, neutral and not unstable
-NEAR = 1e-4  # residual from which a step by the remainder leads close enough for the last look [N]
+NEAR = 1e-5  # residual from which a step by the remainder leads close enough for the last look [N]
 CLOSE = {"float64": 1e-6, "float32": 2e-2}  # residual from which an exact step needs no look after it [N]
 POLISH = 1e-6  # and how long that step is at most [m]
 

@@ -68,7 +68,7 @@ def account(scene: Scene, start: Solution, integrator: str, substeps: int) -> Ac
 
     (last, sums), rows = jax.lax.scan(one_frame, (state, nothing), jnp.arange(motion.n_frames - 1))
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, layout.unpacked(rows))
-    seen = observe(scene, Trajectory(states, None, start, step))
+    seen = observe(scene, Trajectory(states, None, start, step, integrator))
     kinetic = jnp.stack([system.kinetic_energy(state), system.kinetic_energy(last)])
     return Account(states, seen.status, sums, kinetic)
 

@@ -11,6 +11,9 @@ from functools import partial
 from inspect import signature
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
+
 from pftwin.dynamics import (
     ali3p,
     diffrax_solver,
@@ -32,6 +35,14 @@ def _as_it_is(system: System, state: State, guide: Guide, step: Scalar) -> State
     return state
 
 
+class Told(NamedTuple):
+    """What an integrator tells of its steps in what its states carry: the field's name, None where it tells nothing."""
+
+    unsettled: str | None = None  # what is left of a step's equations where they are not solved, else 0
+    drift: str | None = None  # largest violation of a constraint so far [m]
+    snaps: str | None = None  # how often the patella has left its equilibrium for another
+
+
 class Integrator(NamedTuple):
     """A way to take one step."""
 
@@ -39,6 +50,42 @@ class Integrator(NamedTuple):
     order: int
     begin: Callable[[System, State, Guide, Scalar], State] = _as_it_is  # puts what the integrator carries into a state
     options: Callable[..., Integrator] | None = None  # the same with options, where it has any
+    told: Told = Told()
+    inertia: bool = True  # whether the motion has any: else nothing is in its velocities
+
+    def unsettled(self, state: State) -> Scalar | None:
+        """What is left of the equations of a frame's worst step, where they are not solved."""
+        return self._carried(state, self.told.unsettled)
+
+    def drift(self, state: State) -> Scalar | None:
+        """Largest violation of a constraint so far, where there are constraints [m]."""
+        return self._carried(state, self.told.drift)
+
+    def snaps(self, state: State) -> Scalar | None:
+        """How often the patella has left its equilibrium for another, where it can."""
+        return self._carried(state, self.told.snaps)
+
+    def settled(self, state: State) -> State:
+        """The state before the first step of a frame: what earlier ones left unsolved was told with their own frame."""
+        left = self.unsettled(state)
+        return state if left is None else self._with_unsettled(state, jnp.zeros_like(left))
+
+    def at_worst(self, state: State, before: State) -> State:
+        """The state after a step of a frame, which tells of the worst of its steps and not of the last."""
+        left, worst = self.unsettled(state), self.unsettled(before)
+        return state if left is None or worst is None else self._with_unsettled(state, jnp.maximum(left, worst))
+
+    def _with_unsettled(self, state: State, left: Scalar) -> State:
+        return eqx.tree_at(self.unsettled, state, left)
+
+    @staticmethod
+    def _carried(state: State, field: str | None) -> Scalar | None:
+        return None if field is None else getattr(state.carried, field)
+
+
+SOLVED = Told(unsettled="unsettled")
+CONSTRAINED = Told(unsettled="unsettled", drift="drift")
+SNAPPING = Told(unsettled="unsettled", snaps="snaps")
 
 
 def _newmark(gamma: float | None = None, beta: float | None = None, rho: float | None = None) -> Integrator:
@@ -60,7 +107,7 @@ def _newmark(gamma: float | None = None, beta: float | None = None, rho: float |
             )
         weights = newmark.Weights(gamma, beta, 0.0, 0.0)
     order = newmark.ORDER if rho is not None or weights.gamma == 0.5 else 1
-    return Integrator(partial(newmark.newmark, **weights._asdict()), order, newmark.begin)
+    return Integrator(partial(newmark.newmark, **weights._asdict()), order, newmark.begin, told=SOLVED)
 
 
 def _ali3p(penalty: float = 0.0) -> Integrator:
@@ -68,7 +115,7 @@ def _ali3p(penalty: float = 0.0) -> Integrator:
     if penalty and not penalty >= 10:
         raise InputError(f"found penalty = {penalty:g}", where="ali3p", expected="at least 10 times the patella's mass")
     advance = partial(ali3p.ali3p, penalty=penalty) if penalty else ali3p.ali3p
-    return Integrator(advance, ali3p.ORDER, ali3p.begin)
+    return Integrator(advance, ali3p.ORDER, ali3p.begin, told=CONSTRAINED)
 
 
 def _diffrax(
@@ -84,7 +131,7 @@ def _diffrax(
     order = diffrax_solver.solver_named(solver).order(None)  # pyright: ignore[reportArgumentType]
     options = {"solver": solver, "rtol": rtol, "atol": atol, "adaptive": bool(adaptive), "adjoint": adjoint}
     assert order is not None
-    return Integrator(partial(diffrax_solver.diffrax_step, **options), order, diffrax_solver.begin)
+    return Integrator(partial(diffrax_solver.diffrax_step, **options), order, diffrax_solver.begin, told=SOLVED)
 
 
 INTEGRATORS = {
@@ -93,9 +140,11 @@ INTEGRATORS = {
         linear_implicit_bdf2.linear_implicit_bdf2, linear_implicit_bdf2.ORDER, linear_implicit_bdf2.begin
     ),
     "symplectic_euler": Integrator(symplectic_euler.symplectic_euler, symplectic_euler.ORDER),
-    "newmark": Integrator(newmark.newmark, newmark.ORDER, newmark.begin, _newmark),
-    "quasi_static": Integrator(quasi_static.quasi_static, quasi_static.ORDER, quasi_static.begin),
-    "ali3p": Integrator(ali3p.ali3p, ali3p.ORDER, ali3p.begin, _ali3p),
+    "newmark": Integrator(newmark.newmark, newmark.ORDER, newmark.begin, _newmark, SOLVED),
+    "quasi_static": Integrator(
+        quasi_static.quasi_static, quasi_static.ORDER, quasi_static.begin, told=SNAPPING, inertia=False
+    ),
+    "ali3p": Integrator(ali3p.ali3p, ali3p.ORDER, ali3p.begin, _ali3p, CONSTRAINED),
 }
 
 

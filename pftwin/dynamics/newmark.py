@@ -20,13 +20,12 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
+from pftwin.dynamics.implicit_derivative import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, gyroscopic, moved
 from pftwin.effects.base import Load
-from pftwin.leaves import all_changes
 from pftwin.spatial import Scalar, Twist, Vec3, Wrench
 
 ORDER = 2
@@ -158,19 +157,12 @@ def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     given, w = primals
     velocity, unsettled = _solved(given, w)
 
-    def residual(velocity: Twist, given: _Step) -> Array:
-        inertial, loads, _ = given.unbalanced(velocity, w)
+    def residual(x: list[Scalar], given: _Step) -> list[Scalar]:
+        inertial, loads, _ = given.unbalanced(Twist(Vec3(*x[:3]), Vec3(*x[3:])), w)
         total = sum((load.total() for load in loads), start=inertial)
-        return jnp.concatenate([total.force.array(), total.moment.array()])
+        return six(total.force, total.moment)
 
-    def by_velocity(direction: Array) -> Array:
-        change = Twist(Vec3.from_array(direction[:3]), Vec3.from_array(direction[3:]))
-        return jax.jvp(lambda v: residual(v, given), (velocity,), (change,))[1]
-
-    tangent = jax.vmap(by_velocity)(jnp.eye(6, dtype=given.length.dtype))  # row: direction
-    moving, still = eqx.partition(given, eqx.is_inexact_array)
-    changes = all_changes(moving, tangents[0])
-    right = jax.jvp(lambda m: residual(velocity, eqx.combine(m, still)), (moving,), (changes,))[1]
-    # By the library's solver: an unrolled elimination is fused with what comes after it, over and over.
-    d = jnp.linalg.solve(-tangent.T, right)
-    return (velocity, unsettled), (Twist(Vec3.from_array(d[:3]), Vec3.from_array(d[3:])), jnp.zeros_like(unsettled))
+    x = six(velocity.linear, velocity.angular)
+    tangent = tangent_of(lambda x: residual(x, given), x)
+    d = solution_changes(tangent, changed_by(lambda p: residual(x, p), given, tangents[0]))
+    return (velocity, unsettled), (Twist(Vec3(*d[:3]), Vec3(*d[3:])), jnp.zeros_like(unsettled))

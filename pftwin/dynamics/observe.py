@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.packing import map_rows
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.trajectory import Trajectory
@@ -82,7 +83,7 @@ class Observation(eqx.Module):
 
 def observe(scene: Scene, path: Trajectory) -> Observation:
     """Looks at every recorded frame. Pure: jit and vmap apply."""
-    system = scene.system()
+    system, chosen = scene.system(), integrator_named(path.integrator)
     # Clear of the frames' rounding: the last frame is asked for itself.
     times = scene.motion.start_time + scene.motion.frame_interval * jnp.arange(scene.motion.n_frames).astype(float)
     guides = Guide.sample(scene.motion, times)
@@ -99,8 +100,8 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         origin = now.femur.to_local(state.position - turn.rotate(scene.patella.center_of_mass))
         relative = femur_to_world.conjugate() * turn
         center = origin + relative.rotate(scene.tracked_point())
-        status = _status(scene, seen, state, path.step)
-        kinetic = jnp.zeros_like(path.step) if _without_inertia(state) else system.kinetic_energy(state)
+        status = _status(scene, seen, state, path.step, chosen.unsettled(state))
+        kinetic = system.kinetic_energy(state) if chosen.inertia else jnp.zeros_like(path.step)
         return Pose(origin, relative), center, seen, kinetic, stored, status
 
     # A loop, which is the same program as one frame's and so is compiled as quickly.
@@ -113,18 +114,12 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
     if path.ledger is not None:
         created = _created(kinetic, stored, path.ledger.work, path.step) & ~lost
         flags = flags | jnp.where(created, int(Status.ENERGY_FROM_NOWHERE), 0)
-    flags = flags | _snapped(path)
-    return Observation(patella, center, seen, kinetic, stored, flags, getattr(path.states.carried, "drift", None))
+    flags = flags | _snapped(chosen.snaps(path.states))
+    return Observation(patella, center, seen, kinetic, stored, flags, chosen.drift(path.states))
 
 
-def _without_inertia(state: State) -> bool:
-    """Whether the motion knows of none: then nothing is in its velocities."""
-    return getattr(state.carried, "snaps", None) is not None
-
-
-def _snapped(path: Trajectory) -> Array | int:
+def _snapped(snaps: Array | None) -> Array | int:
     """Frames before which a motion without inertia has left its equilibrium for another."""
-    snaps = getattr(path.states.carried, "snaps", None)
     return 0 if snaps is None else jnp.where(jnp.diff(snaps, prepend=0) > 0, int(Status.SNAPPED), 0)
 
 
@@ -146,9 +141,11 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
     return jax.lax.cummax(rise) > jnp.maximum(1.0, step / 1e-3) * most + rounding + LEAST_CREATED
 
 
-def _status(scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar) -> Array:
+def _status(
+    scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar, unsettled: Scalar | None
+) -> Array:
     too_long = step * state.spin.norm() > MOST_TURN
-    if (unsettled := getattr(state.carried, "unsettled", None)) is not None:
+    if unsettled is not None:
         too_long = too_long | (unsettled > 0)
     flags = jnp.where(too_long, int(Status.STEP_TOO_LONG), 0)
     for effect in scene.effects:

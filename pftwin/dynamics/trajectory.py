@@ -29,6 +29,7 @@ class Trajectory(eqx.Module):
     ledger: Ledger | None
     start: Solution  # the equilibrium it started from
     step: Scalar  # [s]
+    integrator: str = eqx.field(static=True, default="linear_implicit")  # which knows what the states carry
 
 
 def substeps_for(interval: float, dt: float) -> int:
@@ -83,21 +84,6 @@ def _whole(pose: Any, rest: Any) -> Carry:
     return State(*pose, *rest[:4]), rest[4]
 
 
-def _settled(state: State) -> State:
-    """Before the first step of a frame: what earlier ones left unsolved was told with their own frame."""
-    if getattr(state.carried, "unsettled", None) is None:
-        return state
-    return eqx.tree_at(lambda s: s.carried.unsettled, state, jnp.zeros_like(state.carried.unsettled))
-
-
-def _unsettled_at_most(state: State, before: State) -> State:
-    """A frame tells of the worst of its steps, not of the last."""
-    worst = getattr(before.carried, "unsettled", None)
-    if worst is None:
-        return state
-    return eqx.tree_at(lambda s: s.carried.unsettled, state, jnp.maximum(state.carried.unsettled, worst))
-
-
 def trajectory(
     scene: Scene,
     *,
@@ -140,9 +126,9 @@ def trajectory(
                 return Guide.sample(piece, began + step * (jnp.asarray(k).astype(float) + part))
 
             after, books = chosen.advance(system, now[0], guide_at, step, now[1])
-            return _unsettled_at_most(after, now[0]), books
+            return chosen.at_worst(after, now[0]), books
 
-        return jax.lax.fori_loop(0, substeps, one_step, (_settled(now[0]), now[1]))
+        return jax.lax.fori_loop(0, substeps, one_step, (chosen.settled(now[0]), now[1]))
 
     def one_frame(now: Carry, index: Scalar) -> tuple[Carry, tuple[Array, Array]]:
         now = from_rows(*rows_of(now), index)
@@ -156,7 +142,7 @@ def trajectory(
     _, rows = jax.lax.scan(one_frame, carry, jnp.arange(motion.n_frames - 1))
     later = _whole(poses.unpacked(rows[0]), others.unpacked(rows[1]))
     states, books = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), carry, later)
-    return Trajectory(states, books, start, step)
+    return Trajectory(states, books, start, step, integrator)
 
 
 __all__ = [

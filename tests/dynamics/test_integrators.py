@@ -24,9 +24,9 @@ from scenes import (
 )
 
 from pftwin.dynamics import newmark
-from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.integrators import Told, integrator_named
 from pftwin.dynamics.observe import Status, observe
-from pftwin.dynamics.trajectory import trajectory
+from pftwin.dynamics.trajectory import first_guide, starting_state, trajectory
 from pftwin.effects.friction import Friction
 from pftwin.effects.rough_contact import with_friction
 from pftwin.errors import InputError
@@ -195,6 +195,30 @@ def test_a_step_whose_equations_are_not_solved_says_so(held, monkeypatch):
     monkeypatch.setattr(newmark, "MOST_ITERATIONS", 1)
     cut_off = eqx.filter_jit(lambda s: observe(s, trajectory(s, integrator="newmark", substeps=1, start=start)).status)
     assert (np.asarray(cut_off(scene)) & int(Status.STEP_TOO_LONG)).any()
+
+
+def test_what_an_integrator_carries_it_knows(held):
+    """Whoever shows a motion asks the integrator, not what its fields are called."""
+    scene, start = held
+    state, guide = starting_state(scene, start), first_guide(scene)
+    for name in (*NAMES, "quasi_static", "diffrax:Tsit5"):
+        chosen = integrator_named(name)
+        carried = chosen.begin(scene.system(), state, guide, J(1e-3)).carried
+        fields = set(getattr(carried, "_fields", ())) & set(Told._fields)
+        assert {n for n, field in chosen.told._asdict().items() if field is not None} == fields
+        assert chosen.inertia is (name != "quasi_static")
+
+
+def test_a_frame_tells_of_the_worst_of_its_steps(held):
+    scene, start = held
+    chosen, guide = integrator_named("newmark"), first_guide(scene)
+    state = chosen.begin(scene.system(), starting_state(scene, start), guide, J(1e-3))
+    bad = eqx.tree_at(lambda s: s.carried.unsettled, state, J(0.3))
+    assert float(chosen.unsettled(chosen.at_worst(state, bad))) == 0.3
+    assert float(chosen.unsettled(chosen.settled(bad))) == 0
+    alone = integrator_named("linear_implicit")
+    assert alone.settled(state) is state
+    assert alone.unsettled(state) is None
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from scenes import (
     tendon,
 )
 
-from pftwin.dynamics import quasi_static
+from pftwin.dynamics import quasi_static_newton
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.observe import Status, observe
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
@@ -275,7 +275,7 @@ def test_reverse_mode_agrees_with_forward_mode(derivatives):
 
 
 def test_what_is_not_balanced_says_so(held, monkeypatch):
-    monkeypatch.setattr(quasi_static, "MOST_ITERATIONS", 1)
+    monkeypatch.setattr(quasi_static_newton, "MOST_ITERATIONS", 1)
     scene, start = held
     seen = eqx.filter_jit(lambda s: observe(s, trajectory(s, integrator="quasi_static", substeps=1, start=start)))
     status = np.asarray(seen(scene).status)

@@ -1,0 +1,50 @@
+"""Derivatives of what six equations r(x, p) = 0 define: dx = -(dr/dx)^-1 (dr/dp) dp, by whatever x was found.
+
+What is stored is computed once. A program of single numbers whose results are stacked into one array is computed anew
+for every entry of it, so the columns of dr/dx go through a loop's carried numbers, and no right-hand side is stacked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.sweep import swept
+from pftwin.spatial import Scalar, Vec3
+
+Six = list[Scalar]
+
+
+def six(a: Vec3, b: Vec3) -> Six:
+    """Components of two vectors."""
+    return [a.x, a.y, a.z, b.x, b.y, b.z]
+
+
+def tangent_of(residual: Callable[[Six], Six], x: Six) -> Array:
+    """(6, 6), dr_i/dx_j in row i: one derivative after the other."""
+
+    def one(last: Six, direction: Array) -> tuple[Six, Array]:
+        change = jax.jvp(residual, (x,), ([direction[i] for i in range(6)],))[1]
+        return change, jnp.stack(last)
+
+    directions = jnp.eye(7, 6, dtype=x[0].dtype)  # a row more: each is stored while the next one is computed
+    return jax.lax.scan(one, [jnp.zeros_like(a) for a in x], directions)[1][1:].T
+
+
+def changed_by(function: Callable[[Any], Any], values: Any, changes: Any) -> Any:
+    """The change of a function of values, of which those whose change is None stay as they are."""
+    known = jax.tree.map(lambda c: c is not None, changes, is_leaf=lambda c: c is None)
+    moving, still = eqx.partition(values, known)
+    return jax.jvp(lambda m: function(eqx.combine(m, still)), (moving,), (changes,))[1]
+
+
+def solution_changes(tangent: Array, right: Six) -> Six:
+    """-(dr/dx)^-1 times a change of the residual at unchanged x."""
+    inverse, _ = swept(tangent)
+    rows = [[inverse[i, j] * r for j, r in enumerate(right)] for i in range(6)]
+    return [-sum(row[1:], start=row[0]) for row in rows]

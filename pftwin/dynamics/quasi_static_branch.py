@@ -1,0 +1,105 @@
+"""Where the next state of a motion without inertia is looked for: displacements of a pose, and the rates they mean."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from pftwin.dynamics.state import Guide, State, System, moved
+from pftwin.dynamics.static_load import LEVER, Surroundings, components, difference
+from pftwin.effects.base import Instant
+from pftwin.spatial import Scalar, Twist, Vec3, Wrench
+
+Six = list[Scalar]  # displacements in metres and angles * lever, or forces and moments / lever
+
+
+class Branch(NamedTuple):
+    """Where a solution is looked for, and how rates come in."""
+
+    system: System
+    origin: State  # d counts from here
+    guide: Guide  # at the step's end
+    step: Scalar
+    rates: Scalar  # 1 in motion, 0 where everything stands still
+
+    def span(self) -> Scalar:
+        """What a change of the displacement is divided by to be one of the velocity [s]."""
+        return (1 - self.origin.carried.share) * self.step
+
+    def after(self, d: Six, past: Scalar | float = 1.0) -> State:
+        """The state displaced by d, in metres and angles * lever, with the velocity that this means.
+
+        Where `past` is 0, the last step's displacement counts for nothing.
+        """
+        way, share = way_of(d), past * self.origin.carried.share
+        span = (1 - share) * self.step
+        return moved(self.origin, way, way.plus(-share, self.origin.carried.way).times(self.rates / span))
+
+    def instant(self, d: Six) -> Instant:
+        """What effects look at there."""
+        return self.guide.slowed(self.rates).instant(self.after(d).patella(), self.step)
+
+    def held_instant(self, d: Six, held: Scalar | float) -> Instant:
+        """The same as an implicit step sees it; where `held` is 1, contacts that open hold on as linear springs."""
+        patella = self.after(d, 1 - held).patella()
+        twist = Twist(patella.velocity, patella.spin)
+        guide = self.guide.slowed(self.rates)
+        return guide.instant(patella, 0.0, held * self.step, reach=self.step, twist=twist)
+
+    def recalling(self, looked: tuple[Any, ...]) -> Branch:
+        """The same with memories that a look has refined."""
+        memories = self.system.refined(self.origin.memories, looked)
+        return self._replace(origin=eqx.tree_at(lambda s: s.memories, self.origin, memories))
+
+    def residual(self, d: Six) -> Six:
+        """Force, and moment / lever, that nothing balances [N]."""
+        return _total(self, self.instant(d))[0]
+
+    def look_around(self, d: Six, held: Scalar, neighbours: bool = True) -> Surroundings:
+        """Loads at d and at its twelve neighbours, as `static_load.look_around`; or at d alone, which has no tangent.
+
+        In a loop that runs once: what it carries out is stored, and not computed again wherever it is used.
+        """
+        dtype = self.step.dtype
+        small = difference(dtype) * jnp.eye(6, dtype=dtype)
+        here = jnp.zeros((1, 6), dtype)
+        places = jnp.concatenate([here, small, -small]) if neighbours else here
+
+        def evaluate(*off: Scalar) -> tuple[Six, Any]:
+            r, loads, later = _total(self, self.held_instant([a + b for a, b in zip(d, off, strict=True)], held))
+            terms = [term for load in loads for term in load.stiff]
+            beds = [load.bed for load in loads if load.bed is not None]
+            return r, (later, terms, beds, [load.drag for load in loads if load.drag is not None])
+
+        def once(_: Any) -> tuple[Scalar, Any]:
+            r, rest = jax.vmap(evaluate)(*places.T)
+            return jnp.array(False), (r, jax.tree.map(lambda a: a[0], rest))
+
+        kinds = jax.eval_shape(lambda: once(None)[1])
+        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), kinds)
+        r, (later, terms, beds, drags) = jax.lax.while_loop(lambda now: now[0], once, (held > -1, nothing))[1]
+        return Surroundings(later, jnp.stack(r, axis=1), terms, beds, drags)
+
+
+def way_of(d: Six) -> Twist:
+    """Displacement [m] and turn [rad]."""
+    return Twist(Vec3(*d[:3]), (1 / LEVER) * Vec3(*d[3:]))
+
+
+def components_of(way: Twist) -> Six:
+    """The inverse of `way_of`."""
+    turn = LEVER * way.angular
+    return [way.linear.x, way.linear.y, way.linear.z, turn.x, turn.y, turn.z]
+
+
+def norm(a: Six) -> Scalar:
+    """Of six components."""
+    return jnp.sqrt(sum((x * x for x in a[1:]), start=a[0] * a[0]))
+
+
+def _total(branch: Branch, now: Instant) -> tuple[Six, list[Any], tuple[Any, ...]]:
+    loads, later = branch.system.loads(now, branch.origin.memories)
+    return components(sum((load.total() for load in loads), start=Wrench.zero())), loads, later

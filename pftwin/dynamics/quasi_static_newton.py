@@ -1,0 +1,141 @@
+"""The equilibrium near a guess: from one pose at a time while that leads there, then by exact looks.
+
+The tangent is that of the stiff terms, as each pose tells it, and a remainder that changes little from step to step:
+what the last exact look has found beside them. So an iteration evaluates one pose. Where that has all but met the
+balance, one look around says whether what has been found is stable, takes the rest of the residual away, and leaves its
+remainder to the next step. Where the residual is not halved every time, Newton's iteration starts from the guess again
+and looks around at every iterate.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.equilibrium import REACH, tolerance_of
+from pftwin.dynamics.quasi_static_branch import Branch, Six, norm
+from pftwin.dynamics.solve import eliminate
+from pftwin.dynamics.static_load import Surroundings
+from pftwin.spatial import Scalar
+
+MOST_ITERATIONS = 20  # that look around
+MOST_SINGLE = 8  # that look at one pose
+SLOW = 0.5  # where one of those leaves more than that of the residual, it is given up
+FARTHEST = 5e-3  # how far from where the motion would lead an equilibrium still counts as the same one [m]
+NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts as none, neutral and not unstable
+NEAR = 1e-5  # residual from which a step by the remainder leads close enough for the last look [N]
+CLOSE = {"float64": 1e-6, "float32": 2e-2}  # residual from which an exact step needs no look after it [N]
+POLISH = 1e-6  # and how long that step is at most [m]
+
+
+class Iterate(NamedTuple):
+    """A displacement and what was seen there."""
+
+    d: Six
+    size: Scalar  # of the residual before the last step [N]
+    settled: Scalar  # whether what is left after it is below the tolerance
+    stable: Scalar
+    remainder: Array  # (6, 6) of the tangent [N/m]
+    count: Scalar
+    done: Scalar
+    looked: tuple[Any, ...]  # memories of the last look
+
+
+def newton(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -> Iterate:
+    """The equilibrium near a guess, if there is one.
+
+    Args:
+        branch: where it is looked for.
+        guess: a displacement.
+        remainder: of a tangent nearby.
+        allowed: whether it is to be tried.
+    """
+    there, met = _one_by_one(branch, guess, remainder, allowed)
+    d = [jnp.where(met, a, b) for a, b in zip(there, guess, strict=True)]
+    infinite, no = jnp.full_like(branch.step, jnp.inf), jnp.array(False)
+    start = Iterate(d, infinite, no, no, remainder, jnp.where(met, 1, 0), no, branch.origin.memories)
+    return jax.lax.while_loop(
+        lambda at: ~at.done & (at.count < MOST_ITERATIONS), lambda at: _improved(branch, guess, at), start
+    )
+
+
+def _one_by_one(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -> tuple[Six, Scalar]:
+    """Where a known remainder leads, and whether that is near a balance."""
+
+    def improve(now: tuple[Six, Scalar, Scalar, Scalar]) -> tuple[Six, Scalar, Scalar, Scalar]:
+        d, last, count, _ = now
+        held = jnp.where(count == 0, branch.rates, 0.0)
+        there = branch.look_around(d, held, neighbours=False)
+        r = there.residual()
+        size = norm(r)
+        step, downhill = _step(_structured(branch, there) + remainder, r)
+        better = downhill & (size < SLOW * last)
+        size = jnp.where((count == 0) | ~better, jnp.inf, size)  # held on, it is another one's
+        d = [jnp.where(better, a + b, a) for a, b in zip(d, step, strict=True)]
+        return d, size, count + 1, better & (size > NEAR) & (count < MOST_SINGLE)
+
+    start = guess, jnp.full_like(branch.step, jnp.inf), jnp.zeros((), int), allowed
+    d, size, _, _ = jax.lax.while_loop(lambda now: now[3], improve, start)
+    return d, (size < NEAR) & (_apart(d, guess) < FARTHEST)
+
+
+def _improved(branch: Branch, guess: Six, at: Iterate) -> Iterate:
+    """One Newton iteration; done where its step is short and leaves less than the tolerance."""
+    dtype = branch.step.dtype
+    held = jnp.where(at.count == 0, branch.rates, 0.0)
+    there = branch.look_around(at.d, held)
+    r, tangent = there.residual(), there.tangent()
+    size = norm(r)
+    step, stable = _downhill(branch, there, tangent, size)
+    length = norm(step)
+    balanced = (size < tolerance_of(dtype)) & (held == 0)
+    close = (size < CLOSE[str(dtype)]) & (held == 0) & (length < POLISH)
+    lost = ~jnp.isfinite(length) | ~jnp.isfinite(size)
+    stays = lost | (balanced & ~close)
+    scale = jnp.where(stays, 0.0, jnp.minimum(1.0, REACH / jnp.maximum(length, 1e-12)))
+    d = [jnp.where(stays, a, a + scale * b) for a, b in zip(at.d, step, strict=True)]
+    strayed = _apart(d, guess) > FARTHEST
+    done = balanced | close | lost | (strayed & (branch.rates > 0))
+    remainder = tangent - _structured(branch, there)
+    return Iterate(d, size, balanced | close, stable, remainder, at.count + 1, done, there.memories)
+
+
+def _apart(a: Six, b: Six) -> Scalar:
+    return norm([x - y for x, y in zip(a, b, strict=True)])
+
+
+def _matrix(rows: list[list[Scalar]]) -> Array:
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def _structured(branch: Branch, there: Surroundings) -> Array:
+    """(6, 6): what stiff terms, beds and drags alone say of the tangent [N/m]."""
+    return _matrix(there.convex()) + (branch.rates / branch.span()) * _matrix(there.viscosity())
+
+
+def _step(matrix: Array, r: Six) -> tuple[Six, Scalar]:
+    """The step of matrix d = r, and whether its pivots are positive: then it goes downhill."""
+    d, inverse = eliminate([[matrix[i, j] for j in range(6)] for i in range(6)], r)
+    positive = jnp.array(True)
+    for p in inverse:
+        positive = positive & (p > 0) & jnp.isfinite(p)
+    return d, positive
+
+
+def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar) -> tuple[Six, Scalar]:
+    """Newton's step where that leads downhill, and whether the tangent at rest, dashpots left out, is definite.
+
+    Where the tangent is indefinite, the stiff terms' own positive semidefinite part takes its place. Both are shifted,
+    which bounds a step by `REACH` and vanishes with the residual.
+    """
+    one, r = jnp.eye(6, dtype=size.dtype), there.residual()
+    at_rest = tangent - (branch.rates / branch.span()) * _matrix(there.viscosity())
+    slack = jnp.trace(at_rest) * jnp.asarray(NEUTRAL, size.dtype)
+    at_rest = 0.5 * (at_rest + at_rest.T) + slack * one
+    shift = (size / REACH) * one
+    matrices = jnp.stack([tangent + shift, _matrix(there.convex()) + shift, at_rest])
+    steps, definite = jax.vmap(lambda matrix: _step(matrix, r))(matrices)
+    return [jnp.where(definite[0], a[0], a[1]) for a in steps], definite[2]

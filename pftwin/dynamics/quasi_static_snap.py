@@ -1,0 +1,32 @@
+"""What a snap leaves behind: a patella at rest on the femur, and heat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.quasi_static_branch import Branch
+from pftwin.dynamics.state import State
+from pftwin.spatial import Twist
+
+
+def carried_along(branch: Branch, state: State) -> Twist:
+    """The way of a patella that is at rest on the femur, in a step."""
+    femur = branch.guide.femur
+    if femur is None:
+        return Twist(state.velocity, state.spin).times(0.0)
+    turning = state.orientation.unrotate(femur.angular_velocity)
+    return Twist(femur.velocity_at(state.position), turning).times(branch.step)
+
+
+def over_a_snap(ledger: Ledger, branch: Branch, landed: list[Any]) -> Ledger:
+    """The guided bodies move first, the patella then: what it stores less at its end has become heat."""
+    held = branch._replace(rates=jnp.zeros_like(branch.rates))
+    standing = held.after([jnp.zeros_like(branch.step)] * 6)
+    loads, _ = branch.system.loads(branch.guide.instant(standing.patella(), 0.0), branch.origin.memories)
+    entered = ledger.entered(standing, standing, loads, None, 1.0, branch.step)
+    stored = [sum((x.energy for x in own if x.energy is not None), jnp.zeros(())) for own in (loads, landed)]
+    return eqx.tree_at(lambda a: a.heat, entered, entered.heat + stored[0] - stored[1])

@@ -1,0 +1,71 @@
+"""The next equilibrium of a motion without inertia: the same one further on, or another one after a snap."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.equilibrium import RIDGE
+from pftwin.dynamics.implicit_derivative import changed_by, solution_changes, tangent_of
+from pftwin.dynamics.quasi_static_branch import Branch, Six, components_of
+from pftwin.dynamics.quasi_static_newton import newton
+from pftwin.dynamics.relaxation import come_to_rest
+from pftwin.dynamics.state import State, moved
+from pftwin.spatial import Scalar
+
+
+class Found(NamedTuple):
+    """A solution."""
+
+    d: Six  # from the state's pose, or after a snap from the place where the burst ended
+    place: State  # where that was
+    snapped: Scalar  # 1 after a snap
+    unsettled: Scalar
+    remainder: Array  # (6, 6) of the tangent there [N/m]
+    looked: tuple[Any, ...]  # memories of the last look
+
+    def landed(self, branch: Branch) -> Branch:
+        """The branch that it lies on."""
+        origin = jax.tree.map(lambda a, b: jnp.where(self.snapped > 0, a, b), self.place, branch.origin)
+        return branch._replace(origin=origin, rates=branch.rates - self.snapped).recalling(self.looked)
+
+
+@eqx.filter_custom_jvp
+def solved(branch: Branch) -> Found:
+    """The next equilibrium: the same one further on, or where a snap from the present pose comes to rest."""
+    last = branch.origin.carried.way
+    ahead = components_of(last)
+    none = [jnp.zeros_like(a) for a in ahead]
+    led = moved(branch.origin, last, last)
+
+    def attempt(now: tuple[Found, Scalar, Scalar]) -> tuple[Found, Scalar, Scalar]:
+        _, tries, _ = now
+        snapped = jnp.where(tries > 0, 1.0, 0.0).astype(branch.step.dtype)
+        place = jax.tree.map(lambda a, b: jnp.where(tries > 0, a, b), led, branch.origin)
+        place = come_to_rest(branch.system, place, branch.guide.slowed(0.0), tries > 0)
+        there = branch._replace(origin=place, rates=branch.rates - snapped)
+        guess = [jnp.where(tries > 0, b, a) for a, b in zip(ahead, none, strict=True)]
+        at = newton(there, guess, branch.origin.carried.remainder, tries == 0)
+        unsettled = jnp.where(at.settled, 0.0, at.size)
+        again = ~(at.settled & at.stable) & (tries == 0)
+        return Found(at.d, place, snapped, unsettled, at.remainder, at.looked), tries + 1, again
+
+    zero = jnp.zeros_like(branch.step)
+    start = Found(ahead, branch.origin, zero, zero, branch.origin.carried.remainder, branch.origin.memories)
+    return jax.lax.while_loop(lambda now: now[2], attempt, (start, jnp.zeros((), int), jnp.array(True)))[0]
+
+
+@solved.def_jvp
+def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """With r(d, p) = 0: dd = -(dr/dd)^-1 (dr/dp) dp, on the branch where the solution lies."""
+    (branch,) = primals
+    found = solved(branch)
+    tangent = tangent_of(lambda d: found.landed(branch).residual(d), found.d)
+    ridge = RIDGE * jnp.trace(tangent) * jnp.eye(6, dtype=tangent.dtype)  # a neutral direction does not change
+    right = changed_by(lambda b: found.landed(b).residual(found.d), branch, tangents[0])
+    none = jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else None, found)
+    return found, none._replace(d=solution_changes(tangent + ridge, right))

@@ -194,6 +194,7 @@ def test_orientations_narrow_what_positions_leave_open(example, case, from_posit
     assert outcome.estimate.at_bounds == ()
 
 
+@pytest.mark.slow
 def test_release_and_graft_move_the_patella_medially(example, case):
     data = example.dm_treatments.predicted(case.knee.scene)
     assert not data["failed"].any()

@@ -74,7 +74,7 @@ def carried_knee() -> Scene:
 SCENES = {"fixed": lambda: knee(FRAMES), "moving": carried_knee}
 
 
-@pytest.fixture(scope="module", params=list(SCENES))
+@pytest.fixture(scope="module", params=[pytest.param("fixed", marks=pytest.mark.slow), "moving"])
 def held(request):
     """A scene whose femur is fixed, or moves, and its equilibrium."""
     scene = SCENES[request.param]()
@@ -200,6 +200,7 @@ def test_a_free_top_keeps_energy_and_angular_momentum():
     assert order_of(energy).min() > 2.5
 
 
+@pytest.mark.slow
 def test_memories_of_effects_come_along(fixed):
     """A viscoelastic tendon and contacts that remember how fast they began: as with `newmark`."""
     scene, _ = fixed
@@ -245,6 +246,7 @@ def thrown_heights(theta, integrator: str = "ali3p"):
     return 1e3 * record(falling, start, J(5e-4), 60, integrator)[0].position.z
 
 
+@pytest.mark.slow
 def test_derivatives_apart_touching_and_after_lift_off_and_a_batch():
     """Forward is reverse is central differences; a batch is its members one by one."""
     zero, h = jnp.zeros(3), 1e-6
@@ -318,6 +320,7 @@ def test_a_frame_whose_steps_are_not_solved_has_the_status(fixed, monkeypatch):
     assert np.isfinite(seen.center.array()).all()
 
 
+@pytest.mark.slow
 def test_single_precision_is_close(fixed):
     scene, start = fixed
     double = moved(scene, start, J(10))[0].position.array()

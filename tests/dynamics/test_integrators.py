@@ -102,6 +102,7 @@ def between_springs(stiffness: float = K):
     return system(tendon(*pull, (0, 0, 0.1), name="above"), tendon(*pull, (0, 0, -0.1), name="below"))
 
 
+@pytest.mark.slow
 def test_with_friction_too(held):
     """Friction goes by what normal forces really came to, whatever velocity a step looked ahead with."""
     scene = held[0]

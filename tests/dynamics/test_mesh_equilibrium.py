@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax import Array
 from scenes import OPTIMISED, vec
 from toy_mesh_scenes import BALL, CONTOURS, foundation
@@ -17,6 +18,7 @@ from pftwin.dynamics import equilibrium
 from pftwin.dynamics.trajectory import starting_equilibrium
 
 
+@pytest.mark.slow
 def test_a_button_of_large_triangles_finds_its_rest(toy: Path) -> None:
     """By Newton's iteration alone, from most starts; before, from none: its steps led from facet to facet for ever."""
     scene = load(toy, foundation(button=BALL.replace("deviation_mm = 0.1", "deviation_mm = 0.3")))

@@ -71,6 +71,7 @@ def held():
     return scene, settled(scene)
 
 
+@pytest.mark.slow
 def test_dynamics_come_to_it_with_the_mass(held):
     """What inertia changes goes with the mass that has it; weight is the effect of gravity's own."""
     scene, start = held

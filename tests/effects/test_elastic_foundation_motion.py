@@ -34,6 +34,7 @@ def alone(mesh: SurfaceMesh, **more) -> Scene:
     return pressed(mesh, n_frames=FALL, **more).without("across")
 
 
+@pytest.mark.slow
 def test_a_flat_button_is_as_deep_as_its_layers_ask_for():
     scene = alone(FLAT)
     report = equilibrium(scene)
@@ -49,6 +50,7 @@ def test_a_flat_button_is_as_deep_as_its_layers_ask_for():
     assert report.position[2] == pytest.approx(-depth, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_logarithmic_layer_is_as_deep_as_its_law_asks_for():
     scene = alone(FLAT, modulus=2e6)
     law = scene.effect("contact").law
@@ -127,6 +129,7 @@ STEP = 1e-3 * MODULUS
 MODULI = (MODULUS - STEP, MODULUS + STEP, 2 * MODULUS)
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_members():
     scene = pressed(DOMED)
     ends = np.stack([simulate(softened(scene, J(m))).position[-1] for m in MODULI])

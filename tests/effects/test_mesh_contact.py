@@ -100,6 +100,7 @@ def cut():
     return [eqx.tree_at(lambda s: s.motion, x, replace(x.motion, n_frames=60)) for x in scenes]
 
 
+@pytest.mark.slow
 def test_the_rig_on_fine_meshes_moves_as_on_the_spline(cut):
     @eqx.filter_jit
     def run(scene):

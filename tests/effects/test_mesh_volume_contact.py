@@ -59,6 +59,7 @@ def test_a_vee_is_touched_on_both_sides_and_told_apart():
     np.testing.assert_allclose(total.force.array(), [seen["force_x"], seen["force_y"], seen["force_z"]], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_contact_across_the_seam_of_a_plain_surface_is_one():
     """Wherever it lies: labels do not change the force."""
     for y in (-0.004, -2e-3, -1e-3, -1e-9, 0.0, 4e-4, 1.9e-3):

@@ -49,6 +49,7 @@ def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
     assert "95 % interval" in result.stderr
 
 
+@pytest.mark.slow
 def test_fit_with_a_posterior(toy, tmp_path):
     output = tmp_path / "fit.json"
     options = ["--free", "L1", "--starts", 2, "--posterior", 8, "--json", "-", "--noise", "position=1e-3"]

@@ -14,6 +14,7 @@ from fitting.uncertainty import serial_correlation
 from pftwin.errors import InputError
 
 
+@pytest.mark.slow
 def test_noise_leaves_an_error_of_the_size_that_is_reported():
     z = (estimate().values - TRUTH) / estimate().standard_deviations
     assert np.abs(z).max() < 4

@@ -30,7 +30,7 @@ def test_genetic_batches_have_one_size():
     assert problem.evaluator.chunk == 75  # one call a core
 
 
-@pytest.mark.parametrize("method", ["cma_es", "differential_evolution"])
+@pytest.mark.parametrize("method", [pytest.param("cma_es", marks=pytest.mark.slow), "differential_evolution"])
 def test_strategies_find_it_and_repeat_themselves(method):
     pytest.importorskip("evosax")
     one, other = (

@@ -76,6 +76,7 @@ def rows(comparison):
     return rows_of(comparison)
 
 
+@pytest.mark.slow
 def test_every_method_takes_part_from_every_seed_within_its_budget(comparison):
     assert set(comparison.courses) == {e.name for e in LIGHT}
     for name, courses in comparison.courses.items():

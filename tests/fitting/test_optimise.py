@@ -147,6 +147,7 @@ def test_limits_hold_for_the_share_of_draws_that_was_asked_for(knee, bound):
     assert half.share == pytest.approx(6 / 11)
 
 
+@pytest.mark.slow
 def test_no_treatment_is_sure_enough(knee, bound):
     """Two points of the grid are left to the draws: 34 members, which the grid's own program of 64 holds."""
     limit = Limit("largest_offset", at_most=bound)

@@ -33,6 +33,7 @@ def fit(toy: Path) -> Path:
     return made_estimate({"K1": (156.0, 2.0)}, source="a toy", **more).save(toy.parent / "fit.json")
 
 
+@pytest.mark.slow
 def test_a_plan_with_its_sureness(toy, fit, tmp_path):
     output = tmp_path / "plan.json"
     given = ["--limit", "peak_contact_force<=1e6 N", "--limit", "dislocation_margin >= -1 m", "--medialise", "-4:4"]

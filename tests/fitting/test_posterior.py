@@ -52,6 +52,7 @@ def posterior(estimate):
     return found
 
 
+@pytest.mark.slow
 def test_posterior_and_intervals_of_a_knee_agree(posterior, estimate):
     assert posterior.converged, posterior.summary()
     assert posterior.draws.shape == (4, 250, 4)

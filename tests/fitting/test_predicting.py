@@ -121,6 +121,7 @@ def test_samples_spread_around_the_estimate(sampled, knee):
     assert shift[8, 2] == pytest.approx(outcomes(simulate(treated, dt=DT))["mean_shift"], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_chunks_do_not_change_the_answer(sampled, knee):
     calls = []
     small = predict(
@@ -142,6 +143,7 @@ def test_members_that_cannot_be_simulated_are_marked(knee):
     assert found["status_frames"].sizes == {"variant": 4, "flag": len(Status)}
 
 
+@pytest.mark.slow
 def test_trajectories_come_along_where_wanted(knee, tmp_path):
     found = predict(knee, grid(TRANSFER, medialisation=[0.0, 0.01]), dt=DT, trajectories=True)
     assert found["sphere_center"].dims == ("variant", "time", "axis")

@@ -24,6 +24,7 @@ def flags_of(names: list[str], integrator: str, substeps: int) -> list[Status]:
     return [Status(int(np.bitwise_or.reduce(row))) for row in np.asarray(jax.device_get(seen.status))]
 
 
+@pytest.mark.slow
 def test_a_bounce_shorter_than_an_undamped_step_is_said_to_create_energy():
     bouncing, plain = flags_of(["bounce_to_rest", "plain_knee"], "newmark", 10)
     assert Status.ENERGY_FROM_NOWHERE in bouncing

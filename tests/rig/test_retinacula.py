@@ -67,6 +67,7 @@ def test_the_mpfl_is_tightest_in_extension_and_slackens_as_the_knee_bends(tracki
     assert strain[flexion > 30].max() < -0.08
 
 
+@pytest.mark.slow
 def test_a_patella_that_tracks_hardly_feels_them(tracking):
     both = simulate(with_retinacula(rig.case(1)))
     assert np.abs(both.center - tracking.center).max() < 0.4e-3

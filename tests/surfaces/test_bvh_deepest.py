@@ -54,6 +54,7 @@ def expected(
     return [float(brute_force.ray_depths(p, n, corners[which], LIMIT).max()) for which in own]
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_random_rays_through_random_triangles(seed):

@@ -48,6 +48,7 @@ def test_the_deviation_governs_where_no_angle_is_asked_for():
     assert R * icosphere_deviation(frequency).deviation <= 0.006e-3 < R * icosphere_deviation(frequency - 1).deviation
 
 
+@pytest.mark.slow
 def test_the_coarse_mesh_keeps_to_its_angle_along_the_grid():
     mesh = implant_mesh(resolution("cm-angle"))
     normals = mesh.area_vectors / mesh.face_areas[:, None]

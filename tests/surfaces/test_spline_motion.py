@@ -49,6 +49,7 @@ def distance(one, other) -> float:
     return float(np.linalg.norm(one - other, axis=1).mean())
 
 
+@pytest.mark.slow
 def test_it_moves_as_on_the_exact_implant_and_nearer_to_that_than_p5(scene, path):
     surface = jax.tree.map(lambda a: number(a) if isinstance(a, float) else a, rig_implant())
     exact = np.asarray(path_of(scene.with_effect(eqx.tree_at(lambda e: e.surface, scene.contact, surface))))

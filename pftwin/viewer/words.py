@@ -1,0 +1,76 @@
+"""What is written beside the drawing: legend, and numbers at every frame. HTML, every name escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from pftwin.viewer.pushes import pushes
+from pftwin.viewer.recorded import Recorded
+
+_BOX = "font:13px/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;color:#222"
+SCHEMATIC = "Bones are schematic: the scene holds no mesh of femur, tibia and patella."
+CONTINUED = "Pale: the fitted surface continued beyond its edge."
+
+
+def title(results: Sequence[Recorded]) -> str:
+    """Of the page."""
+    return " and ".join(r.name for r in results)
+
+
+def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
+    """What has to be said of the data and of the drawing; the data's come first."""
+    said = list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
+    said.append(SCHEMATIC)
+    if any(r.mesh("continuation") is not None for r in results):
+        said.append(CONTINUED)
+    if any(push.present.any() for r in results for push in pushes(r)):
+        said.append(f"Arrows: contact force on the patella, 10 mm for {newtons:g} N.")
+    return said
+
+
+def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str]) -> str:
+    """Names in their colours, and the notes."""
+    rows = [
+        f"<div><span style='display:inline-block;width:11px;height:11px;margin-right:6px;background:{code}'></span>"
+        f"<b>{escape(r.name)}</b></div>"
+        for r, code in zip(results, codes, strict=True)
+    ]
+    small = "".join(f"<div style='font-size:11px;color:#555'>{escape(line)}</div>" for line in said)
+    return f'<div style="{_BOX};max-width:290px">{"".join(rows)}{small}</div>'
+
+
+def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> str:
+    """Numbers of every result at its shown frame nearest to a time."""
+    rows = []
+    for result, code in zip(results, codes, strict=True):
+        k = int(np.argmin(np.abs(result.times - time)))
+        out = result.series("dislocated")
+        cells = [
+            f"<td style='color:{code};font-weight:600;padding-right:8px'>{escape(result.name)}</td>",
+            _cell(_at(result, "knee_flexion", k), "°", 0),
+            _cell(_at(result, "patella_tilt", k), "°", 1),
+            _cell(1e3 * _at(result, "patella_shift", k), " mm", 1),
+            _cell(sum(float(np.linalg.norm(p.forces[k])) for p in pushes(result) if p.present[k]), " N", 1),
+            f"<td style='min-width:62px'>{'dislocated' if out is not None and out[k] > 0 else ''}</td>",
+        ]
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    head = "".join(f"<td style='{_RIGHT};color:#555'>{h}</td>" for h in ("flexion", "tilt", "shift", "contact"))
+    table = f"<table style='border-spacing:0;font:inherit'><tr><td></td>{head}<td></td></tr>{''.join(rows)}</table>"
+    return f'<div style="{_BOX};font-variant-numeric:tabular-nums"><b>{time:.2f} s</b>{table}</div>'
+
+
+_RIGHT = "text-align:right;padding-right:10px;white-space:nowrap"
+
+
+def _cell(value: float, unit: str, digits: int) -> str:
+    text = f"{value:.{digits}f}{unit}".replace("-", "−") if np.isfinite(value) else ""
+    return f"<td style='{_RIGHT}'>{text}</td>"
+
+
+def _at(result: Recorded, name: str, k: int) -> float:
+    """A variable at a frame; NaN where the result has none of that name."""
+    values = result.series(name)
+    return float("nan") if values is None else float(values[k])

@@ -10,7 +10,6 @@ import numpy as np
 from pftwin.plots import COLOURS
 from pftwin.viewer import knee, words
 from pftwin.viewer.drawing import k3d, keyed, paler
-from pftwin.viewer.pushes import pushes
 from pftwin.viewer.recorded import Recorded
 from pftwin.viewer.views import views
 
@@ -82,7 +81,7 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
 
 def per_centimetre(results: Sequence[Recorded]) -> float:
     """Newtons to 10 mm of arrow: 1, 2 or 5 times a power of ten, a large force about `LONGEST` long."""
-    sizes = [np.linalg.norm(push.forces[push.present], axis=1) for r in results for push in pushes(r)]
+    sizes = [np.linalg.norm(push.forces[push.present], axis=1) for r in results for push in r.pushes]
     most = max((float(np.quantile(s, MOST)) for s in sizes if s.size), default=1.0)
     exact = 10 * most / LONGEST
     power = 10.0 ** np.floor(np.log10(exact))

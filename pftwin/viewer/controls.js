@@ -74,14 +74,19 @@
         lower.append(button);
     });
     if (control.results.length > 1) {
-        const hidden = new Set();
+        const objects = k3d.getWorld().ObjectsListJson;
+        const before = {};
         control.results.forEach((result) => {
             const box = make('input', { type: 'checkbox', checked: '' });
             const label = make('label', {}, '');
             label.append(box, make('span', { style: `color:${result.colour};font-weight:600` }, result.name));
             box.addEventListener('change', () => {
-                result.ids.forEach((id) => (box.checked ? hidden.delete(id) : hidden.add(id)));
-                k3d.setHiddenObjectIds([...hidden]);
+                result.ids.forEach((id) => { // an object that is not visible is taken out of the scene
+                    if (!box.checked) { before[id] = objects[id].visible; }
+                    objects[id].visible = box.checked ? before[id] : false;
+                    k3d.reload(objects[id], { visible: objects[id].visible });
+                });
+                show(parseFloat(slider.value));
             });
             lower.append(label);
         });
@@ -95,5 +100,5 @@
     k3d.resizeHelper();
     k3d.setCamera(control.views.anterior);
     show(control.begin);
-    window.pftwin = { k3d, control, show };
+    window.pftwin = { k3d, control, show, drawn: () => !busy };
 }(K3DInstance, /*CONTROL*/null));

@@ -9,7 +9,7 @@ import numpy as np
 from pftwin.viewer import bones
 from pftwin.viewer.drawing import body, carried, darker, held, keyed, paler, where_present
 from pftwin.viewer.matrices import MM, applied, at_points, of_arrows
-from pftwin.viewer.pushes import Push, pushes
+from pftwin.viewer.pushes import Push
 from pftwin.viewer.recorded import Lines, Recorded
 from pftwin.viewer.shapes import Shape, apart, arrow, button_cap, ellipsoid, path, shell, surface, tubes
 
@@ -80,7 +80,7 @@ def contacts(result: Recorded, code: str, newtons: float) -> list[Drawable]:
         code: colour.
         newtons: drawn as 10 mm of an arrow.
     """
-    return [part for push in pushes(result) if push.present.any() for part in _contact(result, push, code, newtons)]
+    return [part for push in result.pushes if push.present.any() for part in _contact(result, push, code, newtons)]
 
 
 def _contact(result: Recorded, push: Push, code: str, newtons: float) -> list[Drawable]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.viewer.recorded import Recorded
+if TYPE_CHECKING:
+    from pftwin.viewer.recorded import Recorded
 
 FACETS = ("medial", "lateral")
 Floats = NDArray[np.float64]
@@ -17,6 +19,7 @@ Floats = NDArray[np.float64]
 class Push:
     """One contact at the frames shown (n); NaN where it bears nothing."""
 
+    contact: str  # the effect
     name: str  # "contact, medial"
     points: Floats  # (n, 3) where it acts [m]
     forces: Floats  # (n, 3) on the patella [N]
@@ -49,7 +52,7 @@ def _of(result: Recorded, contact: str) -> list[Push]:
             assert size is not None
             away = center - point
             direction = away / np.linalg.norm(away, axis=1, keepdims=True)
-            found.append(Push(f"{words}, {facet}", point, size[:, None] * direction))
+            found.append(Push(contact, f"{words}, {facet}", point, size[:, None] * direction))
         return found
     total = [result.series(f"{contact}_force_{axis}") for axis in "xyz"]
     if any(t is None for t in total):
@@ -65,4 +68,4 @@ def _of(result: Recorded, contact: str) -> list[Push]:
         weights = np.divide(shares, shares.sum(axis=1, keepdims=True), out=np.full_like(shares, np.nan), where=some)
         pressed = np.where(weights[..., None] > 0, weights[..., None] * places, 0.0).sum(axis=1)
         pressed[~some[:, 0]] = np.nan
-    return [Push(words, pressed, force)]
+    return [Push(contact, words, pressed, force)]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pftwin.errors import InputError
 from pftwin.viewer.matrices import Matrices, of_poses
+from pftwin.viewer.pushes import Push, pushes
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -92,6 +93,11 @@ class Recorded:
         """Lines of force, by effect."""
         names = [str(n).removesuffix("_origin") for n in self.geometry.data_vars if str(n).endswith("_origin")]
         return {n: Lines(self, n) for n in names}
+
+    @cached_property
+    def pushes(self) -> list[Push]:
+        """Contact points and forces."""
+        return pushes(self)
 
     def series(self, name: str) -> Floats | None:
         """A variable at the frames shown; None where the result has none of that name."""

@@ -7,7 +7,6 @@ from html import escape
 
 import numpy as np
 
-from pftwin.viewer.pushes import pushes
 from pftwin.viewer.recorded import Recorded
 
 _BOX = "font:13px/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;color:#222"
@@ -26,8 +25,8 @@ def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
     said.append(SCHEMATIC)
     if any(r.mesh("continuation") is not None for r in results):
         said.append(CONTINUED)
-    if any(push.present.any() for r in results for push in pushes(r)):
-        said.append(f"Arrows: contact force on the patella, 10 mm for {newtons:g} N.")
+    if any(push.present.any() for r in results for push in r.pushes):
+        said.append(f"Arrows: contact force on the patella, 10 mm for {newtons:g}\u00a0N.")
     return said
 
 
@@ -44,17 +43,18 @@ def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str
 
 def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> str:
     """Numbers of every result at its shown frame nearest to a time."""
+    out = [r.series("dislocated") for r in results]
+    wide = "min-width:66px" if any(o is not None and (o > 0).any() for o in out) else ""
     rows = []
-    for result, code in zip(results, codes, strict=True):
+    for result, code, dislocated in zip(results, codes, out, strict=True):
         k = int(np.argmin(np.abs(result.times - time)))
-        out = result.series("dislocated")
         cells = [
             f"<td style='color:{code};font-weight:600;padding-right:8px'>{escape(result.name)}</td>",
             _cell(_at(result, "knee_flexion", k), "°", 0),
             _cell(_at(result, "patella_tilt", k), "°", 1),
             _cell(1e3 * _at(result, "patella_shift", k), " mm", 1),
-            _cell(sum(float(np.linalg.norm(p.forces[k])) for p in pushes(result) if p.present[k]), " N", 1),
-            f"<td style='min-width:62px'>{'dislocated' if out is not None and out[k] > 0 else ''}</td>",
+            _cell(_contact_force(result, k), " N", 1),
+            f"<td style='{wide}'>{'dislocated' if dislocated is not None and dislocated[k] > 0 else ''}</td>",
         ]
         rows.append(f"<tr>{''.join(cells)}</tr>")
     head = "".join(f"<td style='{_RIGHT};color:#555'>{h}</td>" for h in ("flexion", "tilt", "shift", "contact"))
@@ -74,3 +74,9 @@ def _at(result: Recorded, name: str, k: int) -> float:
     """A variable at a frame; NaN where the result has none of that name."""
     values = result.series(name)
     return float("nan") if values is None else float(values[k])
+
+
+def _contact_force(result: Recorded, k: int) -> float:
+    """What the result's contacts report as their force, summed [N]; NaN where there is none."""
+    names = {push.contact for push in result.pushes}
+    return sum(_at(result, f"{name}_force", k) for name in names) if names else float("nan")

@@ -22,6 +22,11 @@ def triangles_of(contact: Any) -> tuple[Mesh | None, Mesh | None]:
     return _first_of(contact, ("femur", "mesh", "facets")), _first_of(contact, ("patella", "button"))
 
 
+def has_rectangle(surface: Any) -> bool:
+    """Whether a smooth surface says where it ends: a surface of one's own need not."""
+    return hasattr(surface, "center") and hasattr(surface, "half_size")
+
+
 def fitted_surface(surface: Surface) -> Mesh:
     """A smooth surface over the rectangle to which it was fitted."""
     lines = [np.linspace(low, high, ALONG) for low, high in _rectangle(surface)]

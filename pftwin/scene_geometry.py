@@ -2,8 +2,9 @@
 
 | variable | frame | what it is |
 |---|---|---|
-| femur_vertices, femur_triangles | femur | the mesh of the contact, or its smooth surface over the fitted rectangle |
-| continuation_vertices, ..._triangles | femur | the smooth surface beyond its rectangle, where it was touched |
+| femur_vertices, femur_triangles | femur | the contact's mesh, where it has one |
+| surface_vertices, surface_triangles | femur | else its smooth surface, over the rectangle to which it was fitted |
+| continuation_vertices, ..._triangles | femur | that surface beyond its rectangle, where it was touched |
 | button_vertices, button_triangles | patella | the button's mesh, where it has one |
 | button_center, button_radius | patella | the button's sphere, where it is one |
 | NAME_insertion | patella | where a tendon's, ligament's or muscle's lines end on the patella |
@@ -40,19 +41,19 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
     """
     from xarray import Dataset
 
-    from pftwin.drawn_surface import continuation, fitted_surface, triangles_of
+    from pftwin.drawn_surface import continuation, fitted_surface, has_rectangle, triangles_of
 
     variables: Variables = {}
     contact = scene.button
     if contact is not None:
         femur, button = triangles_of(contact)
         if femur is not None:
-            variables |= _mesh("femur", femur, "femur", "the mesh of the contact")
-        elif scene.surface is not None:
-            variables |= _mesh("femur", fitted_surface(scene.surface), "femur", "the fitted surface")
+            variables |= _mesh("femur", femur, "femur", "the contact's mesh")
+        elif scene.surface is not None and has_rectangle(scene.surface):
+            variables |= _mesh("surface", fitted_surface(scene.surface), "femur", "the contact's smooth surface")
             beyond = continuation(scene.surface, _points((effects or {}).get(contact.name, {})))
             if beyond is not None:
-                variables |= _mesh("continuation", beyond, "femur", "the fitted surface's continuation")
+                variables |= _mesh("continuation", beyond, "femur", "the smooth surface beyond its rectangle")
         followed = contact.followed()
         center = np.zeros(3) if followed is None else _rows(followed)
         if button is not None:

@@ -79,12 +79,12 @@ def test_a_fitted_surface_is_drawn_where_it_is():
     scene, made = small_scene(), geometry(small_scene())
     surface = scene.surface
     assert surface is not None
-    at = surface.chart.coordinates(Vec3(*jnp.asarray(made["femur_vertices"].values.T, dtype=float)))
+    at = surface.chart.coordinates(Vec3(*jnp.asarray(made["surface_vertices"].values.T, dtype=float)))
     np.testing.assert_allclose(at.z, surface.height(at.x, at.y), atol=1e-8)
     assert np.abs(at.x).max() == pytest.approx(HALF_U)
     assert np.abs(at.y).max() == pytest.approx(HALF_V)
     assert "continuation_vertices" not in made
-    corners = made["femur_vertices"].values[made["femur_triangles"].values]
+    corners = made["surface_vertices"].values[made["surface_triangles"].values]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (normal @ rows(surface.chart.axes.ez) > 0).all()  # counter-clockwise from outside
 
@@ -105,6 +105,25 @@ def test_a_surface_goes_on_to_where_it_was_touched():
     corners = made["continuation_vertices"].values[made["continuation_triangles"].values]
     middle = surface.chart.coordinates(Vec3(*jnp.asarray(corners.mean(axis=1).T, dtype=float)))
     assert bool(jnp.all((jnp.abs(middle.x) > HALF_U) | (jnp.abs(middle.y) > HALF_V)))
+
+
+def test_a_surface_that_does_not_say_where_it_ends_is_not_drawn():
+    scene = small_scene()
+    k = scene.index("contact")
+    endless = eqx.tree_at(lambda s: s.effects[k].surface, scene, Endless(scene.surface))
+    made = geometry(endless)
+    assert "surface_vertices" not in made
+    assert "button_radius" in made
+
+
+class Endless(eqx.Module):
+    """A surface of one's own."""
+
+    inner: eqx.Module
+
+    @property
+    def chart(self):
+        return self.inner.chart  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_groups_and_pulls_from_moving_origins():

@@ -24,12 +24,13 @@ AHEAD = 0.6  # how much paler the part of a contact's path is that is still to c
 
 def femur(result: Recorded) -> list[Drawable]:
     """The femoral component, its continuation where it has one, and a schematic shaft."""
-    component, beyond = result.mesh("femur"), result.mesh("continuation")
-    drawn = [body(bones.femur_shaft(component), BONE, name="femur (schematic)", group="bones", opacity=0.35)]
+    component, fitted, beyond = (result.mesh(name) for name in ("femur", "surface", "continuation"))
+    shaft = bones.femur_shaft(component or fitted)
+    drawn = [body(shaft, BONE, name="femur (schematic)", group="bones", opacity=0.35)]
     if component is not None:
-        fitted = "fitted" in str(result.geometry["femur_vertices"].attrs["long_name"])
-        shape = shell(component) if fitted else surface(component)
-        drawn.append(body(shape, METAL, name="femoral surface" if fitted else "femoral mesh", group="bones"))
+        drawn.append(body(surface(component), METAL, name="femoral mesh", group="bones"))
+    if fitted is not None:
+        drawn.append(body(shell(fitted), METAL, name="femoral surface", group="bones"))
     if beyond is not None:
         drawn.append(body(surface(beyond), BEYOND, name="surface continued", group="bones", opacity=0.6))
     return drawn

@@ -33,8 +33,8 @@ class Push:
 def pushes(result: Recorded) -> list[Push]:
     """The contacts of a result.
 
-    A sphere is pushed towards its centre, so the force on each facet has a direction. Of other contacts the file holds
-    the facets' sizes alone: they are drawn as one force, where facets share in it by their size.
+    A sphere is pushed towards its centre, so the (normal) force on each facet has a direction. Of other contacts the
+    file holds the facets' sizes alone: they are drawn as one force, where facets share in it by their size.
     """
     contacts = [str(n).removesuffix("_force_medial") for n in result.data.data_vars if str(n).endswith("_force_medial")]
     return [push for name in contacts for push in _of(result, name)]

@@ -158,6 +158,11 @@ def test_like_names_are_told_apart(file):
     assert [r.name for r in recorded([file, file])] == ["knee (1)", "knee (2)"]
 
 
+def test_is_a_notebook_s_widget(drawn):
+    assert "application/vnd.jupyter.widget-view+json" in drawn._repr_mimebundle_()[0]
+    assert drawn.get_time_series_range() == [0.0, pytest.approx(0.4)]
+
+
 def test_synthetic_data_are_called_so(result):
     quiet = named(view(result), "legend").text
     assert "synthetic" not in quiet
@@ -243,7 +248,7 @@ def test_tubes_and_paths_keep_their_radius():
 def test_a_shell_is_closed_and_its_top_is_the_surface(result):
     from trimesh import Trimesh
 
-    component = Recorded.of(result).mesh("femur")
+    component = Recorded.of(result).mesh("surface")
     made = shell(component, 5.0)
     solid = Trimesh(made.vertices, made.triangles)
     assert solid.is_watertight

@@ -81,7 +81,8 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
 
 def per_centimetre(results: Sequence[Recorded]) -> float:
     """Newtons to 10 mm of arrow: 1, 2 or 5 times a power of ten, a large force about `LONGEST` long."""
-    sizes = [np.linalg.norm(push.forces[push.present], axis=1) for r in results for push in r.pushes]
+    found = [(push.forces, push.present) for r in results for push in r.pushes]
+    sizes = [np.linalg.norm(f[here], axis=1) for f, here in found if f is not None]
     most = max((float(np.quantile(s, MOST)) for s in sizes if s.size), default=1.0)
     exact = 10 * most / LONGEST
     power = 10.0 ** np.floor(np.log10(exact))

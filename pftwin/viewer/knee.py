@@ -11,7 +11,7 @@ from pftwin.viewer.drawing import body, carried, darker, held, keyed, paler, whe
 from pftwin.viewer.matrices import MM, applied, at_points, of_arrows
 from pftwin.viewer.pushes import Push
 from pftwin.viewer.recorded import Lines, Recorded
-from pftwin.viewer.shapes import Shape, apart, arrow, button_cap, ellipsoid, path, shell, surface, tubes
+from pftwin.viewer.shapes import Shape, apart, arrow, behind_plane, button_cap, ellipsoid, path, shell, surface, tubes
 
 if TYPE_CHECKING:
     from k3d.objects import Drawable
@@ -49,7 +49,8 @@ def patella(result: Recorded, code: str) -> list[Drawable]:
     drawn = [carried(schematic, code, times, matrices, name="patella (schematic)", group=group, opacity=0.4)]
     mesh = result.mesh("button")
     if mesh is not None:
-        drawn.append(carried(surface(mesh), PLASTIC, times, matrices, name="button", group=group))
+        behind = behind_plane(surface(mesh), float(schematic.vertices[:, 2].mean()))
+        drawn.append(carried(behind, PLASTIC, times, matrices, name="button", group=group, opacity=0.75))
     elif "button_radius" in result.geometry:
         cap = button_cap(result.geometry["button_center"].values, float(result.geometry["button_radius"]))
         drawn.append(carried(cap, PLASTIC, times, matrices, name="button", group=group, opacity=0.75))
@@ -86,14 +87,17 @@ def contacts(result: Recorded, code: str, newtons: float) -> list[Drawable]:
 
 def _contact(result: Recorded, push: Push, code: str, newtons: float) -> list[Drawable]:
     times, here, group = result.times, push.present, result.name
-    points, forces = held(push.points, here), held(push.forces, here)
-    ball, places = ellipsoid([0, 0, 0], [1.8] * 3), at_points(points)
-    arrows = of_arrows(points, forces * (10 / newtons))
-    what = f"{push.name}: force on the patella"
-    point = carried(ball, code, times, places, name=f"{push.name}: point", group=group)
-    force = carried(arrow(), darker(code, 0.35), times, arrows, name=what, group=group)
-    drawn = [where_present(point, times, here), where_present(force, times, here)]
-    return [*drawn, *_path(result, push, code)]
+    points, drawn = held(push.points, here), []
+    if push.touches:
+        ball, places = ellipsoid([0, 0, 0], [1.8] * 3), at_points(points)
+        point = carried(ball, code, times, places, name=f"{push.name}: point", group=group)
+        drawn = [where_present(point, times, here), *_path(result, push, code)]
+    if push.forces is not None:
+        arrows = of_arrows(points, held(push.forces, here) * (10 / newtons))
+        what = f"{push.name}: force on the patella"
+        force = carried(arrow(), darker(code, 0.35), times, arrows, name=what, group=group)
+        drawn.append(where_present(force, times, here))
+    return drawn
 
 
 def _path(result: Recorded, push: Push, code: str) -> list[Drawable]:

@@ -17,24 +17,26 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """One contact at the frames shown (n); NaN where it bears nothing."""
+    """A contact, or the sum of several, at the frames shown (n)."""
 
     contact: str  # the effect
     name: str  # "contact, medial"
-    points: Floats  # (n, 3) where it acts [m]
-    forces: Floats  # (n, 3) on the patella [N]
+    points: Floats  # (n, 3) where it acts [m]; NaN where it bears nothing
+    forces: Floats | None  # (n, 3) on the patella [N]; None where only the point is known
+    touches: bool = True  # whether the points are such where surfaces touch, and not a middle of several
 
     @property
     def present(self) -> NDArray[np.bool_]:
         """Frames in which it bears a load (n,)."""
-        return np.isfinite(self.points).all(axis=1) & (np.linalg.norm(self.forces, axis=1) > 0)
+        there = np.isfinite(self.points).all(axis=1)
+        return there if self.forces is None else there & np.any(self.forces != 0, axis=1)
 
 
 def pushes(result: Recorded) -> list[Push]:
     """The contacts of a result.
 
     A sphere is pushed towards its centre, so the (normal) force on each facet has a direction. Of other contacts the
-    file holds the facets' sizes alone: they are drawn as one force, where facets share in it by their size.
+    file holds the facets' sizes alone: their force is the sum, at the points' middle weighted by the sizes.
     """
     contacts = [str(n).removesuffix("_force_medial") for n in result.data.data_vars if str(n).endswith("_force_medial")]
     return [push for name in contacts for push in _of(result, name)]
@@ -42,30 +44,37 @@ def pushes(result: Recorded) -> list[Push]:
 
 def _of(result: Recorded, contact: str) -> list[Push]:
     words = contact.replace("_", " ")
-    points = [result.series(f"{contact}_point_{facet}") for facet in FACETS]
-    sizes = [result.series(f"{contact}_force_{facet}") for facet in FACETS]
+    names = [f"{words}, {facet}" for facet in FACETS]
+    points, sizes = ([result.series(f"{contact}_{kind}_{facet}") for facet in FACETS] for kind in ("point", "force"))
+    facets = [(p, s) for p, s in zip(points, sizes, strict=True) if p is not None and s is not None]
     center = result.series("sphere_center")
-    if "button_radius" in result.geometry and center is not None and all(p is not None for p in points):
-        found = []
-        for facet, point, size in zip(FACETS, points, sizes, strict=True):
-            assert point is not None
-            assert size is not None
-            away = center - point
-            direction = away / np.linalg.norm(away, axis=1, keepdims=True)
-            found.append(Push(contact, f"{words}, {facet}", point, size[:, None] * direction))
-        return found
-    total = [result.series(f"{contact}_force_{axis}") for axis in "xyz"]
-    if any(t is None for t in total):
+    if len(facets) == len(FACETS) and center is not None and "button_radius" in result.geometry:
+        directed = [_towards(center, p, s) for p, s in facets]
+        return [Push(contact, n, p, f) for n, (p, _), f in zip(names, facets, directed, strict=True)]
+    components = [result.series(f"{contact}_force_{axis}") for axis in "xyz"]
+    total = np.stack([c for c in components if c is not None], axis=-1)
+    if total.shape[-1] != 3:
         return []
-    force = np.stack([t for t in total if t is not None], axis=1)
     pressed = result.series(f"{contact}_center_of_pressure")
-    if pressed is None:
-        if any(p is None for p in points):
-            return []
-        shares = np.stack([s for s in sizes if s is not None], axis=1)
-        places = np.stack([p for p in points if p is not None], axis=1)
-        some = shares.sum(axis=1, keepdims=True) > 0
-        weights = np.divide(shares, shares.sum(axis=1, keepdims=True), out=np.full_like(shares, np.nan), where=some)
-        pressed = np.where(weights[..., None] > 0, weights[..., None] * places, 0.0).sum(axis=1)
-        pressed[~some[:, 0]] = np.nan
-    return [Push(contact, words, pressed, force)]
+    if pressed is not None:
+        return [Push(contact, words, pressed, total)]
+    if len(facets) < len(FACETS):
+        return []
+    borne = [np.where((s > 0)[:, None], p, np.nan) for p, s in facets]
+    touching = [Push(contact, n, p, None) for n, p in zip(names, borne, strict=True)]
+    return [*touching, Push(contact, words, _middle(facets), total, touches=False)]
+
+
+def _towards(center: Floats, points: Floats, sizes: Floats) -> Floats:
+    """Forces (n, 3) of sizes (n,) from points towards the centre (n, 3)."""
+    away = center - points
+    return (sizes / np.linalg.norm(away, axis=1))[:, None] * away
+
+
+def _middle(facets: list[tuple[Floats, Floats]]) -> Floats:
+    """Of points weighted by sizes (n, 3); NaN where all sizes are zero."""
+    weights = np.stack([s for _, s in facets], axis=1)
+    whole = weights.sum(axis=1, keepdims=True)
+    shares = np.divide(weights, whole, out=np.full_like(weights, np.nan), where=whole > 0)
+    places = np.stack([p for p, _ in facets], axis=1)
+    return np.where(shares[..., None] == 0, 0.0, shares[..., None] * places).sum(axis=1)

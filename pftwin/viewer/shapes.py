@@ -88,6 +88,15 @@ def button_cap(center: ArrayLike, radius: float) -> Shape:
     return turned(np.concatenate([arc, [[0.0, arc[-1, 1]]]]), MM * np.asarray(center, dtype=np.float64))
 
 
+def behind_plane(shape: Shape, z: float) -> Shape:
+    """What of a button's mesh lies behind the patella's middle [mm], all where nothing does: a ball would hide it."""
+    behind = shape.vertices[shape.triangles].mean(axis=1)[:, 2] <= z
+    if not behind.any():
+        return shape
+    used, which = np.unique(shape.triangles[behind], return_inverse=True)
+    return Shape(shape.vertices[used], which.reshape(-1, 3).astype(np.uint32))
+
+
 def arrow() -> Shape:
     """An arrow of length 1 along z."""
     head, shaft, width = 0.24, 0.025, 0.075

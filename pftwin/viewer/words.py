@@ -10,7 +10,7 @@ import numpy as np
 from pftwin.viewer.recorded import Recorded
 
 _BOX = "font:13px/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;color:#222"
-SCHEMATIC = "Bones are schematic: the scene holds no mesh of femur, tibia and patella."
+SCHEMATIC = "Shaft of the femur, tibia and patella are schematic: the scene has no meshes of them."
 CONTINUED = "Pale: the fitted surface continued beyond its edge."
 
 

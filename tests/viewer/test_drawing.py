@@ -22,7 +22,7 @@ from pftwin.viewer.assembly import plot
 from pftwin.viewer.knee import _ends
 from pftwin.viewer.page import page
 from pftwin.viewer.recorded import MOST_FRAMES, Recorded, recorded
-from pftwin.viewer.shapes import MOST_TRIANGLES, Shape, apart, path, shell, surface, tubes
+from pftwin.viewer.shapes import MOST_TRIANGLES, Shape, apart, behind_plane, path, shell, surface, tubes
 
 pytest.importorskip("k3d")
 
@@ -91,6 +91,21 @@ def test_forces_on_the_facets_are_the_contact_force(result):
     assert np.abs(reported).max() > 1
     # A contact point is a Newton step from the nearest one: that much the direction to the centre is off.
     np.testing.assert_allclose(total, reported, rtol=0, atol=1e-5 * np.abs(reported).max())
+
+
+def test_without_a_sphere_one_force_stands_for_both_facets(result):
+    one = Recorded.of(result)
+    one = dataclasses.replace(one, geometry=one.geometry.drop_vars(["button_center", "button_radius"]))
+    medial, lateral, whole = one.pushes
+    assert medial.forces is None
+    assert lateral.touches
+    assert not whole.touches
+    contact = result.effects["contact"]
+    np.testing.assert_allclose(whole.forces, np.stack([contact[f"force_{a}"] for a in "xyz"], axis=1))
+    weights = np.stack([contact["force_medial"], contact["force_lateral"]], axis=1)
+    points = np.nan_to_num(np.stack([contact["point_medial"], contact["point_lateral"]], axis=1))
+    expected = (weights[..., None] * points).sum(axis=1) / weights.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(whole.points, expected, atol=1e-12)
 
 
 def test_arrows_are_as_long_as_the_legend_says(drawn, result):
@@ -254,6 +269,17 @@ def test_a_shell_is_closed_and_its_top_is_the_surface(result):
     assert solid.is_watertight
     assert solid.volume > 0
     np.testing.assert_allclose(made.vertices[: len(component[0])], 1e3 * component[0], atol=1e-4)
+
+
+def test_of_a_ball_what_faces_the_femur_is_drawn():
+    from trimesh.creation import icosphere
+
+    ball = icosphere(subdivisions=3, radius=0.02)
+    whole = surface((np.asarray(ball.vertices), np.asarray(ball.faces)))
+    cap = behind_plane(whole, -9.0)
+    assert cap.vertices[cap.triangles].mean(axis=1)[:, 2].max() <= -9.0
+    assert 0.2 < len(cap.triangles) / len(whole.triangles) < 0.35
+    assert behind_plane(whole, -30.0) is whole
 
 
 def test_large_meshes_get_fewer_triangles_and_stay_where_they_are():

@@ -29,7 +29,9 @@ class Push:
     def present(self) -> NDArray[np.bool_]:
         """Frames in which it bears a load (n,)."""
         there = np.isfinite(self.points).all(axis=1)
-        return there if self.forces is None else there & np.any(self.forces != 0, axis=1)
+        if self.forces is not None:
+            there &= self.forces.any(axis=1)
+        return np.asarray(there)
 
 
 def pushes(result: Recorded) -> list[Push]:

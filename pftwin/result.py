@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -75,7 +75,7 @@ class Result:
     settings: dict[str, Any]
     timing: dict[str, float]  # [s]
     dtype: str  # of the simulation
-    scene: Scene  # what was simulated: what a file keeps of it is in `pftwin.scene_geometry`
+    scene: Scene = field(repr=False)  # what was simulated; what a file keeps of it: `pftwin.scene_geometry`
     constraint_drift: float | None = None  # largest, where the integrator has constraints to keep [m]
 
     @classmethod

@@ -7,7 +7,7 @@ import numpy as np
 from pftwin.viewer.matrices import MM
 from pftwin.viewer.recorded import Recorded
 
-DISTANCE = 400.0  # of the camera [mm]
+DISTANCE = 370.0  # of the camera [mm]
 # Where the camera stands from the joint, and what is up: femur axes x proximal, y lateral, z anterior.
 _FROM = {
     "anterior": ((0.12, 0.12, 1.0), (1, 0, 0)),

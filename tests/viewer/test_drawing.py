@@ -173,6 +173,15 @@ def test_like_names_are_told_apart(file):
     assert [r.name for r in recorded([file, file])] == ["knee (1)", "knee (2)"]
 
 
+def test_a_scene_of_tendons_alone_is_drawn(result):
+    tendons = {n: result.effects[n] for n in ("quadriceps", "patellar_tendon")}
+    scene = result.scene.without("contact")
+    bare = dataclasses.replace(result, scene=scene, effects=tendons, contact=None, surface=None)
+    names = {o.name for o in view(bare).objects}
+    assert {"quadriceps", "patellar tendon", "patella (schematic)", "tibia (schematic)"} <= names
+    assert not {"button", "femoral surface"} & names
+
+
 def test_is_a_notebook_s_widget(drawn):
     assert "application/vnd.jupyter.widget-view+json" in drawn._repr_mimebundle_()[0]
     assert drawn.get_time_series_range() == [0.0, pytest.approx(0.4)]

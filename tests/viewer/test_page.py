@@ -16,6 +16,7 @@ from pftwin.viewer import view
 from pftwin.viewer.matrices import of_poses
 
 PIL = pytest.importorskip("PIL.Image")
+VIEWER = "document.querySelector('.pftwin').viewer"
 WRITTEN = 150  # legend and numbers: pixels from the top
 BLUE, ORANGE = (0, 114, 178), (213, 94, 0)  # of the first and the second result
 
@@ -42,14 +43,14 @@ def page(file, seen):
         page.on("pageerror", lambda e: seen["messages"].append(("error", str(e))))
         page.on("request", lambda r: seen["requests"].append(r.url))
         page.goto(file.as_uri())
-        page.wait_for_function("window.pftwin !== undefined", timeout=120_000)
+        page.wait_for_function("document.querySelector('.pftwin')?.viewer !== undefined", timeout=120_000)
         settle(page)
         yield page
 
 
 def settle(page):
     """Until what was asked for last is drawn."""
-    page.wait_for_function("pftwin.drawn()", timeout=60_000)
+    page.wait_for_function(f"{VIEWER}.drawn()", timeout=60_000)
     page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
@@ -60,7 +61,7 @@ def picture(page) -> np.ndarray:
 
 
 def slide(page, key: str) -> None:
-    page.locator("#pftwin input[type=range]").focus()
+    page.locator(".pftwin input[type=range]").focus()
     page.keyboard.press(key)
     settle(page)
 
@@ -93,7 +94,7 @@ def test_the_slider_moves_the_patella(page):
     result = small_result()
     slide(page, "Home")
     before, start = picture(page), patella(page)
-    page.evaluate("pftwin.show(0.2)")
+    page.evaluate(f"{VIEWER}.show(0.2)")
     settle(page)
     after, middle = picture(page), patella(page)
     expected = of_poses(result.position, result.quaternion)
@@ -103,25 +104,25 @@ def test_the_slider_moves_the_patella(page):
     assert (np.abs(after - before).max(axis=2) > 20).sum() > 1000
     slide(page, "End")
     np.testing.assert_allclose(patella(page), expected[-1], atol=1e-3)
-    assert "0.40 s" in page.locator("#pftwin output").inner_text()
+    assert "0.40 s" in page.locator(".pftwin output").inner_text()
 
 
 def patella(page) -> np.ndarray:
     """The model matrix of the first result's patella, as it is drawn."""
-    code = "pftwin.k3d.getObjectById(pftwin.control.results[0].ids[0]).matrixWorld.elements"
+    code = f"{VIEWER}.k3d.getObjectById({VIEWER}.control.results[0].ids[0]).matrixWorld.elements"
     return np.array(page.evaluate(code)).reshape(4, 4).T
 
 
 def test_play_runs_and_pauses(page):
     slide(page, "Home")
-    page.locator("#pftwin select").select_option("0.1")
+    page.locator(".pftwin select").select_option("0.1")
     page.get_by_role("button", name="Play").click()
-    page.wait_for_function("pftwin.k3d.parameters.time > 0.01", timeout=60_000)
+    page.wait_for_function(f"{VIEWER}.k3d.parameters.time > 0.01", timeout=60_000)
     page.get_by_role("button", name="Pause").click()
     settle(page)
-    paused = page.evaluate("pftwin.k3d.parameters.time")
+    paused = page.evaluate(f"{VIEWER}.k3d.parameters.time")
     page.wait_for_timeout(300)
-    assert page.evaluate("pftwin.k3d.parameters.time") == paused
+    assert page.evaluate(f"{VIEWER}.k3d.parameters.time") == paused
 
 
 def test_numbers_and_legend_are_written(page):
@@ -136,7 +137,7 @@ def test_numbers_and_legend_are_written(page):
 def test_a_result_can_be_hidden(page):
     slide(page, "Home")
     shown = near(picture(page), ORANGE)
-    box = page.locator("#pftwin input[type=checkbox]").nth(1)
+    box = page.locator(".pftwin input[type=checkbox]").nth(1)
     box.uncheck()
     settle(page)
     hidden = picture(page)

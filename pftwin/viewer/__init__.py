@@ -26,7 +26,7 @@ def view(
     results: Source | Sequence[Source] | Sequence[tuple[str, Source]] | Mapping[str, Source],
     html: str | os.PathLike[str] | None = None,
 ) -> Plot:
-    """Results as a k3d plot: the widget of a notebook, with play and a time slider in its panel.
+    """Results as a k3d plot: the widget of a notebook, with play, a time slider and views below it.
 
     Args:
         results: a result or a file of one; several are overlaid in colours; a mapping, or pairs, give

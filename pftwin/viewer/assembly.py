@@ -53,7 +53,7 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
         camera_fov=30.0,
         axes_helper=0.0,
         lighting=1.4,
-        height=620,
+        height=680,
         time=float(times[0]),
         name=words.title(results),
         camera=shown["anterior"],

@@ -10,7 +10,7 @@ import numpy as np
 from pftwin.plots import COLOURS
 from pftwin.viewer import knee, words
 from pftwin.viewer.drawing import k3d, keyed, paler
-from pftwin.viewer.recorded import Recorded
+from pftwin.viewer.recorded import Mesh, Recorded
 from pftwin.viewer.views import views
 
 if TYPE_CHECKING:
@@ -28,17 +28,22 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
     """The plot of results, and what its page's controls have to know.
 
     Args:
-        results: at least one; the femur and, where they move alike, the tibia are those of the first.
+        results: at least one. The femur's shaft is that of the first, and so are its component and the tibia for those
+            that have them alike; others have their own, in their colour.
     """
     codes = [COLOURS[i % len(COLOURS)] for i in range(len(results))]
     newtons = per_centimetre(results)
     first = results[0]
-    objects = [*knee.femur(first), knee.tibia(first)]
+    alike = [r for r in results if _same_component(first, r)]
+    farthest = max(alike, key=lambda r: r.geometry.sizes.get("continuation_vertex", 0))
+    objects = [knee.shaft(first), *knee.component(farthest), knee.tibia(first)]
     own = []
     for result, code in zip(results, codes, strict=True):
         parts = [*knee.patella(result, code), *knee.tendons(result, code), *knee.contacts(result, code, newtons)]
         if result is not first and not _same_motion(first, result):
             parts.append(knee.tibia(result, paler(code, 0.5)))
+        if result not in alike:
+            parts += knee.component(result, paler(code, 0.5), result.name)
         own.append(parts)
     said = words.notes(results, newtons)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
@@ -93,6 +98,17 @@ def _written(name: str, text: str | dict[str, str], place: tuple[float, float], 
     return k3d().text2d(
         text, position=place, reference_point=corner, is_html=True, label_box=True, size=1.0, color=0x222222, name=name
     )
+
+
+def _same_component(one: Recorded, two: Recorded) -> bool:
+    """Whether two results have one femoral component in one place, within a micrometre."""
+    return all(_same_mesh(one.mesh(name), two.mesh(name)) for name in ("femur", "surface"))
+
+
+def _same_mesh(a: Mesh | None, b: Mesh | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return a[0].shape == b[0].shape and bool(np.allclose(a[0], b[0], atol=1e-6, rtol=0))
 
 
 def _same_motion(one: Recorded, two: Recorded) -> bool:

@@ -16,23 +16,28 @@ from pftwin.viewer.shapes import Shape, apart, arrow, behind_plane, button_cap, 
 if TYPE_CHECKING:
     from k3d.objects import Drawable
 
-METAL, BEYOND, BONE, PLASTIC = "#A9B4C0", "#D5DBE1", "#E9DFC9", "#F4F1E6"
+METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
 FEW = 4  # lines of an effect that are drawn as thick as a tendon
 REST = 0.4  # points of a path that are nearer to the last are passed over: at rest it has no direction [mm]
 AHEAD = 0.6  # how much paler the part of a contact's path is that is still to come
 
 
-def femur(result: Recorded) -> list[Drawable]:
-    """The femoral component, its continuation where it has one, and a schematic shaft."""
-    component, fitted, beyond = (result.mesh(name) for name in ("femur", "surface", "continuation"))
-    shaft = bones.femur_shaft(component or fitted)
-    drawn = [body(shaft, BONE, name="femur (schematic)", group="bones", opacity=0.35)]
-    if component is not None:
-        drawn.append(body(surface(component), METAL, name="femoral mesh", group="bones"))
+def shaft(result: Recorded) -> Drawable:
+    """A schematic shaft of the femur behind its component."""
+    shape = bones.femur_shaft(result.mesh("femur") or result.mesh("surface"))
+    return body(shape, BONE, name="femur (schematic)", group="bones", opacity=0.35)
+
+
+def component(result: Recorded, code: str = METAL, group: str = "bones") -> list[Drawable]:
+    """The femoral component: its mesh, or its smooth surface with a continuation where it was touched beyond."""
+    mesh, fitted, beyond = (result.mesh(name) for name in ("femur", "surface", "continuation"))
+    drawn = []
+    if mesh is not None:
+        drawn.append(body(surface(mesh), code, name="femoral mesh", group=group))
     if fitted is not None:
-        drawn.append(body(shell(fitted), METAL, name="femoral surface", group="bones"))
+        drawn.append(body(shell(fitted), code, name="femoral surface", group=group))
     if beyond is not None:
-        drawn.append(body(surface(beyond), BEYOND, name="surface continued", group="bones", opacity=0.6))
+        drawn.append(body(surface(beyond), paler(code, 0.5), name="surface continued", group=group, opacity=0.6))
     return drawn
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from itertools import pairwise
 
+import equinox as eqx
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -167,6 +168,27 @@ def test_results_are_overlaid_in_colours_with_the_bones_once():
     assert len({r["colour"] for r in control["results"]}) == 2
     own = [set(r["ids"]) for r in control["results"]]
     assert not own[0] & own[1]
+
+
+def test_a_component_that_was_moved_is_drawn_for_itself(result):
+    scene = result.scene
+    k = scene.index("contact")
+    z = scene.effects[k].surface.chart.origin.z
+    moved = eqx.tree_at(lambda s: s.effects[k].surface.chart.origin.z, scene, z + 0.002)
+    drawn = view({"before": result, "after": dataclasses.replace(result, scene=moved)})
+    before, after = [o for o in drawn.objects if o.name == "femoral surface"]
+    np.testing.assert_allclose(after.vertices - before.vertices, [[0, 0, 2]] * len(before.vertices), atol=1e-3)
+    assert before.color != after.color
+
+
+def test_a_surface_goes_on_to_where_any_result_touched_it(result):
+    contact = dict(result.effects["contact"])
+    contact["point_lateral"] = contact["point_lateral"] + [0.0, 0.02, 0.0]
+    out = dataclasses.replace(result, effects={**result.effects, "contact": contact})
+    drawn = view({"in": result, "out": out})
+    names = [o.name for o in drawn.objects]
+    assert names.count("femoral surface") == 1
+    assert names.count("surface continued") == 1
 
 
 def test_like_names_are_told_apart(file):

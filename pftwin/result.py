@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +17,14 @@ from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, Status
 from pftwin.effects.base import Observable
 from pftwin.equilibrium_report import EquilibriumReport, on_host
-from pftwin.motion import KneeMotion, SegmentMotion
+from pftwin.motion import KneeMotion
+from pftwin.motion_on_host import tibia_orientation, tibia_position
 from pftwin.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
 from pftwin.scene import Scene
 from pftwin.spatial import Quaternion, Vec3
 
 if TYPE_CHECKING:
+    from k3d.plot import Plot
     from xarray import Dataset
 
     from pftwin.surfaces.closest import Surface
@@ -73,6 +75,7 @@ class Result:
     settings: dict[str, Any]
     timing: dict[str, float]  # [s]
     dtype: str  # of the simulation
+    scene: Scene = field(repr=False)  # what was simulated; what a file keeps of it: `pftwin.scene_geometry`
     constraint_drift: float | None = None  # largest, where the integrator has constraints to keep [m]
 
     @classmethod
@@ -121,6 +124,7 @@ class Result:
             settings=dict(settings),
             timing=dict(timing),
             dtype=str(seen.center.x.dtype),
+            scene=scene,
             constraint_drift=None if seen.drift is None else float(np.max(seen.drift)),
         )
 
@@ -133,6 +137,11 @@ class Result:
     def knee(self) -> TibiofemoralAngles:
         """Angles of the tibia in the femur at the recorded frames, (n,) each [rad]."""
         return _knee_angles(self.motion)
+
+    @cached_property
+    def tibia(self) -> tuple[Floats, Floats]:
+        """The tibia's frame in the femur's: position (n, 3) [m] and quaternion (n, 4), continuous in sign."""
+        return tibia_position(self.motion), _continuous(_rows(tibia_orientation(self.motion)))
 
     @property
     def shift(self) -> Floats:
@@ -201,11 +210,28 @@ class Result:
 
         return dataset(self)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes NetCDF, whole or not at all. Raises OutputError where that is impossible."""
-        from pftwin.result_files import save_dataset
+    def geometry(self) -> Dataset:
+        """What there is to draw of the scene: surfaces, lines of force, the button; see `pftwin.scene_geometry`."""
+        from pftwin.scene_geometry import geometry
 
-        save_dataset(self.to_dataset(), path)
+        return geometry(self.scene, self.effects)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes NetCDF, with a group `geometry`, whole or not at all. Raises OutputError where that is impossible."""
+        from pftwin.result_files import GEOMETRY, save_dataset
+
+        save_dataset(self.to_dataset(), path, groups={GEOMETRY: self.geometry()})
+
+    def view(self, html: str | os.PathLike[str] | None = None) -> Plot:
+        """The knee in three dimensions: a notebook's widget, and a page that opens offline; see `pftwin.viewer.view`.
+
+        Raises:
+            MissingExtraError: the extra `viewer` is not installed.
+            OutputError: the page cannot be written.
+        """
+        from pftwin.viewer import view
+
+        return view(self, html)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Writes a table with units in its header. Raises OutputError where that is impossible."""
@@ -244,19 +270,7 @@ def _groups(scene: Scene) -> dict[str, int]:
 
 def _knee_angles(motion: KneeMotion) -> TibiofemoralAngles:
     """Of the tibia in the femur at the recorded frames."""
-    q = _orientation(motion.tibia, motion.times)
-    if motion.femur is not None:
-        q = _orientation(motion.femur, motion.times).conjugate() * q
-    return tibiofemoral_angles(q)
-
-
-def _orientation(motion: SegmentMotion, times: Floats) -> Quaternion:
-    """The spline's quaternions, as `SegmentMotion.frames` has them, on the host in double precision."""
-    knots, c = _double(motion.knots), _double(motion.quaternion_coefficients)
-    interval = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, knots.size - 2)
-    s, c = (times - knots[interval])[:, None], c[:, interval]
-    q = ((c[0] * s + c[1]) * s + c[2]) * s + c[3]
-    return Quaternion(*(q / np.sqrt(np.einsum("ij,ij->i", q, q))[:, None]).T)
+    return tibiofemoral_angles(tibia_orientation(motion))
 
 
 __all__ = ["Energies", "EquilibriumReport", "Result"]

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pftwin.result import Result
 
 _AXES = ("x", "y", "z")
+_VIRTUAL = "rig case"  # how the names of the virtual rig's scenes begin
 _COMPONENTS = ("w", "x", "y", "z")
 _MEANINGS = " ".join(str(f.name).lower() for f in Status if f)
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
@@ -76,6 +77,8 @@ def attributes_of(result: Result) -> dict[str, Any]:
         "real_time_factor": result.real_time_factor,
         "tracking": "not assessed: no contact surface" if outcome is None else outcome.describe(),
     }
+    if result.scene_name.startswith(_VIRTUAL):
+        attributes["note"] = "the rig is virtual: its recorded motion is synthetic"
     if result.constraint_drift is not None:
         attributes["largest_constraint_drift_m"] = result.constraint_drift
     plain = {k: plain_attribute(v) for k, v in result.settings.items()}
@@ -104,6 +107,16 @@ def _kinematics(result: Result) -> Variables:
             (*frame, "component"),
             result.quaternion,
             _about("1", "orientation of the patella in the femur frame, unit quaternion (w, x, y, z)"),
+        ),
+        "tibia_position": (
+            (*frame, "axis"),
+            result.tibia[0],
+            _about("m", "origin of the tibia's frame in the femur's"),
+        ),
+        "tibia_quaternion": (
+            (*frame, "component"),
+            result.tibia[1],
+            _about("1", "orientation of the tibia in the femur frame, unit quaternion (w, x, y, z)"),
         ),
         "patella_shift": (frame, result.shift, _about("m", f"{tracked}: lateral place in the femur frame")),
         **{name: (frame, np.degrees(a), _about("deg", text)) for name, (a, text) in in_degrees.items()},

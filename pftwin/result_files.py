@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,33 +19,63 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 _QUATERNION = "component"
+GEOMETRY = "geometry"  # the group of a result's file that says what there is to draw
 
 
-def save_dataset(data: Dataset, path: str | os.PathLike[str]) -> None:
+def save_dataset(data: Dataset, path: str | os.PathLike[str], *, groups: Mapping[str, Dataset] | None = None) -> None:
     """Writes NetCDF-4.
+
+    Args:
+        data: the file's root.
+        path: where to.
+        groups: further datasets, by the name of their group; compressed.
 
     Raises:
         OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
     """
     with written_whole(path) as temporary:
         data.to_netcdf(temporary, engine="h5netcdf")
+        for name, group in (groups or {}).items():
+            packed = {k: {"compression": "gzip", "shuffle": True} for k, v in group.data_vars.items() if v.ndim}
+            group.to_netcdf(temporary, engine="h5netcdf", group=name, mode="a", encoding=packed)
 
 
-def load_dataset(path: str | os.PathLike[str]) -> Dataset:
-    """A dataset that `save_dataset` wrote, read into memory.
+def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> Dataset:
+    """A dataset that `save_dataset` wrote, or one of its groups, read into memory.
 
     Raises:
-        InputError: no such file, or not NetCDF-4.
+        InputError: no such file, not NetCDF-4, or no such group.
     """
     from xarray import load_dataset as load
 
     file = Path(path)
     if not file.is_file():
         raise InputError("no such file", where=file, remedy="check the path and the working directory")
+    if group is not None and group not in _groups(file):
+        raise InputError(
+            f"holds no group {group!r}",
+            where=file,
+            expected="a result saved by this version of pftwin",
+            remedy="simulate again, e.g. pftwin simulate --case 2 -o case2.nc",
+        )
     try:
-        return load(file, engine="h5netcdf")
+        return load(file, engine="h5netcdf", group=group)
     except (OSError, ValueError) as err:
-        raise InputError(f"cannot be read as NetCDF: {err}", where=file, expected="a result saved by pftwin") from err
+        raise _not_netcdf(file, err) from err
+
+
+def _groups(file: Path) -> list[str]:
+    import h5netcdf
+
+    try:
+        with h5netcdf.File(file, "r") as opened:
+            return list(opened.groups)
+    except (OSError, ValueError) as err:
+        raise _not_netcdf(file, err) from err
+
+
+def _not_netcdf(file: Path, error: Exception) -> InputError:
+    return InputError(f"cannot be read as NetCDF: {error}", where=file, expected="a result saved by pftwin")
 
 
 def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:

@@ -26,6 +26,7 @@ from pftwin.cli import (
     simulate,
     treat,
     validate,
+    view,
 )
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
@@ -97,6 +98,7 @@ app.command("contact-map")(contact_map.contact_map)
 app.command("hard-cases")(hard_cases.hard_cases)
 app.command("treat")(treat.treat)
 app.command("optimise")(optimise.optimise)
+app.command("view")(view.view)
 app.command("init")(init.init)
 
 

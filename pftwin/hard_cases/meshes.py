@@ -135,7 +135,7 @@ CASES = (
     _case(
         "mesh_hole",
         "A triangle is missing where the button lands: it touches the hole's rim, and the frame says so.",
-        _over(_OVER_HOLE, _doctored(_hole)),
+        replace(_over(_OVER_HOLE, _doctored(_hole)), turn=(0.0, 0.0, 0.0)),  # a corner of the button dips into it
         must=RELEASED | Status.LEFT_PATCH,
     ),
     _refused("mesh_non_manifold", "An edge of three triangles: refused by name.", _fork, "non_manifold_edge"),

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from pftwin.errors import InputError
+
+if TYPE_CHECKING:
+    from pftwin.scene import Scene
 
 _MOST_VALUES = 1_000_000
 
@@ -141,3 +145,29 @@ def by_kind(given: Given) -> dict[str, list[tuple[Amount, str]]]:
     if not given:
         raise InputError("no treatment given", expected="at least one amount", remedy="--medialise 0:20")
     return {k: [(a, t) for a, t in given if a.kind == k] for k in dict.fromkeys(a.kind for a, _ in given)}
+
+
+def treated(scene: Scene, given: Given) -> Scene:
+    """The scene after a treatment with one value for each amount, which its name then tells.
+
+    Raises:
+        InputError: several values, or a part that the scene lacks.
+    """
+    if not given:
+        return scene
+    from fitting.treatments import KINDS, Treatment
+
+    words = []
+    for kind, amounts in by_kind(given).items():
+        shown = {a.name: _only(values(text, a.flag), a) for a, text in amounts}
+        scene = Treatment.of(kind, {n: KINDS[kind].amounts[n].from_shown(v) for n, v in shown.items()})(scene)
+        words += [f"{a.flag.removeprefix('--')} {shown[a.name]:g} {a.unit}" for a, _ in amounts]
+    return dataclasses.replace(scene, name=", ".join([scene.name, *words]))
+
+
+def _only(found: list[float], amount: Amount) -> float:
+    if len(found) > 1:
+        raise InputError(
+            f"{len(found)} values", where=amount.flag, expected="one", remedy="pftwin treat runs through many"
+        )
+    return found[0]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from pftwin.cli.amounts import Given, treated, with_amounts
 from pftwin.cli.scenes import (
     CaseOption,
     ContactOption,
@@ -21,6 +23,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 from pftwin.errors import OutputError
 
 
+@with_amounts("VALUE")
 def simulate(
     scene: SceneArgument = None,
     *,
@@ -30,19 +33,21 @@ def simulate(
     integrator: IntegratorOption = None,
     dt: StepOption = None,
     tolerance: ToleranceOption = None,
+    amounts: Given,
     csv: Annotated[bool, typer.Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
     sto: Annotated[bool, typer.Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Simulate the patella through the recorded motion.
+    """Simulate the patella through the recorded motion, as it is or after a treatment.
 
-    Example: `pftwin simulate knee/scene.toml -o knee.nc --csv`
+    Example: `pftwin simulate --case 2 --medialise 16 -o after.nc`
     """
     if output.suffix.lower() != ".nc":
         raise OutputError(f"{output}: results are NetCDF; try: {output.with_suffix('.nc')}")
     table, storage = (output.with_suffix(".csv") if csv else None), (output.with_suffix(".sto") if sto else None)
     check_outputs(output, table, storage, json)
     chosen = chosen_scene(scene, case, contact)
+    chosen = replace(chosen, scene=treated(chosen.scene, amounts))
     result, first = simulated(chosen, integrator, dt, tolerance)
     with working("writing"):
         result.save(output)

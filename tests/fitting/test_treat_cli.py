@@ -104,3 +104,22 @@ def test_results_are_netcdf(tmp_path):
     outcome = RUNNER.invoke(app, ["treat", "--case", "2", "--medialise", "1", "-o", str(tmp_path / "v.csv")])
     assert outcome.exit_code == 2
     assert "v.nc" in outcome.stderr
+
+
+def test_a_simulation_after_a_treatment(tmp_path):
+    """What dislocates as it is does not with the tuberosity 16 mm medial; the result says what was done."""
+    out = tmp_path / "after.nc"
+    outcome = RUNNER.invoke(app, ["simulate", "--case", "2", "--medialise", "16", "--dt", "0.005", "-o", str(out)])
+    assert outcome.exit_code == 0, outcome.output
+    data = load_dataset(out)
+    assert data.attrs["scene"] == "rig case 2, P5, medialise 16 mm"
+    assert data.attrs["tracking"] == "normal tracking"
+    assert "synthetic" in data.attrs["note"]
+
+
+@pytest.mark.parametrize("amount", ["0:16:8", "a little"])
+def test_a_simulation_takes_one_value_of_each_amount(amount, tmp_path):
+    outcome = RUNNER.invoke(app, ["simulate", "--case", "2", "--medialise", amount, "-o", str(tmp_path / "x.nc")])
+    assert outcome.exit_code == 2
+    assert "--medialise" in outcome.stderr
+    assert not (tmp_path / "x.nc").exists()

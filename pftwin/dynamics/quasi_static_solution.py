@@ -17,6 +17,8 @@ from pftwin.dynamics.relaxation import come_to_rest
 from pftwin.dynamics.state import State, moved
 from pftwin.spatial import Scalar
 
+LEAST_HELD = 1e-9  # stiffness of every direction, for derivatives alone [N/m]
+
 
 class Found(NamedTuple):
     """A solution."""
@@ -65,7 +67,8 @@ def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     (branch,) = primals
     found = solved(branch)
     tangent = tangent_of(lambda d: found.landed(branch).residual(d), found.d)
-    ridge = RIDGE * jnp.trace(tangent) * jnp.eye(6, dtype=tangent.dtype)  # a neutral direction does not change
+    # A direction in which nothing holds the patella does not change, even where none is held.
+    ridge = (RIDGE * jnp.trace(tangent) - LEAST_HELD) * jnp.eye(6, dtype=tangent.dtype)
     right = changed_by(lambda b: found.landed(b).residual(found.d), branch, tangents[0])
     none = jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else None, found)
     return found, none._replace(d=solution_changes(tangent + ridge, right))

@@ -27,8 +27,7 @@ SLOW = 0.5  # where one of those leaves more than that of the residual, it is gi
 FARTHEST = 5e-3  # how far from where the motion would lead an equilibrium still counts as the same one [m]
 NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts as none, neutral and not unstable
 NEAR = 1e-5  # residual from which a step by the remainder leads close enough for the last look [N]
-CLOSE = {"float64": 1e-6, "float32": 2e-2}  # residual from which an exact step needs no look after it [N]
-POLISH = 1e-6  # and how long that step is at most [m]
+POLISH = 1e-6  # how long a step is at most that a balanced pose still takes, without a look after it [m]
 
 
 class Iterate(NamedTuple):
@@ -36,7 +35,7 @@ class Iterate(NamedTuple):
 
     d: Six
     size: Scalar  # of the residual before the last step [N]
-    settled: Scalar  # whether what is left after it is below the tolerance
+    settled: Scalar  # whether that is below the tolerance
     stable: Scalar
     remainder: Array  # (6, 6) of the tangent [N/m]
     count: Scalar
@@ -92,15 +91,14 @@ def _improved(branch: Branch, guess: Six, at: Iterate) -> Iterate:
     step, stable = _downhill(branch, there, tangent, size)
     length = norm(step)
     balanced = (size < tolerance_of(dtype)) & (held == 0)
-    close = (size < CLOSE[str(dtype)]) & (held == 0) & (length < POLISH)
     lost = ~jnp.isfinite(length) | ~jnp.isfinite(size)
-    stays = lost | (balanced & ~close)
+    stays = lost | (balanced & (length >= POLISH))
     scale = jnp.where(stays, 0.0, jnp.minimum(1.0, REACH / jnp.maximum(length, 1e-12)))
     d = [jnp.where(stays, a, a + scale * b) for a, b in zip(at.d, step, strict=True)]
     strayed = _apart(d, guess) > FARTHEST
-    done = balanced | close | lost | (strayed & (branch.rates > 0))
+    done = balanced | lost | (strayed & (branch.rates > 0))
     remainder = tangent - _structured(branch, there)
-    return Iterate(d, size, balanced | close, stable, remainder, at.count + 1, done, there.memories)
+    return Iterate(d, size, balanced, stable, remainder, at.count + 1, done, there.memories)
 
 
 def _apart(a: Six, b: Six) -> Scalar:

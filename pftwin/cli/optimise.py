@@ -10,7 +10,8 @@ import typer
 from pftwin.cli.amounts import Given, by_kind, limits, with_amounts
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
-from pftwin.cli.treat import VIRTUAL, EstimateOption, loaded_estimate
+from pftwin.cli.treat import EstimateOption, loaded_estimate
+from pftwin.labels import VIRTUAL
 
 if TYPE_CHECKING:
     from rich.table import Table

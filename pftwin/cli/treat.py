@@ -11,6 +11,7 @@ from pftwin.cli.amounts import Given, by_kind, values, with_amounts
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 from pftwin.errors import InputError, OutputError
+from pftwin.labels import VIRTUAL
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from fitting.treatments import Treatment
 
-VIRTUAL = "the rig is virtual: its recorded motion is synthetic"
 _MOST_ROWS = 40
 _MOST_VARIANTS = 1_000_000
 

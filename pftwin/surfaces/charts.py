@@ -14,7 +14,6 @@ import jax.numpy as jnp
 
 from pftwin.spatial import Rotation, Scalar, Vec3
 
-
 WIDEST = 0.5  # angle about a cylinder's axis within which a tangent still says where the surface goes [rad]
 
 

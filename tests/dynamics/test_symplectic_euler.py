@@ -61,7 +61,7 @@ def test_a_spring_is_told_where_its_oscillation_begins_to_grow(share, told):
     step = J(share * np.sqrt(LIMIT * MASS / stiffness))
     method = integrator_named("symplectic_euler")
     state = method.begin(sys, state_at(sys, (0, 0, 0.049)), still_guide(), step)
-    after, _ = method.advance(sys, state, still_guide_at, step, None)
+    after, _ = method.advance(sys, state, lambda _: still_guide(), step, None)
     before, now = method.unsettled(state), method.unsettled(after)
     assert before is not None
     assert now is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import J, state_at, still_guide, still_guide_at, system, vec
+from scenes import J, state_at, still_guide, system, vec
 
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.symplectic_euler import LIMIT, _stiffest

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
+from pftwin.dynamics.relaxation import thrown
 from pftwin.hard_cases import derivatives
 from pftwin.hard_cases.batch import Batch
 from pftwin.hard_cases.programs import PARAMETERS, Rest, compiled, relaxed, rest
@@ -31,8 +32,8 @@ def starts_of(batch: Batch, dtype: str) -> Starts:
     lost = ~_converged(found.equilibrium) & wanted  # one that is let go stays where it was put
     if lost.any():
         there = compiled(relaxed, double)(scenes)
-        finite = np.isfinite(np.asarray(there.position.array())).all(axis=-1)
-        scenes = eqx.tree_at(lambda s: s.start, scenes, _where(lost & finite, there, scenes.start))
+        usable = lost & ~thrown(scenes.start, there)
+        scenes = eqx.tree_at(lambda s: s.start, scenes, _where(usable, there, scenes.start))
         again: Rest = search(scenes, nothing)
         found = _where(lost & _converged(again.equilibrium), again, found)
     released = jnp.asarray(~wanted)

@@ -1,4 +1,4 @@
-"""Figures of a fit: measured against fitted, how the parameters hang together, and the way there."""
+"""Figures of a fit: measured against fitted, how the parameters hang together, what follows, and the way there."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ import numpy as np
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from fitting.estimate import Estimate
+    from fitting.posterior_result import Posterior
+    from pftwin.scene import Scene
+
+DRAWS = 20  # of the estimate's uncertainty, each a simulation
+SAMPLES = 50  # of a prediction, side by side
+_WRITTEN = 8  # parameters up to which correlations are written out
 
 
 class EstimatePlots:
-    """`estimate.plot`: each method gives a matplotlib figure."""
+    """`estimate.plot`: each method gives a matplotlib figure; `figure.savefig("name.pdf")` writes it, or .svg, .png."""
 
     def __init__(self, estimate: Estimate) -> None:
         self._estimate = estimate
@@ -36,57 +43,102 @@ class EstimatePlots:
         results = {"nominal": pftwin.simulate(e.nominal_scene), "fitted": pftwin.simulate(e.scene)}
         return case_figure(results, e.measured, f"{e.scene_name}: {e.method}, objective {e.objective}")
 
-    def correlation(self) -> Figure:
-        """Correlations of the parameters' errors, and relative standard deviations."""
-        import matplotlib as mpl
+    def correlation(self, axes: Any = None) -> Figure:
+        """Correlations of the parameters' errors; values and 95 % intervals, in percent of the nominal values.
+
+        Args:
+            axes: two, to draw into; by default a new figure.
+
+        Raises:
+            InputError: another number of axes.
+        """
         from matplotlib.figure import Figure
 
-        from pftwin.plots import COLOURS, STYLE
+        from pftwin.plots.panels import figure_of, given_axes
+        from pftwin.plots.style import PAGE, house_style, title
 
-        e = self._estimate
-        p = len(e.names)
-        with mpl.rc_context({**STYLE, "axes.grid": False}):
-            figure = Figure(figsize=(9.0, 4.0))
-            left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.2])
-            picture = left.imshow(e.correlation, vmin=-1, vmax=1, cmap="RdBu_r")
-            left.set_xticks(range(p), e.names, rotation=90 if p > 6 else 0)
-            left.set_yticks(range(p), e.names)
-            for i in range(p if p <= 8 else 0):
-                for j in range(p):
-                    strong = abs(e.correlation[i, j]) > 0.6
-                    colour = "white" if strong else "black"
-                    left.text(j, i, f"{e.correlation[i, j]:.2f}", ha="center", va="center", color=colour)
-            figure.colorbar(picture, ax=left, label="correlation", shrink=0.8)
-            left.set_title("Correlation of the parameters' errors")
-            scale = np.where(e.nominal == 0, 1.0, np.abs(e.nominal))
-            off = 100 * (e.values - e.nominal) / scale
-            spread = 100 * (e.intervals - e.values[:, None]) / scale[:, None]
-            right.errorbar(
-                off, np.arange(p), xerr=np.abs(spread).T, fmt="o", color=COLOURS[0], capsize=3, label="95 % interval"
-            )
-            right.axvline(0, color="black", linewidth=0.8)
-            right.set_yticks(range(p), e.names)
-            right.invert_yaxis()
-            right.set(xlabel="deviation from the nominal value [%]", title="Estimate")
-            right.legend(loc="best")
-            figure.suptitle(f"{e.scene_name}, fitted to {'synthetic measurements' if e.synthetic else e.source}")
-        return figure
+        own = given_axes(axes, 2, "for the correlations, and for the values")
+        with house_style(axes__grid=False):
+            if own is None:
+                tall = 1.4 + 0.32 * max(5, len(self._estimate.names))
+                figure = Figure(figsize=(PAGE, tall))
+                own = list(figure.subplots(1, 2, width_ratios=[1.0, 1.1]))
+                title(figure, fitted_to(self._estimate))
+            _correlations(own[0], self._estimate)
+            _values(own[1], self._estimate)
+        return figure_of(own[0])
 
-    def history(self) -> Figure:
+    def posterior(self, sampled: Posterior | None = None) -> Figure:
+        """Every parameter and every pair: the estimate's normal distribution, and a sampled posterior under it.
+
+        Args:
+            sampled: what `fitting.sample_posterior` found; without it the estimate's distribution is drawn alone.
+
+        Raises:
+            InputError: a posterior of other parameters.
+        """
+        from fitting.posterior_plots import corner_figure
+
+        return corner_figure(self._estimate, sampled)
+
+    def response(
+        self, variants: Any, scene: Scene | None = None, *, samples: int = SAMPLES, title: str | None = None,
+        axes: Any = None,
+    ) -> Figure:  # fmt: skip
+        """Outcomes against the amount of a treatment, with 95 % bands from the estimate's uncertainty.
+
+        Args:
+            variants: a grid of treatments (`fitting.variants.grid`), as `fitting.predict` takes it.
+            scene: untreated; by default the one that was fitted.
+            samples: draws from the estimate's uncertainty; 0 gives lines without bands.
+            title, axes: as in `fitting.prediction_plots.outcome_figure`, which draws a prediction that is there.
+
+        Raises:
+            InputError: an estimate from a file without `scene`; no amount varies; what `fitting.predict` refuses.
+        """
+        from fitting.predicting import predict
+        from fitting.prediction_plots import outcome_figure
+
+        data = predict(self._scene(scene), variants, self._estimate, samples=samples)
+        return outcome_figure(data, title, axes=axes)
+
+    def against_flexion(self, scene: Scene | None = None, *, draws: int = DRAWS, seed: int = 0, **more: Any) -> Figure:
+        """Tracking and contact force against knee flexion over draws from the estimate's uncertainty: mean and sd.
+
+        Args:
+            scene: by default the one that was fitted.
+            draws: simulations besides the estimate's own.
+            seed: of the draws.
+            more: for `pftwin.plots.against_flexion`.
+
+        Raises:
+            InputError: an estimate from a file without `scene`; fewer than one draw; a knee that does not bend.
+        """
+        import pftwin
+        from pftwin.plots import against_flexion
+
+        if draws < 1:
+            raise InputError(f"found {draws!r}", where="draws", expected="a whole number, at least 1")
+        e, nominal = self._estimate, self._scene(scene)
+        thetas = [e.values, *e.samples(draws, seed)]
+        results = [pftwin.simulate(e.apply(nominal, theta)) for theta in thetas]
+        about = {"title": f"{fitted_to(e)}: the estimate and {draws} draws from its uncertainty", **more}
+        return against_flexion({"fitted": results}, **about)
+
+    def history(self, ax: Axes | None = None) -> Figure:
         """The best objective so far against the evaluations."""
-        import matplotlib as mpl
         from matplotlib.figure import Figure
 
-        from pftwin.plots import COLOURS, STYLE
+        from pftwin.plots.panels import figure_of
+        from pftwin.plots.style import COLOURS, house_style
 
         e = self._estimate
-        with mpl.rc_context(STYLE):
-            figure = Figure(figsize=(6.0, 3.6))
-            axes = figure.subplots()
+        with house_style():
+            own = Figure(figsize=(5.0, 3.0)).subplots() if ax is None else ax
             known = [h for h in e.history if np.isfinite(h["best"])]
-            axes.plot([h["evaluations"] for h in known], [h["best"] for h in known], color=COLOURS[0])
-            axes.set(xlabel="evaluations", ylabel=f"objective [{e.objective_unit}]", title=f"{e.method}: best so far")
-        return figure
+            own.plot([h["evaluations"] for h in known], [h["best"] for h in known], color=COLOURS[0], marker=".")
+            own.set(xlabel="evaluations", ylabel=f"objective [{e.objective_unit}]", title=f"{e.method}: best so far")
+        return figure_of(own)
 
     def save(self, stem: Path) -> list[Path]:
         """All figures as STEM_fit.png, STEM_correlation.png, STEM_history.png, and as SVG.
@@ -101,3 +153,43 @@ class EstimatePlots:
         for name, draw in drawn.items():
             written += save_figure(draw(), stem.with_name(f"{stem.name}_{name}"))
         return written
+
+    def _scene(self, scene: Scene | None) -> Scene:
+        found = self._estimate.nominal_scene if scene is None else scene
+        if found is None:
+            raise InputError("an estimate from a file holds no scene", where="scene", remedy="name it: scene=...")
+        return found
+
+
+def fitted_to(e: Estimate) -> str:
+    """What was fitted to what; synthetic measurements are called so."""
+    return f"{e.scene_name}, fitted to {'synthetic measurements' if e.synthetic else e.source}"
+
+
+def _correlations(ax: Axes, e: Estimate) -> None:
+    p = len(e.names)
+    picture = ax.imshow(e.correlation, vmin=-1, vmax=1, cmap="RdBu_r")
+    ax.set_xticks(range(p), list(e.names), rotation=90 if p > 6 else 0)
+    ax.set_yticks(range(p), list(e.names))
+    for i in range(p if p <= _WRITTEN else 0):
+        for j in range(p):
+            colour = "white" if abs(e.correlation[i, j]) > 0.6 else "black"
+            words = f"{e.correlation[i, j]:.2f}".replace("-", "\N{MINUS SIGN}")
+            ax.text(j, i, words, ha="center", va="center", color=colour)
+    ax.figure.colorbar(picture, ax=ax, label="correlation [-]", shrink=0.8, ticks=[-1, -0.5, 0, 0.5, 1])
+    ax.set_title("Correlation of the parameters' errors")
+
+
+def _values(ax: Axes, e: Estimate) -> None:
+    """In percent of the nominal values, since units differ; of 1 unit where a nominal value is zero."""
+    from pftwin.plots.style import COLOURS
+
+    rows = np.arange(len(e.names))
+    scale = np.where(e.nominal == 0, 1.0, np.abs(e.nominal))
+    off = 100 * (e.values - e.nominal) / scale
+    spread = 100 * (e.intervals - e.values[:, None]) / scale[:, None]
+    ax.errorbar(off, rows, xerr=np.abs(spread).T, fmt="o", markersize=5, color=COLOURS[0], capsize=3)
+    ax.axvline(0, color="black", linewidth=0.8)
+    ax.set_yticks(rows, list(e.names))
+    ax.set_ylim(len(rows) - 0.5, -0.5)
+    ax.set(xlabel="deviation from the nominal value [%]", title="Estimate with 95 % intervals")

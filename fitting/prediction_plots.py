@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 import warnings
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.errors import InputError
+from pftwin.plots.quantities import as_read
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,6 @@ _PANELS = (
     ("medial_share", 100.0, "share of force on the medial facet [%]"),
 )
 _MOST_LINES = 6
-_LINE = 110  # characters under the title
 Floats = NDArray[np.float64]
 
 
@@ -66,49 +65,59 @@ def called(data: Dataset, name: str) -> str:
 def shown(data: Dataset, name: str) -> tuple[Floats, str]:
     """An amount as people read it, and its unit: lengths in millimetres, shares in percent."""
     values, unit = data[name].values, data[name].attrs["units"]
-    scale, unit = {"m": (1e3, "mm"), "1": (100.0, "%")}.get(unit, (1.0, unit))
+    scale, unit = (100.0, "%") if unit == "1" else as_read(unit)
     return scale * values, unit
 
 
-def outcome_figure(data: Dataset, title: str | None = None) -> Figure:
+def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None) -> Figure:
     """Four outcomes against the first amount that varies; a line for each combination of the others and scenes.
 
+    Args:
+        data: of `fitting.predict`.
+        title: in the place of the prediction's own.
+        axes: four, to draw into; by default a new figure.
+
     Raises:
-        InputError: a prediction in which no amount varies.
+        InputError: a prediction in which no amount varies; another number of axes.
     """
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from pftwin.plots import STYLE
+    from pftwin.plots.panels import figure_of, given_axes
+    from pftwin.plots.style import PAGE, SMALL, house_style, legend_below
+    from pftwin.plots.style import title as name_figure
 
     names = amount_names(data)
     if not names or np.ptp(data[names[0]].values) == 0:
         raise InputError("no amount varies", where="outcome_figure", expected="a grid of amounts")
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 6.4))
-        panels = figure.subplots(2, 2, sharex=True).ravel()
-        for axes, (outcome, scale, label) in zip(panels, _PANELS, strict=True):
+    own = given_axes(axes, len(_PANELS), "one for each of " + ", ".join(p[0] for p in _PANELS))
+    axis = f"{names[0].replace('_', ' ')} [{shown(data, names[0])[1]}]"
+    with house_style():
+        if own is None:
+            figure = Figure(figsize=(PAGE, 5.8))
+            own = list(figure.subplots(2, 2, sharex=True).ravel())
+            figure.supxlabel(axis, fontsize="medium")
+            name_figure(figure, title or data.attrs["title"], _note(data))
+        for ax, (outcome, scale, label) in zip(own, _PANELS, strict=True):
             for i, (name, rows) in enumerate(_lines(data, names)):
-                _draw(axes, data, names[0], outcome, scale, rows, name, i)
-            axes.set_title(label)
-        panels[0].axhline(1e3 * data.attrs["threshold"], color="black", linewidth=0.8, linestyle=":")
-        panels[0].annotate(
-            "dislocated above",
-            (0.99, 1e3 * data.attrs["threshold"]),
-            xycoords=("axes fraction", "data"),
-            xytext=(0, 2),
-            textcoords="offset points",
-            ha="right",
-            fontsize=7,
-        )
-        axis = f"{names[0].replace('_', ' ')} [{shown(data, names[0])[1]}]"
-        for axes in panels[2:]:
-            axes.set_xlabel(axis)
-        handles, labels = panels[0].get_legend_handles_labels()
-        if len(labels) > 1:
-            figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)))
-        figure.suptitle("\n".join([title or data.attrs["title"], *textwrap.wrap(_note(data), _LINE)]))
-    return figure
+                _draw(ax, data, names[0], outcome, scale, rows, name, i)
+            ax.set_ylabel(label, fontsize=SMALL)
+            if axes is not None:
+                ax.set_xlabel(axis)
+        _mark_threshold(own[0], 1e3 * data.attrs["threshold"])
+        handles, labels = own[0].get_legend_handles_labels()
+        if axes is None and len(labels) > 1:
+            legend_below(figure_of(own[0]), handles, labels, most=3)
+    return figure_of(own[0])
+
+
+def _mark_threshold(ax: Axes, threshold: float) -> None:
+    from pftwin.plots.style import TINY
+
+    ax.axhline(threshold, color="black", linewidth=0.8, linestyle=":")
+    ax.annotate(
+        "dislocated above", (0.99, threshold), xycoords=("axes fraction", "data"), xytext=(0, 2),
+        textcoords="offset points", ha="right", fontsize=TINY,
+    )  # fmt: skip
 
 
 def _note(data: Dataset) -> str:
@@ -143,7 +152,7 @@ def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]
 def _draw(
     axes: Axes, data: Dataset, amount: str, outcome: str, scale: float, rows: Any, label: str, which: int
 ) -> None:
-    from pftwin.plots import COLOURS
+    from pftwin.plots.style import BAND, COLOURS
 
     x = shown(data, amount)[0][rows]
     rows, x = rows[np.argsort(x, kind="stable")], np.sort(x)
@@ -151,6 +160,6 @@ def _draw(
     value, low, high = spread(scale * part[outcome])
     axes.plot(x, value, color=colour, label=label, marker=".", markersize=4)
     if low is not None and high is not None:
-        axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.fill_between(x, low, high, color=colour, **BAND)
     out = spread(part["dislocations"]).value > 0
     axes.plot(x[out], value[out], linestyle="none", marker="x", markersize=7, color=colour)

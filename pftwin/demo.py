@@ -152,7 +152,7 @@ def _outcome_table(outcomes: list[dict[str, Any]]) -> Table:
     return table
 
 
-def _draw(results: dict[str, Result], n: int, folder: Path) -> tuple[Path, Path]:
+def _draw(results: dict[str, Result], n: int, folder: Path) -> tuple[Path, ...]:
     from pftwin import rig
     from pftwin.plots import case_figure, save_figure
 

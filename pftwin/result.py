@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from k3d.plot import Plot
     from xarray import Dataset
 
+    from pftwin.plots import ResultPlots
     from pftwin.surfaces.closest import Surface
 
 Floats = NDArray[np.float64]
@@ -221,6 +222,13 @@ class Result:
         from pftwin.result_files import GEOMETRY, save_dataset
 
         save_dataset(self.to_dataset(), path, groups={GEOMETRY: self.geometry()})
+
+    @property
+    def plot(self) -> ResultPlots:
+        """Figures: `result.plot.trajectory().savefig("path.pdf")`; see `pftwin.plots`."""
+        from pftwin.plots import ResultPlots
+
+        return ResultPlots(self)
 
     def view(self, html: str | os.PathLike[str] | None = None) -> Plot:
         """The knee in three dimensions: a notebook's widget, and a page that opens offline; see `pftwin.viewer.view`.

@@ -1,0 +1,77 @@
+"""The house style, in one place: colours, dashes, markers, sizes, and what wide, small and measured things look like.
+
+It holds inside `with house_style():` alone; matplotlib's global settings stay as they are.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from contextlib import AbstractContextManager
+from typing import Any
+
+# Okabe and Ito 2008, without the yellow, which is faint on white; measurements are black.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+# Lines also differ by dashes or markers, for readers who see no colour at all, and for prints in grey.
+DASHES: tuple[Any, ...] = (
+    "-", (0, (6, 1.5)), (0, (3, 1.2)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)),
+)  # fmt: skip
+MARKERS = "osD^vP*X"
+
+TEXT, SMALL, TINY = 9.0, 8.0, 7.0  # sizes of letters [pt]: everywhere, in legends of panels, of notes inside panels
+COLUMN, PAGE, WIDE = 3.5, 7.2, 11.0  # widths of figures [in]: a journal's column, its page, a screen
+DPI = 160  # of PNG files
+
+STYLE: Any = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: figures look alike on every machine
+    "font.size": TEXT,
+    "axes.titlesize": TEXT,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "figure.constrained_layout.use": True,
+    "svg.fonttype": "none",  # letters stay letters: searchable, and editable in a drawing program
+    "svg.hashsalt": "pftwin",
+    "pdf.fonttype": 42,
+}
+MEASURED: dict[str, Any] = {"color": "black", "linewidth": 2.6, "alpha": 0.35, "zorder": 1}
+BAND: dict[str, Any] = {"alpha": 0.2, "linewidth": 0}
+START: dict[str, Any] = {"marker": "o", "markersize": 4, "linestyle": "none"}
+
+
+def house_style(**changes: Any) -> AbstractContextManager[None]:
+    """The context in which figures are made and saved; `changes` of single settings have "__" for a dot."""
+    import matplotlib as mpl
+
+    settings: Any = {**STYLE, **{name.replace("__", "."): value for name, value in changes.items()}}
+    return mpl.rc_context(settings)
+
+
+def line(i: int) -> dict[str, Any]:
+    """Colour and dashes of the i-th line."""
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
+
+
+def title(figure: Any, *lines: str | None) -> None:
+    """What it shows, and what has to be said of it, in lines that fit the figure's width; None: nothing to say."""
+    characters = int(figure.get_figwidth() * 72 / (0.56 * TEXT))  # a letter is about 0.56 of its height wide
+    wrapped = [part for line in lines if line for part in textwrap.wrap(line, characters)]
+    figure.suptitle("\n".join(wrapped), fontsize=TEXT)
+
+
+def legend_below(figure: Any, handles: list[Any], labels: list[str], most: int = 4) -> None:
+    """A legend under all panels, where it covers no data; in rows of at most `most`."""
+    if labels:
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(most, len(labels)), fontsize=SMALL)
+
+
+def legend_above(axes: Any, **more: Any) -> None:
+    """A legend on top of a panel, in the place of its title."""
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, borderpad=0.0, fontsize=SMALL,
+        handlelength=1.8, **more,
+    )  # fmt: skip

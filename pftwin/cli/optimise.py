@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pftwin.cli.amounts import Given, by_kind, limits, with_amounts
+from pftwin.cli.exit_codes import flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
 from pftwin.cli.treat import EstimateOption, loaded_estimate
@@ -81,6 +82,8 @@ def optimise(
     written = [] if output is None else [f"written: {output}"]
     for line in (plan.describe(), *notes, *written):
         console.print(line, markup=False, highlight=False)
+    if not plan.met:
+        flagged("no amount within the range meets the limits")
 
 
 def _treatment(pairs: dict[str, tuple[float, float]]) -> tuple[Treatment, dict[str, tuple[float, float]]]:

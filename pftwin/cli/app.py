@@ -19,6 +19,7 @@ from pftwin.cli import (
     doctor_mesh,
     equilibrium,
     explain,
+    export,
     fit,
     fit_surface,
     hard_cases,
@@ -66,6 +67,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
         ("accuracy", accuracy.accuracy, "What accuracy costs in time"),
         ("hard-cases", hard_cases.hard_cases, "Scenes that break simulators, judged"),
     ),
+    "Exchange": (("export", export.export, "A result as .mot, .sto, .glb or .csv"),),
 }
 
 

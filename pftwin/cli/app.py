@@ -23,6 +23,7 @@ from pftwin.cli import (
     fit,
     fit_surface,
     hard_cases,
+    import_model,
     init,
     optimise,
     plan_experiment,
@@ -67,7 +68,10 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
         ("accuracy", accuracy.accuracy, "What accuracy costs in time"),
         ("hard-cases", hard_cases.hard_cases, "Scenes that break simulators, judged"),
     ),
-    "Exchange": (("export", export.export, "A result as .mot, .sto, .glb or .csv"),),
+    "Exchange": (
+        ("export", export.export, "A result as .mot, .sto, .glb or .csv"),
+        ("import", import_model.import_model, "An OpenSim model as a scene folder"),
+    ),
 }
 
 

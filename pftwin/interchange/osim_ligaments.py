@@ -1,4 +1,4 @@
-"""Ligaments of an OpenSim model: strands between two points; what the file does not say is filled in as OpenSim does."""
+"""Ligaments of an OpenSim model: strands between two points; what a file does not say is filled in as OpenSim does."""
 
 from __future__ import annotations
 

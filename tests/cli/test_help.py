@@ -46,7 +46,12 @@ def test_version():
 
 
 @pytest.mark.parametrize(
-    ("typed", "offered"), [("pftwin hard", "hard-cases"), ("pftwin simulate --med", "--medialise")]
+    ("typed", "offered"),
+    [
+        ("pftwin hard", "hard-cases"),
+        ("pftwin simulate --med", "--medialise"),
+        ("pftwin simulate --contact s", "spline"),
+    ],
 )
 def test_bash_completes(typed, offered):
     words = {"COMP_WORDS": typed, "COMP_CWORD": str(len(typed.split()) - 1)}

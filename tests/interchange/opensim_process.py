@@ -6,6 +6,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +49,9 @@ def ask(script: str, *arguments: str | Path) -> Any:
     """What a script prints as JSON; the test is skipped where OpenSim is not installed."""
     if importlib.util.find_spec("opensim") is None:
         pytest.skip("OpenSim's Python package is not installed: pip install opensim")
-    done = subprocess.run(
-        [sys.executable, "-c", script, *(str(a) for a in arguments)], capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", script, *(str(a) for a in arguments)]
+    with tempfile.TemporaryDirectory() as place:  # for its log
+        done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 

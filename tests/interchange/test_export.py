@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from pftwin.errors import InputError, OutputError, PftwinWarning
 from pftwin.interchange import export
 from pftwin.interchange.moving_parts import rod
 from pftwin.result_files import load_dataset
+from pftwin.surfaces.icosphere import icosphere
 
 LABELS = [
     "time",
@@ -160,6 +162,32 @@ def test_glb_tendons_reach_from_end_to_end(result, glb):
             np.testing.assert_allclose(rod_now @ [0, 0, end, 1.0], expected, atol=2e-7)
         length = np.linalg.norm(rod_now[:3, 2])
         assert length == pytest.approx(result.effects["patellar_tendon"]["length"][k], abs=1e-6)
+
+
+def test_glb_has_the_meshes_of_a_contact_of_meshes(result, tmp_path):
+    """As they are, however fine; of the button the part behind the patella's middle, on the patella."""
+    from xarray import Dataset
+
+    lines = {n: v for n, v in result.geometry().data_vars.items() if n.endswith(("_insertion", "_origin"))}
+    ball = icosphere(0.02, 40)  # 32,000 triangles: above what a drawing is thinned from
+    meshes = {
+        f"{name}_{kind}": ((f"{name}_{kind}", last), values)
+        for name in ("femur", "button")
+        for kind, last, values in (("vertices", "axis", ball.vertices), ("triangles", "corner", ball.faces))
+    }
+    source = SimpleNamespace(
+        scene_name="meshes", to_dataset=result.to_dataset, geometry=lambda: Dataset({**lines, **meshes})
+    )
+    export(source, tmp_path / "a.glb")
+    read = Glb(tmp_path / "a.glb")
+
+    def triangles(node: str) -> int:
+        (primitive,) = read.tree["meshes"][read.node(node)["mesh"]]["primitives"]
+        return read.rows(primitive["indices"]).size // 3
+
+    assert triangles("femoral mesh") == len(ball.faces) > 30_000
+    assert 0.2 < triangles("button") / len(ball.faces) < 0.9
+    assert read.tree["nodes"].index(read.node("button")) in read.node("patella")["children"]
 
 
 def test_glb_says_what_is_schematic_and_has_the_button_on_the_patella(glb):

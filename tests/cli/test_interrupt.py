@@ -30,7 +30,9 @@ class Run:
 
     def __init__(self, before: str, *arguments: object, cwd: Path) -> None:
         code = f"import sys, time\nfrom pathlib import Path\n{before}\nfrom pftwin.cli import main\nmain()"
-        env = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "160"}
+        cache = os.environ.get("PFTWIN_TEST_CACHE", str(ROOT / ".jax_cache"))  # what other tests have compiled
+        more = {"PYTHONPATH": str(ROOT), "PFTWIN_CACHE": cache, "NO_COLOR": "1", "COLUMNS": "160"}
+        env = {**os.environ, **more}
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, *(str(a) for a in arguments)],
             cwd=cwd,

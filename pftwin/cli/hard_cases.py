@@ -93,21 +93,17 @@ def hard_cases(
         derivatives=not quick,
         mates=not quick,
     )
-    if from_:
-        found = [pieces.read_piece(path) for path in from_]
-    else:
-        found = [_run(cases, chosen, json)]
-        write_json(found[0].as_dict(), json)
-    names = tuple(m.name for m in INTEGRATORS)
-    cells = pieces.merged(found, (tuple(c.name for c in catalogue()), CONTACTS, names, DTYPES))
+    found = [pieces.read_piece(path) for path in from_] if from_ else [_run(cases, chosen, json)]
+    order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
+    cells = pieces.merged(found, order)
     if markdown is not None:
         from pftwin.mocap.text_files import write_text
 
         write_text(markdown, table.markdown(cells, cases, found))
     out(json).print(_table("hard cases", table.summary(cells)))
-    if failed := table.counts(cells)["fail"]:
+    if table.counts(cells)["fail"]:
         out(json).print(_table("what fails", table.reasons(cells, "fail")))
-        flagged(f"{failed} of {len(cells)} cells fail")
+        flagged(f"{table.counts(cells)['fail']} of {len(cells)} cells fail")
 
 
 def _run(cases: tuple[Case, ...], chosen: Selected, json: str | None) -> Piece:
@@ -132,6 +128,7 @@ def _run(cases: tuple[Case, ...], chosen: Selected, json: str | None) -> Piece:
         if cells and json is not None:
             write_json(piece().as_dict(), json)
         raise Interrupted(*([Path(json)] if cells and json not in (None, "-") else [])) from None
+    write_json(piece().as_dict(), json)
     return piece()
 
 

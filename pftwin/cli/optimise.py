@@ -57,14 +57,13 @@ def optimise(
     from fitting.limits import Limit
     from fitting.optimise import optimise_treatment
 
-    stated = [Limit.parsed(text) for text in limit]
     found = None if estimate is None else loaded_estimate(estimate)
     chosen = chosen_scene(scene, case, contact)
     treatment, ranges = _treatment(pairs)
     with working("searching"):
         plan = optimise_treatment(
             chosen.scene,
-            stated,
+            [Limit.parsed(text) for text in limit],
             ranges,
             treatment,
             found,
@@ -75,12 +74,11 @@ def optimise(
         )
     notes = _notes(case, found)
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
-    write_json(facts, None if output is None else str(output))
-    write_json(facts, json)
+    for place in (None if output is None else str(output), json):
+        write_json(facts, place)
     console = out(json)
     console.print(_table(plan, chosen.scene.name))
-    written = [] if output is None else [f"written: {output}"]
-    for line in (plan.describe(), *notes, *written):
+    for line in (plan.describe(), *notes, *([] if output is None else [f"written: {output}"])):
         console.print(line, markup=False, highlight=False)
     if not plan.met:
         flagged("no amount within the range meets the limits")

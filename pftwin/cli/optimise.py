@@ -57,13 +57,14 @@ def optimise(
     from fitting.limits import Limit
     from fitting.optimise import optimise_treatment
 
+    stated = [Limit.parsed(text) for text in limit]
     found = None if estimate is None else loaded_estimate(estimate)
     chosen = chosen_scene(scene, case, contact)
     treatment, ranges = _treatment(pairs)
     with working("searching"):
         plan = optimise_treatment(
             chosen.scene,
-            [Limit.parsed(text) for text in limit],
+            stated,
             ranges,
             treatment,
             found,
@@ -76,10 +77,9 @@ def optimise(
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
     for place in (None if output is None else str(output), json):
         write_json(facts, place)
-    console = out(json)
-    console.print(_table(plan, chosen.scene.name))
+    out(json).print(_table(plan, chosen.scene.name))
     for line in (plan.describe(), *notes, *([] if output is None else [f"written: {output}"])):
-        console.print(line, markup=False, highlight=False)
+        out(json).print(line, markup=False, highlight=False)
     if not plan.met:
         flagged("no amount within the range meets the limits")
 

@@ -32,7 +32,7 @@ from pftwin.cli import (
     validate,
     view,
 )
-from pftwin.cli.exit_codes import after_interrupt, code_of
+from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
 
@@ -134,4 +134,9 @@ for _panel, _commands in COMMANDS.items():
 
 def main() -> None:
     """The entry point of the program."""
-    app(prog_name="pftwin")
+    try:
+        app(prog_name="pftwin")
+    except SystemExit as ended:
+        if ended.code == ExitCode.INTERRUPTED:
+            leave_at_once(ExitCode.INTERRUPTED)
+        raise

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import enum
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -81,6 +83,13 @@ def after_interrupt(error: KeyboardInterrupt) -> NoReturn:
     words = f"saved so far: {', '.join(str(p) for p in kept)}" if kept else "nothing was saved"
     err().print(f"interrupted; {words}", style="yellow", markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(ExitCode.INTERRUPTED)
+
+
+def leave_at_once(code: ExitCode) -> NoReturn:
+    """Ends the process without taking Python down: compiled code may still run in threads that would crash with it."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(code)
 
 
 def _version(file: Path) -> tuple[int, int] | None:

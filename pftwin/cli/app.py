@@ -28,6 +28,7 @@ from pftwin.cli import (
     validate,
     view,
 )
+from pftwin.cli.live import command as live
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
 
@@ -99,6 +100,7 @@ app.command("hard-cases")(hard_cases.hard_cases)
 app.command("treat")(treat.treat)
 app.command("optimise")(optimise.optimise)
 app.command("view")(view.view)
+app.command("app")(live.app)
 app.command("init")(init.init)
 
 

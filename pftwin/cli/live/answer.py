@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -74,6 +74,10 @@ class Answer:
     def times(self) -> NDArray[np.float64]:
         """Of the frames that are shown (n,) [s]."""
         return self.recorded.times
+
+    def named(self, name: str) -> Answer:
+        """The same under another name."""
+        return replace(self, recorded=replace(self.recorded, name=name))
 
     def refuse_if_lost(self, unlike: Answer | None = None) -> None:
         """Refuses a motion that means nothing.

@@ -13,7 +13,8 @@ from pftwin.plots import COLOURS
 if TYPE_CHECKING:
     from viser import GuiApi
 
-HEIGHT = 165  # of a chart [pixels]
+HEIGHT = 158  # of a chart [pixels]
+ROUND = 5.0  # edges of the charts are multiples of this, in degrees, mm or newtons
 BEFORE, AFTER = COLOURS[:2]
 Floats = NDArray[np.float64]
 
@@ -32,9 +33,9 @@ class Curves:
                     {"label": "treated", "stroke": AFTER, "width": 2},
                     {"label": "now", "stroke": "#222222", "points": {"show": True, "size": 9, "fill": AFTER}},
                 ),
-                title=title,
-                scales={"x": {"time": False}},
-                axes=({"label": "time [s]", "labelSize": 18, "size": 32}, {"size": 46}),
+                title=f"{title} over time [s]",
+                scales=self._scales(name),
+                axes=({"size": 24}, {"size": 42}),
                 legend={"show": False},
                 cursor={"drag": {"x": False, "y": False}},
                 height=HEIGHT,
@@ -52,6 +53,18 @@ class Curves:
         """Moves the mark to a frame of the treated motion."""
         for name, chart in self._charts.items():
             chart.data = self._data(name, k)
+            chart.scales = self._scales(name)
+
+    def _scales(self, name: str) -> Any:
+        """Both axes, the values' rounded outwards: it stays as it is while a slider is moved a little.
+
+        They are told because a mark that is in one place alone, and missing (NaN) elsewhere, has no range of its own.
+        """
+        values = np.concatenate([getattr(a, name) for a in (self._before, self._after)])
+        there = values[np.isfinite(values)]
+        low, high = (float(there.min()), float(there.max())) if there.size else (0.0, 1.0)
+        edges = ROUND * np.floor(low / ROUND - 0.05), ROUND * np.ceil(high / ROUND + 0.05)
+        return {"x": {"time": False}, "y": {"range": tuple(float(e) for e in edges)}}
 
     def _data(self, name: str, k: int) -> tuple[Floats, ...]:
         series: list[Any] = [getattr(a, name) for a in (self._before, self._after)]

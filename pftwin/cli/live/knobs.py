@@ -79,7 +79,7 @@ def _transfer(name: str, least: float, most: float, hint: str) -> Knob:
 
 def _tendon(tendon: str, words: str, length: float) -> tuple[Knob, Knob]:
     stiff = f"Stiffness of the {words}, of what the scene has; its damping stays."
-    long = f"Slack length of the {words}, longer (positive) or shorter than in the scene."
+    long = f"Slack length of the {words}, against that in the scene; negative: shorter."
     return (
         Knob(
             f"{tendon}_stiffness",
@@ -92,7 +92,7 @@ def _tendon(tendon: str, words: str, length: float) -> tuple[Knob, Knob]:
         ),
         Knob(
             f"{tendon}_length",
-            "slack length [± mm]",
+            "longer by [mm]",
             words.capitalize(),
             "mm",
             *(-length, length, 0.5, 0.0),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from pftwin.cli.live.answer import Answer
 from pftwin.cli.live.clock import Clock
 from pftwin.cli.live.curves import AFTER, BEFORE, Curves
 from pftwin.cli.live.drawing import Bones, Knee, component_of
-from pftwin.cli.live.engine import Engine, Model
+from pftwin.cli.live.engine import TREATED, Engine, Model
 from pftwin.cli.live.knobs import Knob
 from pftwin.cli.live.shown import Shown
 from pftwin.viewer.assembly import per_centimetre
@@ -44,19 +45,16 @@ class Page:
         self._knobs = self._sliders(engine)
         self._model(engine)
         self._pace = self._gui.add_html(words.pace(Clock(), Clock(), 0.0))
+        self._views(model)
+        self._gui.add_html(words.boxed(self._legend(model)))
         panel = self._gui.add_panel()
         with panel.add_tab("Motion"):
             self._playing(model)
             self._numbers = self._gui.add_html("")
             self._whole = self._gui.add_html("")
             self._curves = Curves(self._gui, model.before)
-            said = [*notes([model.before.recorded], self.newtons), words.NOT_FOR_PATIENTS]
-            both = [model.before.recorded] * 2
-            named = legend(both, [BEFORE, AFTER], said).replace("max-width:290px", "")
-            self._gui.add_html(words.boxed(named))
         panel.dock_left()
-        panel.set_width(340)
-        self._views(model)
+        panel.set_width(400)
 
     def draw(self, model: Model, after: Answer, shown: Shown) -> None:
         """Another motion: the knee and its continued surface, the curves and the table."""
@@ -112,6 +110,11 @@ class Page:
     def set_ghost(self, visible: bool) -> None:
         """Shows or hides the untreated knee."""
         self._untreated.show(visible)
+
+    def _legend(self, model: Model) -> str:
+        one = model.before.recorded
+        said = [*notes([one], self.newtons), words.NOT_FOR_PATIENTS]
+        return legend([one, replace(one, name=TREATED)], [BEFORE, AFTER], said).replace("max-width:290px", "")
 
     def _sliders(self, engine: Engine) -> dict[str, Any]:
         found = {}

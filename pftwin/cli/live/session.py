@@ -11,7 +11,7 @@ import numpy as np
 from pftwin.cli.live import words
 from pftwin.cli.live.answer import Answer
 from pftwin.cli.live.clock import Clock
-from pftwin.cli.live.engine import Engine, Model
+from pftwin.cli.live.engine import TREATED, Engine, Model
 from pftwin.cli.live.knobs import Knob, neutral
 from pftwin.cli.live.page import Page
 from pftwin.cli.live.player import Player
@@ -39,15 +39,15 @@ class Session:
         self._closed = False
         self._values = neutral(engine.knobs)
         self._wanted = self._contact = engine.contacts[0]
-        self._now, self._numbered = 0.0, 0.0
+        self._numbered = 0.0
         self.motions, self.drawings = Clock(), Clock()
         model = engine.model(self._contact)
-        self._after = model.before
+        self._after = model.before.named(TREATED)
         self._now = float(model.before.times[0])
         with self._lock, client.atomic():
             self._page = Page(client, engine, model, self)
             self._player = Player(self._played, self._now, float(model.before.times[-1]))
-            self._drawn(model, model.before, Shown(model.before.recorded, self._page.newtons).drawn_now())
+            self._drawn(model, self._after, Shown(model.before.recorded, self._page.newtons).drawn_now())
 
     def turn(self, knob: Knob, value: Any) -> None:
         """A slider was moved."""

@@ -28,8 +28,8 @@ def outcome(answer: Answer) -> str:
     if answer.dislocates is None:
         return state("doubt", f"Dislocation: not assessed, {answer.tracking}", doubts)
     if answer.dislocates:
-        return state("bad", f"Dislocation: yes. {_capital(answer.tracking)}", doubts)
-    return state("good", f"Dislocation: no. {_capital(answer.tracking)}", doubts)
+        return state("bad", "Dislocation: yes", f"{_capital(answer.tracking)} {doubts}")
+    return state("good", "Dislocation: no", f"{_capital(answer.tracking)} {doubts}")
 
 
 def refused(why: str) -> str:
@@ -44,11 +44,13 @@ def waiting(contact: str, shown: str) -> str:
 
 def comparison(before: Answer, after: Answer) -> str:
     """Extremes of both motions in a table."""
-    head = "".join(f"<td style='{_CELL};color:#555'>{h}</td>" for h in ("tilt", "shift", "contact", "dislocated"))
+    head = "".join(
+        f"<td style='{_CELL};color:#555'>{h}</td>" for h in ("tilt [°]", "shift [mm]", "force", "dislocated")
+    )
     rows = []
     for answer, code in ((before, BEFORE), (after, AFTER)):
         out = {None: "—", True: "yes", False: "no"}[answer.dislocates]
-        cells = (_range(answer.tilt, "°"), _range(answer.shift, " mm"), _most(answer.highest_force), out)
+        cells = (_range(answer.tilt), _range(answer.shift), _most(answer.highest_force), out)
         rows.append(
             f"<tr><td style='color:{code};font-weight:600'>{escape(answer.recorded.name)}</td>"
             + "".join(f"<td style='{_CELL}'>{c}</td>" for c in cells)
@@ -78,9 +80,9 @@ def boxed(content: str) -> str:
 _CELL = "text-align:right;padding-left:8px;white-space:nowrap"
 
 
-def _range(values: np.ndarray, unit: str) -> str:
+def _range(values: np.ndarray) -> str:
     there = values[np.isfinite(values)]
-    text = f"{there.min():.1f} to {there.max():.1f}{unit}" if there.size else "—"
+    text = f"{there.min():.0f} to {there.max():.0f}" if there.size else "—"
     return text.replace("-", "−")
 
 

@@ -1,4 +1,4 @@
-"""A client of the live page without a browser: speaks viser's protocol, so that it can also say what no browser would."""
+"""A client of the live page without a browser: speaks viser's protocol, so that it can say what no browser would."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from types import TracebackType
 from typing import Any
 
 import msgspec
-import viser
 import zstandard
 from websockets.sync.client import connect
 
@@ -30,6 +29,8 @@ class PageClient:
     """Remembers what the server says of the page's elements: by label, by content."""
 
     def __init__(self, address: str) -> None:
+        import viser
+
         protocol: Any = f"viser-v{viser.__version__}"
         self._socket = connect(address.replace("http", "ws"), subprotocols=[protocol], max_size=None)
         self._unpack = zstandard.ZstdDecompressor()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,12 +36,14 @@ def app(
     Example: `pftwin app --case 2 --open`
     """
     began = time.perf_counter()
+    from pftwin.cli.live.address import check_address, loopback
+
+    check_address(host, port)
     chosen = chosen_scene(scene, case, contact)
     from pftwin.cli.live.engine import Engine
-    from pftwin.cli.live.server import LiveServer, check_address, loopback, viser
+    from pftwin.cli.live.server import LiveServer, viser
 
     viser()
-    check_address(host, port)
     own = chosen.contact or "as in the file"
 
     def load(name: str) -> Scene:
@@ -70,8 +73,10 @@ def contacts_of(case: int | None, own: str | None) -> tuple[str, ...]:
     smooth = ("P2", "P4", "P5", SPLINE)
     if own is None:
         return ("as in the file",)
-    others = (*smooth, *ON_MESHES) if case is not None else smooth if own not in ON_MESHES else ()
-    return tuple(dict.fromkeys((own, *others)))
+    if case is not None:
+        return tuple(dict.fromkeys((own, *smooth, *ON_MESHES)))
+    fitted = own == SPLINE or re.fullmatch(r"P\d+", own)  # a file's mesh, which others can be fitted to as well
+    return tuple(dict.fromkeys((own, *smooth))) if fitted else (own,)
 
 
 def _tell(address: str, host: str, seconds: float, *, safe: bool) -> None:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import io
-import ipaddress
 import logging
-import socket
 import sys
 import threading
 import traceback
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
+from pftwin.cli.live.address import check_address
 from pftwin.cli.live.engine import Engine
 from pftwin.cli.live.session import Session
 from pftwin.cli.live.worker import Worker
-from pftwin.errors import InputError, MissingExtraError
+from pftwin.errors import MissingExtraError
 from pftwin.viewer.views import views
 
 
@@ -31,46 +31,6 @@ def viser() -> Any:
     except ImportError as error:
         raise MissingExtraError("viser", extra="app", feature="the live page") from error
     return package
-
-
-def loopback(host: str) -> bool:
-    """Whether an address can be reached from this machine alone."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def check_address(host: str, port: int) -> None:
-    """Refuses an address that no server can have here.
-
-    Raises:
-        InputError: no such address on this machine, or a port that is not allowed. One that is taken is no mistake: the
-            server takes the next one.
-    """
-    try:
-        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except (OSError, UnicodeError):
-        raise _no_address(host) from None
-    with socket.socket(family, kind, protocol) as tried:
-        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            tried.bind(place)
-        except PermissionError:
-            raise InputError(f"port {port} is not allowed", where="--port", expected="1024 or more") from None
-        except OSError as error:
-            import errno
-
-            if error.errno != errno.EADDRINUSE:
-                raise _no_address(host) from None
-
-
-def _no_address(host: str) -> InputError:
-    return InputError(
-        f"{host!r} is no address of this machine", where="--host", expected="127.0.0.1, or 0.0.0.0 for all of them"
-    )
 
 
 class LiveServer:
@@ -183,7 +143,8 @@ class _OneLine(logging.Formatter):
 
 
 def _quiet_about_broken_messages() -> None:
-    """Connections that break, or send no message at all, are told in one line each."""
+    """Connections that break, or send no message at all, are told in one line each; one that ends, not at all."""
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
     logger = logging.getLogger("websockets.server")
     if not logger.handlers:
         handler = logging.StreamHandler()

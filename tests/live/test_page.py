@@ -58,9 +58,9 @@ def browser(command):
 
 
 @contextmanager
-def opened(browser, address):
-    """A page that is drawn, and what its browser said and asked for."""
-    context = browser.new_context(viewport={"width": 1360, "height": 860})
+def opened(browser, address, width: int = 1000):
+    """A page that is drawn, and what its browser said and asked for. The narrower, the less is drawn by software."""
+    context = browser.new_context(viewport={"width": width, "height": 560})
     page, seen = context.new_page(), {"messages": [], "requests": []}
     page.on("console", lambda m: seen["messages"].append((m.type, m.text)))
     page.on("pageerror", lambda e: seen["messages"].append(("error", str(e))))
@@ -72,7 +72,7 @@ def opened(browser, address):
 
 
 def says(page, words: str) -> None:
-    page.wait_for_function("words => document.body.innerText.includes(words)", arg=words, timeout=120_000)
+    page.wait_for_function("words => document.body.innerText.includes(words)", arg=words, timeout=180_000)
 
 
 def drag(page, label: str, share: float) -> None:
@@ -90,7 +90,7 @@ def drag(page, label: str, share: float) -> None:
 
 def picture(page) -> np.ndarray:
     """What is between the panels."""
-    shot = page.screenshot(timeout=60_000, clip={"x": 410, "y": 200, "width": 540, "height": 600})
+    shot = page.screenshot(timeout=120_000, clip={"x": 410, "y": 200, "width": 190, "height": 350})
     return np.asarray(PIL.open(io.BytesIO(shot)).convert("RGB")).astype(int)
 
 
@@ -106,32 +106,31 @@ def test_the_page_loads_without_a_complaint_and_asks_nobody_else(browser, comman
         says(page, "The rig is virtual: its recorded motion is synthetic.")
         says(page, "slider to new motion: none yet")
         page.wait_for_timeout(500)
-        assert near(picture(page), ORANGE) > 2000
+        assert near(picture(page), ORANGE) > 500
         assert [m for m in seen["messages"] if m[0] == "error"] == []
         own = (command[1], f"blob:{command[1]}", "data:")
         assert [url for url in seen["requests"] if not url.startswith(own)] == []
 
 
 def test_dragging_the_tuberosity_medially_cures_case_2_on_this_page_alone(browser, command, tmp_path):
-    with opened(browser, command[1]) as (page, seen), opened(browser, command[1]) as (other, _):
+    with opened(browser, command[1]) as (page, seen), opened(browser, command[1], 820) as (other, _):
         says(page, "Dislocation: yes")
         before = picture(page)
         drag(page, "medialisation [mm]", 0.72)  # to 16 mm
         says(page, "Dislocation: no")
-        page.wait_for_function(
-            r"() => /slider to new motion: \d+ ms \(of the last \d+: median/.test(document.body.innerText)"
-        )
+        told = r"slider to new motion: \d+ ms \(of the last \d+: median \d+, worst \d+ ms\)"
+        page.wait_for_function("told => new RegExp(told).test(document.body.innerText)", arg=told, timeout=180_000)
         value = float(page.locator(SLIDER.format("medialisation [mm]")).locator("input").last.input_value())
         assert 13 < value < 19
         page.wait_for_timeout(500)
         assert (np.abs(picture(page) - before).max(axis=2) > 20).sum() > 1000
         says(other, "Dislocation: yes")
         drag(other, "distalisation [mm]", 0.6)
-        other.wait_for_function("() => document.body.innerText.includes('of the last')", timeout=60_000)
+        other.wait_for_function("() => document.body.innerText.includes('of the last')", timeout=180_000)
         assert "Dislocation: no" in page.locator("body").inner_text()
         assert [m for m in seen["messages"] if m[0] == "error"] == []
         folder = Path(os.environ.get("PFTWIN_ARTIFACTS", tmp_path))
-        page.screenshot(path=folder / "app.png", timeout=60_000)
+        page.screenshot(path=folder / "app.png", timeout=120_000)
         page.get_by_role("button", name="Reset").click()
         says(page, "Dislocation: yes")
 

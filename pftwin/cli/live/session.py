@@ -109,6 +109,7 @@ class Session:
     def compare(self, visible: bool) -> None:
         """Shows or hides the untreated knee."""
         self._page.set_ghost(visible)
+        self._frame(self._now, numbers=False)
 
     def refuse(self, why: str) -> None:
         """Says in words why nothing new is drawn."""
@@ -138,15 +139,15 @@ class Session:
                 self._ask(time.perf_counter())
 
     def _ask(self, began: float) -> None:
-        contact = self._wanted if self._engine.ready(self._wanted) else self._contact
-        values = dict(self._values)
-        self._simulating.submit(self, lambda: self._answer(contact, values, began))
+        """For a motion of the values that there are when its turn comes: never of older ones."""
+        self._simulating.submit(self, lambda: self._answer(began))
 
-    def _answer(self, contact: str, values: dict[str, float], began: float) -> None:
+    def _answer(self, began: float) -> None:
         """In the worker's thread: simulates and draws."""
+        contact = self._wanted if self._engine.ready(self._wanted) else self._contact
         try:
             model = self._engine.model(contact)
-            after = self._engine.run(contact, values)
+            after = self._engine.run(contact, dict(self._values))
         except Exception as error:
             self._failed(error)
             if not isinstance(error, InputError):

@@ -38,6 +38,7 @@ def client(server):
     gone(server)
     with PageClient(server.address) as made:
         made.wait_for("Dislocation: no")
+        until(lambda: server.sessions)
         yield made
 
 
@@ -206,6 +207,7 @@ def test_a_client_that_leaves_frees_its_things(server):
         client.wait_for("Dislocation: no")
         client.move("Play", True)
         client.wait(lambda c: any(e.get("label") == "Pause" for e in c.elements.values()))
+        until(lambda: server.sessions)
         session = weakref.ref(server.sessions[0])
     gone(server)
     until(lambda: "player" not in [t.name for t in threading.enumerate()])

@@ -13,7 +13,7 @@ from pftwin.plots import COLOURS
 if TYPE_CHECKING:
     from viser import GuiApi
 
-HEIGHT = 158  # of a chart [pixels]
+HEIGHT = 142  # of a chart [pixels]
 ROUND = 5.0  # edges of the charts are multiples of this, in degrees, mm or newtons
 BEFORE, AFTER = COLOURS[:2]
 Floats = NDArray[np.float64]

@@ -36,14 +36,12 @@ class Session:
         self._client, self._engine = client, engine
         self._simulating, self._preparing = simulating, preparing
         self._lock = threading.RLock()
-        self._closed = False
+        self._closed, self._numbered = False, 0.0
         self._values = neutral(engine.knobs)
         self._wanted = self._contact = engine.contacts[0]
-        self._numbered = 0.0
         self.motions, self.drawings = Clock(), Clock()
         model = engine.model(self._contact)
-        self._after = model.before.named(TREATED)
-        self._now = float(model.before.times[0])
+        self._after, self._now = model.before.named(TREATED), float(model.before.times[0])
         with self._lock, client.atomic():
             self._page = Page(client, engine, model, self)
             self._player = Player(self._played, self._now, float(model.before.times[-1]))
@@ -78,9 +76,9 @@ class Session:
         self._wanted = contact
         if self._engine.ready(contact):
             self._ask(began)
-        else:
-            self._say(words.waiting(contact, self._contact))
-            self._preparing.submit(self, lambda: self._prepare(contact))
+            return
+        self._say(words.waiting(contact, self._contact))
+        self._preparing.submit(self, lambda: self._prepare(contact))
 
     def seek(self, at: Any) -> None:
         """The time slider was moved."""

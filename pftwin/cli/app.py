@@ -33,6 +33,7 @@ from pftwin.cli import (
     view,
 )
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
+from pftwin.cli.live import command as live
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
 
@@ -57,6 +58,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
     "Treat": (
         ("treat", treat.treat, "Predict outcomes of treatments, with bands"),
         ("optimise", optimise.optimise, "The smallest treatment that meets stated limits"),
+        ("app", live.app, "Treatments by sliders, live in the browser"),
     ),
     "Look": (
         ("view", view.view, "Results in three dimensions: a page, offline"),

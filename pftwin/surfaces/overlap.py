@@ -92,6 +92,7 @@ def _merged(
     slope = jnp.where(partly, 6 * u * (1 - u), 0.0)
     # d t: by the depth, and by each volume, of which 2 R V has the slope 2 * moment.
     by_depth = (2 * t * slope) * ((1 / square) * seam.square_slope - (1 / along) * seam.depth_slope)
-    rest = (slope * depth * depth / ONE_CONTACT) * (-2 / scale)
-    by_volume = (rest / (m * m)) * cuts[0].moment + (rest / (v * v)) * cuts[1].moment
+    # By quotients of like size: the derivative of 1 / m^2 divides by m^4, too small for single precision when shallow.
+    rest, by_m, by_v = (slope / ONE_CONTACT) * (-2 / scale), depth / m, depth / v
+    by_volume = (rest * by_m * by_m) * cuts[0].moment + (rest * by_v * by_v) * cuts[1].moment
     return s, by_depth + by_volume

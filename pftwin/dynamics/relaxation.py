@@ -16,7 +16,7 @@ from pftwin.spatial import Pose, Scalar
 STEPS = 1500
 STEP = 2e-3  # [s]
 RATE = 20.0  # [1/s]: overdamped against the tendons' slow modes, settled well within the time given
-THROWN = 0.06  # [m] from where it was put, turns counted at `LEVER`: a contact that was too deep has thrown the patella
+THROWN = 0.07  # [m] from where it was put: a contact that was too deep has thrown the patella, it has not settled
 
 
 BURST_STEP, BURST_STEPS = 5e-3, 4000  # of a burst [s], and how many at most
@@ -41,10 +41,8 @@ def relax(system: System, guide: Guide, pose: Pose) -> Pose:
 
 def thrown(before: Pose, after: Pose) -> np.ndarray:
     """Whether relaxation ended so far from where the patella was put, or nowhere, that it is no start (on the host)."""
-    p, q = (np.moveaxis(np.asarray(x.array()), -1, 0) for x in (before.position, before.orientation))
-    there, turned = (np.moveaxis(np.asarray(x.array()), -1, 0) for x in (after.position, after.orientation))
-    angle = 2 * np.arccos(np.minimum(np.abs((q * turned).sum(axis=0)), 1.0))
-    return ~(np.linalg.norm(there - p, axis=0) + LEVER * angle < THROWN)
+    way = np.asarray(after.position.array()) - np.asarray(before.position.array())
+    return ~(np.linalg.norm(way, axis=-1) < THROWN)
 
 
 def come_to_rest(system: System, state: State, guide: Guide, moves: Scalar) -> State:

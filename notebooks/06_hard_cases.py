@@ -416,7 +416,7 @@ ROWS = (
     "steps half as long",
 )
 weighed = audit(knee, only=ROWS)
-Markdown(audit_sheet(weighed, synthetic=True).markdown())
+Markdown(audit_sheet(weighed).markdown())
 
 # %% [markdown]
 # The bars: how far the button's path moves (bar: rms over the motion; thin line: to the largest), how much the

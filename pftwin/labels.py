@@ -2,4 +2,4 @@
 
 from __future__ import annotations
 
-VIRTUAL = "the rig is virtual: its recorded motion is synthetic"
+SYNTHETIC = "the recorded motion is synthetic: a simulated knee's"

@@ -9,7 +9,7 @@ import numpy as np
 
 from pftwin.dynamics.observe import Status
 from pftwin.effects.base import Observable
-from pftwin.labels import VIRTUAL
+from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pftwin.result import Result
 
 _AXES = ("x", "y", "z")
-_RIG = "rig case"  # how the names of the virtual rig's scenes begin
 _COMPONENTS = ("w", "x", "y", "z")
 _MEANINGS = " ".join(str(f.name).lower() for f in Status if f)
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
@@ -78,8 +77,8 @@ def attributes_of(result: Result) -> dict[str, Any]:
         "real_time_factor": result.real_time_factor,
         "tracking": "not assessed: no contact surface" if outcome is None else outcome.describe(),
     }
-    if result.scene_name.startswith(_RIG):
-        attributes["note"] = VIRTUAL
+    if result.scene.synthetic:
+        attributes["note"] = SYNTHETIC
     if result.constraint_drift is not None:
         attributes["largest_constraint_drift_m"] = result.constraint_drift
     plain = {k: plain_attribute(v) for k, v in result.settings.items()}

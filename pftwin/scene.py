@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -39,6 +40,7 @@ class Scene(eqx.Module):
     motion: KneeMotion
     start: Pose  # of the patella frame in the world at the first frame: where the search for equilibrium begins
     name: str = eqx.field(static=True, default="scene")
+    synthetic: bool = eqx.field(static=True, default=False)  # whether its motion was made up: all that shows it says so
 
     def effect(self, name: str) -> Effect:
         """The effect of that name.
@@ -64,16 +66,16 @@ class Scene(eqx.Module):
             effects[names.index(effect.name)] = effect
         else:
             effects.append(effect)
-        return Scene(self.patella, tuple(effects), self.motion, self.start, self.name)
+        return dataclasses.replace(self, effects=tuple(effects))
 
     def without(self, name: str) -> Scene:
         """The scene less one effect."""
         gone = self.effect(name)
-        return Scene(self.patella, tuple(e for e in self.effects if e is not gone), self.motion, self.start, self.name)
+        return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not gone))
 
     def unnamed(self) -> Scene:
-        """The scene without its name, which is no part of a program: scenes of one structure share what is compiled."""
-        return Scene(self.patella, self.effects, self.motion, self.start, "")
+        """The scene without what is no part of a program: scenes of one structure share what is compiled."""
+        return dataclasses.replace(self, name="", synthetic=False)
 
     @property
     def contact(self) -> SphereContact | None:

@@ -129,6 +129,7 @@ def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
         "chart": "cylinder" if hasattr(getattr(contact.surface, "chart", None), "radius") else "plane",
         "axis_radius": _number(1e3 * files.axis_radius),
         "damping": "\n\n".join(_damping(e) for e in scene.effects if isinstance(e, LinearDamping)),
+        "synthetic": "true" if files.synthetic else "false",
         "measured": "" if files.forces is None else _measured(files),
     }
     return Template(_TEMPLATE).substitute(values)
@@ -217,6 +218,7 @@ max_gap_s = 0.1       # longest gap in a marker that is filled by a spline
 cutoff_Hz = $cutoff        # zero-phase Butterworth low-pass; leave it out for no filter
 filter_order = 2      # of one pass
 correct_two_passes = false  # true: both passes together have -3 dB at the cut-off
+synthetic = $synthetic     # a simulated motion: results and figures say so
 # start_time_s = 0.0  # part of the recording, after filtering
 # end_time_s = 7.2
 

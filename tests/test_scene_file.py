@@ -274,6 +274,15 @@ def test_only_part_of_a_recording(toy: Path) -> None:
     assert scene.motion.start_time == pytest.approx(0.1)
 
 
+def test_a_motion_that_was_made_up_is_said_to_be(toy: Path) -> None:
+    assert not load_scene(toy / "scene.toml").synthetic
+    scene = load(toy, changed('"poses.csv"', '"poses.csv"\nsynthetic = true'))
+    assert scene.synthetic
+    assert scene.without("gravity").synthetic
+    assert scene.with_effect(scene.effect("gravity")).synthetic
+    assert not scene.unnamed().synthetic  # no part of a program
+
+
 def test_the_example_that_init_writes_is_the_scene_it_was_written_from(toy: Path) -> None:
     scene = load_scene(toy / "scene.toml")
     files = LaboratoryFiles("walk.trc", "femur.stl", None, None, CLUSTERS["tibia"], CLUSTERS["patella"], {})

@@ -40,6 +40,7 @@ class Audit:
     """All variants of a scene."""
 
     scene: str
+    synthetic: bool  # whether its motion is
     integrator: str
     step: float  # [s]
     tolerance: float  # of the tracked point's place [m]
@@ -94,6 +95,7 @@ def audit(
     tracking = own.result.dislocations()
     return Audit(
         scene=scene.name,
+        synthetic=scene.synthetic,
         integrator=integrator,
         step=scene.motion.frame_interval / substeps,
         tolerance=tolerance,

@@ -7,6 +7,7 @@ Coriolis and the Euler force, and their moments.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -56,7 +57,7 @@ def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
         TurningGravity(e.mass, e.acceleration, femur, name=e.name) if type(e) is Gravity else e for e in scene.effects
     )
     motion, start = _seen_from_femur(scene.motion, femur), _start(scene, femur)
-    fixed = Scene(scene.patella, effects, motion, start, scene.name)
+    fixed = dataclasses.replace(scene, effects=effects, motion=motion, start=start)
     return Variant(NAME, "left out", "the femur's frame taken for an inertial one, weight turning in it", fixed)
 
 

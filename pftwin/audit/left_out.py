@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -31,7 +32,7 @@ def left_out(scene: Scene) -> list[Variant | NotApplicable]:
 def _changed(scene: Scene, change: Any) -> Scene:
     """The scene with every effect changed for which `change` has an answer."""
     effects = tuple(new if (new := change(e)) is not None else e for e in scene.effects)
-    return Scene(scene.patella, effects, scene.motion, scene.start, scene.name)
+    return dataclasses.replace(scene, effects=effects)
 
 
 def _toes_of_tendons(scene: Scene) -> Variant | None:

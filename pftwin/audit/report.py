@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pftwin.audit.audit import Audit
 from pftwin.audit.explain import Explanation, PartCost
 from pftwin.audit.table import columns
+from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -103,13 +104,8 @@ def _energy(joules: float) -> str:
     return f"{1e3 * joules:,.0f} mJ" if abs(joules) >= 0.1 else f"{1e3 * joules:.2g} mJ"
 
 
-def audit_sheet(found: Audit, *, synthetic: bool = False) -> Sheet:
-    """A row for each variant.
-
-    Args:
-        found: the audit.
-        synthetic: whether the motion is the virtual rig's, which is then said.
-    """
+def audit_sheet(found: Audit) -> Sheet:
+    """A row for each variant."""
     figures = {c.key: c.values for c in columns(found)}
     rows = []
     for i, row in enumerate(found.rows):
@@ -123,7 +119,7 @@ def audit_sheet(found: Audit, *, synthetic: bool = False) -> Sheet:
         f"{found.programs} programs compiled"
     )
     notes += [] if found.tracking is None else [f"the scene itself: {found.tracking}"]
-    notes += ["the rig's motion is synthetic"] if synthetic else []
+    notes += [SYNTHETIC] if found.synthetic else []
     notes += [f"status: {found.status}"] if found.status != "ok" else []
     return Sheet(
         f"{found.scene}: {found.integrator}, steps of {_ms(found.step)}, a run takes {1e3 * found.run_time:.1f} ms",

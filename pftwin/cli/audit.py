@@ -52,16 +52,15 @@ def audit(
         found = weigh(
             chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator or "linear_implicit", dt=dt or 1e-3
         )
-    synthetic = case is not None
     if files:
-        _write(found, files, synthetic)
+        _write(found, files)
     from pftwin.benchmarks.machine import describe
 
     written = [str(p) for p in files.values()]
-    about = {"contact": chosen.contact, "synthetic": synthetic, "machine": describe(), "files": written}
+    about = {"contact": chosen.contact, "machine": describe(), "files": written}
     write_json({**found.to_dict(), **about}, json)
     console = out(json)
-    show(audit_sheet(found, synthetic=synthetic), console, markdown)
+    show(audit_sheet(found), console, markdown)
     if written:
         console.print(f"written: {', '.join(written)}", markup=False, highlight=False)
 
@@ -74,7 +73,7 @@ def _files(folder: Path | None) -> dict[str, Path]:
     return {kind: folder / f"audit.{kind}" for kind in ("csv", "nc", "png", "svg")}
 
 
-def _write(found: Audit, files: dict[str, Path], synthetic: bool) -> None:
+def _write(found: Audit, files: dict[str, Path]) -> None:
     from pftwin.audit.figure import audit_figure
     from pftwin.audit.table import write_csv, write_netcdf
     from pftwin.plots import save_figure
@@ -82,5 +81,5 @@ def _write(found: Audit, files: dict[str, Path], synthetic: bool) -> None:
     files["csv"].parent.mkdir(parents=True, exist_ok=True)
     write_csv(found, files["csv"])
     write_netcdf(found, files["nc"])
-    title = f"{found.scene}{' (synthetic rig)' if synthetic else ''}: what each effect is worth"
+    title = f"{found.scene}{' (synthetic motion)' if found.synthetic else ''}: what each effect is worth"
     save_figure(audit_figure(found, title), files["png"].with_suffix(""))

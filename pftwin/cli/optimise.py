@@ -11,7 +11,7 @@ from pftwin.cli.amounts import Given, by_kind, limits, with_amounts
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
 from pftwin.cli.treat import EstimateOption, loaded_estimate
-from pftwin.labels import VIRTUAL
+from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -72,7 +72,7 @@ def optimise(
             seed=seed,
             dt=dt,
         )
-    notes = _notes(case, found)
+    notes = _notes(chosen.scene.synthetic, found)
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
     write_json(facts, None if output is None else str(output))
     write_json(facts, json)
@@ -98,8 +98,8 @@ def _treatment(pairs: dict[str, tuple[float, float]]) -> tuple[Treatment, dict[s
     return whole, ranges
 
 
-def _notes(case: int | None, estimate: Any) -> list[str]:
-    said = [] if case is None else [VIRTUAL]
+def _notes(synthetic: bool, estimate: Any) -> list[str]:
+    said = [SYNTHETIC] if synthetic else []
     if estimate is not None and estimate.synthetic:
         said.append("the parameters were estimated from synthetic measurements")
     return said

@@ -11,7 +11,7 @@ from pftwin.cli.amounts import Given, by_kind, values, with_amounts
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 from pftwin.errors import InputError, OutputError
-from pftwin.labels import VIRTUAL
+from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -72,8 +72,8 @@ def treat(
             dt=dt,
             progress=lambda done, of: spinner.update(f"simulated {done} of {of} variants and draws ..."),
         )
-    if case is not None:
-        data.attrs["note"] = "; ".join([VIRTUAL, *([data.attrs["note"]] if "note" in data.attrs else [])])
+    if chosen.scene.synthetic:
+        data.attrs["note"] = "; ".join([SYNTHETIC, *([data.attrs["note"]] if "note" in data.attrs else [])])
     with working("writing"):
         save_dataset(data, output)
         written = [output, *(_draw(data, output, chosen.scene.name) if figure and data.sizes["variant"] > 1 else [])]

@@ -134,4 +134,4 @@ class Knee:
         turn = Quaternion.from_rotation_vector(vector(self.turn))
         body = PatellaBody(number(self.mass), vector(inertia), vector(self.center_of_mass))
         motion = KneeMotion.from_poses(None, self.tibia())
-        return Scene(body, effects, motion, Pose(vector(self.start), turn), name)
+        return Scene(body, effects, motion, Pose(vector(self.start), turn), name, synthetic=True)

@@ -102,4 +102,5 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
     recorded, motion = _recorded(n, canonicalize_dtype(float) == np.float64)
     first = recorded.patella
     start = Pose(vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0]))))
-    return Scene(patella_body(), effects(rig.CASES[n], touches), motion, start, name=f"rig case {n}, {contact}")
+    name = f"rig case {n}, {contact}"
+    return Scene(patella_body(), effects(rig.CASES[n], touches), motion, start, name, synthetic=True)

@@ -89,7 +89,7 @@ def plant_scene(case: int) -> Scene:
     radius = rig.BUTTON_RADIUS + float(surface.trochlear_radius)
     start = Pose(vector((0.1 * radius, 0.0, 0.99 * radius)), Quaternion.identity())
     motion = KneeMotion.from_poses(femur, tibia)
-    return Scene(patella_body(), tuple(scattered), motion, start, name=f"plant, case {case}")
+    return Scene(patella_body(), tuple(scattered), motion, start, f"plant, case {case}", synthetic=True)
 
 
 def _as_built(effect: Effect, random: np.random.Generator) -> Effect:

@@ -114,7 +114,9 @@ def _loaded(path: str, contact: str | None, float_type: str) -> LoadedScene:
         raise InputError(
             "no effect acts on the patella", where=document.path, expected="[contact], [[tendon]], [gravity] ..."
         )
-    scene = Scene(file.patella.body(side), effects, motion, start.pose(), file.name or Path(path).stem)
+    scene = Scene(
+        file.patella.body(side), effects, motion, start.pose(), file.name or Path(path).stem, file.motion.synthetic
+    )
     with document.naming():
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)

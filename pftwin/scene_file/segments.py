@@ -97,6 +97,7 @@ class MotionSection(Section):
     )
     start_time_s: float | None = Field(default=None, description="first time used [s]; the recording's by default")
     end_time_s: float | None = Field(default=None, description="last time used [s]; the recording's by default")
+    synthetic: bool = Field(default=False, description="whether this motion was simulated; results and figures say so")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

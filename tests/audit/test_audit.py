@@ -23,6 +23,7 @@ from pftwin.audit.variant import Variant
 from pftwin.cli import app
 from pftwin.dynamics.observe import Status
 from pftwin.errors import InputError
+from pftwin.labels import SYNTHETIC
 from pftwin.result import Result
 from pftwin.scene import Scene
 from pftwin.spatial import Quaternion
@@ -86,8 +87,9 @@ def test_it_falls_apart_without_what_holds_it(found):
     for r in lost_ones:
         assert r.verdict == "indispensable"
         assert r.outcome
-    everything = audit_sheet(found, synthetic=True)
-    assert "the rig's motion is synthetic" in everything.notes
+    everything = audit_sheet(replace(found, synthetic=True))
+    assert SYNTHETIC in everything.notes
+    assert SYNTHETIC not in audit_sheet(found).notes
     assert everything.table().row_count == len(found.rows)
 
 
@@ -181,7 +183,8 @@ def test_the_figure_names_every_variant(found):
 
 
 def test_the_command_writes_everything(found, tmp_path, monkeypatch):
-    monkeypatch.setattr("pftwin.audit.audit.audit", lambda *_, **__: found)
+    made_up = replace(found, synthetic=True)
+    monkeypatch.setattr("pftwin.audit.audit.audit", lambda *_, **__: made_up)
     monkeypatch.setattr("pftwin.rig.case", lambda *_, **__: scene())
     folder = tmp_path / "new" / "audit"
     done = CliRunner().invoke(app, ["audit", "--case", "1", "--out", str(folder), "--json", str(tmp_path / "a.json")])

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from pftwin.cli import app
 from pftwin.cli.amounts import values
 from pftwin.errors import InputError
+from pftwin.labels import SYNTHETIC
 from pftwin.result_files import load_dataset
 
 RUNNER = CliRunner(env={"COLUMNS": "200"})
@@ -40,7 +41,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
     assert "without dislocation from 8 mm of tibial tuberosity transfer medialisation on" in outcome.stdout
     assert "medialisation [mm]" in outcome.stdout
     assert "100 % of draws" in outcome.stdout
-    assert "the rig is virtual: its recorded motion is synthetic" in outcome.stdout
+    assert SYNTHETIC in outcome.stdout
     assert "estimated from synthetic measurements" in outcome.stdout
 
 

@@ -1,0 +1,237 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Your own effect
+#
+# Everything that acts on the patella is an *effect*: a small value with parameters and one method that gives a load.
+# You will get:
+#
+# 1. a new one in twenty lines: a brace that presses the patella medially once it has moved too far laterally;
+# 2. three checks that tell whether it is right: the force is what the energy loses, the budget closes, the scene
+#    without it stays what it was to the last bit;
+# 3. its derivatives, for nothing: by how much a stiffer brace holds the patella back, against finite differences;
+# 4. a batch: sixty braces side by side in one program, as a map of what stiffness and play do.
+#
+# The knee is case 2 of the virtual rig, whose patella dislocates as the knee straightens. **It is synthetic**, and so
+# is the brace: this is about the method, not about braces.
+
+# %%
+# %matplotlib inline
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+import pftwin
+from pftwin.batches import batched
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.tracked_path import tracked_path
+from pftwin.dynamics.trajectory import trajectory
+from pftwin.effects.base import Effect, Instant, Load, Observable, Patella, StiffTerm
+from pftwin.motion import Frame
+from pftwin.plots import COLOURS, STYLE
+from pftwin.runtime import default_cache_dir
+from pftwin.spatial import Quaternion, Scalar, Vec3
+
+pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+scene = pftwin.rig.case(2, contact="P5")
+print(pftwin.simulate(scene, tolerance="0.05 mm").summary())
+assert scene.synthetic
+
+# %% [markdown]
+# ## The brace
+#
+# With $y$ the lateral place of the patella's centre of mass in the femur, stiffness $k$ and play $y_0$, it presses
+# medially with
+#
+# $$F = k\,\max(y - y_0, 0), \qquad E = \tfrac{1}{2}\,k\,\max(y - y_0, 0)^2.$$
+#
+# The load has one **stiff term**: a scalar force along one direction, with its slope. The slope is what lets an
+# implicit step stay stable however stiff the brace is. Vectors are written component by component (`Vec3`), so that a
+# step remains one loop for the compiler, alone and in batches.
+
+
+# %%
+class Brace(Effect):
+    """F = k (y - play), medially on the centre of mass, y its lateral place in the femur; nothing before."""
+
+    stiffness: Scalar  # k [N/m]
+    play: Scalar  # [m]
+    name: str = eqx.field(static=True, kw_only=True, default="brace")
+    observables: ClassVar[dict[str, Observable]] = {"push": Observable("N", "push of the brace")}
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        patella, femur = now.patella, now.femur
+        s = jnp.maximum(femur.to_local(patella.position).y - self.play, 0.0)
+        velocity = femur.relative_velocity(patella.velocity, patella.position)
+        medially = femur.direction(Vec3(jnp.zeros(()), -jnp.ones(()), jnp.zeros(())))
+        force, slope = self.stiffness * s, jnp.where(s > 0, self.stiffness, 0.0)
+        rate = -medially.dot(velocity)  # s grows as the patella moves laterally
+        term = StiffTerm(medially, Vec3.zero(), force, force, slope, jnp.zeros(()), rate)
+        return Load(stiff=(term,), energy=0.5 * self.stiffness * s**2), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        return {"push": self.load(now, memory)[0].stiff[0].force}
+
+
+brace = Brace(jnp.asarray(2000.0), jnp.asarray(0.005))
+braced = scene.with_effect(brace)
+
+# %% [markdown]
+# It can be used at once, by every integrator, in the energy budget and in what a result reports.
+
+# %%
+runs = {name: pftwin.simulate(s, tolerance="0.05 mm") for name, s in (("as it is", scene), ("braced", braced))}
+for name, run in runs.items():
+    print(f"{name:9s} {run.dislocations().describe()}")
+push = runs["braced"].to_dataset()["brace_push"]
+print(f"largest push: {float(push.max()):.0f} {push.units}")
+assert runs["as it is"].dislocations().events
+assert float(push.max()) > 0
+assert 1e3 * runs["braced"].shift.max() < 1e3 * runs["as it is"].shift.max() - 5
+
+# %%
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(8.0, 3.2), dpi=80)
+    left, right = figure.subplots(1, 2)
+    for k, (name, run) in enumerate(runs.items()):
+        left.plot(np.degrees(run.knee.flexion), 1e3 * run.shift, color=COLOURS[k], label=name)
+    left.axhline(1e3 * float(brace.play), color="black", linestyle=":", label="the brace's play")
+    left.set(xlabel="knee flexion [deg]", ylabel="lateral shift [mm]", title="Where the patella is")
+    right.plot(np.degrees(runs["braced"].knee.flexion), push, color=COLOURS[1])
+    right.set(xlabel="knee flexion [deg]", ylabel="push [N]", title="What the brace does")
+    figure.suptitle("Case 2 of the virtual rig (synthetic), with a made-up brace")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+figure
+
+# %% [markdown]
+# ## Is it right?
+#
+# **The force is what the energy loses** as the patella moves. JAX differentiates the energy, and the load has to
+# agree, wherever the patella is: free, at the edge of the play, and pressed.
+
+
+# %%
+def at(y: Scalar) -> Instant:
+    """A patella at rest, y to the side in a femur that stands still."""
+    patella = Patella.at_rest(Vec3(jnp.asarray(0.0), y, jnp.asarray(0.05)), Quaternion.identity())
+    return Instant(patella, Frame.world(), Frame.world(), time=0.0, step=0.0)
+
+
+for y in (-0.010, 0.004, 0.0051, 0.020):
+    force = brace.load(at(jnp.asarray(y)), None)[0].stiff[0].force
+    slope = jax.grad(lambda y: brace.load(at(y), None)[0].energy)(jnp.asarray(y))
+    print(f"y = {1e3 * y:6.1f} mm: force {float(force):7.3f} N, slope of the energy {float(slope):7.3f} N")
+    assert np.isclose(force, slope, rtol=1e-12, atol=1e-12)
+
+# %% [markdown]
+# **The budget closes.** Kinetic and stored energy, less the work of femur and tibia, plus the heat of damping, stay
+# what they were at the start, up to what the steps themselves damp away: that share shrinks with the step.
+
+# %%
+lost = {}
+for dt in (2e-3, 1e-3, 5e-4):
+    run = pftwin.simulate(braced, dt=dt, integrator="linear_implicit_bdf2")
+    stored = run.energies.total.max() - run.energies.total.min()
+    lost[dt] = float(np.abs(run.energies.budget_error).max() / stored)
+    print(f"steps of {1e3 * dt:g} ms: {100 * lost[dt]:.3f} % of the energy is unaccounted for")
+assert lost[5e-4] < lost[2e-3]
+assert lost[5e-4] < 0.01
+
+# %% [markdown]
+# **What is not there costs nothing and changes nothing.** A brace far away never touches. The trajectory is then that
+# of the scene without any, and a scene without it has no equation of it.
+
+# %%
+far = scene.with_effect(Brace(jnp.asarray(2000.0), jnp.asarray(1.0)))
+apart = np.abs(pftwin.simulate(far, dt=5e-3).center - pftwin.simulate(scene, dt=5e-3).center).max()
+print(f"a brace that never touches: paths {apart:.1g} m apart")
+assert apart < 1e-9
+assert pftwin.simulate(braced.without("brace"), dt=5e-3).energies.stored.keys() == runs["as it is"].energies.stored.keys()
+
+# %% [markdown]
+# ## Derivatives
+#
+# Nothing was said about derivatives, and they are there: the simulation is one pure function of the scene. How far
+# does the button go laterally, by the brace's stiffness and by its play? Exact
+# derivatives through every step of the motion, beside finite differences.
+
+
+# %%
+def most_lateral(parameters: jax.Array) -> jax.Array:
+    """Of the button's centre over the motion [m], by stiffness [kN/m] and play [mm]."""
+    fitted = scene.with_effect(Brace(1e3 * parameters[0], 1e-3 * parameters[1]))
+    return tracked_path(fitted, integrator="linear_implicit_bdf2", substeps=4).y.max()
+
+
+worn = jnp.asarray([2.0, 5.0])
+value, exact = jax.jit(lambda p: (most_lateral(p), jax.jacfwd(most_lateral)(p)))(worn)
+farthest = jax.jit(most_lateral)
+print(f"most lateral: {1e3 * float(value):.2f} mm")
+for i, (name, unit, h) in enumerate((("stiffness", "kN/m", 1e-3), ("play", "mm", 1e-3))):
+    step = jnp.zeros(2).at[i].set(h)
+    finite = (farthest(worn + step) - farthest(worn - step)) / (2 * h)
+    print(f"by {name:9s} {1e3 * float(exact[i]):8.4f} mm per {unit}, by finite differences {1e3 * float(finite):8.4f}")
+    assert np.isclose(exact[i], finite, rtol=1e-3)
+assert exact[0] < 0 < exact[1]  # stiffer holds it back, more play lets it go
+
+# %% [markdown]
+# ## Sixty braces at once
+#
+# Parameters are leaves of the scene, so `vmap` runs many braces in one compiled program. The map shows where the
+# patella goes with each, and what the brace has to push.
+
+# %%
+stiffnesses, plays = np.geomspace(200, 20_000, 10), np.linspace(0.0, 0.020, 6)
+grid = jnp.asarray([(k, y) for k in stiffnesses for y in plays])
+
+
+@jax.jit
+@batched
+def outcome(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The button's most lateral place [m], and the brace's largest push [N]."""
+    fitted = scene.with_effect(Brace(parameters[0], parameters[1]))
+    path = trajectory(fitted, integrator="linear_implicit_bdf2", substeps=4)
+    seen = observe(fitted, path)
+    return seen.center.y.max(), seen.effects["brace"]["push"].max()
+
+
+lateral, pushes = (np.asarray(a).reshape(len(stiffnesses), len(plays)) for a in outcome(grid))
+assert np.isfinite(lateral).all()
+assert np.all(np.diff(lateral, axis=1) > -1e-6)  # more play: never farther medially
+
+# %%
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(8.0, 3.4), dpi=80)
+    for axes, values, label in zip(
+        figure.subplots(1, 2), (1e3 * lateral, pushes), ("most lateral [mm]", "largest push [N]"), strict=True
+    ):
+        drawn = axes.contourf(1e3 * plays, stiffnesses / 1e3, values, levels=8, cmap="cividis")
+        axes.set(yscale="log", xlabel="play [mm]", ylabel="stiffness [kN/m]")
+        axes.grid(False)
+        figure.colorbar(drawn, ax=axes, label=label)
+    figure.suptitle("Case 2 of the virtual rig (synthetic): what a made-up brace would do")
+figure
+
+# %% [markdown]
+# ## Where next
+#
+# [Effects, and how to add one](../docs/effects.md) has the rules for an effect that becomes part of pftwin: points of
+# the patella, many like elements as one effect, memory, a table in scene files. [Hard cases](06_hard_cases.ipynb)
+# shows what `audit` says of the worth of each effect.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pftwin.hard_cases.ground import axis_below
 from pftwin.hard_cases.look import Floats, Look
 
 
@@ -26,10 +27,13 @@ def still(look: Look) -> str | None:
 
 
 def at_end(look: Look) -> str | None:
-    """Loaded at the last frame, or not: by more than an indentation by the rounding of the button's radius gives."""
+    """Loaded at the last frame, or not: by more than the rounding of its button's place in the surface's chart gives.
+
+    Where it touches that place is the button's radius away from the chart's plane, or that and the plane from the axis.
+    """
     wanted, force = look.case.expected.force_at_end, look.report("force")[-1]
-    law = look.knee.law
-    rounding = np.finfo(np.asarray(look.run.states.position.x).dtype).eps * look.knee.radius
+    law, size = look.knee.law, look.knee.radius + axis_below(look.knee.ground, look.contact)
+    rounding = np.finfo(np.asarray(look.run.states.position.x).dtype).eps * size
     if wanted is None or (force > law.stiffness * rounding**law.exponent) == wanted:
         return None
     return f"a force of {force:.2g} N at the end"

@@ -36,6 +36,7 @@ class Ground:
     half: tuple[float, float] = (0.024, 0.020)  # of the rectangle [m]
     tilt: float = 0.0  # of the plane's normal from z towards -x [rad]
     above: float = 0.0  # of the plane's origin along its normal from the femur's [m]
+    met: bool = False  # whether cases count nanometres from its middle: a polynomial is then exact there
 
     def axes(self) -> Floats:
         """(3, 3): the plane's axes in the femur's frame, by columns."""
@@ -69,6 +70,11 @@ def patch_on(ground: Ground, kind: str) -> PolynomialPatch | SplinePatch:
     return PolynomialPatch(chart, number(coefficients), *sizes, parse_degree(name))
 
 
+def axis_below(ground: Ground, kind: str) -> float:
+    """How far below the plane the patch's coordinates are counted from: over a cylinder from its axis [m]."""
+    return _depth(ground) if kind.endswith(CYLINDER) else 0.0
+
+
 def _depth(ground: Ground) -> float:
     """Of a cylinder's axis below the plane [m]: no angle of the rectangle is then wide."""
     return max(0.026, 1.2 * ground.half[0])
@@ -94,8 +100,17 @@ def _fitted(ground: Ground, name: str, round_: bool) -> tuple[Floats, tuple[floa
     a, b = (x / size if size > 0 else 0 * x for x, size in ((u - center[0], half[0]), (v, half[1])))
     if name == "spline":
         return _spline(a, b, h), center, half
-    basis = np.stack([a.ravel() ** i * b.ravel() ** j for i, j in exponents(parse_degree(name))], axis=1)
-    return np.asarray(np.linalg.lstsq(basis, h.ravel(), rcond=None)[0], np.float64), center, half
+    return _polynomial(a, b, h, parse_degree(name), ground.met), center, half
+
+
+def _polynomial(a: Floats, b: Floats, h: Floats, degree: int, met: bool) -> Floats:
+    """Coefficients of the polynomial nearest to heights over the samples, or to those of all that meet the middle's."""
+    basis = np.stack([a.ravel() ** i * b.ravel() ** j for i, j in exponents(degree)], axis=1)
+    if not met:
+        return np.asarray(np.linalg.lstsq(basis, h.ravel(), rcond=None)[0], np.float64)
+    middle = h[SAMPLES // 2, SAMPLES // 2]
+    others = np.linalg.lstsq(basis[:, 1:], h.ravel() - middle, rcond=None)[0]
+    return np.concatenate([[middle], others])
 
 
 def _spline(a: Floats, b: Floats, h: Floats) -> Floats:

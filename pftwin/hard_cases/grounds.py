@@ -25,7 +25,7 @@ def _step_down(u: Floats, v: Floats) -> Floats:
     return 0.002 * (1 - np.cos(np.pi * v / 0.02))
 
 
-PLATE = Ground(lambda u, v: 0.0 * u, (0.1, 0.1))
+PLATE = Ground(lambda u, v: 0.0 * u, (0.1, 0.1), met=True)
 VEE = groove(25)
 RIDGE = Ground(_ridge, (0.03, 0.03))
 SHALLOW = groove(1)

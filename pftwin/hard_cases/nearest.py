@@ -13,6 +13,7 @@ from pftwin.effects.mesh_contact import MeshContact
 from pftwin.effects.mesh_volume_contact import MeshVolumeContact
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.charts import CylindricalChart
 from pftwin.surfaces.triangle import Triangle, closest_on_triangle
 
 SAMPLES = 61  # along each side of a square about the point below the centre
@@ -40,19 +41,27 @@ def depth_everywhere(button: Effect, center: Vec3) -> Array:
 
 
 def _above_patch(surface: Any, center: Vec3, radius: Scalar) -> Array:
-    """By samples of two squares, one below the centre and one over the patch, each drawn closer about its nearest."""
+    """By samples of two squares, one below the centre and one over the patch, each drawn closer about its nearest.
+
+    Over a cylinder a square goes round the axis once at most, and what lies on the axis or beyond is no surface.
+    """
     c = surface.chart.to_frame(center)
     side = jnp.linspace(-1.0, 1.0, SAMPLES)
     grid_u, grid_v = (g.ravel() for g in jnp.meshgrid(side, side))
+    turn = jnp.pi * surface.chart.radius if isinstance(surface.chart, CylindricalChart) else jnp.inf
 
-    def closer(_: int, place: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        u0, v0, half = place
-        u, v = u0 + half * grid_u, v0 + half * grid_v
-        k = jnp.argmin(_away(surface, c, u, v).squared_norm())
-        return u[k], v[k], half * (4 / SAMPLES)
+    def closer(_: int, place: tuple[Array, ...]) -> tuple[Array, ...]:
+        u0, v0, half_u, half_v = place
+        u, v = u0 + half_u * grid_u, v0 + half_v * grid_v
+        square = _away(surface, c, u, v).squared_norm()
+        if isinstance(surface.chart, CylindricalChart):
+            square = jnp.where(jax.vmap(surface.height)(u, v) > 0, square, jnp.inf)
+        k = jnp.argmin(square)
+        return u[k], v[k], half_u * (4 / SAMPLES), half_v * (4 / SAMPLES)
 
-    over = (*surface.center, WIDE * jnp.maximum(*surface.half_size))
-    found = [jax.lax.fori_loop(0, ZOOMS, closer, s) for s in ((*surface.chart.foot(c), WIDE * radius), over)]
+    places = (surface.chart.foot(c), WIDE * radius), (surface.center, WIDE * jnp.maximum(*surface.half_size))
+    squares = [(*middle, jnp.minimum(half, turn), half) for middle, half in places]
+    found = [jax.lax.fori_loop(0, ZOOMS, closer, square) for square in squares]
     return jnp.where(
         jnp.abs(_signed(surface, c, *found[0][:2])) < jnp.abs(_signed(surface, c, *found[1][:2])),
         _signed(surface, c, *found[0][:2]),

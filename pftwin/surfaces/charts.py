@@ -14,6 +14,8 @@ import jax.numpy as jnp
 
 from pftwin.spatial import Rotation, Scalar, Vec3
 
+WIDEST = 0.5  # angle about a cylinder's axis within which a tangent still says where the surface goes [rad]
+
 
 class Jet(NamedTuple):
     """A height with its first and second derivatives with respect to (u, v)."""
@@ -69,6 +71,10 @@ class PlaneChart(eqx.Module):
     def foot(self, c: Vec3) -> tuple[Scalar, Scalar]:
         """(u, v) straight below a point given in the chart's frame."""
         return c.x, c.y
+
+    def longest_along(self, longest: Scalar) -> Scalar:
+        """How far a step of u may go that is to be no longer than so much [m]."""
+        return longest
 
     def normal(self, u: Scalar, f: Scalar, slope_u: Scalar, slope_v: Scalar) -> Vec3:
         """Unit outward normal, chart frame."""
@@ -136,6 +142,10 @@ class CylindricalChart(eqx.Module):
     def foot(self, c: Vec3) -> tuple[Scalar, Scalar]:
         """(u, v) radially below a point given in the chart's frame."""
         return self.radius * jnp.arctan2(c.x, c.z), c.y
+
+    def longest_along(self, longest: Scalar) -> Scalar:
+        """How far a step of u may go: not round the axis, however long a large sphere's steps are [m]."""
+        return jnp.minimum(longest, WIDEST * self.radius)
 
     def normal(self, u: Scalar, f: Scalar, slope_u: Scalar, slope_v: Scalar) -> Vec3:
         """Unit outward normal, chart frame."""

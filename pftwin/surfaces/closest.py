@@ -77,7 +77,7 @@ def _limited(x: Scalar, most: Scalar) -> Scalar:
 
 
 def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, push: float = 1.0) -> ClosestPoint:
-    """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), at most `longest` in either coordinate.
+    """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), at most `longest` in either coordinate, nor round an axis.
 
     A start that is carried along with c's motion is off by so little that one step finds the closest point. Where the
     distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point
@@ -101,7 +101,8 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     over_v = 1 / jnp.maximum(jnp.where(convex, hvv - ratio * huv, jnp.abs(hvv)), FLATTEST * gram[2])
     dv = (ratio * gu - gv) * over_v + jnp.where(convex, 0.0, push * PUSH * longest)
     dv = _limited(dv, longest)
-    du = _limited(-gu * over_u - ratio * dv, longest)
+    along = surface.chart.longest_along(longest)
+    du = _limited(-gu * over_u - ratio * dv, along)
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
     curvatures = stop_gradient((jet.uu, jet.uv, jet.vv))
     height, slope_u, slope_v = Jet(jet.f, jet.u, jet.v, *curvatures).shifted(du, dv)
@@ -117,7 +118,7 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
         jnp.where(away.dot(normal) < 0, -distance, distance),
         normal,
         length,
-        jnp.where(convex & (length < SHORT * longest), 1.0, 0.0),
+        jnp.where(convex & (jnp.abs(du) < SHORT * along) & (jnp.abs(dv) < SHORT * longest), 1.0, 0.0),
         tu * over_u - ratio * drift_v,
         drift_v,
     )

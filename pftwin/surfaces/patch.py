@@ -51,23 +51,24 @@ class PolynomialPatch(eqx.Module):
         return self.jet(u, v).f
 
     def jet(self, u: Scalar, v: Scalar) -> Jet:
-        """Height, gradient and Hessian at (u, v), in closed form.
+        """Height, gradient and Hessian at (u, v), in closed form, beyond the edge too.
 
-        Beyond the edge the mixed third derivatives are left out of the Hessian; value and gradient are exact.
+        There the curvature along the edge goes on linearly, by the mixed third derivative: without it Newton's steps
+        to a closest point converge at a crawl, or go round it for ever, where the wall's slope changes along the edge.
         """
         scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
         a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
         ai, bi = jnp.clip(a, -1.0, 1.0), jnp.clip(b, -1.0, 1.0)
-        j = _polynomial_jet(self.unstacked().coefficients, self.degree, ai, bi)
+        j, uuv, uvv = _polynomial_jet(self.unstacked().coefficients, self.degree, ai, bi)
         da, db = a - ai, b - bi
         fa, fb = j.u + j.uv * db, j.v + j.uv * da
         return Jet(
             j.f + j.u * da + j.v * db + j.uv * (da * db),
             fa * scale_u,
             fb * scale_v,
-            jnp.where(da == 0, j.uu, 0.0) * (scale_u * scale_u),
+            jnp.where(da == 0, j.uu + uuv * db, 0.0) * (scale_u * scale_u),
             j.uv * (scale_u * scale_v),
-            jnp.where(db == 0, j.vv, 0.0) * (scale_v * scale_v),
+            jnp.where(db == 0, j.vv + uvv * da, 0.0) * (scale_v * scale_v),
         )
 
     def clipped(self, v: Scalar) -> Scalar:
@@ -110,16 +111,20 @@ def _value(c: Sequence[Scalar], x: Scalar) -> Scalar:
     return p
 
 
-def _polynomial_jet(c: Sequence[Scalar] | Array, degree: int, a: Scalar, b: Scalar) -> Jet:
-    """Horner's scheme in a for each power of b, then in b, carrying first and second derivatives along."""
+def _polynomial_jet(c: Sequence[Scalar] | Array, degree: int, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
+    """Horner's scheme in a for each power of b, then in b, carrying first and second derivatives along.
+
+    With the mixed third derivatives, aab and abb.
+    """
     index = {e: k for k, e in enumerate(exponents(degree))}
     rows = [_horner([c[index[i, j]] for i in range(degree + 1 - j)], a) for j in range(degree + 1)]
     f, fb, fbb = _horner([r[0] for r in rows], b)
     slopes, curvatures = [r[1] for r in rows if r[1] is not None], [r[2] for r in rows if r[2] is not None]
-    fa, fab, _ = _horner(slopes, b) if slopes else (None, None, None)
-    faa = _horner(curvatures, b)[0] if curvatures else None
+    fa, fab, fabb = _horner(slopes, b) if slopes else (None, None, None)
+    faa, faab, _ = _horner(curvatures, b) if curvatures else (None, None, None)
     nought = jnp.zeros_like(a)
-    return Jet(*(nought if d is None else d for d in (f, fa, fb, faa, fab, fbb)))
+    f, fa, fb, faa, fab, fbb, faab, fabb = (nought if d is None else d for d in (f, fa, fb, faa, fab, fbb, faab, fabb))
+    return Jet(f, fa, fb, faa, fab, fbb), faab, fabb
 
 
 def _horner(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar | None, Scalar | None]:

@@ -101,34 +101,35 @@ class SplinePatch(eqx.Module):
         return self.jet(u, v).f
 
     def jet(self, u: Scalar, v: Scalar) -> Jet:
-        """Height, gradient and Hessian at (u, v), in closed form.
-
-        Beyond the edge the mixed third derivatives are left out of the Hessian; value and gradient are exact.
-        """
+        """Height, gradient and Hessian at (u, v), in closed form, beyond the edge too (as a polynomial patch's)."""
         scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
         a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
         ai, bi = jnp.clip(a, -1.0, 1.0), jnp.clip(b, -1.0, 1.0)
-        j = self._inside(ai, bi)
+        j, uuv, uvv = self._inside(ai, bi)
         da, db = a - ai, b - bi
         fa, fb = j.u + j.uv * db, j.v + j.uv * da
         return Jet(
             j.f + j.u * da + j.v * db + j.uv * (da * db),
             fa * scale_u,
             fb * scale_v,
-            jnp.where(da == 0, j.uu, 0.0) * (scale_u * scale_u),
+            jnp.where(da == 0, j.uu + uuv * db, 0.0) * (scale_u * scale_u),
             j.uv * (scale_u * scale_v),
-            jnp.where(db == 0, j.vv, 0.0) * (scale_v * scale_v),
+            jnp.where(db == 0, j.vv + uvv * da, 0.0) * (scale_v * scale_v),
         )
 
-    def _inside(self, a: Scalar, b: Scalar) -> Jet:
-        """Height and derivatives by a and b, both within +-1."""
+    def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
+        """Height and derivatives by a and b, both within +-1; the mixed third ones, aab and abb."""
         n_u, n_v = self.cells
         (i, x), (k, y) = _cell(a, n_u), _cell(b, n_v)
         cell = _row(self._loop().table, self.coefficients, i, k)
         across = [_cubic([cell[..., 4 * p + q] for q in range(4)], y) for p in range(4)]  # a row for each power of x
-        (f, f_x, f_xx), (f_y, f_xy, _), (f_yy, *_) = (_cubic([row[order] for row in across], x) for order in range(3))
+        (f, f_x, f_xx), (f_y, f_xy, f_xxy), (f_yy, f_xyy, _) = (
+            _cubic([row[order] for row in across], x) for order in range(3)
+        )
         per_a, per_b = 0.5 * n_u, 0.5 * n_v
-        return Jet(f, f_x * per_a, f_y * per_b, f_xx * (per_a * per_a), f_xy * (per_a * per_b), f_yy * (per_b * per_b))
+        aa, ab, bb = per_a * per_a, per_a * per_b, per_b * per_b
+        jet = Jet(f, f_x * per_a, f_y * per_b, f_xx * aa, f_xy * ab, f_yy * bb)
+        return jet, f_xxy * (aa * per_b), f_xyy * (per_a * bb)
 
 
 def _cell(a: Scalar, n: int) -> tuple[Scalar, Scalar]:

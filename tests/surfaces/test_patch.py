@@ -63,6 +63,16 @@ def test_beyond_the_edge_slopes_belong_to_the_height(degree):
 
 
 @pytest.mark.parametrize("degree", [2, 5])
+def test_beyond_the_edge_curvatures_belong_to_the_height(degree):
+    patch = random_patch(degree)
+    u, v = (J(x) for x in points(3.0, 200))
+    (uu, uv), (_, vv) = jax.jit(jax.vmap(jax.hessian(patch.height, (0, 1))))(u, v)
+    jet = patch.jet(u, v)
+    for own, automatic in ((jet.uu, uu), (jet.uv, uv), (jet.vv, vv)):
+        np.testing.assert_allclose(own, automatic, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("degree", [2, 5])
 def test_value_and_slope_are_continuous_across_the_edge(degree):
     patch = random_patch(degree)
     along = np.linspace(-1.5, 1.5, 31)  # past the corners as well

@@ -130,6 +130,14 @@ def test_beyond_the_edge_slopes_belong_to_the_height():
     np.testing.assert_allclose(jet.v, slopes[1], rtol=1e-9, atol=1e-12)
 
 
+def test_beyond_the_edge_curvatures_belong_to_the_height():
+    patch, (u, v) = random_spline(), (J(x) for x in places(3.0, 200))
+    (uu, uv), (_, vv) = jax.jit(jax.vmap(jax.hessian(patch.height, (0, 1))))(u, v)
+    jet = patch.jet(u, v)
+    for own, automatic in ((jet.uu, uu), (jet.uv, uv), (jet.vv, vv)):
+        np.testing.assert_allclose(own, automatic, rtol=1e-9, atol=1e-9)
+
+
 def test_value_and_slope_are_continuous_across_the_edge():
     patch, along = random_spline(), np.linspace(-1.5, 1.5, 31)  # past the corners as well
     for side in (-1, 1):

@@ -61,7 +61,9 @@ def table(head, rows):
 plan = fitting.plan_experiment(scene)
 print(plan.sentence())
 rows = [["position alone", *(f"{100 * v:.2g} %" for v in plan.relative)]]
-rows += [[f"and {name.replace('_', ' ')}", *(f"{100 * v:.2g} %" for v in values)] for name, values in plan.additions.items()]
+rows += [
+    [f"and {name.replace('_', ' ')}", *(f"{100 * v:.2g} %" for v in values)] for name, values in plan.additions.items()
+]
 table(["measured", *plan.names], rows)
 
 # %% [markdown]
@@ -112,10 +114,13 @@ share = {
     for name, e in (("position", positions), ("position and one force", with_force))
 }
 assert max(share["position and one force"]) < max(share["position"])
-table(["fitted to", *(f"{n} [{u}]" for n, u in zip(positions.names, positions.units, strict=True))], [
-    [name, *(f"{v:.4g} +- {sd:.2g}" for v, sd in zip(e.values, e.standard_deviations, strict=True))]
-    for name, e in (("position", positions), ("position and one force", with_force))
-])
+table(
+    ["fitted to", *(f"{n} [{u}]" for n, u in zip(positions.names, positions.units, strict=True))],
+    [
+        [name, *(f"{v:.4g} +- {sd:.2g}" for v, sd in zip(e.values, e.standard_deviations, strict=True))]
+        for name, e in (("position", positions), ("position and one force", with_force))
+    ],
+)
 
 # %%
 fitted = pftwin.simulate(with_force.scene, tolerance="0.05 mm")
@@ -133,9 +138,20 @@ compared({"nominal": nominal, "fitted": fitted}, measured)
 truth = scene
 for name, field, factor in (("quadriceps", "stiffness", 1.1), ("patellar_tendon", "stiffness", 0.92)):
     at = truth.index(name)
-    truth = eqx.tree_at(lambda s, at=at, f=field: getattr(s.effects[at], f), truth, getattr(truth.effects[at], field) * factor)
-true = np.array([float(getattr(truth.effect(n), f)) for n, f in (
-    ("quadriceps", "stiffness"), ("quadriceps", "slack_length"), ("patellar_tendon", "stiffness"), ("patellar_tendon", "slack_length"))])
+    truth = eqx.tree_at(
+        lambda s, at=at, f=field: getattr(s.effects[at], f), truth, getattr(truth.effects[at], field) * factor
+    )
+true = np.array(
+    [
+        float(getattr(truth.effect(n), f))
+        for n, f in (
+            ("quadriceps", "stiffness"),
+            ("quadriceps", "slack_length"),
+            ("patellar_tendon", "stiffness"),
+            ("patellar_tendon", "slack_length"),
+        )
+    ]
+)
 clean = pftwin.simulate(truth, dt=2.5e-3)
 random = np.random.default_rng(5)
 inside, off = [], []
@@ -151,7 +167,9 @@ for _ in range(10):
     off.append(e.values / true - 1)
 inside, off = np.array(inside), np.array(off)
 print(f"{inside.sum()} of {inside.size} intervals hold the true value")
-print("off, rms:", ", ".join(f"{n} {100 * v:.2g} %" for n, v in zip(e.names, np.sqrt((off**2).mean(axis=0)), strict=True)))
+print(
+    "off, rms:", ", ".join(f"{n} {100 * v:.2g} %" for n, v in zip(e.names, np.sqrt((off**2).mean(axis=0)), strict=True))
+)
 assert inside.sum() >= 34  # fewer would happen once in two hundred times
 
 # %% [markdown]

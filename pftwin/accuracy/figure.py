@@ -11,13 +11,12 @@ import numpy as np
 from pftwin.accuracy.measure import Row
 from pftwin.accuracy.table import front
 from pftwin.errors import InputError
-from pftwin.plots import COLOURS, STYLE
+from pftwin.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MARKERS = "osD^vP*X"
 PANELS = (("real_time", "one run"), ("real_time_batch", "64 variants side by side"))
 
 
@@ -32,7 +31,6 @@ def work_precision(rows: Sequence[Row], title: str, *, contact: str | None = Non
     Raises:
         InputError: nothing to draw.
     """
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
     if not rows:
@@ -41,15 +39,15 @@ def work_precision(rows: Sequence[Row], title: str, *, contact: str | None = Non
     own = [r for r in rows if r.contact == wanted and np.isfinite(r.position_rms_mm) and r.position_rms_mm > 0]
     own = [r for r in own if r.dtype == "float64"] or own
     panels = [p for p in PANELS if any(np.isfinite(getattr(r, p[0])) for r in own)]
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(5.6 * max(1, len(panels)), 4.6))
+    with house_style():
+        figure = Figure(figsize=(0.5 * WIDE * max(1, len(panels)), 4.6))
         axes = figure.subplots(1, max(1, len(panels)), squeeze=False, sharey=True)[0]
         for ax, (speed, name) in zip(axes, panels, strict=False):
             _panel(ax, own, speed)
             ax.set(title=name, xlabel="time spent per simulated second [ms]")
         axes[0].set_ylabel("error of the button's centre, rms [mm]")
         handles, labels = axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3 if len(panels) > 1 else 2)
+        legend_below(figure, handles, labels, most=4 if len(panels) > 1 else 2)
         figure.suptitle(title)
     return figure
 
@@ -71,7 +69,7 @@ def _panel(ax: Axes, rows: Sequence[Row], speed: str) -> None:
         ax.plot(times, [r.position_rms_mm for r in some], label=name, **line)
         for r, t in zip(some, times, strict=True):
             if not name.startswith(("diffrax", "quasi")):
-                at = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 6.5, "color": line["color"]}
+                at = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": TINY, "color": line["color"]}
                 ax.annotate(f"{r.step_ms:g}", (t, r.position_rms_mm), **at)
     best = front(rows, speed)
     ax.plot(

@@ -8,7 +8,7 @@ import numpy as np
 
 from pftwin.audit.audit import Audit, Worth
 from pftwin.audit.table import Column, columns
-from pftwin.plots import COLOURS, STYLE
+from pftwin.plots.style import COLOURS, SMALL, WIDE, house_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,20 +21,19 @@ _LEAST = 1e-3  # [mm], [N]: changes below are drawn as if they were none
 
 def audit_figure(found: Audit, title: str) -> Figure:
     """Bars for every variant: largest and rms distance from the scene's path, contact force and tension, time."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
     data = {c.key: c for c in columns(found)}
     rows = found.rows
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(11.0, 1.6 + 0.34 * len(rows)))
+    with house_style():
+        figure = Figure(figsize=(WIDE, 1.6 + 0.34 * len(rows)))
         path, force, time = figure.subplots(1, 3, sharey=True, width_ratios=[1.5, 1.2, 1.0])
         _bars(path, rows, data["path_rms_mm"], data["path_max_mm"])
         path.axvline(1e3 * found.tolerance, color="black", linestyle=(0, (4, 2)), linewidth=1.0)
         path.annotate(
             f"tolerance {1e3 * found.tolerance:g} mm", (1e3 * found.tolerance, -0.75), xytext=(3, 0),
-            textcoords="offset points", fontsize=8, va="center", annotation_clip=False,
+            textcoords="offset points", fontsize=SMALL, va="center", annotation_clip=False,
         )  # fmt: skip
         _bars(force, rows, data["contact_rms_N"], data["contact_max_N"])
         _time(time, rows, data["time_percent"], data["time_spread_percent"])
@@ -59,18 +58,18 @@ def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> 
     for i, row in enumerate(rows):
         if row.changes is None:
             axes.annotate(
-                row.outcome, (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8,
+                row.outcome, (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL,
                 color=_COLOUR[row.kind],
             )  # fmt: skip
             continue
         if np.isnan(rms.values[i]):
-            axes.annotate("none", (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+            axes.annotate("none", (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL)
             continue
         axes.barh(i, max(rms.values[i], _LEAST), height=0.6, left=0, color=_COLOUR[row.kind])
         axes.plot([max(rms.values[i], _LEAST), max(ends[i], _LEAST)], [i, i], color=_COLOUR[row.kind], linewidth=1.6)
         if ends[i] < _LEAST:
             note = f"below {_LEAST:g}"
-            axes.annotate(note, (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+            axes.annotate(note, (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL)
     axes.grid(False, axis="y")
     axes.set_axisbelow(True)
 
@@ -86,7 +85,7 @@ def _time(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Column) ->
         value = share.values[i]
         if np.isnan(value):
             axes.annotate(
-                "ran beside others", (0, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8
+                "ran beside others", (0, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL
             )
             continue
         drawn = float(np.clip(value, *axes.get_xlim()))
@@ -96,6 +95,6 @@ def _time(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Column) ->
         else:
             # On the other side of the axis, where there is room.
             side = {"ha": "left", "xytext": (4, 0)} if value < 0 else {"ha": "right", "xytext": (-4, 0)}
-            axes.annotate(f"{value:+,.0f} %", (0, i), textcoords="offset points", va="center", fontsize=8, **side)
+            axes.annotate(f"{value:+,.0f} %", (0, i), textcoords="offset points", va="center", fontsize=SMALL, **side)
     axes.grid(False, axis="y")
     axes.set_axisbelow(True)

@@ -135,13 +135,13 @@ def main(folder: Path) -> None:
 
 
 def _draw(found: dict[str, dict[str, Any]], folder: Path) -> None:
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from pftwin.plots import COLOURS, STYLE, save_figure
+    from pftwin.plots import COLOURS, house_style, save_figure
+    from pftwin.plots.style import SMALL
 
     way = 1e3 * np.linspace(0, WAY, POINTS)
-    with mpl.rc_context(STYLE):
+    with house_style():
         figure = Figure(figsize=(12.0, 6.0))
         panels = figure.subplots(2, len(found), sharex=True, sharey="row")
         for (above, below), (law, sizes) in zip(panels.T, found.items(), strict=True):
@@ -150,7 +150,7 @@ def _draw(found: dict[str, dict[str, Any]], folder: Path) -> None:
                 above.plot(way, one["force"] / one["mean_n"], color=COLOURS[k], linewidth=1.0, label=label)
                 below.plot(way, 1e2 * noise(one["force"]) / one["mean_n"], color=COLOURS[k], linewidth=1.0)
             above.set(title=law)
-            above.legend(loc="upper left", fontsize="small")
+            above.legend(loc="upper left", fontsize=SMALL)
             below.set(xlabel="way along the groove [mm]", ylim=(-3, 3))
         panels[0, 0].set_ylabel("force over its mean")
         panels[1, 0].set_ylabel("less a smooth curve [%]")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.contact_map.mapping import ContactMap
-from pftwin.plots import COLOURS, STYLE
+from pftwin.plots.style import COLOURS, WIDE, house_style
 from pftwin.surfaces.mesh import SurfaceMesh
 
 if TYPE_CHECKING:
@@ -21,11 +21,10 @@ _AXES = "xyz"
 
 def map_figure(found: ContactMap, femur: SurfaceMesh, button: SurfaceMesh, title: str) -> Figure:
     """Pressure on the button at four times, the centre of pressure on the femur, force, area and pressure over time."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(11.0, 7.6))
+    with house_style():
+        figure = Figure(figsize=(WIDE, 7.6))
         names: Any = [[f"map{k}" for k in range(_SHOWN)], ["path", "path", "force", "force"]]
         names += [["path", "path", "area", "pressure"]]
         panels = figure.subplot_mosaic(names, height_ratios=[1.35, 1.0, 1.0])

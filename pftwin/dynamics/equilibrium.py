@@ -128,7 +128,7 @@ def _size(r: list[Scalar]) -> Scalar:
 def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     """One Newton iteration; a pose that meets the tolerance stays."""
     searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
-    there = look_around(system, lambda d: still(guide, moved(at.pose, d)), at.memories, at.residual.dtype)
+    there = look_around(system, lambda d: still(guide, moved(at.pose, d)), at.memories, at.residual)
     r, stiffness = there.residual(), there.tangent()
     size = _size(r)
     caution = _caution(at, size)

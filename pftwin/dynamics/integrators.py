@@ -139,7 +139,9 @@ INTEGRATORS = {
     "linear_implicit_bdf2": Integrator(
         linear_implicit_bdf2.linear_implicit_bdf2, linear_implicit_bdf2.ORDER, linear_implicit_bdf2.begin
     ),
-    "symplectic_euler": Integrator(symplectic_euler.symplectic_euler, symplectic_euler.ORDER),
+    "symplectic_euler": Integrator(
+        symplectic_euler.symplectic_euler, symplectic_euler.ORDER, symplectic_euler.begin, told=SOLVED
+    ),
     "newmark": Integrator(newmark.newmark, newmark.ORDER, newmark.begin, _newmark, SOLVED),
     "quasi_static": Integrator(
         quasi_static.quasi_static, quasi_static.ORDER, quasi_static.begin, told=SNAPPING, inertia=False

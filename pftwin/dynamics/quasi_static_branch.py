@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
 from pftwin.dynamics.state import Guide, State, System, moved
-from pftwin.dynamics.static_load import LEVER, Surroundings, components, difference
+from pftwin.dynamics.static_load import LEVER, Surroundings, components, look_around
 from pftwin.effects.base import Instant
 from pftwin.spatial import Scalar, Twist, Vec3, Wrench
 
@@ -56,32 +55,16 @@ class Branch(NamedTuple):
 
     def residual(self, d: Six) -> Six:
         """Force, and moment / lever, that nothing balances [N]."""
-        return _total(self, self.instant(d))[0]
+        loads, _ = self.system.loads(self.instant(d), self.origin.memories)
+        return components(sum((load.total() for load in loads), start=Wrench.zero()))
 
     def look_around(self, d: Six, held: Scalar, neighbours: bool = True) -> Surroundings:
-        """Loads at d and at its twelve neighbours, as `static_load.look_around`; or at d alone, which has no tangent.
+        """Loads at d and at its twelve neighbours; or at d alone, which has no tangent."""
 
-        In a loop that runs once: what it carries out is stored, and not computed again wherever it is used.
-        """
-        dtype = self.step.dtype
-        small = difference(dtype) * jnp.eye(6, dtype=dtype)
-        here = jnp.zeros((1, 6), dtype)
-        places = jnp.concatenate([here, small, -small]) if neighbours else here
+        def instant_at(off: Six) -> Instant:
+            return self.held_instant([a + b for a, b in zip(d, off, strict=True)], held)
 
-        def evaluate(*off: Scalar) -> tuple[Six, Any]:
-            r, loads, later = _total(self, self.held_instant([a + b for a, b in zip(d, off, strict=True)], held))
-            terms = [term for load in loads for term in load.stiff]
-            beds = [load.bed for load in loads if load.bed is not None]
-            return r, (later, terms, beds, [load.drag for load in loads if load.drag is not None])
-
-        def once(_: Any) -> tuple[Scalar, Any]:
-            r, rest = jax.vmap(evaluate)(*places.T)
-            return jnp.array(False), (r, jax.tree.map(lambda a: a[0], rest))
-
-        kinds = jax.eval_shape(lambda: once(None)[1])
-        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), kinds)
-        r, (later, terms, beds, drags) = jax.lax.while_loop(lambda now: now[0], once, (held > -1, nothing))[1]
-        return Surroundings(later, jnp.stack(r, axis=1), terms, beds, drags)
+        return look_around(self.system, instant_at, self.origin.memories, held, neighbours=neighbours)
 
 
 def way_of(d: Six) -> Twist:
@@ -98,8 +81,3 @@ def components_of(way: Twist) -> Six:
 def norm(a: Six) -> Scalar:
     """Of six components."""
     return jnp.sqrt(sum((x * x for x in a[1:]), start=a[0] * a[0]))
-
-
-def _total(branch: Branch, now: Instant) -> tuple[Six, list[Any], tuple[Any, ...]]:
-    loads, later = branch.system.loads(now, branch.origin.memories)
-    return components(sum((load.total() for load in loads), start=Wrench.zero())), loads, later

@@ -17,6 +17,7 @@ from jaxtyping import Array
 
 from pftwin.dynamics.equilibrium import REACH, tolerance_of
 from pftwin.dynamics.quasi_static_branch import Branch, Six, norm
+from pftwin.dynamics.quasi_static_stability import stable
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.static_load import Surroundings
 from pftwin.spatial import Scalar
@@ -25,7 +26,6 @@ MOST_ITERATIONS = 20  # that look around
 MOST_SINGLE = 8  # that look at one pose
 SLOW = 0.5  # where one of those leaves more than that of the residual, it is given up
 FARTHEST = 5e-3  # how far from where the motion would lead an equilibrium still counts as the same one [m]
-NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts as none, neutral and not unstable
 NEAR = 1e-5  # residual from which a step by the remainder leads close enough for the last look [N]
 POLISH = 1e-6  # how long a step is at most that a balanced pose still takes, without a look after it [m]
 
@@ -124,16 +124,14 @@ def _step(matrix: Array, r: Six) -> tuple[Six, Scalar]:
 
 
 def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar) -> tuple[Six, Scalar]:
-    """Newton's step where that leads downhill, and whether the tangent at rest, dashpots left out, is definite.
+    """Newton's step where that leads downhill, and whether the tangent at rest, dashpots left out, is stable.
 
     Where the tangent is indefinite, the stiff terms' own positive semidefinite part takes its place. Both are shifted,
     which bounds a step by `REACH` and vanishes with the residual.
     """
     one, r = jnp.eye(6, dtype=size.dtype), there.residual()
     at_rest = tangent - (branch.rates / branch.span()) * _matrix(there.viscosity())
-    slack = jnp.trace(at_rest) * jnp.asarray(NEUTRAL, size.dtype)
-    at_rest = 0.5 * (at_rest + at_rest.T) + slack * one
     shift = (size / REACH) * one
-    matrices = jnp.stack([tangent + shift, _matrix(there.convex()) + shift, at_rest])
+    matrices = jnp.stack([tangent + shift, _matrix(there.convex()) + shift])
     steps, definite = jax.vmap(lambda matrix: _step(matrix, r))(matrices)
-    return [jnp.where(definite[0], a[0], a[1]) for a in steps], definite[2]
+    return [jnp.where(definite[0], a[0], a[1]) for a in steps], stable(at_rest)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from pftwin.dynamics.linear_implicit import linear_implicit
 from pftwin.dynamics.state import Guide, State, System
@@ -15,6 +16,7 @@ from pftwin.spatial import Pose, Scalar
 STEPS = 1500
 STEP = 2e-3  # [s]
 RATE = 20.0  # [1/s]: overdamped against the tendons' slow modes, settled well within the time given
+THROWN = 0.06  # [m] from where it was put, turns counted at `LEVER`: a contact that was too deep has thrown the patella
 
 
 BURST_STEP, BURST_STEPS = 5e-3, 4000  # of a burst [s], and how many at most
@@ -35,6 +37,14 @@ def relax(system: System, guide: Guide, pose: Pose) -> Pose:
     step = jnp.asarray(STEP, dtype=pose.position.x.dtype)
     state = jax.lax.fori_loop(0, STEPS, lambda _, s: linear_implicit(damped, s, lambda _: guide, step)[0], state)
     return Pose(state.position, state.orientation)
+
+
+def thrown(before: Pose, after: Pose) -> np.ndarray:
+    """Whether relaxation ended so far from where the patella was put, or nowhere, that it is no start (on the host)."""
+    p, q = (np.moveaxis(np.asarray(x.array()), -1, 0) for x in (before.position, before.orientation))
+    there, turned = (np.moveaxis(np.asarray(x.array()), -1, 0) for x in (after.position, after.orientation))
+    angle = 2 * np.arccos(np.minimum(np.abs((q * turned).sum(axis=0)), 1.0))
+    return ~(np.linalg.norm(there - p, axis=0) + LEVER * angle < THROWN)
 
 
 def come_to_rest(system: System, state: State, guide: Guide, moves: Scalar) -> State:

@@ -15,7 +15,7 @@ from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, Status, observe
-from pftwin.dynamics.relaxation import relax
+from pftwin.dynamics.relaxation import relax, thrown
 from pftwin.dynamics.tolerance import Path, coarsest, settings_of, tolerance_in_metres
 from pftwin.dynamics.trajectory import (
     first_guide,
@@ -55,16 +55,17 @@ def _run(
 
 
 def settle(scene: Scene) -> tuple[Timed, bool]:
-    """The equilibrium at the first frame, and whether the damped relaxation had to help."""
+    """The equilibrium at the first frame, and whether the damped relaxation helped to find it."""
     found = _solve.timed(scene)
     if _converged(found.answer):
         return found, False
     tried = [found, _relaxed.timed(scene)]
-    if np.isfinite(np.asarray(tried[-1].answer.position.array())).all():
+    if not thrown(scene.start, tried[-1].answer):
         # A scene that starts there is one of the same structure: nothing is compiled again.
         tried.append(_solve.timed(eqx.tree_at(lambda s: s.start, scene, tried[-1].answer)))
     run, preparation = (sum(t[i] for t in tried) for i in (1, 2))
-    return Timed(tried[-1].answer if len(tried) > 2 else found.answer, run, preparation), True
+    helped = len(tried) > 2 and _converged(tried[-1].answer)
+    return Timed((tried[-1] if helped else found).answer, run, preparation), helped
 
 
 def _converged(solution: Solution) -> bool:

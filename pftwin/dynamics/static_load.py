@@ -89,30 +89,45 @@ class Surroundings(NamedTuple):
 
 
 def look_around(
-    system: System, instant_at: Callable[[list[Scalar]], Instant], memories: tuple[Any, ...], dtype: Any
+    system: System,
+    instant_at: Callable[[list[Scalar]], Instant],
+    memories: tuple[Any, ...],
+    like: Scalar,
+    *,
+    neighbours: bool = True,
 ) -> Surroundings:
     """Loads at a pose and at its twelve neighbours, all at once, so that effects are compiled once.
+
+    In a loop that runs once: what it carries out is stored, and not computed again wherever it is used.
 
     Args:
         system: whose loads.
         instant_at: from a displacement of the pose, in metres and angles * lever, to what effects look at.
         memories: of the effects.
-        dtype: of the numbers.
+        like: a traced number of the numbers' type, whatever its value.
+        neighbours: whether to look at them; the pose alone has no tangent.
     """
-    small = difference(dtype)
+    dtype = like.dtype
+    small = difference(dtype) * jnp.eye(6, dtype=dtype)
+    here = jnp.zeros((1, 6), dtype)
+    places = jnp.concatenate([here, small, -small]) if neighbours else here
 
-    def evaluate(displacement: Array) -> tuple[Array, Any]:
-        loads, later = system.loads(instant_at([displacement[i] for i in range(6)]), memories)
+    def evaluate(*displacement: Scalar) -> tuple[list[Scalar], Any]:
+        loads, later = system.loads(instant_at(list(displacement)), memories)
         r = components(sum((load.total() for load in loads), start=Wrench.zero()))
         terms = [term for load in loads for term in load.stiff]
         beds = [load.bed for load in loads if load.bed is not None]
-        return jnp.stack(r), (later, terms, beds, [load.drag for load in loads if load.drag is not None])
+        return r, (later, terms, beds, [load.drag for load in loads if load.drag is not None])
 
-    steps = small * jnp.eye(6, dtype=dtype)
-    here = jnp.zeros((1, 6), dtype)
-    table, rest = jax.vmap(evaluate)(jnp.concatenate([here, steps, -steps]))
-    later, terms, beds, drags = jax.tree.map(lambda a: a[0], rest)
-    return Surroundings(later, table, terms, beds, drags)
+    def once(_: Any) -> tuple[Scalar, Any]:
+        r, rest = jax.vmap(evaluate)(*places.T)
+        return jnp.array(False), (r, jax.tree.map(lambda a: a[0], rest))
+
+    kinds = jax.eval_shape(lambda: once(None)[1])
+    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), kinds)
+    always = (like > -jnp.inf) | ~(like > 0)  # not known before it runs, or there would be no loop
+    r, (later, terms, beds, drags) = jax.lax.while_loop(lambda now: now[0], once, (always, nothing))[1]
+    return Surroundings(later, jnp.stack(r, axis=1), terms, beds, drags)
 
 
 def difference(dtype: Any) -> float:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
+from pftwin.dynamics.relaxation import thrown
 from pftwin.hard_cases import derivatives
 from pftwin.hard_cases.batch import Batch
 from pftwin.hard_cases.programs import PARAMETERS, Rest, compiled, relaxed, rest
@@ -27,14 +28,14 @@ def starts_of(batch: Batch, dtype: str) -> Starts:
     double, n = dtype == "float64", len(batch.cases)
     search, nothing = compiled(rest, double), jnp.zeros((n, len(PARAMETERS)))
     found: Rest = search(batch.scenes, nothing)
-    scenes, lost = batch.scenes, ~_converged(found.equilibrium)
-    wanted = np.array([not c.released for c in batch.cases])
-    if (lost & wanted).any():
+    scenes, wanted = batch.scenes, np.array([not c.released for c in batch.cases])
+    lost = ~_converged(found.equilibrium) & wanted  # one that is let go stays where it was put
+    if lost.any():
         there = compiled(relaxed, double)(scenes)
-        finite = np.isfinite(np.asarray(there.position.array())).all(axis=-1)
-        scenes = eqx.tree_at(lambda s: s.start, scenes, _where(lost & finite, there, scenes.start))
+        usable = lost & ~thrown(scenes.start, there)
+        scenes = eqx.tree_at(lambda s: s.start, scenes, _where(usable, there, scenes.start))
         again: Rest = search(scenes, nothing)
-        found = _where(_converged(again.equilibrium), again, found)
+        found = _where(lost & _converged(again.equilibrium), again, found)
     released = jnp.asarray(~wanted)
     chosen = _where(released, found.released, found.equilibrium)
     return Starts(chosen, _wrong(batch, found, scenes, search, dtype))

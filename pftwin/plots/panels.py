@@ -34,7 +34,7 @@ def panels_in_rows(count: int, columns: int, height: float) -> tuple[Figure, lis
         ax.tick_params(labelbottom=lowest)
         ax.xaxis.label.set_visible(lowest)
         if i >= count:
-            ax.set_axis_off()
+            ax.remove()
     return figure, grid[:count]
 
 

@@ -130,12 +130,23 @@ def plot_region(region: TrochlearRegion, mesh: SurfaceMesh, ax: Any = None) -> A
     Returns:
         The figure.
     """
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
-    if ax is None:
-        figure, views = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-    else:
-        figure, views = ax.figure, [ax]
+    from pftwin.plots.style import WIDE, house_style, legend_below
+
+    with house_style():
+        views = list(Figure(figsize=(WIDE, 5.4)).subplots(1, 2)) if ax is None else [ax]
+        _draw_region(views, region, mesh)
+        figure = views[0].figure
+        if ax is None:
+            legend_below(figure, *views[-1].get_legend_handles_labels())
+    return figure
+
+
+def _draw_region(views: list[Any], region: TrochlearRegion, mesh: SurfaceMesh) -> None:
+    """The front view, and the sagittal one where there is room for it."""
+    from pftwin.plots.style import COLOURS, START
+
     axes, origin = np.asarray(region.cylinder.axes.array()), np.asarray(region.cylinder.origin.array())
     points, groove = 1e3 * (mesh.vertices - origin) @ axes, 1e3 * (region.groove - origin) @ axes
     names = ("proximal [mm]", "lateral of the groove (right knee) [mm]", "anterior [mm]")
@@ -144,15 +155,13 @@ def plot_region(region: TrochlearRegion, mesh: SurfaceMesh, ax: Any = None) -> A
         view.scatter(*points[front & ~region.mask][:, [i, j]].T, s=0.5, c="0.75", label="mesh")
         heights = np.hypot(points[:, 0], points[:, 2])[region.mask]
         dots = view.scatter(*points[region.mask][:, [i, j]].T, s=1.5, c=heights, cmap="viridis", label="region")
-        view.plot(groove[:, i], groove[:, j], "r.-", lw=1, label="groove line")
+        view.plot(groove[:, i], groove[:, j], color=COLOURS[1], marker=".", linewidth=1, label="groove line")
         view.set(xlabel=names[i], ylabel=names[j], aspect="equal")
         if (i, j) == (2, 0):
-            view.plot(0, 0, "k+", ms=12, label="trochlear axis")
-            view.legend(loc="lower left", fontsize="small")
+            view.plot(0, 0, **{**START, "marker": "+", "markersize": 12}, color="black", label="trochlear axis")
         else:
-            figure.colorbar(dots, ax=view, label="distance from the axis [mm]")
-    views[0].set_title(f"{region.source.rsplit('/', 1)[-1]}: {region.n_vertices} vertices", fontsize="medium")
-    return figure
+            view.figure.colorbar(dots, ax=view, label="distance from the axis [mm]")
+    views[0].set_title(f"{region.source.rsplit('/', 1)[-1]}: {region.n_vertices} vertices")
 
 
 def _hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64]:

@@ -2,8 +2,9 @@
 
 A cell's height needs 4 x 4 numbers however many cells there are, and on uniform knots their place in a table is
 arithmetic. The table is made of the coefficients before a loop, a row for each cell: the sixteen coefficients of its
-own powers. One row is then fetched for a jet. Sixteen single loads in B-spline form are as fast, but in reverse mode
-become as many scatters, which compile far longer; a block of 4 x 4 is a fifth slower in a batch.
+own powers. A jet loads them one by one. A row fetched as one array is fused by XLA into what uses it, and is then
+fetched anew for each of its numbers, along with all that says where it is: sixteen times the code for every jet that
+starts where another has led, and two such in a batch compiled without end.
 
 Beyond its rectangle the patch goes on as a polynomial patch does: by its bilinear Taylor expansion about the nearest
 point of the rectangle (C1), and `outside` says that the edge has been crossed.
@@ -15,11 +16,13 @@ fetched for every sample would double the price of a batch.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
 from jaxtyping import Array
 
 from pftwin.spatial import Scalar
@@ -122,7 +125,7 @@ class SplinePatch(eqx.Module):
         n_u, n_v = self.cells
         (i, x), (k, y) = _cell(a, n_u), _cell(b, n_v)
         cell = _row(self._loop().table, self.coefficients, i, k)
-        across = [_cubic([cell[..., 4 * p + q] for q in range(4)], y) for p in range(4)]  # a row for each power of x
+        across = [_cubic(cell[4 * p : 4 * p + 4], y) for p in range(4)]  # a row for each power of x
         (f, f_x, f_xx), (f_y, f_xy, f_xxy), (f_yy, f_xyy, _) = (
             _cubic([row[order] for row in across], x) for order in range(3)
         )
@@ -140,14 +143,13 @@ def _cell(a: Scalar, n: int) -> tuple[Scalar, Scalar]:
 
 
 @jax.custom_jvp
-def _row(table: Array, coefficients: Array, i: Scalar, k: Scalar) -> Array:
-    """The table's row (..., 16) of cell (i, k)."""
-    n_v = coefficients.shape[1] - 3
-    return table.at[i * n_v + k].get(mode="promise_in_bounds")
+def _row(table: Array, coefficients: Array, i: Scalar, k: Scalar) -> tuple[Scalar, ...]:
+    """The sixteen numbers of the table's row of cell (i, k)."""
+    return _loaded(table, i * (coefficients.shape[1] - 3) + k)
 
 
 @_row.defjvp
-def _row_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+def _row_jvp(primals: tuple, tangents: tuple) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
     """By the coefficients themselves: what reverse mode sums up is then of their size, not of the table's."""
     _, _, i, k = primals
     changes, powers = tangents[1], jnp.asarray(CELL_POWERS, tangents[1].dtype)
@@ -156,10 +158,32 @@ def _row_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
         window = jax.lax.dynamic_slice(changes, (i, k), (4, 4))
         return (powers @ window @ powers.T).reshape(16)
 
-    return _row(*primals), jnp.vectorize(change, signature="(),()->(n)")(i, k)
+    row = jnp.vectorize(change, signature="(),()->(n)")(i, k)
+    return _row(*primals), tuple(row[..., n] for n in range(16))
 
 
-def _cubic(c: list[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+@custom_vmap
+def _loaded(table: Array, cell: Scalar) -> tuple[Scalar, ...]:
+    """A row's numbers, one by one."""
+    flat = table.reshape(-1)
+    return tuple(flat.at[16 * cell + n].get(mode="promise_in_bounds") for n in range(16))
+
+
+@_loaded.def_vmap
+def _loaded_of_many(
+    size: int, mapped: list[bool], table: Array, cell: Scalar
+) -> tuple[tuple[Scalar, ...], tuple[bool, ...]]:
+    """Members' tables end to end are one table, whose rows are counted through."""
+    if not mapped[1]:
+        cell = jnp.broadcast_to(cell, (size, *cell.shape))
+    if mapped[0]:
+        first = table.shape[1] * jnp.arange(size, dtype=cell.dtype)
+        cell = cell + first.reshape(-1, *(1,) * (cell.ndim - 1))
+        table = table.reshape(-1, 16)
+    return _loaded(table, cell), (True,) * 16
+
+
+def _cubic(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """A cubic with its first and second derivative; what nobody asks for is not computed."""
     steep = c[2] + c[3] * x
     return c[0] + x * (c[1] + x * steep), c[1] + x * (2 * steep + c[3] * x), 2 * steep + 4 * (c[3] * x)

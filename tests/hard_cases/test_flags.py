@@ -44,3 +44,10 @@ def test_an_explicit_step_that_blows_up_says_that_it_is_too_long():
     assert Status.NOT_FINITE in light
     assert Status.STEP_TOO_LONG in light
     assert plain == Status.OK
+
+
+def test_an_explicit_step_in_which_contact_chatters_says_that_it_is_too_long():
+    """Nothing blows up, as a contact cannot pull; derivatives grow by powers of ten in every frame."""
+    chattering, calm = flags_of(["at_random_2", "at_random_4"], "symplectic_euler", 100)
+    assert Status.STEP_TOO_LONG in chattering
+    assert Status.STEP_TOO_LONG not in calm

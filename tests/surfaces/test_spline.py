@@ -272,3 +272,28 @@ def test_a_batch_of_coefficients_is_each_of_them():
     stacked = jnp.stack([p.coefficients for p in many])
     together = jax.vmap(lambda c: eqx.tree_at(lambda s: s.coefficients, many[0], c).unstacked().height(u, v))(stacked)
     np.testing.assert_allclose(together, [p.height(u, v) for p in many], rtol=1e-13, atol=1e-17)
+
+
+def gathers(jaxpr):
+    """The shape of what is fetched at once by each gather of a program, and whether its places are put together."""
+    joined = {v for e in jaxpr.eqns if e.primitive.name == "concatenate" for v in e.outvars}
+    for e in jaxpr.eqns:
+        if e.primitive.name == "gather":
+            yield e.params["slice_sizes"], e.invars[1] in joined
+        for inner in (getattr(x, "jaxpr", None) for x in e.params.values()):
+            if inner is not None:
+                yield from gathers(inner)
+
+
+def test_a_batch_of_surfaces_loads_the_cells_numbers_one_by_one():
+    """Whole rows fused into what follows are computed again for every number of theirs: 16 times for each jet that
+    starts where another has led, and XLA compiled two of them in a row for minutes."""
+    stacked = jnp.stack([random_spline(seed=s).coefficients for s in range(3)])
+
+    def curved(c):
+        patch = eqx.tree_at(lambda s: s.coefficients, random_spline(), c).unstacked()
+        return patch.jet(J(0.001), J(0.002)).uv
+
+    found = list(gathers(jax.make_jaxpr(jax.vmap(curved))(stacked).jaxpr))
+    assert len(found) == 16
+    assert all(sizes == (1,) and not joined for sizes, joined in found)

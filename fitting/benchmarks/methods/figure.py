@@ -21,7 +21,6 @@ Floats = NDArray[np.float64]
 
 FLOOR = 1e-4  # what is drawn of less [mm]
 _POINTS = 200
-_DASHES: tuple[Any, ...] = ("-", (0, (6, 1.5)), (0, (3, 1.2)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)))
 
 
 def comparison_figure(courses: Mapping[str, Sequence[Course]], budget: tuple[float, float]) -> Figure:
@@ -34,16 +33,15 @@ def comparison_figure(courses: Mapping[str, Sequence[Course]], budget: tuple[flo
     Raises:
         InputError: no run found anything.
     """
-    import matplotlib as mpl
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
 
-    from pftwin.plots import STYLE
+    from pftwin.plots.style import SMALL, house_style, line
 
     values = [b.value for runs in courses.values() for r in runs for b in r.bests]
     if not values:
         raise InputError("no run found anything", where="comparison_figure", expected="at least one")
-    with mpl.rc_context(STYLE):
+    with house_style():
         figure = Figure(figsize=(10.0, 7.5))
         panels = figure.subplots(2, 2, sharex="col", sharey=True)
         for row, own in zip(panels, (True, False), strict=True):
@@ -52,13 +50,12 @@ def comparison_figure(courses: Mapping[str, Sequence[Course]], budget: tuple[flo
                 if not own and OURS in courses:
                     _curve(axes, courses[OURS], count, min(values), "least squares (default)", color="black", lw=1.0)
                 for i, entrant in enumerate(shown):
-                    line = _line(i)
-                    _curve(axes, courses[entrant.name], count, min(values), entrant.label, **line)
+                    _curve(axes, courses[entrant.name], count, min(values), entrant.label, **line(i))
                 axes.axvline(mark, color="black", linestyle=":", linewidth=0.8)
                 axes.set(xscale="log", yscale="log", xlabel=name)
                 axes.xaxis.set_minor_formatter(NullFormatter())
             row[0].set(ylabel="objective above the best seen [mm]", title="Ours" if own else "Others'")
-            row[1].legend(loc="lower left", fontsize=8.0)  # curves fall
+            row[1].legend(loc="lower left", fontsize=SMALL)  # curves fall
         seeds = max(len(runs) for runs in courses.values())
         figure.suptitle(
             "Paper's objective on case 2, SYNTHETIC measurements: best so far.\n"
@@ -69,12 +66,6 @@ def comparison_figure(courses: Mapping[str, Sequence[Course]], budget: tuple[flo
 
 _NAMES = ("evaluations (a point with derivatives counts 1 + p)", "processor time [s]")
 _COUNTS: tuple[Callable[[Best], float], ...] = (lambda b: b.evaluations, lambda b: b.cpu)
-
-
-def _line(i: int) -> dict[str, Any]:
-    from pftwin.plots import COLOURS
-
-    return {"color": COLOURS[i % len(COLOURS)], "linestyle": _DASHES[i % len(_DASHES)]}
 
 
 def _curve(

@@ -1,0 +1,69 @@
+"""The explicit step tells where it is beyond its limit of stability: a contact that chatters does not blow up."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import J, state_at, still_guide, system, vec
+
+from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.symplectic_euler import LIMIT, _stiffest
+from pftwin.effects.base import Load, StiffTerm
+from pftwin.effects.tendon import Tendon
+from pftwin.spatial import Vec3
+
+MASS, INERTIA = 0.12, (3e-5, 3e-5, 4e-5)
+
+
+def pushing(direction, moment, stiffness, damping=0.0) -> StiffTerm:
+    """A stiff term; leading axes as the stiffness has them."""
+    k = J(stiffness)
+    none = jnp.zeros_like(k)
+    return StiffTerm(Vec3(*map(J, direction)), Vec3(*map(J, moment)), none, none, k, none + damping, none)
+
+
+def largest(terms, step) -> float:
+    """The largest eigenvalue of M^-1 sum (h^2 k + 2 h c) g g^T, of single terms."""
+    root = 1 / np.sqrt([MASS] * 3 + list(INERTIA))
+    total = np.zeros((6, 6))
+    for t in terms:
+        g = root * np.concatenate([t.direction.array(), t.moment.array()])
+        total += float(step * (step * t.stiffness + 2 * t.damping)) * np.outer(g, g)
+    return float(np.linalg.eigvalsh(total)[-1])
+
+
+ONE = pushing((0.0, 0.6, 0.8), (0.01, 0.0, -0.002), 3e4, 5.0)
+OTHER = pushing((0.8, 0.0, 0.6), (0.0, 0.01, 0.0), 1e4)
+
+
+@pytest.mark.parametrize("terms", [(ONE,), (ONE, ONE)])
+def test_terms_that_push_one_way_are_known_exactly(terms):
+    step = J(4e-4)
+    found = _stiffest(system(mass=MASS, inertia=INERTIA), [Load(stiff=terms)], step)
+    assert float(found) == pytest.approx(largest(terms, step), rel=1e-12)
+
+
+def test_a_group_is_its_terms():
+    step, sys = J(4e-4), system(mass=MASS, inertia=INERTIA)
+    group = pushing(([0.0, 0.8], [0.6, 0.0], [0.8, 0.6]), ([0.01, 0.0], [0.0, 0.01], [-0.002, 0.0]), [3e4, 1e4])
+    single = [pushing((0.0, 0.6, 0.8), (0.01, 0.0, -0.002), 3e4), OTHER]
+    together, apart = (_stiffest(sys, [Load(stiff=tuple(t))], step) for t in ([group], single))
+    assert float(together) == pytest.approx(float(apart), rel=1e-12)
+    assert 0.5 * largest(single, step) < float(apart) <= largest(single, step)
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.95, False), (1.05, True)])
+def test_a_spring_is_told_where_its_oscillation_begins_to_grow(share, told):
+    """h^2 k = 4 m for a spring that pulls through the centre of mass."""
+    stiffness = 4e3
+    sys = system(Tendon(J(stiffness), J(0.05), J(0.0), vec(0, 0, 0), vec(0, 0, 0.1), body="ground", name="tendon"))
+    step = J(share * np.sqrt(LIMIT * MASS / stiffness))
+    method = integrator_named("symplectic_euler")
+    state = method.begin(sys, state_at(sys, (0, 0, 0.049)), still_guide(), step)
+    after, _ = method.advance(sys, state, lambda _: still_guide(), step, None)
+    before, now = method.unsettled(state), method.unsettled(after)
+    assert before is not None
+    assert now is not None
+    assert float(before) == 0
+    assert (float(now) > 0) == told

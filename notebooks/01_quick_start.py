@@ -79,13 +79,9 @@ result.plot.against_flexion()
 # %%
 measured = pftwin.rig.measured(2)
 rows = pftwin.validate(result, measured).to_rows()
-lines = [
-    "| | against synthetic measurements |",
-    "|---|---|",
-    *(f"| {r.label} | {r.value:.3g} {r.unit} |" for r in rows),
-]
+lines = [f"| {r.label} | {r.value:.3g} {r.unit} |" for r in rows]
 assert measured.synthetic
-Markdown("\n".join(lines))
+Markdown("\n".join(["| | against synthetic measurements |", "|---|---|", *lines]))
 
 # %%
 result.plot.compared(measured)

@@ -163,9 +163,7 @@ far = scene.with_effect(Brace(jnp.asarray(2000.0), jnp.asarray(1.0)))
 apart = np.abs(pftwin.simulate(far, dt=5e-3).center - pftwin.simulate(scene, dt=5e-3).center).max()
 print(f"a brace that never touches: paths {apart:.1g} m apart")
 assert apart < 1e-9
-assert (
-    pftwin.simulate(braced.without("brace"), dt=5e-3).energies.stored.keys() == runs["as it is"].energies.stored.keys()
-)
+assert "brace" not in pftwin.simulate(braced.without("brace"), dt=5e-3).energies.stored
 
 # %% [markdown]
 # ## Derivatives

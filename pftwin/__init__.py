@@ -15,7 +15,7 @@ from time import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pftwin import effects, mocap, plots, rig, surfaces, viewer
+    from pftwin import effects, interchange, mocap, plots, rig, surfaces, viewer
     from pftwin.dynamics.observe import Status
     from pftwin.dynamics.simulate import equilibrium, simulate
     from pftwin.errors import InputError, OutputError, PftwinError
@@ -44,7 +44,7 @@ _HOME = {
     "simulate": "dynamics.simulate",
     "validate": "metrics",
 }
-_PACKAGES = ("effects", "mocap", "plots", "rig", "surfaces", "viewer")
+_PACKAGES = ("effects", "interchange", "mocap", "plots", "rig", "surfaces", "viewer")
 
 __all__ = [
     "InputError",
@@ -58,6 +58,7 @@ __all__ = [
     "configure",
     "effects",
     "equilibrium",
+    "interchange",
     "load_scene",
     "mocap",
     "plots",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from pftwin.cli.exit_codes import keeping
 from pftwin.cli.scenes import CaseOption, SceneArgument
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 from pftwin.errors import InputError, OutputError
@@ -57,7 +58,7 @@ def accuracy(
         raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
     source = _source(scene, case)
     plan = everything() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
-    with working("measuring"):
+    with keeping(folder / "accuracy.csv"), working("measuring"):
         found = measure_all(plan, source.scene_of, source.measured, _tell, lambda rows: _keep(rows, folder))
     synthetic = source.measured is not None and source.measured.synthetic
     about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -14,12 +15,15 @@ from pftwin.cli import (
     audit,
     contact_map,
     demo,
+    doctor,
     doctor_mesh,
     equilibrium,
     explain,
+    export,
     fit,
     fit_surface,
     hard_cases,
+    import_model,
     init,
     optimise,
     plan_experiment,
@@ -28,12 +32,53 @@ from pftwin.cli import (
     validate,
     view,
 )
+from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
+from pftwin.cli.live import command as live
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
 
+# The help's table of contents: by panel, each command with a line that fits a terminal of 80 columns.
+COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
+    "Start": (
+        ("demo", demo.demo, "The whole story on the virtual rig, beside the paper"),
+        ("init", init.init, "Write a commented scene with a laboratory's files"),
+        ("doctor", doctor.doctor, "Is this installation sound? Versions and a self-test"),
+    ),
+    "Simulate": (
+        ("simulate", simulate.simulate, "The patella through the recorded motion"),
+        ("equilibrium", equilibrium.equilibrium, "Where the patella rests at the first frame"),
+        ("validate", validate.validate, "Simulate, and compare with measurements"),
+        ("contact-map", contact_map.contact_map, "Pressures where recorded poses press two meshes"),
+    ),
+    "Fit": (
+        ("fit", fit.fit, "Tendons from motion capture, with intervals"),
+        ("plan-experiment", plan_experiment.plan_experiment, "What an experiment can tell, before it is made"),
+        ("fit-surface", fit_surface.fit_surface, "Trochlear patches from a mesh of the implant"),
+    ),
+    "Treat": (
+        ("treat", treat.treat, "Predict outcomes of treatments, with bands"),
+        ("optimise", optimise.optimise, "The smallest treatment that meets stated limits"),
+        ("app", live.app, "Treatments by sliders, live in the browser"),
+    ),
+    "Look": (
+        ("view", view.view, "Results in three dimensions: a page, offline"),
+        ("explain", explain.explain, "What each effect of a scene adds"),
+        ("audit", audit.audit, "What each effect is worth, left out in turn"),
+    ),
+    "Check": (
+        ("doctor-mesh", doctor_mesh.doctor_mesh, "What is wrong with a mesh; repair what is safe"),
+        ("accuracy", accuracy.accuracy, "What accuracy costs in time"),
+        ("hard-cases", hard_cases.hard_cases, "Scenes that break simulators, judged"),
+    ),
+    "Exchange": (
+        ("export", export.export, "A result as .mot, .sto, .glb or .csv"),
+        ("import", import_model.import_model, "An OpenSim model as a scene folder"),
+    ),
+}
+
 
 class _Commands(TyperGroup):
-    """Errors meant for the user become a line on stderr and exit code 2; all others keep their traceback."""
+    """Errors meant for the user, and Ctrl-C, become a line on stderr and an exit code; others keep their traceback."""
 
     def invoke(self, ctx: Any) -> Any:
         with warnings.catch_warnings():
@@ -42,7 +87,9 @@ class _Commands(TyperGroup):
                 return super().invoke(ctx)
             except PftwinError as error:
                 err().print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
-                raise typer.Exit(2) from None
+                raise typer.Exit(code_of(error)) from None
+            except KeyboardInterrupt as error:
+                after_interrupt(error)
 
 
 _show_elsewhere = warnings.showwarning
@@ -58,7 +105,6 @@ def _show_warning(message: Any, category: Any, *rest: Any, **options: Any) -> No
 app = typer.Typer(
     cls=_Commands,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     help="Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out.",
@@ -83,25 +129,16 @@ def _options(
     """Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."""
 
 
-app.command("demo")(demo.demo)
-app.command("simulate")(simulate.simulate)
-app.command("equilibrium")(equilibrium.equilibrium)
-app.command("validate")(validate.validate)
-app.command("accuracy")(accuracy.accuracy)
-app.command("explain")(explain.explain)
-app.command("audit")(audit.audit)
-app.command("fit")(fit.fit)
-app.command("plan-experiment")(plan_experiment.plan_experiment)
-app.command("fit-surface")(fit_surface.fit_surface)
-app.command("doctor-mesh")(doctor_mesh.doctor_mesh)
-app.command("contact-map")(contact_map.contact_map)
-app.command("hard-cases")(hard_cases.hard_cases)
-app.command("treat")(treat.treat)
-app.command("optimise")(optimise.optimise)
-app.command("view")(view.view)
-app.command("init")(init.init)
+for _panel, _commands in COMMANDS.items():
+    for _name, _command, _line in _commands:
+        app.command(_name, short_help=_line, rich_help_panel=_panel)(_command)
 
 
 def main() -> None:
     """The entry point of the program."""
-    app()
+    try:
+        app(prog_name="pftwin")
+    except SystemExit as ended:
+        if ended.code == ExitCode.INTERRUPTED:
+            leave_at_once(ExitCode.INTERRUPTED)
+        raise

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pftwin.cli.exit_codes import flagged
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 from pftwin.errors import InputError, OutputError
 
@@ -93,6 +94,8 @@ def contact_map(
     for path in (output, figure):
         if path is not None:
             console.print(f"written: {path}", markup=False, highlight=False)
+    if deep := int(found.too_deep.sum()):
+        flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
 
 
 def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw:

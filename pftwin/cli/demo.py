@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pftwin.cli.exit_codes import keeping
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, write_json
 from pftwin.errors import OutputError
 
@@ -36,8 +37,9 @@ def demo(
     from pftwin.demo import run_demo
 
     console = out(json)
-    outcome = run_demo(folder, console, full=full)
-    study = _paper_study(folder, console)
+    with keeping(folder):
+        outcome = run_demo(folder, console, full=full)
+        study = _paper_study(folder, console)
     figures = [*outcome["figures"], *study.pop("figures")]
     write_json({**outcome, "figures": figures, "section_2_6": study}, json)
 

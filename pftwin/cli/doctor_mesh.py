@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pftwin.cli.exit_codes import flagged
 from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ def doctor_mesh(
         facts["repaired"] = {**after.facts(), "file": str(repair)}
         console.print(f"written: {repair}, {after.n_faces} triangles: {after.verdict}", markup=False, highlight=False)
     write_json(facts, json)
+    if found.of("fatal"):
+        flagged(f"{mesh}: {found.verdict}")
 
 
 def _show(console, found: Diagnosis, units: str | None) -> None:

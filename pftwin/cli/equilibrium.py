@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pftwin.cli.exit_codes import flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
-from pftwin.errors import PftwinError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -32,9 +32,7 @@ def equilibrium(
     console.print(f"{chosen.scene.name}: {report.description}", markup=False, highlight=False)
     console.print(_table(report))
     if not report.converged:
-        raise PftwinError(
-            f"{chosen.scene.name}: no equilibrium was found; try: a start pose nearer to where the patella rests"
-        )
+        flagged(f"{chosen.scene.name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
 
 
 def _table(report: EquilibriumReport) -> Table:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pftwin.cli.exit_codes import Interrupted, keeping
 from pftwin.cli.posterior import check_posterior, with_posterior
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, working, write_json
@@ -79,7 +80,7 @@ def fit(
     if posterior is not None:
         check_posterior(objective)
     options: dict[str, Any] = {} if starts is None else {"starts": starts}
-    with _shown(method) as progress:
+    with keeping(checkpoint), _shown(method) as progress:
         estimate = fit_tendons(
             chosen.scene,
             chosen.measured,
@@ -96,13 +97,23 @@ def fit(
             resume=resume,
             **options,
         )
+    interrupted = estimate.reason.startswith("interrupted")
+    with keeping(output, checkpoint):
+        draws = None if interrupted else posterior
+        _report(estimate, output, json, figures=figures and not interrupted, posterior=draws)
+    if interrupted:
+        raise Interrupted(output, *([] if checkpoint is None else [checkpoint]))
+
+
+def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:
+    """Writes the estimate, its figures and, where it is wanted, its posterior; says what was found."""
     written = [str(estimate.save(output))]
     if figures:
         with working("drawing"):
             written += [str(p) for p in estimate.plot.save(output.with_suffix(""))]
     facts, said = estimate.to_dict(), []
     if posterior is not None:  # the estimate is on disk already
-        found = with_posterior(estimate, posterior, seed, output)
+        found = with_posterior(estimate, posterior, estimate.seed, output)
         facts["posterior"] = found.to_dict()
         said = ["", found.summary()]
         if figures:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, write_json
 from pftwin.errors import InputError
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from pftwin.hard_cases import Case
     from pftwin.hard_cases import Selection as Selected
     from pftwin.hard_cases.pieces import Piece
+    from pftwin.hard_cases.verdict import Cell
 
 ContactsOption = Annotated[
     list[str] | None,
@@ -91,13 +93,9 @@ def hard_cases(
         derivatives=not quick,
         mates=not quick,
     )
-    if from_:
-        found = [pieces.read_piece(path) for path in from_]
-    else:
-        found = [_run(cases, chosen)]
-        write_json(found[0].as_dict(), json)
-    names = tuple(m.name for m in INTEGRATORS)
-    cells = pieces.merged(found, (tuple(c.name for c in catalogue()), CONTACTS, names, DTYPES))
+    found = [pieces.read_piece(path) for path in from_] if from_ else [_run(cases, chosen, json)]
+    order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
+    cells = pieces.merged(found, order)
     if markdown is not None:
         from pftwin.mocap.text_files import write_text
 
@@ -105,10 +103,11 @@ def hard_cases(
     out(json).print(_table("hard cases", table.summary(cells)))
     if table.counts(cells)["fail"]:
         out(json).print(_table("what fails", table.reasons(cells, "fail")))
+        flagged(f"{table.counts(cells)['fail']} of {len(cells)} cells fail")
 
 
-def _run(cases: tuple[Case, ...], chosen: Selected) -> Piece:
-    """Runs what was chosen; says how far it has come."""
+def _run(cases: tuple[Case, ...], chosen: Selected, json: str | None) -> Piece:
+    """Runs what was chosen, contact by contact; says how far it has come. Ctrl-C keeps the contacts that are done."""
     import time
 
     from pftwin.benchmarks.machine import describe
@@ -116,8 +115,21 @@ def _run(cases: tuple[Case, ...], chosen: Selected) -> Piece:
     from pftwin.hard_cases.pieces import Piece
 
     began = time.perf_counter()
-    cells = run_matrix(cases, chosen, lambda words: err().print(words, style="dim", highlight=False))
-    return Piece(tuple(cells), time.perf_counter() - began, describe(), not chosen.derivatives)
+    cells: list[Cell] = []
+
+    def piece() -> Piece:
+        return Piece(tuple(cells), time.perf_counter() - began, describe(), not chosen.derivatives)
+
+    try:
+        for contact in chosen.contacts:
+            one = chosen._replace(contacts=(contact,))
+            cells += run_matrix(cases, one, lambda words: err().print(words, style="dim", highlight=False))
+    except KeyboardInterrupt:
+        if cells and json is not None:
+            write_json(piece().as_dict(), json)
+        raise Interrupted(*([Path(json)] if cells and json not in (None, "-") else [])) from None
+    write_json(piece().as_dict(), json)
+    return piece()
 
 
 def _known(wanted: list[str] | None, known: tuple[str, ...], option: str) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pftwin.cli.amounts import Given, by_kind, limits, with_amounts
+from pftwin.cli.exit_codes import flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
 from pftwin.cli.treat import EstimateOption, loaded_estimate
@@ -74,13 +75,13 @@ def optimise(
         )
     notes = _notes(chosen.scene.synthetic, found)
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
-    write_json(facts, None if output is None else str(output))
-    write_json(facts, json)
-    console = out(json)
-    console.print(_table(plan, chosen.scene.name))
-    written = [] if output is None else [f"written: {output}"]
-    for line in (plan.describe(), *notes, *written):
-        console.print(line, markup=False, highlight=False)
+    for place in (None if output is None else str(output), json):
+        write_json(facts, place)
+    out(json).print(_table(plan, chosen.scene.name))
+    for line in (plan.describe(), *notes, *([] if output is None else [f"written: {output}"])):
+        out(json).print(line, markup=False, highlight=False)
+    if not plan.met:
+        flagged("no amount within the range meets the limits")
 
 
 def _treatment(pairs: dict[str, tuple[float, float]]) -> tuple[Treatment, dict[str, tuple[float, float]]]:

@@ -23,11 +23,20 @@ SceneArgument = Annotated[
 CaseOption = Annotated[
     int | None, typer.Option("--case", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
 ]
+_CONTACTS = "P2|P4|P5|spline|CM|FM|volume"
+
+
+def _offered(incomplete: str) -> list[str]:
+    """Contacts, for a shell that completes."""
+    return [name for name in _CONTACTS.split("|") if name.lower().startswith(incomplete.lower())]
+
+
 ContactOption = Annotated[
     str | None,
     typer.Option(
         "--contact",
-        metavar="P2|P4|P5|spline|CM|FM|volume",
+        metavar=_CONTACTS,
+        autocompletion=_offered,
         help="Patch fitted to the mesh, or with --case meshes: P5 if left out.",
     ),
 ]

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from pftwin.cli.amounts import Given, treated, with_amounts
+from pftwin.cli.exit_codes import check_trust
 from pftwin.cli.scenes import (
     CaseOption,
     ContactOption,
@@ -75,3 +76,4 @@ def simulate(
     )
     out(json).print(result.summary(), markup=False, highlight=False)
     out(json).print(f"written: {', '.join(written)}", markup=False, highlight=False)
+    check_trust(result)

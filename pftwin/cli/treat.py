@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pftwin.cli.amounts import Given, by_kind, values, with_amounts
+from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 from pftwin.errors import InputError, OutputError
@@ -19,9 +20,11 @@ if TYPE_CHECKING:
 
     from fitting.estimate import Estimate
     from fitting.treatments import Treatment
+    from pftwin.scene import Scene
 
 _MOST_ROWS = 40
 _MOST_VARIANTS = 1_000_000
+_BLOCK = 4096  # members that are simulated in one go: what Ctrl-C can lose
 
 EstimateOption = Annotated[
     Path | None, typer.Option("--estimate", metavar="FIT.json", help="Parameters that `pftwin fit` found.")
@@ -59,23 +62,16 @@ def treat(
     variants = _variants(numbers)
     found = None if estimate is None else loaded_estimate(estimate)
     chosen = chosen_scene(scene, case, contact)
-    from fitting.predicting import predict
     from pftwin.result_files import save_dataset
 
-    with err().status("compiling and simulating ...") as spinner:
-        data = predict(
-            chosen.scene,
-            variants,
-            found,
-            samples=samples if found is not None else 0,
-            seed=seed,
-            dt=dt,
-            progress=lambda done, of: spinner.update(f"simulated {done} of {of} variants and draws ..."),
-        )
+    draws = samples if found is not None else 0
+    data, whole = _predicted(chosen.scene, variants, found, samples=draws, seed=seed, dt=dt)
     if chosen.scene.synthetic:
         data.attrs["note"] = "; ".join([SYNTHETIC, *([data.attrs["note"]] if "note" in data.attrs else [])])
     with working("writing"):
         save_dataset(data, output)
+        if not whole:
+            raise Interrupted(output)
         written = [output, *(_draw(data, output, chosen.scene.name) if figure and data.sizes["variant"] > 1 else [])]
     write_json({**_facts(data), "finding": _finding(data), "files": [str(p) for p in written]}, json)
     console = out(json)
@@ -83,6 +79,51 @@ def treat(
     for line in (_finding(data), data.attrs.get("note", ""), f"written: {', '.join(str(p) for p in written)}"):
         if line:
             console.print(line, markup=False, highlight=False)
+    own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
+    if failed := int(own.sum()):
+        flagged(f"{failed} of {data.sizes['variant']} variants could not be simulated")
+
+
+def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **options: Any) -> tuple[Dataset, bool]:
+    """Outcomes, block by block of variants, and whether they are all there: after Ctrl-C, those of the blocks done."""
+    from fitting.predicting import predict
+    from fitting.variants import amounts_of
+
+    amounts = amounts_of(variants)
+    draws = 1 + options["samples"]
+    size, count = max(1, _BLOCK // draws), len(amounts)
+    blocks: list[Dataset] = []
+    with err().status("compiling and simulating ...") as spinner:
+        try:
+            for first in range(0, count, size):
+                rows = variants.with_values(amounts[first : first + size].T)
+
+                def told(done: int, _: int, before: int = first * draws) -> None:
+                    spinner.update(f"simulated {before + done} of {count * draws} variants and draws ...")
+
+                blocks.append(predict(scene, rows, estimate, progress=told, **options))
+        except KeyboardInterrupt:
+            if not blocks:
+                raise
+    return _together(blocks, count), len(blocks) == -(-count // size)
+
+
+def _together(blocks: list[Dataset], count: int) -> Dataset:
+    """One dataset of blocks of variants; says so where some are missing."""
+    import numpy as np
+    import xarray
+
+    data = blocks[0]
+    if len(blocks) > 1:
+        data = xarray.concat(
+            blocks, "variant", data_vars="minimal", coords="minimal", compat="override", join="override"
+        )
+        about = blocks[0]["variant"].attrs
+        data = data.assign_coords(variant=("variant", np.arange(data.sizes["variant"]), about))
+    if (there := data.sizes["variant"]) < count:
+        data.attrs["title"] += f" (interrupted: {there} of {count} variants)"
+        data.attrs["variants_missing"] = count - there
+    return data
 
 
 def _variants(numbers: dict[str, dict[str, list[float]]]) -> Treatment:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from pftwin.cli.exit_codes import check_trust
 from pftwin.cli.scenes import (
     CaseOption,
     ContactOption,
@@ -56,6 +57,7 @@ def validate(
     rows = [row._asdict() for row in validation.to_rows(paper)]
     write_json({"contact": chosen.contact, **validation.to_dict(), "first_run_s": first, "rows": rows}, json)
     out(json).print(_table(validation, paper))
+    check_trust(result)
 
 
 def _table(validation: Validation, paper: str | None) -> Table:

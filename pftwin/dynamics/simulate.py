@@ -68,6 +68,11 @@ def settle(scene: Scene) -> tuple[Timed, bool]:
     return Timed((tried[-1] if helped else found).answer, run, preparation), helped
 
 
+def prepare_relaxation(scene: Scene) -> None:
+    """Compiles what `settle` falls back on for scenes of this kind, so that nobody has to wait for it when it does."""
+    _relaxed.prepare(scene.unnamed())
+
+
 def _converged(solution: Solution) -> bool:
     """`Solution.converged` on the host: no program is compiled for it."""
     return bool(np.asarray(solution.residual) < tolerance_on_host(solution))

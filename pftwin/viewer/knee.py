@@ -66,7 +66,7 @@ def tendons(result: Recorded, code: str) -> list[Drawable]:
     """Tendons, ligaments and muscles as straight tubes, and where a tendon begins on the tibia."""
     drawn = []
     for name, lines in result.lines.items():
-        ends = _ends(result, lines)
+        ends = line_ends(result, lines)
         few = ends.shape[1] <= 2 * FEW
         vertices, triangles = tubes(ends, *((1.7, 10) if few else (0.55, 5)))
         tube = body(Shape(vertices[0], triangles), paler(code, 0.3), name=name.replace("_", " "), group=result.name)
@@ -122,7 +122,7 @@ def _path(result: Recorded, push: Push, code: str) -> list[Drawable]:
     return [way, behind]
 
 
-def _ends(result: Recorded, lines: Lines) -> np.ndarray:
+def line_ends(result: Recorded, lines: Lines) -> np.ndarray:
     """Insertions, then origins, in the femur's frame (n, 2 k, 3) [mm]."""
     insertion = applied(result.patella, lines.insertion)
     origin = lines.origin

@@ -33,13 +33,16 @@ class Recorded:
     geometry: Dataset
 
     @classmethod
-    def of(cls, source: Any, name: str | None = None, *, frames: int = MOST_FRAMES) -> Recorded:
+    def of(
+        cls, source: Any, name: str | None = None, *, frames: int = MOST_FRAMES, geometry: Dataset | None = None
+    ) -> Recorded:
         """From a `Result`, or from the file of one.
 
         Args:
             source: the result, or a path.
             name: in the legend; None: the scene's, or the file's.
             frames: most that are shown.
+            geometry: of a result, where that is known already.
 
         Raises:
             InputError: no such file, not a result, a file without anything to draw, or no frame that is finite.
@@ -55,11 +58,11 @@ class Recorded:
                     expected="a result of one simulation",
                     remedy="pftwin simulate --case 2 -o case2.nc",
                 )
-            geometry, label = load_dataset(source, group=GEOMETRY), where.stem
+            drawn, label = load_dataset(source, group=GEOMETRY), where.stem
         else:
-            data, geometry, label = source.to_dataset(), source.geometry(), source.scene_name
-            where = label
-        return cls(name or label, data.isel(time=_shown(data, where, frames)), geometry)
+            data, label = source.to_dataset(), source.scene_name
+            drawn, where = source.geometry() if geometry is None else geometry, label
+        return cls(name or label, data.isel(time=_shown(data, where, frames)), drawn)
 
     @property
     def times(self) -> Floats:

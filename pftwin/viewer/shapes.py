@@ -127,7 +127,7 @@ def path(points: NDArray[np.float64], radius: float, sides: int = 6) -> Shape:
     there = np.isfinite(points).all(axis=1)
     p = points[there]
     along = np.asarray(np.gradient(p, axis=0)) if len(p) > 1 else np.ones_like(p)
-    vertices = p[:, None] + np.concatenate([_rings(d[None, None], radius, sides)[0] for d in along])
+    vertices = p[:, None] + _rings(along[None], radius, sides)[0]
     k = np.arange(len(p) * sides).reshape(len(p), sides)
     whole = np.diff(np.cumsum(~there)[there]) == 0
     faces = _between(k[:-1], k[1:])[whole].reshape(-1, 3)

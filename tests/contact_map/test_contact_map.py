@@ -116,7 +116,7 @@ def test_single_frames_that_are_too_deep_are_flagged(files, tmp_path):
 
     write_poses(files / "some.csv", [4e-4, 6e-3])
     told = run(files, "-o", str(tmp_path / "some.nc"), poses="some.csv")
-    assert told.exit_code == 0, told.output
+    assert told.exit_code == 3, told.output  # done and written, and flagged
     assert "1 of 2 frames are deeper than 5 mm" in told.output
     with xr.open_dataset(tmp_path / "some.nc", engine="h5netcdf") as data:
         assert data.status.values.tolist() == [0, 2]

@@ -1,0 +1,101 @@
+"""What the program's exit code says: one table for all commands, and the ways to end with each of them."""
+
+from __future__ import annotations
+
+import enum
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import typer
+
+from pftwin.cli.terminal import err
+from pftwin.errors import InputError, MissingExtraError, OutputError, PftwinError
+
+if TYPE_CHECKING:
+    from pftwin.result import Result
+
+
+class ExitCode(enum.IntEnum):
+    """How a command ended. docs/command_line.md holds the same table."""
+
+    DONE = 0
+    UNEXPECTED = 1  # a mistake of pftwin's own: the traceback is shown
+    BAD_INPUT = 2  # wrong options or files, a place that cannot be written to, a package that is not there
+    FLAGGED = 3  # the command ran; its outcome is not to be relied on, or is that there is none
+    INTERRUPTED = 130  # by Ctrl-C
+
+
+_REFUSALS = (InputError, OutputError, MissingExtraError)
+
+
+def code_of(error: PftwinError) -> ExitCode:
+    """Of an error that is meant for the user."""
+    return ExitCode.BAD_INPUT if isinstance(error, _REFUSALS) else ExitCode.FLAGGED
+
+
+def flagged(why: str) -> NoReturn:
+    """Ends a command whose outcome has been written and shown, but is not to be relied on; says why on stderr."""
+    err().print(f"flagged: {why}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+    raise typer.Exit(ExitCode.FLAGGED)
+
+
+def check_trust(result: Result) -> None:
+    """Ends with `FLAGGED` where frames of a simulation are not to be trusted as numbers.
+
+    Frames without contact, beyond the edge of a fitted patch or after a snap are what happened to the patella: the
+    summary tells of them, and they do not count here.
+    """
+    from pftwin.dynamics.observe import Status
+
+    told = Status.NO_CONTACT | Status.LEFT_PATCH | Status.SNAPPED
+    if doubts := result.status & ~told:
+        flagged(f"{result.scene_name}: {doubts.describe()}")
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, with the files that hold what there was by then."""
+
+    def __init__(self, *kept: Path) -> None:
+        super().__init__()
+        self.kept = kept
+
+
+@contextmanager
+def keeping(*files: Path | None) -> Iterator[None]:
+    """Says after Ctrl-C which of these files, written by the work inside, hold what there is so far."""
+    present = [f for f in files if f is not None]
+    before = {f: _version(f) for f in present}
+    try:
+        yield
+    except Interrupted:
+        raise
+    except KeyboardInterrupt:
+        raise Interrupted(*(f for f in present if _version(f) not in (None, before[f]))) from None
+
+
+def after_interrupt(error: KeyboardInterrupt) -> NoReturn:
+    """Says what is saved, and ends with `INTERRUPTED`."""
+    kept = error.kept if isinstance(error, Interrupted) else ()
+    words = f"saved so far: {', '.join(str(p) for p in kept)}" if kept else "nothing was saved"
+    err().print(f"interrupted; {words}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+    raise typer.Exit(ExitCode.INTERRUPTED)
+
+
+def leave_at_once(code: ExitCode) -> NoReturn:
+    """Ends the process without taking Python down: compiled code may still run in threads that would crash with it."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(code)
+
+
+def _version(file: Path) -> tuple[int, int] | None:
+    """Changes when a file is written anew; None where there is none."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino

@@ -1,0 +1,169 @@
+"""Ctrl-C, sent to a real process: what there is is saved and named, exit code 130, no traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from toy_scene_files import SCENE, write_toy
+
+ROOT = Path(__file__).resolve().parents[2]
+READY = "ready for the signal"
+PAUSE = f"print('{READY}', flush=True); time.sleep(300)"
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory) -> Path:
+    measured = '\n[measured]\npatella = { body = "patella" }\n'
+    return write_toy(tmp_path_factory.mktemp("toy"), SCENE + measured)
+
+
+class Run:
+    """A process of the program, with a piece of Python before it that makes it pause somewhere."""
+
+    def __init__(self, before: str, *arguments: object, cwd: Path) -> None:
+        code = f"import sys, time\nfrom pathlib import Path\n{before}\nfrom pftwin.cli import main\nmain()"
+        cache = os.environ.get("PFTWIN_TEST_CACHE", str(ROOT / ".jax_cache"))  # what other tests have compiled
+        more = {"PYTHONPATH": str(ROOT), "PFTWIN_CACHE": cache, "NO_COLOR": "1", "COLUMNS": "160"}
+        env = {**os.environ, **more}
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", code, *(str(a) for a in arguments)],
+            cwd=cwd,
+            env=env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def until_ready(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if READY in line:
+                return
+        assert self.process.stderr is not None
+        pytest.fail(f"ended before: {self.process.stderr.read()}")
+
+    def until(self, file: Path) -> None:
+        deadline = time.monotonic() + 120
+        while not file.exists():
+            assert self.process.poll() is None, self.process.communicate()
+            assert time.monotonic() < deadline, "nothing was written"
+            time.sleep(0.05)
+
+    def interrupted(self) -> str:
+        """What it says on stderr after the signal."""
+        self.process.send_signal(signal.SIGINT)
+        _, said = self.process.communicate(timeout=120)
+        assert self.process.returncode == 130, said
+        assert "Traceback" not in said
+        assert said.count("interrupted; ") == 1
+        return said
+
+
+def test_fit_keeps_the_best_so_far_and_its_checkpoint(toy, tmp_path):
+    options = ["-o", "fit.json", "--free", "K1,L1", "--method", "genetic", "--checkpoint", "state.npz"]
+    slow = (
+        "import fitting.genetic as g\nold = g.Genetic.tell\n"
+        "def tell(*a):\n    old(*a); time.sleep(0.3)\ng.Genetic.tell = tell"
+    )
+    run = Run(slow, "fit", toy, *options, cwd=tmp_path)
+    run.until(tmp_path / "state.npz")
+    said = run.interrupted()
+    assert "saved so far: fit.json, state.npz" in said
+    estimate = json.loads((tmp_path / "fit.json").read_text())
+    assert estimate["reason"] == "interrupted; the best so far"
+    assert estimate["iterations"] >= 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["fit.json", "state.npz"]
+
+
+def test_treat_keeps_the_variants_that_are_done(toy, tmp_path):
+    before = (
+        "import pftwin.cli.treat as t, fitting.predicting as p\nt._BLOCK = 2\nreal, calls = p.predict, []\n"
+        f"def predict(*a, **k):\n    calls.append(1)\n    if len(calls) == 3: {PAUSE}\n    return real(*a, **k)\n"
+        "p.predict = predict"
+    )
+    run = Run(before, "treat", toy, "-o", "v.nc", "--medialise", "0:5:1", "--dt", "0.005", cwd=tmp_path)
+    run.until_ready()
+    assert "saved so far: v.nc" in run.interrupted()
+    from pftwin.result_files import load_dataset
+
+    data = load_dataset(tmp_path / "v.nc")
+    assert data["tibial_tuberosity_transfer_medialisation"].values.tolist() == pytest.approx([0, 1e-3, 2e-3, 3e-3])
+    assert data["variant"].values.tolist() == [0, 1, 2, 3]
+    assert "interrupted: 4 of 6 variants" in data.attrs["title"]
+    assert [p.name for p in tmp_path.iterdir()] == ["v.nc"]
+
+
+def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path):
+    before = (
+        "import pftwin.hard_cases as h\nfrom pftwin.hard_cases.verdict import Cell\ncalls = []\n"
+        f"def run_matrix(cases, chosen, say):\n    calls.append(1)\n    if len(calls) == 2: {PAUSE}\n"
+        "    return [Cell('hanging', chosen.contacts[0], 'newmark', 'float64', 'pass', '')]\n"
+        "h.run_matrix = run_matrix"
+    )
+    run = Run(before, "hard-cases", "--contact", "P2", "--contact", "P5", "--json", "cells.json", cwd=tmp_path)
+    run.until_ready()
+    assert "saved so far: cells.json" in run.interrupted()
+    from pftwin.hard_cases.pieces import read_piece
+
+    assert [c.contact for c in read_piece(tmp_path / "cells.json").cells] == ["P2"]
+
+
+def test_accuracy_keeps_the_rows_so_far(toy, tmp_path):
+    before = (
+        "import pftwin.accuracy.run as r\n"
+        f"def measure(plan, scene_of, measured, tell, keep):\n    keep([]); {PAUSE}\n"
+        "r.measure_all = measure"
+    )
+    run = Run(before, "accuracy", toy, "--out", "acc", cwd=tmp_path)
+    run.until_ready()
+    assert f"saved so far: {Path('acc') / 'accuracy.csv'}" in run.interrupted()
+
+
+def test_where_nothing_is_saved_it_says_so(toy, tmp_path):
+    before = f"import pftwin.dynamics.simulate as s\ndef simulate(*a, **k): {PAUSE}\ns.simulate = simulate"
+    run = Run(before, "simulate", toy, "-o", "out.nc", cwd=tmp_path)
+    run.until_ready()
+    assert "nothing was saved" in run.interrupted()
+    assert not list(tmp_path.iterdir())
+
+
+def test_blocks_change_no_outcome(toy, tmp_path, monkeypatch):
+    import numpy as np
+    from typer.testing import CliRunner
+
+    from pftwin.cli import app
+    from pftwin.result_files import load_dataset
+
+    for name, block in (("whole.nc", 4096), ("blocks.nc", 2)):
+        monkeypatch.setattr("pftwin.cli.treat._BLOCK", block)
+        options = [
+            "-o",
+            str(tmp_path / name),
+            "--medialise",
+            "0:2:1",
+            "--distalise",
+            "0,2",
+            "--dt",
+            "0.005",
+            "--no-figure",
+        ]
+        done = CliRunner().invoke(app, ["treat", str(toy), *options])
+        assert done.exit_code == 0, done.output
+    whole, blocks = load_dataset(tmp_path / "whole.nc"), load_dataset(tmp_path / "blocks.nc")
+    assert whole.attrs == blocks.attrs
+    assert set(whole.variables) == set(blocks.variables)
+    for name, variable in whole.variables.items():
+        assert variable.dims == blocks[name].dims, name
+        assert variable.attrs.keys() == blocks[name].attrs.keys()
+        if variable.dtype.kind == "f":
+            np.testing.assert_allclose(variable.values, blocks[name].values, rtol=1e-9, atol=1e-12, err_msg=str(name))
+        else:
+            np.testing.assert_array_equal(variable.values, blocks[name].values, err_msg=str(name))

@@ -47,6 +47,7 @@ from pftwin.plots import COLOURS, STYLE, against_flexion
 from pftwin.runtime import default_cache_dir
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+mpl.rcParams["figure.dpi"] = 72  # small files
 
 # %% [markdown]
 # ## Simulate

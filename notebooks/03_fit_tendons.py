@@ -31,6 +31,7 @@
 # %%
 # %matplotlib inline
 import equinox as eqx
+import matplotlib as mpl
 import numpy as np
 from IPython.display import Markdown
 
@@ -40,6 +41,7 @@ from pftwin.plots import compared
 from pftwin.runtime import default_cache_dir
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+mpl.rcParams["figure.dpi"] = 72  # small files
 scene, measured = pftwin.rig.case(2, contact="P5"), pftwin.rig.measured(2)
 assert measured.synthetic
 
@@ -174,7 +176,7 @@ assert inside.sum() >= 34  # fewer would happen once in two hundred times
 # nothing of how sure it is.
 
 # %%
-paper = fitting.fit_tendons(scene, measured, method="genetic", objective="paper", generations=25)
+paper = fitting.fit_tendons(scene, measured, method="genetic", objective="paper", generations=12)
 exact = fitting.fit_tendons(scene, measured, objective="paper")
 table(
     ["method", "evaluations", f"objective [{paper.objective_unit}]"],

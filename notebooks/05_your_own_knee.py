@@ -54,6 +54,7 @@ from pftwin.surfaces.mesh import load_mesh
 from pftwin.surfaces.region import plot_region, trochlear_region
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+mpl.rcParams["figure.dpi"] = 72  # small files
 
 # %% [markdown]
 # ## A laboratory's files
@@ -98,7 +99,10 @@ print("\n".join(str(fit) for fit in fits))
 assert all(a.rms > b.rms for a, b in pairwise(fits))
 
 # %%
-plot_region(region, mesh)
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(5.2, 4.4), dpi=64)
+    plot_region(region, mesh, figure.subplots())
+figure
 
 # %% [markdown]
 # ## Simulate and compare

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Array
 
 from pftwin.batches import batched
-from pftwin.benchmarks.problem import sphere_centre
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.observe import Observation, observe
+from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.dynamics.trajectory import trajectory
 from pftwin.scene import Scene
 
@@ -44,7 +44,7 @@ def programs(scene: Scene, integrator: str) -> Programs:
         return observe(whole, trajectory(whole, integrator=integrator, substeps=substeps, start=start))
 
     def tracked(whole: Scene, start: Solution, substeps: Array) -> Array:
-        return sphere_centre(whole, substeps, start, integrator).array()
+        return tracked_path(whole, integrator=integrator, substeps=substeps, start=start).array()
 
     def path(a: Any, start: Solution, substeps: Array) -> Array:
         return tracked(eqx.combine(a, fixed), start, substeps)

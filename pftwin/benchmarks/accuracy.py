@@ -5,8 +5,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.benchmarks.problem import compiled, sphere_centre
+from pftwin.benchmarks.problem import compiled
 from pftwin.benchmarks.row import Row
+from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.scene import Scene
 
@@ -23,7 +24,7 @@ def errors(scene: Scene, substeps: tuple[int, ...] = SUBSTEPS, reference: int = 
     start = compiled(starting_equilibrium, scene)()
 
     def path(n: int) -> np.ndarray:
-        return np.asarray(compiled(lambda s, at: sphere_centre(s, n, at).array(), scene, start)())
+        return np.asarray(compiled(lambda s, at: tracked_path(s, substeps=n, start=at).array(), scene, start)())
 
     fine = path(reference)
     converged = 2 * fine - path(reference // 2)

@@ -12,13 +12,13 @@ from pftwin.batches import batched
 from pftwin.benchmarks.clock import measure_in_turn
 from pftwin.benchmarks.problem import (
     compiled,
-    sphere_centre,
     started_nearby,
     temporary_memory,
     variants,
     with_springs,
 )
 from pftwin.benchmarks.row import Row
+from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.scene import Scene
 from pftwin.surfaces.patch import PolynomialPatch
 
@@ -34,7 +34,7 @@ def forward(scene: Scene, steps: dict[str, int], counts: dict[str, tuple[int, ..
         for count in counts[level]:
 
             def path(s: Scene, one: jax.Array, n: int = n) -> Any:
-                return sphere_centre(with_springs(s, one), n)
+                return tracked_path(with_springs(s, one), substeps=n)
 
             def plain(s: Scene, f: jax.Array) -> Any:
                 return batched(lambda one: path(s, one))(f)
@@ -74,7 +74,7 @@ def reverse(scene: Scene, steps: dict[str, int]) -> list[Row]:
         def scalar(s: Scene, c: jax.Array, n: int = n) -> jax.Array:
             effect = s.contact
             moved = eqx.tree_at(lambda e: e.surface.coefficients, effect, c)
-            path = sphere_centre(s.with_effect(moved), n)
+            path = tracked_path(s.with_effect(moved), substeps=n)
             return jnp.mean(path.squared_norm())
 
         def gradient(s: Scene, c: jax.Array, scalar: Any = scalar) -> Any:

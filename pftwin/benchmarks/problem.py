@@ -14,11 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
+from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.effects.tendon import Tendon
 from pftwin.scene import Scene
-from pftwin.spatial import Vec3
 
 SPRINGS = ("quadriceps", "patellar_tendon")
 SPREAD = 0.10  # of each spring parameter, to either side
@@ -34,19 +32,6 @@ def scene_of_case_1() -> Scene:
 def duration(scene: Scene) -> float:
     """Length of the recorded motion: what "real time" is [s]."""
     return scene.motion.end_time - scene.motion.start_time
-
-
-def sphere_centre(
-    scene: Scene, substeps: int | Array, start: Solution | None = None, integrator: str = "linear_implicit"
-) -> Vec3:
-    """The button's sphere centre in the femur's frame over the recorded frames [m], from static equilibrium."""
-    states = trajectory(scene, integrator=integrator, substeps=substeps, start=start).states
-    centre = states.position + states.orientation.rotate(scene.tracked_point() - scene.patella.center_of_mass)
-    motion = scene.motion
-    if motion.femur is None:
-        return centre
-    times = motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float)
-    return motion.femur.frames(times).to_local(centre)
 
 
 def compiled(function: Callable[..., Any], scene: Scene, *args: Any) -> Callable[[], Any]:

@@ -8,9 +8,10 @@ import numpy as np
 import pftwin
 from pftwin.batches import batched
 from pftwin.benchmarks.clock import measure
-from pftwin.benchmarks.problem import compiled, duration, sphere_centre, started_nearby, variants, with_springs
+from pftwin.benchmarks.problem import compiled, duration, started_nearby, variants, with_springs
 from pftwin.benchmarks.row import Row
 from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.scene import Scene
 from pftwin.spatial import Vec3
@@ -24,7 +25,7 @@ def one_run(scene: Scene, steps: dict[str, int]) -> list[Row]:
     out = []
     for level, n in steps.items():
         dt = scene.motion.frame_interval / n
-        bare = measure(compiled(lambda s, n=n: sphere_centre(s, n), scene))
+        bare = measure(compiled(lambda s, n=n: tracked_path(s, substeps=n), scene))
         public = measure(lambda dt=dt: pftwin.simulate(scene, dt=dt).center)
         for name, times in (("compiled function", bare), ("pftwin.simulate, all results", public)):
             out.append(
@@ -59,10 +60,10 @@ def batch(scene: Scene, steps: dict[str, int], count: int) -> list[Row]:
         given = compiled(starting_equilibrium, near)()
 
         def settled(s: Scene, f: jax.Array, n: int = n) -> Vec3:
-            return batched(lambda one: sphere_centre(with_springs(s, one), n))(f)
+            return batched(lambda one: tracked_path(with_springs(s, one), substeps=n))(f)
 
         def moving(s: Scene, f: jax.Array, start: Solution, n: int = n) -> Vec3:
-            return batched(lambda one: sphere_centre(with_springs(s, one), n, start))(f)
+            return batched(lambda one: tracked_path(with_springs(s, one), substeps=n, start=start))(f)
 
         for name, call in (
             ("each from its own equilibrium", compiled(settled, near, factors)),

@@ -28,7 +28,7 @@ def outputs(book: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
 
 
 def test_there_are_notebooks():
-    assert len(names()) >= 2
+    assert len(names()) >= 7
     assert {p.stem for p in FOLDER.glob("*.ipynb")} == set(names())
 
 

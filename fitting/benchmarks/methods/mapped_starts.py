@@ -21,7 +21,7 @@ from fitting.method import lenient
 from fitting.parameters import applied
 from fitting.places import Place
 from fitting.problem import Problem
-from pftwin.benchmarks.problem import sphere_centre
+from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.errors import MissingExtraError
 from pftwin.scene import Scene
@@ -60,7 +60,7 @@ class Residuals(eqx.Module):
     def __call__(self, u: Array, guess: Pose) -> Array:
         """(3 n,)."""
         scene = applied(self.places, self.scene, self.theta(u))
-        path = sphere_centre(scene, self.substeps, starting_equilibrium(scene, guess)).array()
+        path = tracked_path(scene, substeps=self.substeps, start=starting_equilibrium(scene, guess)).array()
         off = self.present * (path - self.measured)
         count = jnp.sum(self.present)
         size = jnp.sqrt(jnp.sum(off**2, axis=0) / count + 1e-14)

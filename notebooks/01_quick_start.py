@@ -1,0 +1,174 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Quick start
+#
+# From nothing to a treated knee in a minute. You will get:
+#
+# 1. a knee whose patella dislocates, simulated through a recorded motion of seven seconds, and its curves against
+#    flexion;
+# 2. how far the simulation is from measurements;
+# 3. the same knee after its tibial tuberosity was moved by 16 mm: the dislocation is gone;
+# 4. files for other programs: NetCDF, pandas, a page with the moving knee;
+# 5. what no recording gives: a derivative, and sixty variants in the time of a few.
+#
+# The knee is case 2 of the virtual rig that comes with pftwin. **All its data are synthetic**: a second model, which
+# differs from the one used here, made the motion and the measurements. Nothing here is about a patient.
+
+# %%
+# %matplotlib inline
+import tempfile
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+from IPython.display import Markdown
+from matplotlib.figure import Figure
+
+import pftwin
+from fitting.treatments import tibial_tuberosity_transfer
+from pftwin.batches import batched
+from pftwin.dynamics.tracked_path import tracked_path
+from pftwin.plots import COLOURS, STYLE, against_flexion
+from pftwin.runtime import default_cache_dir
+
+pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+mpl.rcParams["figure.dpi"] = 72  # small files
+
+# %% [markdown]
+# ## Simulate
+#
+# A **scene** is everything that is there: the patella, what acts on it, and the recorded motion of femur and tibia. A
+# simulation starts from the static equilibrium and follows the motion; `tolerance` is how far off its path may be.
+
+# %%
+scene = pftwin.rig.case(2, contact="P5")  # a knee of your own: pftwin.load_scene("knee/scene.toml")
+print("what acts on the patella:", ", ".join(effect.name for effect in scene.effects))
+result = pftwin.simulate(scene, tolerance="0.05 mm")
+print(result.summary())
+assert scene.synthetic
+assert result.equilibrium.converged
+
+# %% [markdown]
+# The summary says first what a clinician would ask: the patella dislocates laterally as the knee straightens. It also
+# says which frames not to trust, and why: there the button has left the surface that was fitted to the trochlea.
+
+# %%
+assert result.dislocations().re_engaged is False  # it left the groove, and did not come back
+result.plot.against_flexion()
+
+# %% [markdown]
+# ## Compare with measurements
+#
+# The rig's laboratory recorded forces and the patella's path (synthetic). `validate` has the rows of the paper's
+# Table 1; the figure shows where the differences are.
+
+# %%
+measured = pftwin.rig.measured(2)
+rows = pftwin.validate(result, measured).to_rows()
+lines = [f"| {r.label} | {r.value:.3g} {r.unit} |" for r in rows]
+assert measured.synthetic
+Markdown("\n".join(["| | against synthetic measurements |", "|---|---|", *lines]))
+
+# %%
+result.plot.compared(measured)
+
+# %% [markdown]
+# ## Treat
+#
+# A treatment is a function from a scene to a scene. Here the tibial tuberosity, where the patellar tendon is
+# attached, is moved 16 mm medially.
+
+# %%
+treated = tibial_tuberosity_transfer(scene, medialisation=0.016)
+after = pftwin.simulate(treated, tolerance="0.05 mm")
+print(f"untreated: {result.dislocations().describe()}")
+print(f"treated:   {after.dislocations().describe()}")
+assert result.dislocations().events
+assert not after.dislocations().events
+
+# %%
+against_flexion({"untreated": result, "16 mm medially": after}, strokes="together")
+
+# %%
+after.plot.trajectory()
+
+# %% [markdown]
+# ## Take it elsewhere
+#
+# A result is an xarray Dataset with a unit and a long name on every variable; from there it is a table of pandas, a
+# NetCDF file, a CSV file or an OpenSim storage file. `result.view("knee.html")` (extra `viewer`) writes the moving
+# knee as one page that opens offline.
+
+# %%
+with tempfile.TemporaryDirectory() as folder:
+    after.save(Path(folder) / "after.nc")
+    after.to_csv(Path(folder) / "after.csv")
+    sizes = {p.name: f"{p.stat().st_size / 1e3:.0f} kB" for p in sorted(Path(folder).iterdir())}
+print(sizes)
+frame = after.to_dataset()[["knee_flexion", "patella_tilt", "patella_rotation", "contact_force"]].to_dataframe()
+Markdown(frame.iloc[::120].to_html(float_format="{:.2f}".format))
+
+# %% [markdown]
+# ## What no recording gives
+#
+# The whole simulation is one pure function of the scene's numbers. So it can be differentiated: how much would the
+# button's most lateral place change with the tuberosity's?
+
+
+# %%
+def lateral(medialisation: jax.Array) -> jax.Array:
+    """The button's most lateral place in the femur [mm], by the tuberosity's transfer [mm]."""
+    moved = tibial_tuberosity_transfer(scene, medialisation=1e-3 * medialisation)
+    return 1e3 * tracked_path(moved, integrator="linear_implicit_bdf2", substeps=4).y.max()
+
+
+value, slope = jax.jit(lambda x: jax.jvp(lateral, (x,), (jnp.ones(()),)))(jnp.asarray(16.0))
+print(f"16 mm medially: most lateral {float(value):.2f} mm, {float(slope):.3f} mm per mm more")
+assert np.isclose(float(value), 1e3 * after.shift.max(), atol=0.1)
+assert slope < 0
+
+# %% [markdown]
+# And it can be mapped: sixty transfers side by side, in one compiled program. The derivative above is the slope of
+# this curve; the step in it is where the patella begins to stay in its groove.
+
+# %%
+amounts = jnp.linspace(0.0, 20.0, 60)
+curve = np.asarray(jax.jit(batched(lateral))(amounts))
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(6.5, 3.2), dpi=80)
+    axes = figure.subplots()
+    axes.plot(amounts, curve, ".-", color=COLOURS[0], label="60 simulations, side by side")
+    near = np.array([14.0, 18.0])
+    tangent = float(value) + float(slope) * (near - 16)
+    axes.plot(near, tangent, color=COLOURS[1], linewidth=3, alpha=0.6, label="derivative at 16 mm")
+    axes.set(xlabel="medialisation of the tuberosity [mm]", ylabel="most lateral place [mm]")
+    axes.set_title("Case 2 of the virtual rig (synthetic)")
+    axes.legend()
+assert np.isfinite(curve).all()
+assert curve[0] > 2 * curve[-1]
+assert np.isclose(np.interp(17.0, amounts, curve) - np.interp(15.0, amounts, curve), 2 * float(slope), rtol=0.3)
+figure
+
+# %% [markdown]
+# ## Where next
+#
+# - [What accuracy costs in time](02_accuracy.ipynb): which method and step to take.
+# - [Fit tendon stiffness from motion](03_fit_tendons.ipynb), and how sure it is.
+# - [Predict and optimise a treatment](04_treatment.ipynb).
+# - [Bring your own knee](05_your_own_knee.ipynb).
+# - [Hard cases](06_hard_cases.ipynb) and what the statuses mean; [your own effect](07_your_own_effect.ipynb).

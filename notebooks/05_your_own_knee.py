@@ -1,0 +1,202 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Bring your own knee
+#
+# From a laboratory's files to a simulated, fitted patella. You will get:
+#
+# 1. a scene file and a laboratory's files (markers, forces, mesh of the implant), as `pftwin init` writes them: put
+#    yours in their place;
+# 2. a look at the recording before anything is computed: gaps, residuals;
+# 3. a surface of contact fitted to the mesh, and how good it is;
+# 4. the simulation beside the measurements, and a fit of the tendons;
+# 5. what mistakes look like: each names the file, the line and the field;
+# 6. where its data are at hand, the same with a real implant: the knee of subject DM.
+#
+# The example's files are those of case 1 of the virtual rig: **motion, forces and markers are synthetic**, and every
+# figure says so.
+
+# %%
+# %matplotlib inline
+import os
+import sys
+import tempfile
+from itertools import pairwise
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from IPython.display import display
+from matplotlib.figure import Figure
+
+import fitting
+import pftwin
+from pftwin.mocap import cluster_poses, find_gaps, read_trc
+from pftwin.plots import COLOURS, STYLE
+from pftwin.rig import geometry
+from pftwin.runtime import default_cache_dir
+from pftwin.scene_file import load_scene_file
+from pftwin.scene_template import write_example
+from pftwin.surfaces.fit import fit_patch
+from pftwin.surfaces.mesh import load_mesh
+from pftwin.surfaces.region import plot_region, trochlear_region
+
+pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+mpl.rcParams["figure.dpi"] = 72  # small files
+
+# %% [markdown]
+# ## A laboratory's files
+#
+# `pftwin init knee` does this from the command line.
+
+# %%
+kept = tempfile.TemporaryDirectory()  # goes with the notebook
+folder = Path(kept.name) / "knee"
+for path in write_example(folder, case=1):
+    print(f"{path.relative_to(folder.parent)}  {path.stat().st_size / 1e3:.0f} kB")
+text = (folder / "scene.toml").read_text()
+print("\n" + "\n".join(text.splitlines()[:40]))
+
+# %% [markdown]
+# ## Look at the recording first
+#
+# A marker that was hidden is missing, not zero, and a rigid segment's markers keep their distances: what is left over
+# when a frame is laid through a cluster says how good the recording is.
+
+# %%
+markers = read_trc(next(folder.glob("*.trc")))
+names = list(markers.names)
+print(f"{len(names)} markers, {markers.times.size} frames, {len(find_gaps(markers))} gaps")
+for body, cluster in (("tibia", geometry.TIBIA_MARKERS), ("patella", geometry.PATELLA_MARKERS)):
+    own = [names.index(n) for n in cluster]
+    poses = cluster_poses(markers.positions[:, own], list(cluster.values()), markers.times, names=list(cluster))
+    print(f"{body}: its {len(own)} markers fit its frame within {1e3 * poses.residual_rms.max():.2f} mm rms")
+    assert poses.residual_rms.max() < 2e-3
+
+# %% [markdown]
+# ## A surface to slide on
+#
+# The trochlea is found on the mesh, and a polynomial patch is fitted to it: smooth, and fast to touch. What it costs
+# in shape is told.
+
+# %%
+mesh = load_mesh(folder / "femoral_component.stl", units="m")
+region = trochlear_region(mesh, anterior=[0, 0, 1], proximal=[1, 0, 0])
+fits = [fit_patch(mesh, degree=degree, region=region) for degree in ("P2", "P4", "P5", "P8")]
+print("\n".join(str(fit) for fit in fits))
+assert all(a.rms > b.rms for a, b in pairwise(fits))
+
+# %%
+with mpl.rc_context(STYLE):
+    figure = Figure(figsize=(5.2, 4.4), dpi=64)
+    plot_region(region, mesh, figure.subplots())
+figure
+
+# %% [markdown]
+# ## Simulate and compare
+#
+# The scene file names all of that, and `load_scene_file` does it: filter, frames, surface, measurements. What it had
+# to decide by itself it says in its notes.
+
+# %%
+loaded = load_scene_file(folder / "scene.toml")
+print("\n".join(loaded.notes))
+result = pftwin.simulate(loaded.scene, tolerance="0.05 mm")
+print(result.summary())
+assert loaded.scene.synthetic
+assert loaded.measured.synthetic
+assert not result.dislocations().events
+
+# %%
+result.plot.compared(loaded.measured)
+
+# %% [markdown]
+# ## Fit the tendons
+#
+# Stiffness and slack length of both, from the motion and one force. [Notebook 3](03_fit_tendons.ipynb) has the rest.
+
+# %%
+estimate = fitting.fit_tendons(loaded.scene, loaded.measured, use=("position", "quadriceps"), starts=8)
+print(estimate.summary())
+before = pftwin.validate(result, loaded.measured).mean_distance
+after = pftwin.validate(pftwin.simulate(estimate.scene, tolerance="0.05 mm"), loaded.measured).mean_distance
+print(f"mean distance from the synthetic measurements: {before:.2f} mm before, {after:.2f} mm after")
+assert after < before
+
+# %% [markdown]
+# ## What mistakes look like
+#
+# Nothing is guessed in silence, and no mistake ends in a traceback from deep inside. Four that happen to everybody:
+
+# %%
+MISTAKES = {
+    "a unit forgotten": ("stiffness_N_per_m", "stiffness"),
+    "a number that cannot be": ("mass_kg = ", "mass_kg = -"),
+    "a marker that is not in the file": (f"{next(iter(geometry.TIBIA_MARKERS))} = [", "KNEE9 = ["),
+    "a file that is not there": ("femoral_component.stl", "femoral_component_v2.stl"),
+}
+for what, (right, wrong) in MISTAKES.items():
+    (folder / "mistake.toml").write_text(text.replace(right, wrong, 1))
+    try:
+        pftwin.load_scene(folder / "mistake.toml")
+    except pftwin.InputError as error:
+        print(f"{what}:\n  {str(error).replace(str(folder), 'knee')}\n")
+    else:
+        raise AssertionError(f"{what}: accepted")
+
+# %% [markdown]
+# ## A real implant
+#
+# The knee of subject DM of the sixth Grand Challenge competition, as published with OpenSim JAM: an instrumented
+# total knee replacement whose passive flexion that code simulated. The geometry is real, the motion is not measured.
+# `examples/dm_knee.py` reads it, step by step as [Bring your own knee](../docs/bring_your_own_knee.md) explains. Its
+# data are not part of pftwin: this cell runs where the variable PFTWIN_DATA names their folder.
+
+# %%
+data = os.environ.get("PFTWIN_DATA")
+if data is None:
+    print("no data of the DM knee here")
+else:
+    sys.path.append(str(Path(pftwin.__file__).resolve().parents[1] / "examples"))
+    import dm_knee
+
+    dm, simulated, compared = dm_knee.run(Path(data) / "dm_knee", dt=5e-3)
+    print(f"mean distance of the button's centre from the recording: {1e3 * compared.mean_distance:.2f} mm")
+    assert compared.mean_distance < 2.5e-3
+
+# %%
+if data is not None:
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.4, 3.0), dpi=80)
+        left, right = figure.subplots(1, 2)
+        flexion = np.degrees(simulated.knee.flexion)
+        for k, axis in enumerate(("proximal", "lateral", "anterior")):
+            left.plot(flexion, 1e3 * compared.offset[:, k], color=COLOURS[k], label=axis)
+        left.set(xlabel="knee flexion [deg]", ylabel="simulated less recorded [mm]", title="Button's centre")
+        left.legend()
+        for k, name in enumerate(("simulated", "demanded by the recorded tensions")):
+            right.plot(flexion, compared.force[:, k], color=COLOURS[k], label=name)
+        right.set(xlabel="knee flexion [deg]", ylabel="contact force [N]", title="Contact force")
+        right.legend()
+        figure.suptitle("DM knee: real implant, recording simulated by OpenSim JAM")
+    display(figure)
+
+# %% [markdown]
+# ## Where next
+#
+# [Fit a patient](../docs/fit_a_patient.md) fits two tendons to that recording and compares their forces with recorded
+# ones. The [scene file, field by field](../docs/bring_your_own_knee.md) has all that a scene can hold: ligaments of
+# many strands, toe regions, friction, meshes. `pftwin doctor-mesh femur.stl` says what is wrong with a mesh,
+# `pftwin import model.osim` begins from an OpenSim model.

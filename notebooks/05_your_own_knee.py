@@ -112,7 +112,7 @@ figure
 
 # %%
 loaded = load_scene_file(folder / "scene.toml")
-print("\n".join(loaded.notes))
+print("\n".join(note.replace(str(folder), "knee") for note in loaded.notes))
 result = pftwin.simulate(loaded.scene, tolerance="0.05 mm")
 print(result.summary())
 assert loaded.scene.synthetic

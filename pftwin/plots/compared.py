@@ -104,8 +104,8 @@ def _panel(
         values, error = quantity.simulated(result), _error(errors[name], quantity)
         if values is None or error is None:
             continue
-        lead = f"{name}: " if len(named) > 1 else ""
-        ax.plot(across, values, label=f"{lead}RMSE {error:.3g} {quantity.unit}", zorder=2, **line(i))
+        # Whose it is says the legend of all panels: names here would be wider than a panel.
+        ax.plot(across, values, label=f"RMSE {error:.3g} {quantity.unit}", zorder=2, **line(i))
     ax.set(xlabel=_AXES[against], ylabel=quantity.label)
     ax.yaxis.label.set_fontsize(SMALL)
     legend_above(ax)

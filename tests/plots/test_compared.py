@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -79,9 +80,17 @@ def test_several_results_are_named_each_with_its_error(result, measured):
     figure = compared({"P4": result, "P5": other}, measured)
     texts = [t.get_text() for t in figure.axes[0].get_legend().get_texts()]
     errors = [np.sqrt(np.nanmean((1e3 * (r.center - measured.center)[:, 0]) ** 2)) for r in (result, other)]
-    assert texts == [f"P4: RMSE {errors[0]:.3g} mm", f"P5: RMSE {errors[1]:.3g} mm"]
+    assert texts == [f"RMSE {error:.3g} mm" for error in errors]
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["synthetic measurements", "P4", "P5"]
     assert len({str(line.get_linestyle()) for line in figure.axes[0].get_lines()[1:]}) == 2
+
+
+def test_long_names_leave_the_panels_their_width(result, measured):
+    figure = compared({"a name as people give them to variants": result, "and another one like it": result}, measured)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # matplotlib warns where panels collapse
+        figure.canvas.draw()
+    assert all(ax.get_position().width > 0.15 for ax in figure.axes)
 
 
 def test_only_what_was_measured_has_a_panel(result):

@@ -60,7 +60,10 @@ def _page(material: Material, command: str, drawing: Section) -> str:
 def _short(material: Material) -> str:
     """What was simulated, fitted and predicted, a sentence each, and what to keep in mind."""
     lines = [f"{run.name}: {run.tracking}." for run in material.runs]
-    lines += [f"{fit.sentence(e)} (95 % intervals are under Fit.)" for e in list(material.estimates.values())[:1]]
+    if material.estimate is not None:
+        known = None if material.chosen is None else material.chosen.scene
+        names = "; ".join(f"{n}: {fit.meaning(known, n)}" for n in material.estimate.names)
+        lines.append(f"{fit.sentence(material.estimate)} ({names}.)")
     if material.treatment is not None:
         lines.append(f"Treatment: {prediction.finding_of(material.treatment)}")
     flagged = [run.name for run in material.runs if run.marks]

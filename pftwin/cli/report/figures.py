@@ -34,10 +34,13 @@ def view(material: Material) -> Section:
 
 def _case(material: Material) -> str:
     from pftwin.plots import case_figure
+    from pftwin.plots.quantities import provenance
 
     measured = None if material.demo is not None or material.chosen is None else material.chosen.measured
     names = " and ".join(r.name for r in material.runs)
-    figure = case_figure({r.name: r.result for r in material.runs}, measured, names)
+    said = provenance(*(r.result for r in material.runs))
+    title = names if said is None else f"{names}\n{said}"
+    figure = case_figure({r.name: r.result for r in material.runs}, measured, title)
     what = names if measured is None else f"{names}, with {measured.label}"
     becomes = " ".join(f"{r.name}: {r.tracking}." for r in material.runs)
     alternative = (

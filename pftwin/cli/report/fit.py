@@ -44,7 +44,7 @@ def _table(e: Estimate, scene: Scene | None) -> str:
         value, sd, nominal = (scale * float(a[i]) for a in (e.values, e.standard_deviations, e.nominal))
         low, high = scale * e.intervals[i]
         interval = f"{number(low)} to {number(high)}"
-        rows.append((name, meaning(scene, name), number(value), interval, number(sd, 2), number(nominal), unit))
+        rows.append((name, meaning(scene, name), number(value), interval, number(sd, 3), number(nominal), unit))
     measured = "synthetic measurements" if e.synthetic else "measurements"
     headings = ("parameter", "what it is", "estimate", "95 % interval", "standard deviation", "nominal", "unit")
     return table(f"Fitted to {measured}", headings, rows)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 # Belt and braces: a browser that keeps to this policy fetches nothing, whatever the page holds.
 _POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; font-src data:; worker-src blob: data:; "
-    "script-src 'unsafe-inline' 'unsafe-eval' blob: data:; connect-src blob: data:; frame-src 'self'; base-uri 'none'; "
+    "script-src 'unsafe-inline' 'unsafe-eval' blob: data:; connect-src blob: data:; frame-src 'self'; "
     "form-action 'none'"
 )
 
@@ -91,7 +91,11 @@ def drawn(figure: Figure, alternative: str, caption: str) -> str:
 
 
 def frame(page: str, title: str) -> str:
-    """A page within the page. It may run its scripts, and reaches nothing of the page around it."""
+    """A page within the page. It may run its scripts, and reaches nothing of the page around it.
+
+    Its base is no address: k3d's style sheet names fonts beside the page, which browsers would look for there.
+    """
+    page = page.replace("<head>", '<head><base href="about:invalid">', 1)
     return (
         f'<iframe class="view" sandbox="allow-scripts" title="{escape(title)}" srcdoc="{escape(page)}"></iframe>'
         '<p class="on-paper">The moving knee is in the file only: open the page in a browser.</p>'

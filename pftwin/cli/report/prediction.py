@@ -24,7 +24,7 @@ def section(material: Material) -> Section:
     """The prediction that was given; without one, the demo's; without that, how to make one."""
     parts = []
     if material.treatment is not None:
-        parts.append(_given(material.treatment))
+        parts.append(_given(material.treatment, doubts(material, material.treatment)))
     if material.demo is not None:
         parts.append(_of_demo(material, material.demo))
     if not parts:
@@ -41,13 +41,30 @@ def finding_of(data: Dataset) -> str:
     return f"{words[:1].upper()}{words[1:]}."
 
 
-def _given(data: Dataset) -> str:
+def doubts(material: Material, data: Dataset) -> list[str]:
+    """Where the prediction is not of the knee that the rest of the report is about."""
+    out, estimate = [], material.estimate
+    own = {str(run.data.attrs.get("scene", run.name)) for run in material.runs}
+    if others := sorted(set(map(str, data["scene"].values)) - own):
+        out.append(f"The prediction is of {', '.join(others)}; this report is of {', '.join(sorted(own))}.")
+    if estimate is None:
+        return out
+    if "parameters" not in data:
+        return [*out, "The prediction was made with the scene's own parameters, not with the fitted ones."]
+    used = data["parameters"].values.reshape(-1, data.sizes["parameter"])[0]
+    names = tuple(map(str, data["parameter"].values))
+    if names != estimate.names or not np.allclose(used, estimate.values, rtol=1e-9, atol=0):
+        out.append("The prediction was made with other parameters than those under Fit.")
+    return out
+
+
+def _given(data: Dataset, said: list[str]) -> str:
     from fitting.prediction_plots import amount_names, outcome_figure
     from fitting.prediction_table import rows
 
     headings, lines = rows(data)
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
-    said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
+    said = [*said, f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
         said.append(f"In brackets: 95 % of {data.sizes['sample'] - 1} draws from the fit's uncertainty.")
     if failed := int(own.sum()):

@@ -40,7 +40,7 @@ def report(material: Material, command: str) -> Report:
 
 
 def _page(material: Material, command: str, drawing: Section) -> str:
-    labels = [RESEARCH]
+    labels: list[tuple[str, str]] = [RESEARCH]
     if said := material.synthetic():
         labels.append(("Synthetic data:", f"{'; '.join(said)}."))
     sections = [

@@ -21,6 +21,8 @@ _POLICY = (
     "form-action 'none'"
 )
 
+_MOST_WHOLE = 1e6  # numbers below are written out, above as powers of ten
+
 
 class Section(NamedTuple):
     """A part of the page under a heading."""
@@ -133,7 +135,10 @@ def page(title: str, labels: Sequence[tuple[str, str]], sections: Sequence[Secti
 def number(value: Any, digits: int = 4) -> str:
     """A number as people read it; a dash where there is none."""
     x = float(value)
-    return f"{x:.{digits}g}".replace("-", "\N{MINUS SIGN}") if np.isfinite(x) else "–"
+    if not np.isfinite(x):
+        return "–"
+    whole = 10**digits <= abs(x) < _MOST_WHOLE
+    return f"{x:{'.0f' if whole else f'.{digits}g'}}".replace("-", "\N{MINUS SIGN}")
 
 
 def _numeric(text: str) -> bool:

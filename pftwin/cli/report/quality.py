@@ -39,7 +39,7 @@ def section(material: Material) -> Section:
 
 def missing(values: np.ndarray) -> tuple[int, int]:
     """Frames without a value, and the longest gap [frames]."""
-    absent = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    absent = np.asarray(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
     longest = run = 0
     for gone in absent:
         run = run + 1 if gone else 0

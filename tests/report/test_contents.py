@@ -110,6 +110,12 @@ def test_the_fit_with_its_intervals_and_sentence(fit_seen):
     assert fit_seen.rows["seed"] == [["7"]]
 
 
+def test_a_scene_with_other_values_than_the_fit_began_from_is_doubted(fit_seen, tmp_path):
+    assert "This scene has other values of K1, L1, K2, L2 than the fit began from" in fit_seen.text
+    same = fitted(tmp_path, nominal=np.array([156.0, 0.1432, 629.0, 0.0714]))
+    assert "began from" not in Seen(report(same, "").page).text
+
+
 def test_gaps_and_residuals_are_told(fit_seen):
     assert fit_seen.rows["position of the button's centre"] == [["41", "5", "4"]]
     assert fit_seen.rows["contact force"] == [["not measured", "–", "–"]]

@@ -22,7 +22,11 @@ def section(material: Material) -> Section:
     for name, estimate in material.estimates.items():
         if len(material.estimates) > 1:
             parts.append(subtitle(f"By {name}"))
-        parts += [paragraph(sentence(estimate), "finding"), _table(estimate, scene), bullets(estimate.remarks())]
+        parts += [
+            paragraph(sentence(estimate), "finding"),
+            _table(estimate, scene),
+            bullets([*doubts(estimate, scene), *estimate.remarks()]),
+        ]
         about = f"fitted by {estimate.method} to {estimate.source}; stopped: {estimate.reason}"
         parts.append(paragraph(f"Scene {estimate.scene_name}, {about}.", "small"))
         parts.append(_correlation(estimate))
@@ -33,6 +37,19 @@ def sentence(estimate: Estimate) -> str:
     """What the data can tell, as a sentence."""
     words = estimate.sentence()
     return f"{words[:1].upper()}{words[1:]}."
+
+
+def doubts(e: Estimate, scene: Scene | None) -> list[str]:
+    """Where the scene's numbers are not those that the fit began from: it may be another scene of the same name."""
+    if scene is None:
+        return []
+    from fitting.places import find
+
+    here = [float(find(scene, name)[0].read(scene)) for name in e.names]
+    off = [n for n, x, began in zip(e.names, here, e.nominal, strict=True) if abs(x - began) > 1e-6 * abs(began)]
+    if not off:
+        return []
+    return [f"This scene has other values of {', '.join(off)} than the fit began from: is it the one that was fitted?"]
 
 
 def _table(e: Estimate, scene: Scene | None) -> str:

@@ -110,12 +110,6 @@ def test_the_fit_with_its_intervals_and_sentence(fit_seen):
     assert fit_seen.rows["seed"] == [["7"]]
 
 
-def test_a_scene_with_other_values_than_the_fit_began_from_is_doubted(fit_seen, tmp_path):
-    assert "This scene has other values of K1, L1, K2, L2 than the fit began from" in fit_seen.text
-    same = fitted(tmp_path, nominal=np.array([156.0, 0.1432, 629.0, 0.0714]))
-    assert "began from" not in Seen(report(same, "").page).text
-
-
 def test_gaps_and_residuals_are_told(fit_seen):
     assert fit_seen.rows["position of the button's centre"] == [["41", "5", "4"]]
     assert fit_seen.rows["contact force"] == [["not measured", "–", "–"]]
@@ -135,15 +129,6 @@ def test_the_prediction_is_told_row_by_row(fit_seen):
     assert "25.2 (" in row[4] or "25.3 (" in row[4]
     assert "Without dislocation from 10 mm of transfer medialisation on." in fit_seen.text
     assert "other parameters" not in fit_seen.text
-
-
-def test_a_prediction_of_another_fit_is_called_so(tmp_path):
-    material = fitted(tmp_path)
-    material.treatment = prediction().assign_coords(scene=("variant", ["another knee"] * 3))
-    material.treatment["parameters"] = 1.01 * material.treatment["parameters"]
-    text = Seen(report(material, "").page).text
-    assert "other parameters than those under Fit" in text
-    assert "The prediction is of another knee; this report is of small knee." in text
 
 
 def test_labels(page, fit_page, tmp_path):

@@ -103,7 +103,7 @@ def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
     assert isinstance(contact.law, Flores)
     law = contact.law
     values = {
-        "name": scene.name,
+        "name": f"example, after {scene.name}",  # not that of a case: an edited copy is none
         "markers": files.markers,
         "cutoff": _number(files.cutoff_hz),
         "fixed_points": _cluster(files.fixed_points) if files.fixed_points else "{}",

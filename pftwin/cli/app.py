@@ -34,6 +34,7 @@ from pftwin.cli import (
 )
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
 from pftwin.cli.live import command as live
+from pftwin.cli.report import command as report
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
 
@@ -62,6 +63,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
     ),
     "Look": (
         ("view", view.view, "Results in three dimensions: a page, offline"),
+        ("report", report.report, "One offline page that a clinician can read"),
         ("explain", explain.explain, "What each effect of a scene adds"),
         ("audit", audit.audit, "What each effect is worth, left out in turn"),
     ),

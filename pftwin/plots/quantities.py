@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.errors import InputError
+from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
     from pftwin.measured import Measured
@@ -101,7 +102,4 @@ def quantities(names: tuple[str, ...] | list[str]) -> dict[str, Quantity]:
 
 def provenance(*results: Result) -> str | None:
     """What has to be said of synthetic motion; None where there is nothing to say."""
-    from pftwin.result_dataset import attributes_of
-
-    notes = dict.fromkeys(str(a["note"]) for a in map(attributes_of, results) if "note" in a)
-    return "; ".join(notes) or None
+    return SYNTHETIC if any(r.scene.synthetic for r in results) else None

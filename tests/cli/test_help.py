@@ -35,7 +35,8 @@ def test_every_command_has_a_panel_and_one_line_of_80_columns():
 def test_no_command_is_left_out_of_the_table():
     folder = ROOT / "pftwin" / "cli"
     named = {command.__module__ for commands in COMMANDS.values() for _, command, _ in commands}
-    written = {f"pftwin.cli.{p.stem}" for p in folder.glob("*.py") if p.read_text().startswith('"""`pftwin ')}
+    commands = [p for p in folder.rglob("*.py") if p.read_text(encoding="utf-8").startswith('"""`pftwin ')]
+    written = {".".join(["pftwin", "cli", *p.relative_to(folder).with_suffix("").parts]) for p in commands}
     assert written == named
 
 

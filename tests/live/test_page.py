@@ -20,6 +20,8 @@ PIL = pytest.importorskip("PIL.Image")
 sys.path.append(str(Path(__file__).parents[1] / "viewer"))
 from viewer_pages import chromium  # noqa: E402
 
+from pftwin.labels import SYNTHETIC  # noqa: E402
+
 SLIDER = "xpath=//*[normalize-space(text())='{}']/ancestor::*[.//*[@role='slider']][1]"
 ORANGE = (213, 94, 0)  # of the treated knee
 
@@ -103,7 +105,7 @@ def near(image: np.ndarray, colour: tuple[int, int, int]) -> int:
 def test_the_page_loads_without_a_complaint_and_asks_nobody_else(browser, command):
     with opened(browser, command[1]) as (page, seen):
         says(page, "Dislocation: yes")
-        says(page, "The rig is virtual: its recorded motion is synthetic.")
+        says(page, f"{SYNTHETIC[0].upper()}{SYNTHETIC[1:]}.")
         says(page, "slider to new motion: none yet")
         page.wait_for_timeout(500)
         assert near(picture(page), ORANGE) > 500

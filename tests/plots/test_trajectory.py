@@ -11,6 +11,7 @@ from small_scene import GROOVE_AT, HALF_U, HALF_V, small_result
 
 import pftwin
 from pftwin.errors import InputError
+from pftwin.labels import SYNTHETIC
 from pftwin.measured import Measured
 from pftwin.plots import COLOURS
 from pftwin.plots.relief import relief
@@ -133,11 +134,15 @@ def test_a_scene_without_contact_is_refused(result):
         bare.plot.trajectory()
 
 
-def test_that_the_rig_is_virtual_is_said(result):
-    rig = dataclasses.replace(result, scene_name="rig case 1, P5")
-    for figure in (rig.plot.trajectory(), rig.plot.against_flexion(), rig.plot.compared(_positions(result))):
-        assert "the rig is virtual: its recorded motion is synthetic" in figure.get_suptitle().replace("\n", " ")
-    assert "virtual" not in result.plot.trajectory().get_suptitle()
+def test_that_a_motion_is_synthetic_is_said(result):
+    made_up = dataclasses.replace(result, scene=dataclasses.replace(result.scene, synthetic=True))
+    for figure in (
+        made_up.plot.trajectory(),
+        made_up.plot.against_flexion(),
+        made_up.plot.compared(_positions(result)),
+    ):
+        assert SYNTHETIC in figure.get_suptitle().replace("\n", " ")
+    assert "synthetic" not in result.plot.trajectory().get_suptitle()
 
 
 def _positions(result):

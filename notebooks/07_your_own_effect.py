@@ -57,10 +57,10 @@ assert scene.synthetic
 # %% [markdown]
 # ## The brace
 #
-# With $y$ the lateral place of the patella's centre of mass in the femur, stiffness $k$ and play $y_0$, it presses
-# medially with
+# With y the lateral place of the patella's centre of mass in the femur, stiffness k and play y0, it presses medially
+# with
 #
-# $$F = k\,\max(y - y_0, 0), \qquad E = \tfrac{1}{2}\,k\,\max(y - y_0, 0)^2.$$
+#     F = k max(y - y0, 0)        E = k max(y - y0, 0)^2 / 2
 #
 # The load has one **stiff term**: a scalar force along one direction, with its slope. The slope is what lets an
 # implicit step stay stable however stiff the brace is. Vectors are written component by component (`Vec3`), so that a

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -131,6 +132,7 @@ def test_heat_is_all_that_is_lost(integrator):
     for n in (2000, 4000, 8000):
         start = resting(sys, velocity=(0.2, 0.1, 0))
         states, ledger = record(sys, start, J(0.1 / n), n, integrator)
+        states = replace(states, carried=None)  # the integrator's own
         total = energies(sys, jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states))
         assert np.all(np.diff(ledger.heat) >= -1e-15)
         gaps.append(float(total[-1] - total[0] - ledger.work[-1] + ledger.heat[-1]))

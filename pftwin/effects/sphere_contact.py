@@ -11,7 +11,6 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.lax import stop_gradient
 
 from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
 from pftwin.effects.contact_law import ContactLaw
@@ -103,9 +102,7 @@ class SphereContact(Effect):
         speeds = memory.approach_speeds or (None, None)
         one, two = (self._touch(now, p, velocity, speed, facets.share) for p, speed in zip(points, speeds, strict=True))
         way = now.step * velocity
-        medial, lateral = (
-            Place(*stop_gradient((p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled))) for p in points
-        )
+        medial, lateral = (Place(p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled) for p in points)
         begun = None
         if one.approach_speed is not None and two.approach_speed is not None:
             begun = one.approach_speed, two.approach_speed

@@ -87,13 +87,14 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     extrapolation: a point that is still on its way understates an indentation and cannot invent one. The normal there
     is that of the surface's second-order expansion about the start, off by the step squared.
 
-    Derivatives are those of the closest point by the implicit function theorem: the Hessian is not differentiated, so
-    first derivatives are exact where the step is short, and second derivatives of the normal are not to be had.
+    Derivatives are those of the step itself, the Hessian's and the start's included. Those of the closest point, by the
+    implicit function theorem, are theirs to first order in the step's length; but a point that crawls along a groove
+    as round as the sphere, or is on its way to a facet just found, follows the step and not the theorem.
     """
     jet = surface.jet(u, v)
     s = surface.chart.separation(c, u, v, jet)
     gu, gv = s.gradient
-    (huu, huv, hvv), gram, (tu, tv) = stop_gradient((s.hessian, s.gram, s.tangents))
+    (huu, huv, hvv), gram, (tu, tv) = s.hessian, s.gram, s.tangents
     convex = (huu > 0) & (huu * hvv > huv * huv)
     # Raising the second pivot alone keeps a flat valley's direction.
     over_u = 1 / jnp.maximum(jnp.where(convex, huu, jnp.abs(huu)), FLATTEST * gram[0])
@@ -104,10 +105,8 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     along = surface.chart.longest_along(longest)
     du = _limited(-gu * over_u - ratio * dv, along)
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
-    curvatures = stop_gradient((jet.uu, jet.uv, jet.vv))
-    height, slope_u, slope_v = Jet(jet.f, jet.u, jet.v, *curvatures).shifted(du, dv)
-    exact = surface.height(*stop_gradient((u + du, v + dv)))
-    height = height + stop_gradient(exact - height)
+    _, slope_u, slope_v = jet.shifted(du, dv)
+    height = surface.height(u + du, v + dv)
     normal = surface.chart.normal(u + du, height, slope_u, slope_v)
     away = c - surface.chart.local_point(u + du, v + dv, height)
     distance = away.norm()

@@ -58,28 +58,26 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place
         surface: with a chart whose v runs across the groove, medial to lateral.
         c: centre of the sphere, chart frame [m].
         radius: of the sphere [m].
-        places: where the medial and the lateral point were, moved along with the sphere. Taken as they are: a Newton
-            step forgets its start to second order, so derivatives do not pass through them.
+        places: where the medial and the lateral point were, moved along with the sphere. Derivatives pass through them:
+            a Newton step forgets its start to second order where it is whole, and not where it is held.
     """
-    places = stop_gradient(places)
     near = 0.5 * (places[0].u + places[1].u)
-    # What only decides where a search starts is not differentiated.
-    still, (c_still, radius_still) = _without_derivatives(surface), stop_gradient((c, radius))
-    seen = scan_facets(still, c_still, radius_still, near)
-    _, middle = still.chart.foot(c_still)
-    ends = middle + FAN[0] * radius_still, middle + FAN[-1] * radius_still
-    astray = ASTRAY * SPACING * radius_still
+    seen = scan_facets(_without_derivatives(surface), *stop_gradient((c, radius, near)))  # decides, and no more
+    _, middle = surface.chart.foot(c)
+    ends = middle + FAN[0] * radius, middle + FAN[-1] * radius
+    astray = ASTRAY * SPACING * radius
     in_order = places[0].v <= places[1].v
     points = []
-    for own, other, fan_v, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
-        at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius_still for end in ends]
-        far, other_far = (_astray(still.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
+    for own, other, sample, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
+        fan_v = surface.clipped(middle + sample * radius)
+        at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius for end in ends]
+        far, other_far = (_astray(surface.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
         # Nobody follows the fan's minimum: start there. The other point does: a minimum of one's own, too shallow for
         # the fan to see, is kept; whoever has none joins the other point, whose place is better than the fan's.
         new, joins = far & other_far, far & ~other_far & ~((own.settled > 0) & in_order)
         u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
         v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
-        points.append(newton_step(surface, c, u, v, LONGEST * radius_still, push=side))
+        points.append(newton_step(surface, c, u, v, LONGEST * radius, push=side))
     medial, lateral = points
     gap = lateral.v - medial.v
     t = (jnp.where(gap < 0, -gap, gap) / radius - MERGED) * (1 / (APART - MERGED))
@@ -97,7 +95,7 @@ def _without_derivatives(surface: Surface) -> Surface:
 
 
 def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[Scalar, Scalar]:
-    """Coordinates across the groove of the fan's first and last local minimum of the distance, at one u near both.
+    """The fan's samples (of `FAN`) at its first and last local minimum of the distance, at one u near both.
 
     Along the groove the distance has one well-shaped minimum, which each sample takes at its own place by a Newton
     step of u. The fan stays on the surface's domain; contacts beyond it are reached from its edge.
@@ -113,10 +111,10 @@ def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[S
     for v in places:
         value, gradient = half_square(v, *profile.height_and_slope(v))
         phi.append(value - compliance * gradient * gradient)
-    first, last = places[-1], places[0]
+    first, last = jnp.full_like(c.x, FAN[-1]), jnp.full_like(c.x, FAN[0])
     # Samples that coincide at an edge neither rise nor fall.
     for k, (before, after) in enumerate(pairwise(phi)):
-        last = jnp.where(after < before, places[k + 1], last)
+        last = jnp.where(after < before, FAN[k + 1], last)
     for k, (before, after) in reversed(list(enumerate(pairwise(phi)))):
-        first = jnp.where(before < after, places[k], first)
+        first = jnp.where(before < after, FAN[k], first)
     return first, last

@@ -36,7 +36,11 @@ CasesOption = Annotated[
 MarkdownOption = Annotated[Path | None, typer.Option("--markdown", metavar="FILE", help="Write the page of the docs.")]
 FromOption = Annotated[
     list[Path] | None,
-    typer.Option("--from", metavar="FILE", help="Run nothing; show cells kept by --json. Again for more, newest last."),
+    typer.Option(
+        "--from",
+        metavar="PATH",
+        help="Run nothing; show cells kept by --json: a file, or a folder's. Again for more, newest last.",
+    ),
 ]
 ListOption = Annotated[
     bool, typer.Option("--list", help="Name the cases and say what is hard about them; run nothing.")
@@ -61,7 +65,7 @@ def hard_cases(
     """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
 
     Everything takes hours of one core, most of it compiling; one contact with one integrator minutes. Pieces that were
-    run one by one, with --json, make one page: --from FILE --from FILE --markdown FILE.
+    run one by one, with --json, make one page: --from FOLDER --markdown FILE.
 
     Example: `pftwin hard-cases --contact P5 --integrator linear_implicit --dtype float64`
     """
@@ -93,7 +97,7 @@ def hard_cases(
         derivatives=not quick,
         mates=not quick,
     )
-    found = [pieces.read_piece(path) for path in from_] if from_ else [_run(cases, chosen, json)]
+    found = [piece for path in from_ for piece in pieces.read_pieces(path)] if from_ else [_run(cases, chosen, json)]
     order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
     cells = pieces.merged(found, order)
     if markdown is not None:

@@ -42,6 +42,20 @@ def read_piece(path: Path) -> Piece:
         raise InputError(f"no cells of the matrix in it: {error}", where=where, expected=expected) from error
 
 
+def read_pieces(path: Path) -> list[Piece]:
+    """A piece, or all that lie in a folder as *.json, from the oldest to the newest.
+
+    Raises:
+        InputError: no such file, another one's content, or a folder without a piece.
+    """
+    if not path.is_dir():
+        return [read_piece(path)]
+    found = [read_piece(one) for one in sorted(path.glob("*.json"))]
+    if not found:
+        raise InputError("no piece in it", where=str(path), expected="files that pftwin hard-cases --json has written")
+    return sorted(found, key=lambda piece: str(piece.machine["date"]))
+
+
 def merged(pieces: Sequence[Piece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
     """All cells, each once: of the last piece that has it.
 

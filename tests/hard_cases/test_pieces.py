@@ -9,7 +9,7 @@ import pytest
 from pftwin.errors import InputError
 from pftwin.hard_cases import case_named, method_named
 from pftwin.hard_cases.batch import batches, short_enough
-from pftwin.hard_cases.pieces import Piece, merged, read_piece, runs
+from pftwin.hard_cases.pieces import Piece, merged, read_piece, read_pieces, runs
 from pftwin.hard_cases.verdict import Cell
 
 MACHINE = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
@@ -29,6 +29,20 @@ def test_a_piece_is_read_as_it_was_written(tmp_path):
     path.write_text(json.dumps(wanted.as_dict()), encoding="utf-8")
     assert read_piece(path) == wanted
     assert runs([wanted])[1] == ["2026-01-01T10:00", "1.0", "P5", "newmark", "float64", "the run alone"]
+
+
+def test_pieces_of_a_folder_come_from_the_oldest_to_the_newest(tmp_path):
+    newer = {**MACHINE, "date": "2026-02-01T10:00+00:00"}
+    made = {"a": piece("pass", "b")._replace(machine=newer), "b": piece("fail", "b"), "c": piece("pass", "a")}
+    for name, one in made.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(one.as_dict()), encoding="utf-8")
+    assert read_pieces(tmp_path) == [made["b"], made["c"], made["a"]]
+    assert read_pieces(tmp_path / "b.json") == [made["b"]]
+
+
+def test_a_folder_without_a_piece_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no piece in it"):
+        read_pieces(tmp_path)
 
 
 @pytest.mark.parametrize("text", [None, "{", "{}", '{"cells": [{"name": 1}]}', "[]"])

@@ -27,14 +27,18 @@ def write_poses(path: Path, depths: list[float]) -> Path:
     return path
 
 
+def write_plate_and_ball(folder: Path, depths: list[float]) -> None:
+    save_mesh(plate(12), folder / "plate.stl")
+    save_mesh(icosphere(RADIUS, 40), folder / "ball.stl")
+    write_poses(folder / "poses.csv", depths)
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("map")
-    save_mesh(plate(12), folder / "plate.stl")
+    write_plate_and_ball(folder, [4e-4, 5e-4, -2e-4])
     save_mesh(plate(12).flipped(), folder / "upside_down.stl")
-    save_mesh(icosphere(RADIUS, 40), folder / "ball.stl")
     save_mesh(icosphere(RADIUS, 40), folder / "ball_mm.stl", units="mm")
-    write_poses(folder / "poses.csv", [4e-4, 5e-4, -2e-4])
     return folder
 
 

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from plate_and_ball import write_plate_and_ball
 from toy_scene_files import SCENE, write_toy
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -170,8 +171,6 @@ def test_audit_without_a_place_shows_what_is_done(toy, tmp_path):
 
 
 def test_contact_map_keeps_the_frames_that_are_done(tmp_path):
-    from test_contact_map import write_plate_and_ball
-
     write_plate_and_ball(tmp_path, [4e-4, 5e-4, 6e-4])
     before = (
         "import pftwin.contact_map.mapping as m\nreal, calls = m._spread, []\n"

@@ -56,7 +56,7 @@ class Density:
 
         Args:
             estimate: of a likelihood, with its scene.
-            measured: the measurements; by default those of the estimate, or the rig's.
+            measured: the measurements; by default those of the estimate, or of its scene.
 
         Raises:
             InputError: an estimate without a scene or of the paper's objective, which is no likelihood; what

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -28,7 +27,6 @@ SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
 _UNFELT = 1e-7  # effect of a parameter's whole range, in metres or newtons, that nothing could see
 _FAR = 0.1  # distance of measured from predicted positions that speaks of another frame [m]
 _BETWEEN_CHECKPOINTS = 1.0  # [s]
-_RIG_CASE = re.compile(r"^rig case (\d)\b")
 
 
 class Progress(NamedTuple):
@@ -66,7 +64,8 @@ def fit_tendons(
 
     Args:
         scene: the nominal one; its values are where the search begins.
-        measured: at the scene's frames; by default the rig's, if the scene is one of its cases.
+        measured: at the scene's frames; by default those that the scene carries: a case's of the rig, or those of the
+            scene file's table [measured].
         method: "least_squares" (multi-start Levenberg-Marquardt), "gradient" (Adam, then L-BFGS, by reverse mode, for
             many parameters), "genetic" (after Matlab's `ga`), "cma_es", "differential_evolution" (need the extra
             `evosax`).
@@ -129,16 +128,14 @@ def fit_tendons(
 
 
 def measured_of(scene: Scene) -> Measured:
-    """The rig's measurements of a scene that is one of its cases.
+    """The measurements that a scene carries.
 
     Raises:
-        InputError: any other scene.
+        InputError: it carries none.
     """
-    if match := _RIG_CASE.match(scene.name):
-        from pftwin import rig
-
-        return rig.measured(int(match.group(1)))
-    raise InputError("nothing to compare with", where="measured", expected="measurements of this scene's motion")
+    if scene.measured is None:
+        raise InputError("nothing to compare with", where="measured", expected="measurements of this scene's motion")
+    return scene.measured
 
 
 def first_look(problem: Problem, first: Request | None = None) -> None:

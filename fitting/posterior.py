@@ -49,7 +49,7 @@ def sample_posterior(
         chains: at least two, so that they can be compared.
         warmup: draws of each chain before them, which are thrown away.
         seed: the same seed gives the same draws.
-        measured: the measurements; by default those of the estimate, or the rig's.
+        measured: the measurements; by default those of the estimate, or of its scene.
         progress: called with the number of proposals made and of all.
 
     Raises:

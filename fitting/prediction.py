@@ -11,6 +11,7 @@ from fitting.members import FLAGS, Members
 from fitting.outcomes import MEASURES
 from fitting.variants import Batch
 from pftwin.dynamics.observe import Status
+from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -118,12 +119,14 @@ def _attributes(batches: list[Batch], estimate: Fitted | None, settings: dict[st
     names = list(dict.fromkeys(b.scene.name for b in batches))
     synthetic = bool(getattr(estimate, "synthetic", False))
     source = getattr(estimate, "source", "")
+    said = [SYNTHETIC] if any(b.scene.synthetic for b in batches) else []
+    said += ["the parameters were estimated from synthetic measurements"] if synthetic else []
     return {
         "title": f"predicted outcomes: {', '.join(names)}",
         "source": f"pftwin {__version__}",
         "jax_version": jax.__version__,
         "parameters": "of the scene" if estimate is None else f"estimated from {source or 'measurements'}",
         "synthetic": int(synthetic),
-        **({"note": "the parameters were estimated from synthetic measurements"} if synthetic else {}),
+        **({"note": "; ".join(said)} if said else {}),
         **{k: float(v) for k, v in settings.items()},
     }

@@ -57,7 +57,7 @@ class EquilibriumReport:
             relaxed: whether damped relaxation had to help.
             there: pose of the patella in the femur and observables; by default they are looked up.
         """
-        pose, seen = on_host(_look(scene, solution.pose) if there is None else there)
+        pose, seen = on_host(_look(scene.unnamed(), solution.pose) if there is None else there)
         # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
         solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
         turn = _row(guess.orientation)

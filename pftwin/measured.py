@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -88,6 +88,17 @@ class Measured:
             synthetic=synthetic,
             source=source,
         )
+
+    def __eq__(self, other: object) -> bool:
+        """By content, so that scenes which carry the same measurements have one structure."""
+        return self is other or (isinstance(other, Measured) and self._content() == other._content())
+
+    def __hash__(self) -> int:
+        return hash((self.source, self.synthetic, self.times.size))
+
+    def _content(self) -> tuple[object, ...]:
+        values = (getattr(self, field.name) for field in fields(self))
+        return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in values)
 
     @property
     def angles(self) -> PatellarAngles | None:

@@ -182,6 +182,15 @@ class Result:
 
         None in a scene without a contact surface.
         """
+        if threshold == tracking.DISLOCATED:
+            return self._outcome
+        return self._followed(threshold)
+
+    @cached_property
+    def _outcome(self) -> tracking.Tracking | None:
+        return self._followed(tracking.DISLOCATED)
+
+    def _followed(self, threshold: float) -> tracking.Tracking | None:
         if self.groove is None:
             return None
         return tracking.follow(self.times, self.groove[1], self.knee.flexion, threshold=threshold)

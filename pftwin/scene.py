@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,6 +18,9 @@ from pftwin.errors import InputError
 from pftwin.motion import KneeMotion
 from pftwin.spatial import Pose, Scalar, Vec3
 from pftwin.surfaces.closest import Surface
+
+if TYPE_CHECKING:
+    from pftwin.measured import Measured
 
 E = TypeVar("E", bound=Effect)
 
@@ -41,6 +44,8 @@ class Scene(eqx.Module):
     start: Pose  # of the patella frame in the world at the first frame: where the search for equilibrium begins
     name: str = eqx.field(static=True, default="scene")
     synthetic: bool = eqx.field(static=True, default=False)  # whether its motion was made up: all that shows it says so
+    # What was measured of this motion; None where nothing was. A treated knee's is another motion: treatments drop it.
+    measured: Measured | None = eqx.field(static=True, default=None)
 
     def effect(self, name: str) -> Effect:
         """The effect of that name.
@@ -75,7 +80,7 @@ class Scene(eqx.Module):
 
     def unnamed(self) -> Scene:
         """The scene without what is no part of a program: scenes of one structure share what is compiled."""
-        return dataclasses.replace(self, name="", synthetic=False)
+        return dataclasses.replace(self, name="", synthetic=False, measured=None)
 
     @property
     def contact(self) -> SphereContact | None:

@@ -117,13 +117,15 @@ def test_another_polynomial_can_be_asked_for(toy: Path, monkeypatch: pytest.Monk
     assert "no contact 'Q4'" in refused("equilibrium", toy, "--contact", "Q4")
 
 
-def test_fit_surface(toy: Path, tmp_path: Path) -> None:
+def test_fit_surface(toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)  # what another test has imported
     figure = tmp_path / "region.png"
     mesh = tmp_path / "femur.stl"
     save_mesh(rig_implant().mesh(deviation=0.03e-3), mesh)
     result = pftwin("fit-surface", mesh, "--units", "m", "-o", figure, "--json", "-", "--angles-deg", -75, 30)
     assert result.exit_code == 0, result.output
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert "matplotlib.pyplot" not in sys.modules  # nor its choice of a backend for the whole process
     facts = json.loads(result.stdout)
     assert [f["polynomial"] for f in facts["fits"]] == ["P2", "P4", "P5"]
     r_squared = [f["r_squared"] for f in facts["fits"]]

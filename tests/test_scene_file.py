@@ -204,6 +204,7 @@ def test_measurements_are_in_the_femur_at_the_frames(toy: Path) -> None:
         changed("radius_mm = 22", "radius_mm = 22\ncenter_mm = [1, 2, 3]", LIGHT + MEASURED + femur)
     )
     measured = load_scene_file(toy / "measured.toml").measured
+    assert load_scene(toy / "measured.toml").measured == measured
     assert measured is not None
     assert measured.times.shape == (41,)
     np.testing.assert_allclose(measured.center[7], np.add(START[0], [0.001 - 0.1, 0.002, 0.003]), atol=1e-12)

@@ -29,7 +29,7 @@ FOLDER = HERE.parent / "figures"
 DPI = 130
 MOST = 120_000  # bytes of a picture
 COLOURS = 256  # of a picture: lines on white need no more
-DRAWS = 1000  # of each chain of the posterior
+DRAWS = 2000  # of each chain of the posterior
 
 
 @cache

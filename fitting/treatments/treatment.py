@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -74,14 +75,14 @@ class Treatment(eqx.Module):
         return Treatment((*self.steps, *after.steps))
 
     def __call__(self, scene: Scene) -> Scene:
-        """The treated scene.
+        """The treated scene, without measurements: what was measured is how the untreated knee moved.
 
         Raises:
             InputError: the scene lacks the part that a step changes.
         """
         for step in self.steps:
             scene = step(scene)
-        return scene
+        return replace(scene, measured=None) if self.steps else scene
 
     def prepared(self, scene: Scene) -> Treatment:
         """The treatment with what it needs to know of an untreated scene, ready to be traced.

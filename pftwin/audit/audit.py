@@ -44,12 +44,18 @@ class Audit:
     integrator: str
     step: float  # [s]
     tolerance: float  # of the tracked point's place [m]
-    run_time: float  # of the scene's own run: median [s]
+    run_time: float | None  # of the scene's own run: median [s]; None where an interrupt came before times were taken
     tracking: str | None  # what the patella does in the scene; None without a contact surface
     status: str
     programs: int  # compiled: of motion and of equilibrium
     rows: tuple[Worth, ...]
     not_applicable: tuple[NotApplicable, ...]
+    missing: tuple[str, ...] = ()  # variants that an interrupt left undone
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C came before all was done: the rows that there are hold, some or all without their times."""
+        return self.run_time is None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -73,9 +79,13 @@ def audit(
         dt: longest step [s].
         only: names of the rows that are wanted; each saves the time of compiling the others. None: all there are.
 
+    Returns:
+        The audit. After an interrupt (Ctrl-C) it holds the variants that had been run, without their times.
+
     Raises:
         InputError: a parameter of the scene, the tolerance, the step or the integrator that cannot give a right answer;
             a row that there is not.
+        KeyboardInterrupt: interrupted before the first variant was done.
     """
     if not tolerance > 0:
         raise InputError(f"found {tolerance!r}", where="tolerance", expected="a positive number of metres")
@@ -86,12 +96,14 @@ def audit(
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
     own = run_alone(scene, integrator, substeps)
     runs = _runs(scene, wanted, integrator, substeps)
-    shares = _shares(own, [runs[v.name, v.kind] for v in wanted])
+    done = [v for v in wanted if (v.name, v.kind) in runs]
+    shares: list[Share | None] = [None] * (1 + len(done))
+    if len(done) == len(wanted):
+        shares = _shares(own, [runs[v.name, v.kind] for v in done])
     rows = [
         _worth(scene, v, runs[v.name, v.kind].result, own.result, share, tolerance)
-        for v, share in zip(wanted, shares[1:], strict=True)
+        for v, share in zip(done, shares[1:], strict=True)
     ]
-    assert shares[0] is not None
     tracking = own.result.dislocations()
     return Audit(
         scene=scene.name,
@@ -99,12 +111,13 @@ def audit(
         integrator=integrator,
         step=scene.motion.frame_interval / substeps,
         tolerance=tolerance,
-        run_time=shares[0].seconds,
+        run_time=None if shares[0] is None else shares[0].seconds,
         tracking=None if tracking is None else tracking.describe(),
         status=own.result.status.describe(),
-        programs=_programs(scene, wanted, integrator),
+        programs=_programs(scene, done, integrator),
         rows=tuple(rows),
         not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),
+        missing=tuple(v.name for v in wanted if (v.name, v.kind) not in runs),
     )
 
 
@@ -121,15 +134,19 @@ def _listed(scene: Scene, integrator: str, only: Collection[str] | None) -> list
 
 
 def _runs(scene: Scene, wanted: list[Variant], integrator: str, substeps: int) -> dict[tuple[str, Kind], Run]:
-    """Those that differ in numbers only side by side, the others one by one."""
+    """Those that differ in numbers only side by side, the others one by one; after Ctrl-C, those that are done."""
     alike = [v for v in wanted if v.alike]
     found: dict[tuple[str, Kind], Run] = {}
-    if alike:
-        together = run_side_by_side(scene, alike, integrator, substeps)
-        found = {(v.name, v.kind): run for v, run in zip(alike, together, strict=True)}
-    for v in wanted:
-        if not v.alike:
-            found[v.name, v.kind] = run_alone(v.scene, v.integrator or integrator, v.refine * substeps)
+    try:
+        if alike:
+            together = run_side_by_side(scene, alike, integrator, substeps)
+            found = {(v.name, v.kind): run for v, run in zip(alike, together, strict=True)}
+        for v in wanted:
+            if not v.alike:
+                found[v.name, v.kind] = run_alone(v.scene, v.integrator or integrator, v.refine * substeps)
+    except KeyboardInterrupt:
+        if not found:
+            raise
     return found
 
 
@@ -146,9 +163,12 @@ def _programs(scene: Scene, wanted: list[Variant], integrator: str) -> int:
 
 
 def _shares(own: Run, runs: list[Run]) -> list[Share | None]:
-    """Times of the scene's own run and of all that ran alone, in turn."""
+    """Times of the scene's own run and of all that ran alone, in turn; none of them after Ctrl-C."""
     timed = [run.again for run in (own, *runs) if run.again is not None]
-    shares = iter(in_turn(timed))
+    try:
+        shares = iter(in_turn(timed))
+    except KeyboardInterrupt:
+        return [None] * (1 + len(runs))
     return [None if run.again is None else next(shares) for run in (own, *runs)]
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pftwin.audit.audit import Audit
 from pftwin.audit.explain import Explanation, PartCost
-from pftwin.audit.table import columns
+from pftwin.audit.table import columns, interruption
 from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
@@ -118,11 +118,13 @@ def audit_sheet(found: Audit) -> Sheet:
         "rms; time: share of the scene's run that it takes, - where several ran side by side; "
         f"{found.programs} programs compiled"
     )
+    notes += [interruption(found)] if found.interrupted else []
     notes += [] if found.tracking is None else [f"the scene itself: {found.tracking}"]
     notes += [SYNTHETIC] if found.synthetic else []
     notes += [f"status: {found.status}"] if found.status != "ok" else []
+    pace = "interrupted" if found.run_time is None else f"a run takes {1e3 * found.run_time:.1f} ms"
     return Sheet(
-        f"{found.scene}: {found.integrator}, steps of {_ms(found.step)}, a run takes {1e3 * found.run_time:.1f} ms",
+        f"{found.scene}: {found.integrator}, steps of {_ms(found.step)}, {pace}",
         ("change", "what", *(heading for _, heading in _SHOWN), "time", "verdict", "outcome"),
         tuple(rows),
         tuple(row.kind for row in found.rows),

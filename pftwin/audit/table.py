@@ -64,6 +64,12 @@ def words(row: Worth) -> dict[str, str]:
     }
 
 
+def interruption(found: Audit) -> str:
+    """What is missing of an audit that was interrupted."""
+    missing = f"not run: {', '.join(found.missing)}" if found.missing else "all variants run"
+    return f"interrupted; {missing}; times were not measured"
+
+
 def write_csv(found: Audit, path: str | os.PathLike[str]) -> None:
     """A row for each variant; empty cells where there is nothing to compare.
 
@@ -98,10 +104,11 @@ def dataset(found: Audit) -> Dataset:
         "integrator": found.integrator,
         "step_s": found.step,
         "tolerance_m": found.tolerance,
-        "run_time_s": found.run_time,
+        "run_time_s": np.nan if found.run_time is None else found.run_time,
         "status": found.status,
         "tracking": found.tracking or "",
         "not_applicable": "; ".join(f"{v.name}: {v.reason}" for v in found.not_applicable),
+        **({"interrupted": interruption(found)} if found.interrupted else {}),
     }
     return Dataset({**variables, **texts}, coords={"variant": [row["what"] for row in said]}, attrs=about)
 

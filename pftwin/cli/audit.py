@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pftwin.cli.demo import check_folder
+from pftwin.cli.exit_codes import Interrupted, keeping
 from pftwin.cli.explain import MarkdownOption, show
 from pftwin.cli.scenes import CaseOption, ContactOption, IntegratorOption, SceneArgument, StepOption, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
@@ -52,17 +53,20 @@ def audit(
         found = weigh(
             chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator or "linear_implicit", dt=dt or 1e-3
         )
+    written = []
     if files:
-        _write(found, files)
+        with keeping(*files.values()):
+            written = _write(found, files)
     from pftwin.benchmarks.machine import describe
 
-    written = [str(p) for p in files.values()]
-    about = {"contact": chosen.contact, "machine": describe(), "files": written}
+    about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in written]}
     write_json({**found.to_dict(), **about}, json)
     console = out(json)
     show(audit_sheet(found), console, markdown)
+    if found.interrupted:
+        raise Interrupted(*written, *([Path(json)] if json not in (None, "-") else []))
     if written:
-        console.print(f"written: {', '.join(written)}", markup=False, highlight=False)
+        console.print(f"written: {', '.join(str(p) for p in written)}", markup=False, highlight=False)
 
 
 def _files(folder: Path | None) -> dict[str, Path]:
@@ -73,7 +77,8 @@ def _files(folder: Path | None) -> dict[str, Path]:
     return {kind: folder / f"audit.{kind}" for kind in ("csv", "nc", "png", "svg")}
 
 
-def _write(found: Audit, files: dict[str, Path]) -> None:
+def _write(found: Audit, files: dict[str, Path]) -> list[Path]:
+    """What was written: after an interrupt the tables alone, for someone is waiting."""
     from pftwin.audit.figure import audit_figure
     from pftwin.audit.table import write_csv, write_netcdf
     from pftwin.plots import save_figure
@@ -81,5 +86,8 @@ def _write(found: Audit, files: dict[str, Path]) -> None:
     files["csv"].parent.mkdir(parents=True, exist_ok=True)
     write_csv(found, files["csv"])
     write_netcdf(found, files["nc"])
+    if found.interrupted:
+        return [files["csv"], files["nc"]]
     title = f"{found.scene}{' (synthetic motion)' if found.synthetic else ''}: what each effect is worth"
     save_figure(audit_figure(found, title), files["png"].with_suffix(""))
+    return list(files.values())

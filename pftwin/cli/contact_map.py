@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pftwin.cli.exit_codes import flagged
+from pftwin.cli.exit_codes import Interrupted, flagged, keeping
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 from pftwin.errors import InputError, OutputError
 
@@ -72,7 +72,9 @@ def contact_map(
         found = map_contact(
             *surfaces, rule, relative, triangles=len(button.faces), band=1e-3 * proximity, progress=progress
         )
-    check_outcome(found, relative)
+    missing = relative.times.size - found.times.size
+    if not missing:
+        check_outcome(found, relative)
     settings = {
         "femur": str(femur),
         "patella": str(patella),
@@ -82,12 +84,17 @@ def contact_map(
         "poisson_ratio": poisson,
         "thickness_mm": thickness,
     }
-    if output is not None:
-        with working("writing"):
-            _write(output, found, button, settings)
-    if figure is not None:
-        with working("drawing"):
-            _draw(figure, found, thigh, button, f"{patella.name} on {femur.name}, {law} foundation")
+    if missing:
+        settings["title"] = f"contact at given poses (interrupted: {found.times.size} of {relative.times.size} frames)"
+    with keeping(output, figure):
+        if output is not None:
+            with working("writing"):
+                _write(output, found, button, settings)
+        if missing:
+            raise Interrupted(*([] if output is None else [output]))
+        if figure is not None:
+            with working("drawing"):
+                _draw(figure, found, thigh, button, f"{patella.name} on {femur.name}, {law} foundation")
     write_json({**settings, **_facts(found)}, json)
     console = out(json)
     console.print(_words(found), markup=False, highlight=False)

@@ -72,7 +72,7 @@ def fit(
         raise OutputError(f"{output}: estimates are JSON; try: {output.with_suffix('.json')}")
     check_outputs(output, checkpoint, json)
     levels = noise_levels(noise)
-    chosen = chosen_scene(scene, case, contact, measured=True)
+    chosen = chosen_scene(scene, case, contact)
     if chosen.measured is None:
         raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
     from fitting.fit import fit_tendons

@@ -110,18 +110,12 @@ def _direction(text: str, name: str) -> tuple[float, ...]:
 
 
 def _draw(region: Any, surface: Any, output: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     from pftwin.output import written_whole
     from pftwin.surfaces.region import plot_region
 
     figure = plot_region(region, surface)
     with written_whole(output) as temporary:
         figure.savefig(temporary, dpi=150)
-    plt.close(figure)
 
 
 def _coefficients(name: str) -> str:

@@ -60,22 +60,25 @@ ToleranceOption = Annotated[
 
 @dataclass(frozen=True)
 class Chosen:
-    """A scene, its measurements where there are any, and the name of its contact where that is known."""
+    """A scene, and the name of its contact where that is known."""
 
     scene: Scene
-    measured: Measured | None
     contact: str | None
     button: SphereFit | None = None  # where it was fitted to a mesh
 
+    @property
+    def measured(self) -> Measured | None:
+        """The scene's measurements, where there are any."""
+        return self.scene.measured
 
-def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, measured: bool = False) -> Chosen:
+
+def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> Chosen:
     """Loads the scene.
 
     Args:
         scene: the scene file.
         case: or the rig's case.
         contact: patch in place of the scene's own.
-        measured: whether a case's measurements are wanted; a file's are loaded in any case.
 
     Raises:
         InputError: none or both of scene and case; what the scene's files have against them.
@@ -102,13 +105,13 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None, *, m
             loaded = load_scene_file(scene, contact=contact)
         for note in loaded.notes:
             err().print(note, style="dim", markup=False, highlight=False, soft_wrap=True)
-        return Chosen(loaded.scene, loaded.measured, contact or _contact(loaded.scene), loaded.button)
+        return Chosen(loaded.scene, contact or _contact(loaded.scene), loaded.button)
     from pftwin import rig
 
     assert case is not None
     with working(f"preparing case {case} of the virtual rig"):
         name = contact or "P5"
-        return Chosen(rig.case(case, contact=name), rig.measured(case) if measured else None, name)
+        return Chosen(rig.case(case, contact=name), name)
 
 
 def simulated(

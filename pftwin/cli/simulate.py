@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from pftwin.cli.amounts import Given, treated, with_amounts
-from pftwin.cli.exit_codes import check_trust
+from pftwin.cli.exit_codes import check_trust, keeping
 from pftwin.cli.scenes import (
     CaseOption,
     ContactOption,
@@ -50,7 +50,7 @@ def simulate(
     chosen = chosen_scene(scene, case, contact)
     chosen = replace(chosen, scene=treated(chosen.scene, amounts))
     result, first = simulated(chosen, integrator, dt, tolerance)
-    with working("writing"):
+    with keeping(output, table, storage), working("writing"):
         result.save(output)
         if table is not None:
             result.to_csv(table)

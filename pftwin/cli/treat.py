@@ -12,7 +12,6 @@ from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 from pftwin.errors import InputError, OutputError
-from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -66,8 +65,6 @@ def treat(
 
     draws = samples if found is not None else 0
     data, whole = _predicted(chosen.scene, variants, found, samples=draws, seed=seed, dt=dt)
-    if chosen.scene.synthetic:
-        data.attrs["note"] = "; ".join([SYNTHETIC, *([data.attrs["note"]] if "note" in data.attrs else [])])
     with working("writing"):
         save_dataset(data, output)
         if not whole:

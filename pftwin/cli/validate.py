@@ -39,7 +39,7 @@ def validate(
     Example: `pftwin validate --case 1 --contact P5`
     """
     check_outputs(json)
-    chosen = chosen_scene(scene, case, contact, measured=True)
+    chosen = chosen_scene(scene, case, contact)
     if chosen.measured is None:
         raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
     from pftwin.metrics import PAPER_TABLE_1

@@ -69,6 +69,12 @@ def map_contact(
         triangles: of the button's mesh.
         band: how far outside triangles are still told how far [m].
         progress: told after each frame how many frames are done, and of how many.
+
+    Returns:
+        The map. After an interrupt (Ctrl-C) it ends with the last frame that was done.
+
+    Raises:
+        KeyboardInterrupt: interrupted before the first frame was done.
     """
     n = poses.times.size
 
@@ -77,18 +83,23 @@ def map_contact(
         return _frame(femur, button, law, *at, band)
 
     frames = []
-    for k in range(n):
-        at = tuple(jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
-        frame = jax.device_get(look(femur, button, law, at))
-        for key, otherwise in (("depths", np.nan), ("pressures", 0.0)):
-            frame[key] = _spread(frame, key, triangles, otherwise)
-        frames.append({key: value for key, value in frame.items() if key not in ("listed", "triangle")})
-        progress(k + 1, n)
+    try:
+        for k in range(n):
+            at = tuple(jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
+            frame = jax.device_get(look(femur, button, law, at))
+            for key, otherwise in (("depths", np.nan), ("pressures", 0.0)):
+                frame[key] = _spread(frame, key, triangles, otherwise)
+            frames.append({key: value for key, value in frame.items() if key not in ("listed", "triangle")})
+            progress(k + 1, n)
+    except KeyboardInterrupt:
+        if not frames:
+            raise
+    done = len(frames)
     found = {key: np.stack([frame[key] for frame in frames]) for key in frames[0]}
     center = found["center_of_pressure"]
-    back = np.einsum("nji,nj->ni", poses.matrices(), center - poses.positions)
+    back = np.einsum("nji,nj->ni", poses.matrices()[:done], center - poses.positions[:done])
     return ContactMap(
-        times=poses.times,
+        times=poses.times[:done],
         force=found["force"],
         moment=found["moment"],
         area=found["area"],

@@ -33,6 +33,8 @@ class Element:
     line: int
     text: str = ""
     children: list[Element] = field(default_factory=list)
+    # The nearest element around it with a name, which wrappers such as <components> have not: ".." in OpenSim's paths.
+    owner: Element | None = field(default=None, repr=False, compare=False)
 
     @property
     def where(self) -> str:
@@ -111,7 +113,8 @@ def _parsed(content: bytes, file: str) -> Element:
         if len(open_ones) > DEEPEST:
             raise InputError(f"nested deeper than {DEEPEST} elements", where=f"{file}, line {parser.CurrentLineNumber}")
         name = attributes.get("Version" if tag == "OpenSimDocument" else "name", "")
-        made = Element(tag, name, file, parser.CurrentLineNumber)
+        around = open_ones[-1]
+        made = Element(tag, name, file, parser.CurrentLineNumber, owner=around if around.name else around.owner)
         open_ones[-1].children.append(made)
         open_ones.append(made)
 

@@ -67,7 +67,10 @@ def bones(model: Model, knee: Knee, places: list[Path], taken: set[str], left: l
 
 
 def _found(mesh: Mesh, home: Path, places: list[Path]) -> Path:
-    """By the last part of its name alone: a model does not say where on this machine to read."""
+    """By the last part of its name alone: a model does not say where on this machine to read.
+
+    Models are often written where "Patella.stl" and "patella.stl" are one file: that is found if nothing else is meant.
+    """
     name = mesh.file.replace("\\", "/").rpartition("/")[2]
     if not name:
         raise InputError(f"{mesh.name!r} names no file", where=mesh.where)
@@ -75,5 +78,9 @@ def _found(mesh: Mesh, home: Path, places: list[Path]) -> Path:
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
+    for folder in folders:
+        alike = [f for f in folder.glob("*") if f.name.lower() == name.lower()] if folder.is_dir() else []
+        if len(alike) == 1 and alike[0].is_file():
+            return alike[0]
     looked = ", ".join(str(f) for f in folders)
     raise InputError(f"no mesh {name!r}", where=mesh.where, expected=f"in {looked}", remedy="--geometry FOLDER")

@@ -101,8 +101,7 @@ def read_model(path: str) -> Model:
 
 def _body(element: Element, frames: Frames) -> Body:
     mass, center, inertia = (element.child(k) for k in ("mass", "mass_center", "inertia"))
-    drawn = element.child("attached_geometry")
-    meshes = () if drawn is None else tuple(_drawn(m, element.name) for m in drawn.children if m.tag == "Mesh")
+    meshes = tuple(_drawn(m, element.name, frames) for m in element.all("Mesh"))
     return Body(
         element.name,
         0.0 if mass is None else float(mass.numbers(1)[0]),
@@ -113,10 +112,12 @@ def _body(element: Element, frames: Frames) -> Body:
     )
 
 
-def _drawn(element: Element, body: str) -> Mesh:
+def _drawn(element: Element, body: str, frames: Frames) -> Mesh:
+    """A mesh of a body, or of a frame that is part of it."""
     scale = element.child("scale_factors")
     factors = np.ones(3) if scale is None else scale.numbers(3)
-    return Mesh(element.name or body, element.words("mesh_file"), Frame(body, np.eye(4)), factors, element.where)
+    frame = frames.find(element.words("socket_frame") or "..", element, element.where)
+    return Mesh(element.name or body, element.words("mesh_file"), frame, factors, element.where)
 
 
 def _surface(element: Element, defaults: dict[str, Element], frames: Frames) -> ContactSurface:

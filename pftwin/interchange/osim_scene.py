@@ -104,6 +104,7 @@ def _strands(model: Model, knee: Knee, told: Imported) -> dict[tuple[str, str], 
     from pftwin.interchange.osim_toml import Strand
 
     groups: dict[tuple[str, str], list[Strand]] = {}
+    straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for ligament in model.ligaments:
         ends = [(placed(model, knee, frame), point) for frame, point in ligament.ends]
         places = [(part, pose[:3, :3] @ point + pose[:3, 3]) for (part, pose), point in ends]
@@ -111,12 +112,17 @@ def _strands(model: Model, knee: Knee, told: Imported) -> dict[tuple[str, str], 
         if parts.count("patella") != 1 or not {*parts} - {"patella"} <= {"femur", "tibia", "ground"}:
             told.left_out.append(LeftOut(LIGAMENT, ligament.name, _why_not(parts)))
             continue
-        if ligament.wraps:
-            told.notes.append(f"{ligament.name}: a straight line, though it wraps over {', '.join(ligament.wraps)}")
         k = parts.index("patella")
         (_, insertion), (body, origin) = places[k], places[1 - k]
         name = ligament.name.rstrip("0123456789") or ligament.name
+        if ligament.wraps:
+            straight.setdefault((name, ligament.wraps), []).append(ligament.name)
         groups.setdefault((name, body), []).append(Strand(ligament, insertion, origin))
+    for (_, wraps), names in straight.items():
+        which = f"{names[0]}: a straight line, though it wraps"
+        if len(names) > 1:
+            which = f"{names[0]} to {names[-1]} ({len(names)} strands): straight lines, though they wrap"
+        told.notes.append(f"{which} over {', '.join(wraps)}")
     return groups
 
 

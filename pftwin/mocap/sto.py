@@ -15,9 +15,11 @@ from pftwin.mocap.naming import quoted, unknown_name
 from pftwin.mocap.tables import Table
 from pftwin.mocap.text_files import check_row_length, numbers, read_lines
 
-# Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states.
+# Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states; with a
+# side behind them, as in OpenSim JAM's knee_tx_r, or none.
 _NO_ANGLE = re.compile(
-    r"(_t[xyz]|_[vpmf][xyz]\d?|_q[wxyz]|force\w*|torque\w*|moment\w*|cop\w*|activation|excitation|\w*length|power\w*)$",
+    r"((^|_)t[xyz]|_[vpmf][xyz]\d?|_q[wxyz]|force\w*|torque\w*|moment\w*|cop\w*|activation|excitation|\w*length|power\w*)"
+    r"(_r|_l|_right|_left)?$",
     re.IGNORECASE,
 )
 
@@ -27,7 +29,7 @@ def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None
 
     The header's nRows and nColumns are not trusted: rows are counted, and a warning says where they disagree. The flag
     inDegrees is honoured and kept as `Table.in_degrees`, but the format does not tell which columns are angles. Name
-    them; else all columns are taken for angles except those that are named like translations (..._tx), forces
+    them; else all columns are taken for angles except those that are named like translations (..._tx, ..._tx_r), forces
     (..._vx, ..._px, ...force), moments or muscle states, and a warning lists what was converted.
 
     Args:

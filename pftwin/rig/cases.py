@@ -103,4 +103,5 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
     first = recorded.patella
     start = Pose(vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0]))))
     name = f"rig case {n}, {contact}"
-    return Scene(patella_body(), effects(rig.CASES[n], touches), motion, start, name, synthetic=True)
+    acting = effects(rig.CASES[n], touches)
+    return Scene(patella_body(), acting, motion, start, name, synthetic=True, measured=recorded.measured)

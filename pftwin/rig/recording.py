@@ -49,6 +49,11 @@ def recording_files(case: int, folder: Path | None = None) -> tuple[Path, Path]:
     return where / f"case{case}_markers.trc", where / f"case{case}_forces.csv"
 
 
+def source_of(case: int) -> str:
+    """Where a case's measurements come from, in words."""
+    return f"{LABEL}, case {case}"
+
+
 def read_recording(case: int, folder: Path | None = None) -> Recording:
     """Reads, fills, filters and fits the files of one case."""
     markers_file, forces_file = recording_files(case, folder)
@@ -70,7 +75,7 @@ def read_recording(case: int, folder: Path | None = None) -> Recording:
         tibial_spring_force=tibial,
         femoral_spring_force=femoral,
         synthetic=True,
-        source=f"{LABEL}, case {case}",
+        source=source_of(case),
     )
     return Recording(femur, tibia, patella, measured)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -65,13 +65,17 @@ SceneFile = create_model("SceneFile", __base__=SceneSection, **_EFFECT_FIELDS)
 
 @dataclass(frozen=True, eq=False)
 class LoadedScene:
-    """A scene, what it is to be compared with, and what happened to the recording on the way in."""
+    """A scene with what it is to be compared with, and what happened to the recording on the way in."""
 
     scene: Scene
-    measured: Measured | None
     button: SphereFit | None  # of the contact whose centre is tracked, where it was fitted to a mesh; patella frame
     notes: tuple[str, ...]
     path: Path
+
+    @property
+    def measured(self) -> Measured | None:
+        """The scene's measurements; None where the file names none."""
+        return self.scene.measured
 
 
 def load_scene(path: str | os.PathLike[str], *, contact: str | None = None) -> Scene:
@@ -121,7 +125,7 @@ def _loaded(path: str, contact: str | None, float_type: str) -> LoadedScene:
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
     button = None if scene.button is None else setting.buttons.get(scene.button.name)
-    return LoadedScene(scene, measured, button, tuple(notes), document.path)
+    return LoadedScene(replace(scene, measured=measured), button, tuple(notes), document.path)
 
 
 def _validated(document: Document) -> Any:

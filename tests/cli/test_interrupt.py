@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from plate_and_ball import write_plate_and_ball
 from toy_scene_files import SCENE, write_toy
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,7 +61,7 @@ class Run:
     def interrupted(self) -> str:
         """What it says on stderr after the signal."""
         self.process.send_signal(signal.SIGINT)
-        _, said = self.process.communicate(timeout=120)
+        self.shown, said = self.process.communicate(timeout=120)
         assert self.process.returncode == 130, said
         assert "Traceback" not in said
         assert said.count("interrupted; ") == 1
@@ -125,6 +126,91 @@ def test_accuracy_keeps_the_rows_so_far(toy, tmp_path):
     run = Run(before, "accuracy", toy, "--out", "acc", cwd=tmp_path)
     run.until_ready()
     assert f"saved so far: {Path('acc') / 'accuracy.csv'}" in run.interrupted()
+
+
+# Before the second variant that runs alone.
+DURING_VARIANTS = (
+    "import pftwin.audit.audit as a\nreal, calls = a.run_alone, []\n"
+    f"def run_alone(*given):\n    calls.append(1)\n    if len(calls) == 3: {PAUSE}\n    return real(*given)\n"
+    "a.run_alone = run_alone"
+)
+# After variants that run side by side, in one program.
+DURING_TIMES = (
+    "import pftwin.audit.audit as a\nreal = a._listed\n"
+    "a._listed = lambda *given: [v for v in real(*given) if getattr(v, 'alike', True)]\n"
+    f"def in_turn(runs): {PAUSE}\na.in_turn = in_turn"
+)
+
+
+def test_audit_keeps_the_variants_that_are_done(toy, tmp_path):
+    run = Run(DURING_VARIANTS, "audit", toy, "--out", "worth", "--json", "worth.json", "--dt", "0.005", cwd=tmp_path)
+    run.until_ready()
+    said = run.interrupted()
+    files = [Path("worth") / "audit.csv", Path("worth") / "audit.nc", Path("worth.json")]
+    assert f"saved so far: {', '.join(str(f) for f in files)}" in said
+    assert sorted(p.name for p in (tmp_path / "worth").iterdir()) == ["audit.csv", "audit.nc"]
+    found = json.loads((tmp_path / "worth.json").read_text())
+    assert found["rows"]
+    assert all(row["cost"] is None and row["changes"] for row in found["rows"] if row["verdict"] != "indispensable")
+    assert found["missing"]
+    assert found["run_time"] is None
+    assert found["files"] == [str(f) for f in files[:2]]
+    import xarray
+
+    with xarray.open_dataset(tmp_path / "worth" / "audit.nc", engine="h5netcdf") as data:
+        assert data.sizes["variant"] == len(found["rows"])
+        assert ", ".join(found["missing"]) in data.attrs["interrupted"]
+
+
+def test_audit_without_a_place_shows_what_is_done(toy, tmp_path):
+    run = Run(DURING_TIMES, "audit", toy, "--dt", "0.005", cwd=tmp_path)
+    run.until_ready()
+    assert "nothing was saved" in run.interrupted()
+    assert "interrupted; all variants run; times were not measured" in run.shown
+    assert not list(tmp_path.iterdir())
+
+
+def test_contact_map_keeps_the_frames_that_are_done(tmp_path):
+    write_plate_and_ball(tmp_path, [4e-4, 5e-4, 6e-4])
+    before = (
+        "import pftwin.contact_map.mapping as m\nreal, calls = m._spread, []\n"
+        f"def spread(*given):\n    calls.append(1)\n    if len(calls) == 5: {PAUSE}\n    return real(*given)\n"
+        "m._spread = spread"
+    )
+    parts = ["--femur", "plate.stl", "--patella", "ball.stl", "--poses", "poses.csv", "--units", "m"]
+    run = Run(before, "contact-map", *parts, "-o", "map.nc", "--figure", "map.png", cwd=tmp_path)
+    run.until_ready()
+    assert "saved so far: map.nc" in run.interrupted()
+    assert not (tmp_path / "map.png").exists()
+    import xarray
+
+    with xarray.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as data:
+        assert data.sizes["time"] == 2
+        assert (data.area > 0).all()
+        assert data.attrs["title"] == "contact at given poses (interrupted: 2 of 3 frames)"
+
+
+def test_simulate_names_the_files_that_are_whole(toy, tmp_path):
+    before = f"import pftwin.result as r\ndef to_csv(*a): {PAUSE}\nr.Result.to_csv = to_csv"
+    run = Run(before, "simulate", toy, "-o", "out.nc", "--csv", cwd=tmp_path)
+    run.until_ready()
+    assert "saved so far: out.nc" in run.interrupted()
+    assert [p.name for p in tmp_path.iterdir()] == ["out.nc"]
+    from pftwin.result_files import load_dataset
+
+    assert load_dataset(tmp_path / "out.nc").attrs["scene"] == "toy"
+
+
+def test_simulate_leaves_no_half_of_a_file(toy, tmp_path):
+    before = (
+        "import xarray\n"
+        f"def to_netcdf(self, path, **k):\n    Path(path).write_bytes(b'half'); {PAUSE}\n"
+        "xarray.Dataset.to_netcdf = to_netcdf"
+    )
+    run = Run(before, "simulate", toy, "-o", "out.nc", cwd=tmp_path)
+    run.until_ready()
+    assert "nothing was saved" in run.interrupted()
+    assert not list(tmp_path.iterdir())
 
 
 def test_where_nothing_is_saved_it_says_so(toy, tmp_path):

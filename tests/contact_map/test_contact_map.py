@@ -8,33 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from height_meshes import plate
+from plate_and_ball import RADIUS, write_plate_and_ball, write_poses
 from typer.testing import CliRunner
 
 from pftwin.cli.app import app
 from pftwin.surfaces.icosphere import icosphere
 from pftwin.surfaces.mesh import save_mesh
 
-RADIUS = 0.02
-PARTS = ("px_m", "py_m", "pz_m", "qw", "qx", "qy", "qz")
-HEADER = ",".join(["time_s", *(f"{b}_{p}" for b in ("femur", "patella") for p in PARTS)])
-
-
-def write_poses(path: Path, depths: list[float]) -> Path:
-    """The femur turned over and moved, the ball so deep in it."""
-    turned = "0.1,0.2,0.3,0,1,0,0"  # half a turn about x
-    rows = [f"{0.1 * k:.1f},{turned},0.1,0.2,{0.3 - (RADIUS - d):.9f},1,0,0,0" for k, d in enumerate(depths)]
-    path.write_text("\n".join([HEADER, *rows, ""]))
-    return path
-
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("map")
-    save_mesh(plate(12), folder / "plate.stl")
+    write_plate_and_ball(folder, [4e-4, 5e-4, -2e-4])
     save_mesh(plate(12).flipped(), folder / "upside_down.stl")
-    save_mesh(icosphere(RADIUS, 40), folder / "ball.stl")
     save_mesh(icosphere(RADIUS, 40), folder / "ball_mm.stl", units="mm")
-    write_poses(folder / "poses.csv", [4e-4, 5e-4, -2e-4])
     return folder
 
 

@@ -18,6 +18,7 @@ from fitting.variants import grid
 from pftwin import rig, simulate
 from pftwin.dynamics.observe import Status
 from pftwin.errors import InputError
+from pftwin.labels import SYNTHETIC
 
 TRANSFER = "tibial_tuberosity_transfer"
 MEDIAL = f"{TRANSFER}_medialisation"
@@ -107,7 +108,11 @@ def test_variants_stand_in_the_order_they_were_given(sampled):
     np.testing.assert_allclose(sampled["quadriceps_lengthening_lengthening"].values, [0] * 8 + [0.004, 0])
     assert sampled[MEDIAL].attrs["units"] == "m"
     assert sampled.attrs["synthetic"] == 1
-    assert "synthetic" in sampled.attrs["note"]
+    assert sampled.attrs["note"] == "the parameters were estimated from synthetic measurements"
+
+
+def test_a_synthetic_motion_is_told(case_2):
+    assert case_2.attrs["note"] == SYNTHETIC
 
 
 def test_samples_spread_around_the_estimate(sampled, knee):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from small_scene import small_result
 
+from pftwin.errors import PftwinWarning
 from pftwin.interchange.exporting import FORMATS
 from pftwin.interchange.osim_functions import KINDS
 from pftwin.interchange.osim_joints import JOINTS
@@ -41,9 +42,12 @@ def test_the_reader_that_the_page_recommends_gives_the_coordinates_back(tmp_path
     result = small_result()
     export(result, tmp_path / "case2.mot")
     (patterns,) = re.findall(r"rotational=(\[.*?\])", PAGE)
-    read = read_sto(tmp_path / "case2.mot", rotational=eval(patterns))
     written = coordinates(result.to_dataset())
+    read = read_sto(tmp_path / "case2.mot", rotational=eval(patterns))
     assert read.names == written.names
+    np.testing.assert_allclose(read.values, written.values, atol=1e-10)
+    with pytest.warns(PftwinWarning, match="converted to radians"):
+        read = read_sto(tmp_path / "case2.mot")
     np.testing.assert_allclose(read.values, written.values, atol=1e-10)
 
 

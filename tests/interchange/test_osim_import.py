@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from knee_models import BUTTON_RADIUS, FEMUR, PATELLA, PT, ligament, ligaments, model, write_knee
+from knee_models import BUTTON_RADIUS, FEMUR, PATELLA, PT, TIBIA, ligament, ligaments, model, write_knee
 from typer.testing import CliRunner
 
 from pftwin.cli import app
@@ -19,6 +19,7 @@ from pftwin.interchange import import_osim
 from pftwin.motion_on_host import tibia_orientation
 from pftwin.rotations import tibiofemoral_angles
 from pftwin.scene_file import load_scene_file
+from pftwin.surfaces.mesh import load_mesh
 
 ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # proximal, lateral, anterior of x, y, z
 
@@ -110,6 +111,53 @@ def test_what_is_left_out_is_listed_with_its_reason(knee):
     report = (folder / "scene" / "not_imported.md").read_text()
     for name, reason in why.items():
         assert f"| {name} | {reason} |" in report
+
+
+def test_a_frame_within_a_body_carries_its_mesh(tmp_path):
+    """As in models with implants: a frame among a body's components, its place relative to "..", and meshes on it."""
+    place = np.array([0.002, 0.003, -0.004])
+    frame = (
+        '<components><PhysicalOffsetFrame name="femur_implant"><components><Mesh name="component">'
+        "<socket_frame>..</socket_frame><mesh_file>femur.stl</mesh_file></Mesh></components>"
+        '<FrameGeometry name="frame_geometry"><socket_frame>..</socket_frame></FrameGeometry>'
+        "<socket_parent>..</socket_parent>"
+        f"<translation>{' '.join(map(str, place))}</translation><orientation>0 0 0</orientation>"
+        "</PhysicalOffsetFrame></components>"
+    )
+    text = model().replace('<Body name="femur_r">', f'<Body name="femur_r">{frame}', 1)
+    on_it = f"<socket_frame>{FEMUR}/femur_implant</socket_frame>"
+    surface = '<Smith2018ContactMesh name="femur_cartilage">'
+    assert f"{surface}<socket_frame>{FEMUR}</socket_frame>" in text
+    text = text.replace(f"{surface}<socket_frame>{FEMUR}</socket_frame>", surface + on_it)
+    told = import_osim(write_knee(tmp_path / "model", text), tmp_path / "scene")
+    own = load_mesh(tmp_path / "model" / "femur.stl", units="m").vertices.mean(axis=0)
+    for name, moved in (("femur_cartilage", place), ("component", place), ("femur_r_bone", np.zeros(3))):
+        written = load_mesh(told.scene.parent / "geometry" / f"{name}.stl", units="m").vertices.mean(axis=0)
+        np.testing.assert_allclose(written, own + moved, atol=1e-7, err_msg=name)
+
+
+def test_the_case_of_a_files_name_does_not_matter(tmp_path):
+    """Where models are written, it mostly does not; an exact name comes first, and of two alike none is taken."""
+    folder = tmp_path / "model"
+    path = write_knee(folder, model().replace(">femur.stl<", ">Femur.STL<"))
+    assert any(p.name == "femur_cartilage.stl" for p in import_osim(path, tmp_path / "scene").files)
+    (folder / "FEMUR.stl").write_bytes((folder / "femur.stl").read_bytes())
+    why = {part.name: part.why for part in import_osim(path, tmp_path / "other").left_out}
+    assert "no mesh 'Femur.STL'" in why["pf_contact"]
+
+
+def test_strands_that_wrap_are_told_in_one_line(tmp_path):
+    wrap = "<PathWrap><wrap_object>{}</wrap_object></PathWrap>"
+    numbered = [("PT1", "PatTen_r"), ("PT2", "PatTen_r"), ("PT3", "PatTen_r"), ("MPFL", "condyle")]
+    forces = "".join(
+        ligament(name, (PATELLA, PT[0]), (TIBIA, PT[1]), k=1, slack=0.1, more=wrap.format(over))
+        for name, over in numbered
+    )
+    told = bare(tmp_path, model(forces=forces, meshes=False))
+    assert [n for n in told.notes if "straight" in n] == [
+        "PT1 to PT3 (3 strands): straight lines, though they wrap over PatTen_r",
+        "MPFL: a straight line, though it wraps over condyle",
+    ]
 
 
 def test_every_file_is_there(knee):

@@ -28,11 +28,11 @@ CAMERA = {
 class PageClient:
     """Remembers what the server says of the page's elements: by label, by content."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, origin: Any = None) -> None:
         import viser
 
         protocol: Any = f"viser-v{viser.__version__}"
-        self._socket = connect(address.replace("http", "ws"), subprotocols=[protocol], max_size=None)
+        self._socket = connect(address.replace("http", "ws"), subprotocols=[protocol], max_size=None, origin=origin)
         self._unpack = zstandard.ZstdDecompressor()
         self.elements: dict[str, dict[str, Any]] = {}  # by uuid
         self.nodes: dict[str, dict[str, Any]] = {}  # by name

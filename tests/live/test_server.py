@@ -20,6 +20,7 @@ from pftwin.errors import MissingExtraError
 
 pytest.importorskip("viser")
 from page_client import PageClient
+from websockets.exceptions import InvalidStatus
 
 from pftwin.cli.live.server import LiveServer
 
@@ -137,6 +138,21 @@ def test_nobody_opens_a_way_to_the_public_internet(client, monkeypatch):
     client.send({"type": "ShareUrlRequest"})
     client.listen(0.5)
     assert asked == []
+
+
+@pytest.mark.parametrize("origin", ["https://evil.example", "http://localhost:1", "null"])
+def test_a_page_of_another_site_is_refused(server, capfd, origin):
+    with pytest.raises(InvalidStatus) as refused:
+        PageClient(server.address, origin=origin)
+    assert refused.value.response.status_code == 403
+    assert f"a page of another origin was refused: {origin}" in capfd.readouterr().err
+    assert not server.sessions
+
+
+def test_its_own_page_is_let_in(server):
+    gone(server)
+    with PageClient(server.address, origin=server.address) as own:
+        own.wait_for("Dislocation: no")
 
 
 def test_two_pages_are_independent(client, server):

@@ -46,6 +46,18 @@ def test_forces_are_no_angles_whatever_the_flag_says(tmp_path):
     np.testing.assert_array_equal(t.values[0], [10, 20, 30, 40])
 
 
+def test_translations_and_forces_with_a_side_are_no_angles(tmp_path):
+    """The coordinates of OpenSim JAM's knee, by short names and by their places in the model."""
+    metres = ["knee_tx_r", "pf_ty_l", "/jointset/pf_r/pf_tz_r/value", "/jointset/pf_r/pf_tz_r/speed", "tx_right"]
+    names = [*metres, "ground_force_vx_l", "ground_force_px_r", "pf_flex_r", "hip_flexion_r"]
+    rows = ["inDegrees=yes", "endheader", "\t".join(["time", *names]), "\t".join(["0", *["90"] * len(names)])]
+    with pytest.warns(PftwinWarning, match="converted to radians: hip_flexion_r, pf_flex_r; name them"):
+        t = read_sto(sto(tmp_path, "\n".join(["Coordinates", *rows, ""])))
+    np.testing.assert_array_equal(t.values[0, :7], 90)
+    np.testing.assert_allclose(t.values[0, 7:], np.pi / 2)
+    assert {t.units[n] for n in names[:7]} == {""}
+
+
 def test_without_degrees_nothing_changes(tmp_path):
     t = read_sto(sto(tmp_path, flag="no"))
     assert t.in_degrees is False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -82,7 +83,7 @@ def fitted(folder: Path, **more) -> Material:
     found.save(path)
     found.nominal_scene, found.measured = small_scene(), measured()
     runs = [Run.of_result(small_result(), "fitted")]
-    chosen = Chosen(small_scene(), measured(), None)
+    chosen = Chosen(dataclasses.replace(small_scene(), measured=measured()), None)
     return Material(path, "Fitted knee: small knee", {"the fit": found}, chosen, runs, files=[path])
 
 

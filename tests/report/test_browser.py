@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "viewer"))
@@ -14,6 +18,8 @@ from viewer_pages import chromium
 from pftwin.cli.report.contents import report
 
 pytest.importorskip("k3d")
+PRINTED = (210 - 2 * 14, 297 - 2 * 18)  # A4 between the margins [mm]
+PIXELS = 96 / 25.4  # of a style sheet, for a millimetre
 VIEWER = "document.querySelector('.pftwin').viewer"
 
 
@@ -77,10 +83,51 @@ def test_nothing_is_wider_than_the_page(page):
         assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def test_prints_on_a4_without_the_drawing(page):
+@pytest.fixture
+def on_paper(page):
+    """The page as it is printed, as wide as the paper between its margins."""
+    page.set_viewport_size({"width": round(PRINTED[0] * PIXELS), "height": 900})
     page.emulate_media(media="print")
-    assert not page.locator("iframe").is_visible()
-    assert page.locator(".on-paper").is_visible()
-    printed = page.pdf(prefer_css_page_size=True)
+    yield page
     page.emulate_media(media="screen")
+    page.set_viewport_size({"width": 1100, "height": 900})
+
+
+def test_prints_on_a4_without_the_drawing(on_paper):
+    assert not on_paper.locator("iframe").is_visible()
+    assert on_paper.locator(".on-paper").is_visible()
+    assert not on_paper.get_by_text("Drag to turn").is_visible()
+    printed = on_paper.pdf(prefer_css_page_size=True)
     assert b"/MediaBox [0 0 594" in printed or b"/MediaBox [0 0 595" in printed
+
+
+def test_no_figure_is_cut_on_paper(on_paper):
+    """Each fits a sheet, with its words below it, and is kept together; so are rows of tables."""
+    boxes = "[...document.querySelectorAll('figure')].map(f => f.getBoundingClientRect())"
+    sizes = on_paper.evaluate(f"{boxes}.map(b => [b.width, b.height])")
+    assert len(sizes) >= 4
+    assert (np.array(sizes) <= np.array(PRINTED) * PIXELS + 1).all()
+    for kind in ("figure", "tr", ".label", ".finding"):
+        kept = on_paper.evaluate(f"[...document.querySelectorAll('{kind}')].map(e => getComputedStyle(e).breakInside)")
+        assert set(kept) == {"avoid"}, kind
+    assert on_paper.evaluate("document.documentElement.scrollWidth") <= round(PRINTED[0] * PIXELS)
+
+
+def test_every_sheet_bears_the_labels_and_long_parts_begin_on_their_own(on_paper, tmp_path):
+    if shutil.which("pdftotext") is None:
+        pytest.skip("no pdftotext on the path: apt-get install poppler-utils")
+    (tmp_path / "report.pdf").write_bytes(on_paper.pdf(prefer_css_page_size=True))
+    text = subprocess.run(
+        ["pdftotext", "-layout", "report.pdf", "-"], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    sheets = text.split("\f")[:-1]
+    assert len(sheets) >= 4
+    for k, sheet in enumerate(sheets, start=1):
+        assert "Fitted knee: small knee" in sheet
+        assert "Research use, not a medical device." in sheet
+        assert re.search(rf"\b{k} ?/ ?{len(sheets)}\b", sheet)
+        assert len(sheet.split()) > 25  # nothing stands on a sheet alone
+    for title in ("Fit", "Treatment prediction", "Figures"):
+        (which,) = [s for s in sheets if any(line.strip() == title for line in s.splitlines())]
+        above = which[: which.index(f"{title}\n")]
+        assert above.split() == ["Fitted", "knee:", "small", "knee"], title

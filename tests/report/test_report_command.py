@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from pftwin.cli import app
 from pftwin.result_files import save_dataset
+from pftwin.rig.recording import source_of
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,8 @@ def folder(tmp_path_factory):
     small_result().save(path / "knee.nc")
     save_dataset(prediction(), path / "variants.nc")
     estimate().save(path / "fit.json")
-    estimate(scene_name="rig case 2, P5").save(path / "rig.json")
+    estimate(scene_name="rig case 2, P5", source=source_of(2)).save(path / "rig.json")
+    estimate(scene_name="rig case 2, P5").save(path / "namesake.json")
     (path / "other.json").write_text("{}", encoding="utf-8")
     (path / "notes.txt").write_text("none", encoding="utf-8")
     (path / "empty").mkdir()
@@ -55,6 +57,7 @@ def test_writes_a_page_of_a_result(folder, tmp_path):
         (("knee.nc", "-o", "report.pdf"), "the page is HTML; try: report.html"),
         (("knee.nc", "-o", "absent/report.html"), "there is no folder absent"),
         (("fit.json", "-o", "r.html"), "--scene knee/scene.toml or --case N"),
+        (("namesake.json", "-o", "r.html"), "--scene knee/scene.toml or --case N"),
         (
             ("knee.nc", "--case", "2", "-o", "r.html"),
             "is of the scene 'small knee', and the scene that was named is 'rig",
@@ -86,7 +89,7 @@ def test_the_demos_folder(folder, tmp_path):
     demo = tmp_path / "demo"
     demo.mkdir()
     for name in ("fit.json", "fit_likelihood.json"):
-        estimate(scene_name="rig case 2, P5", synthetic=True).save(demo / name)
+        estimate(scene_name="rig case 2, P5", source=source_of(2), synthetic=True).save(demo / name)
     for n in (1, 2):
         small_result().save(demo / f"case{n}_P5.nc")
     lines = [

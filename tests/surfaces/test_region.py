@@ -115,19 +115,15 @@ def test_fits_of_the_dm_trochlea(dm_femur):
 
 
 def test_figure_shows_both_views(component):
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     region = trochlear_region(component, **_FRONT)
     figure = plot_region(region, component)
     assert sum(1 for a in figure.axes if a.lines) == 2
     assert any("proximal" in a.get_ylabel() for a in figure.axes)
-    _, ax = plt.subplots()
+    ax = Figure().subplots()
     assert plot_region(region, component, ax) is ax.figure
     assert ax.lines
-    plt.close("all")
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,12 @@ def app(
     port: Annotated[
         int, typer.Option("--port", min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")
     ] = 8080,
+    origin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--origin", metavar="URL", help="Origin of pages that may use it besides its own; again for more."
+        ),
+    ] = None,
     browser: Annotated[bool, typer.Option("--open", help="Show the page in the browser.")] = False,
 ) -> None:
     """Turn treatments by sliders in the browser: every move simulates the whole motion anew.
@@ -37,8 +43,10 @@ def app(
     """
     began = time.perf_counter()
     from pftwin.cli.live.address import check_address, loopback
+    from pftwin.cli.live.origin import checked_origins
 
     check_address(host, port)
+    origins = checked_origins(origin or ())
     chosen = chosen_scene(scene, case, contact)
     from pftwin.cli.live.engine import Engine
     from pftwin.cli.live.server import LiveServer, viser
@@ -52,7 +60,7 @@ def app(
     engine = Engine(load, contacts_of(case, chosen.contact))
     with working(f"compiling {chosen.scene.name}, half a minute the first time"):
         engine.prepare(own)
-    server = LiveServer(engine, host, port)
+    server = LiveServer(engine, host, port, origins)
     try:
         _tell(server.address, host, time.perf_counter() - began, safe=loopback(host))
         if browser:

@@ -24,6 +24,8 @@ class Curves:
 
     def __init__(self, gui: GuiApi, before: Answer) -> None:
         self._before = self._after = before
+        names = (("tilt", "tilt [°]"), ("shift", "shift [mm]"), ("force", "contact force [N]"))
+        self._drawn = {name: self._scales(name) for name, _ in names}
         self._charts = {
             name: gui.add_uplot(
                 self._data(name, 0),
@@ -34,26 +36,27 @@ class Curves:
                     {"label": "now", "stroke": "#222222", "points": {"show": True, "size": 9, "fill": AFTER}},
                 ),
                 title=f"{title} over time [s]",
-                scales=self._scales(name),
+                scales=self._drawn[name],
                 axes=({"size": 24}, {"size": 42}),
                 legend={"show": False},
                 cursor={"drag": {"x": False, "y": False}},
                 height=HEIGHT,
                 padding=(4, 14, 0, 0),
             )
-            for name, title in (("tilt", "tilt [°]"), ("shift", "shift [mm]"), ("force", "contact force [N]"))
+            for name, title in names
         }
 
-    def set(self, before: Answer, after: Answer, k: int) -> None:
-        """Draws other motions."""
+    def set(self, before: Answer, after: Answer) -> None:
+        """Takes other motions, which are drawn with the next mark."""
         self._before, self._after = before, after
-        self.mark(k)
+        for name, chart in self._charts.items():
+            if (scales := self._scales(name)) != self._drawn[name]:  # other scales make a page build its chart anew
+                chart.scales = self._drawn[name] = scales
 
     def mark(self, k: int) -> None:
         """Moves the mark to a frame of the treated motion."""
         for name, chart in self._charts.items():
             chart.data = self._data(name, k)
-            chart.scales = self._scales(name)
 
     def _scales(self, name: str) -> Any:
         """Both axes, the values' rounded outwards: it stays as it is while a slider is moved a little.

@@ -56,19 +56,22 @@ class Page:
         panel.dock_left()
         panel.set_width(400)
 
-    def draw(self, model: Model, after: Answer, shown: Shown) -> None:
-        """Another motion: the knee and its continued surface, the curves and the table."""
+    def tell(self, model: Model, after: Answer) -> None:
+        """Another motion: the table, and the curves, which its next numbers bring."""
+        self._before, self._after = model.before, after
+        self._curves.set(model.before, after)
+        self._whole.content = words.comparison(model.before, after)
+
+    def draw(self, model: Model, shown: Shown) -> None:
+        """Another motion: the knee and its continued surface."""
         if self._contact != model.contact:
             self._contact = model.contact
             self._bones.set_component(component_of(model.before.recorded))
             self._ghost = Shown(model.before.recorded, self.newtons)
             self._untreated.set(self._ghost)
-        self._before, self._after = model.before, after
         self._shown = shown
         self._treated.set(shown)
         self._bones.set_beyond(model.still.continued(shown.touched))
-        self._curves.set(model.before, after, 0)
-        self._whole.content = words.comparison(model.before, after)
 
     def frame(self, k: int) -> None:
         """Sets the drawing to a frame."""

@@ -9,11 +9,12 @@ import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from pftwin.cli.live.address import check_address
 from pftwin.cli.live.engine import Engine
+from pftwin.cli.live.origin import guarded, own_pages
 from pftwin.cli.live.session import Session
 from pftwin.cli.live.worker import Worker
 from pftwin.errors import MissingExtraError
@@ -36,8 +37,15 @@ def viser() -> Any:
 class LiveServer:
     """Serves a page to every client, until it is stopped."""
 
-    def __init__(self, engine: Engine, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(
+        self, engine: Engine, host: str = "127.0.0.1", port: int = 8080, origins: Collection[str] = ()
+    ) -> None:
         """Begins to serve an engine whose first contact is prepared.
+
+        Args:
+            engine: what simulates.
+            host, port: where; a port that is taken is passed over.
+            origins: whose pages may connect, besides the server's own; see `pftwin.cli.live.origin`.
 
         Raises:
             InputError: no such address.
@@ -58,7 +66,7 @@ class LiveServer:
                 del verbose
                 return None
 
-        with _silent():
+        with _silent(), guarded(own_pages(host, origins)):
             self._server = Private(host=host, port=port, verbose=False)
         self.host, self.port = host, int(self._server.get_port())
         loop = self._server.get_event_loop()

@@ -45,7 +45,8 @@ class Session:
         with self._lock, client.atomic():
             self._page = Page(client, engine, model, self)
             self._player = Player(self._played, self._now, float(model.before.times[-1]))
-            self._drawn(model, self._after, Shown(model.before.recorded, self._page.newtons).drawn_now())
+            self._told(model, self._after)
+            self._drawn(model, Shown(model.before.recorded, self._page.newtons).drawn_now())
 
     def turn(self, knob: Knob, value: Any) -> None:
         """A slider was moved."""
@@ -141,7 +142,7 @@ class Session:
         self._simulating.submit(self, lambda: self._answer(began))
 
     def _answer(self, began: float) -> None:
-        """In the worker's thread: simulates and draws."""
+        """In the worker's thread: simulates and draws, what is quickly said first."""
         contact = self._wanted if self._engine.ready(self._wanted) else self._contact
         try:
             model = self._engine.model(contact)
@@ -152,12 +153,15 @@ class Session:
                 raise
             return
         moved = time.perf_counter()
-        shown = Shown(after.recorded, self._page.newtons).drawn_now()
         with self._lock:
             if self._closed:
                 return
             with self._client.atomic():
-                self._drawn(model, after, shown)
+                self._told(model, after)
+            self._client.flush()
+            shown = Shown(after.recorded, self._page.newtons).drawn_now()
+            with self._client.atomic():
+                self._drawn(model, shown)
             self._client.flush()
             self.motions.add(moved - began)
             self.drawings.add(time.perf_counter() - began)
@@ -165,11 +169,16 @@ class Session:
             if self._wanted != contact:
                 self._page.say(words.waiting(self._wanted, contact))
 
-    def _drawn(self, model: Model, after: Answer, shown: Shown) -> None:
+    def _told(self, model: Model, after: Answer) -> None:
         self._contact, self._after = model.contact, after
-        self._page.draw(model, after, shown)
+        self._page.tell(model, after)
         self._page.say(words.outcome(after))
-        self._frame(self._now, numbers=True)
+        self._numbered = time.perf_counter()
+        self._page.number(self._nearest(self._now), self._now)
+
+    def _drawn(self, model: Model, shown: Shown) -> None:
+        self._page.draw(model, shown)
+        self._frame(self._now, numbers=False)
 
     def _played(self, at: float) -> None:
         now = time.perf_counter()
@@ -180,7 +189,7 @@ class Session:
             if self._closed:
                 return
             self._now = at
-            k = int(np.argmin(np.abs(self._after.times - at)))
+            k = self._nearest(at)
             with self._client.atomic():
                 self._page.frame(k)
                 if numbers:
@@ -188,6 +197,10 @@ class Session:
                     self._page.number(k, at)
                 if slider and numbers:
                     self._page.set_time(at)
+
+    def _nearest(self, at: float) -> int:
+        """The frame of a time."""
+        return int(np.argmin(np.abs(self._after.times - at)))
 
     def _failed(self, error: Exception) -> None:
         """Says why; of a mistake in the program itself, where to read more."""

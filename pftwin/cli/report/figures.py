@@ -29,7 +29,9 @@ def view(material: Material) -> Section:
         return Section("view", title, paragraph(f"Not drawn: {error}", "missing"))
     names = " and ".join(r.name for r in material.runs)
     words = "Drag to turn, wheel to zoom; play and the slider move the knee. Bones are schematic."
-    return Section("view", title, paragraph(words) + frame(inside, f"The moving knee in three dimensions: {names}"))
+    return Section(
+        "view", title, paragraph(words, "on-screen") + frame(inside, f"The moving knee in three dimensions: {names}")
+    )
 
 
 def _case(material: Material) -> str:

@@ -114,6 +114,7 @@ def page(title: str, labels: Sequence[tuple[str, str]], sections: Sequence[Secti
         ending: the last line.
     """
     style = (files("pftwin.cli.report") / "report.css").read_text(encoding="utf-8")
+    style += _on_every_sheet(title, " ".join(word.rstrip(".:") + "." for word, _ in labels))
     told = "".join(f'<p class="label"><strong>{escape(w)}</strong> {escape(s)}</p>' for w, s in labels)
     links = "".join(f'<li><a href="#{escape(s.key)}">{escape(s.title)}</a></li>' for s in sections)
     parts = "".join(
@@ -130,6 +131,23 @@ def page(title: str, labels: Sequence[tuple[str, str]], sections: Sequence[Secti
         f'<nav aria-label="Contents"><ol>{links}</ol></nav>\n<main>\n{parts}</main>\n'
         f"<footer>{paragraph(ending)}</footer>\n</body>\n</html>\n"
     )
+
+
+def _on_every_sheet(title: str, labels: str) -> str:
+    """Style of a print's margins: title and labels on every sheet of paper, and its number."""
+    small = 'font: 8pt system-ui, "Segoe UI", Helvetica, Arial, sans-serif; color: #333;'
+    return (
+        "@page {\n"
+        f"    @top-left {{ {small} content: {_css_text(title)}; }}\n"
+        f"    @bottom-left {{ {small} content: {_css_text(labels)}; }}\n"
+        f'    @bottom-right {{ {small} content: counter(page) " / " counter(pages); }}\n'
+        "}\n"
+    )
+
+
+def _css_text(words: str) -> str:
+    """A string of a style sheet in which every character but letters, digits and the plainest is told by its number."""
+    return '"' + "".join(c if c.isalnum() or c in " .,-" else f"\\{ord(c):x} " for c in words) + '"'
 
 
 def number(value: Any, digits: int = 4) -> str:

@@ -67,7 +67,7 @@ def gathered(
     Args:
         source: fit.json, the demo's folder, or a result.
         treatment: what `pftwin treat` wrote.
-        scene: file of the source's scene; by default a case of the rig that the estimate's own words name.
+        scene: file of the source's scene; by default the case of the rig that was fitted to its own measurements.
         case: or the rig's case.
         contact: patch in place of the scene's own.
 
@@ -76,7 +76,7 @@ def gathered(
     """
     given = None
     if scene is not None or case is not None:
-        given = chosen_scene(scene, case, contact, measured=True)
+        given = chosen_scene(scene, case, contact)
     elif contact is not None:
         raise InputError("--contact without a scene", expected=_NAME_IT)
     predicted = None if treatment is None else _prediction(treatment)
@@ -132,8 +132,8 @@ def _of_demo(folder: Path, given: Chosen | None) -> Material:
     chosen = _scene_of(first, given, folder / DEMO_FIT)
     for estimate in estimates.values():
         estimate.nominal_scene, estimate.measured = chosen.scene, chosen.measured
-    named = _RIG.fullmatch(first.scene_name)
-    contact = named.group(2) if named else "P5"
+    named = _case_of(first)
+    contact = named[1] if named else "P5"
     words = {PATHOLOGY: "pathology", TREATMENT: "treatment"}
     results = {folder / f"case{n}_{contact}.nc": f"case {n}, {what}" for n, what in words.items()}
     runs = [Run.of_file(path, name) for path, name in results.items() if path.is_file()]
@@ -142,9 +142,9 @@ def _of_demo(folder: Path, given: Chosen | None) -> Material:
 
 
 def _scene_of(estimate: Estimate, given: Chosen | None, path: Path) -> Chosen:
-    """The scene that was named, else the case of the rig that the estimate names."""
+    """The scene that was named, else the case of the rig that was fitted."""
     if given is None:
-        named = _RIG.fullmatch(estimate.scene_name)
+        named = _case_of(estimate)
         if named is None:
             raise InputError(
                 f"the estimate is of the scene {estimate.scene_name!r}, which is not in its file",
@@ -152,9 +152,22 @@ def _scene_of(estimate: Estimate, given: Chosen | None, path: Path) -> Chosen:
                 expected="the scene beside it",
                 remedy=_NAME_IT,
             )
-        return chosen_scene(None, int(named.group(1)), named.group(2), measured=True)
+        return chosen_scene(None, *named)
     _check_same(estimate.scene_name, given, path)
     return given
+
+
+def _case_of(estimate: Estimate) -> tuple[int, str] | None:
+    """Number and contact of the rig's case that was fitted to its own measurements; None of any other estimate.
+
+    A name alone would not do: a user's scene may have any.
+    """
+    from pftwin.rig.recording import source_of
+
+    named = _RIG.fullmatch(estimate.scene_name)
+    if named is None or estimate.source != source_of(int(named.group(1))):
+        return None
+    return int(named.group(1)), named.group(2)
 
 
 def _check_same(name: str, given: Chosen | None, path: Path) -> None:

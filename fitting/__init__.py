@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting import outcomes, treatments
+    from fitting.channels import channels_of
     from fitting.estimate import Estimate
     from fitting.fit import fit_tendons
     from fitting.identifiability import plan_experiment, profile_likelihood
@@ -29,6 +30,7 @@ _HOME = {
     "Parameter": "parameters",
     "Parameters": "parameters",
     "Posterior": "posterior",
+    "channels_of": "channels",
     "fit_tendons": "fit",
     "free_parameters": "parameters",
     "optimise_treatment": "optimise",
@@ -45,6 +47,7 @@ __all__ = [
     "Parameter",
     "Parameters",
     "Posterior",
+    "channels_of",
     "fit_tendons",
     "free_parameters",
     "optimise_treatment",

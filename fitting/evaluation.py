@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from fitting.channels import ORIENTATION, POSITION, columns_of, widths
 from fitting.parameters import Parameters, applied
 from fitting.places import Place
 from pftwin.batches import batched
@@ -39,7 +40,6 @@ from pftwin.dynamics.trajectory import (
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Scalar
 
-POSITION, ORIENTATION = "position", "orientation"
 CHUNK = 32  # variants evaluated at once by default
 _WITH_SLOPES = 16  # the same with derivatives
 _WIDEST = 512  # variants in one call
@@ -148,13 +148,17 @@ class Evaluator:
         parameters: what varies.
         channels: what is predicted, in this order: "position", "orientation", or effects' names for their forces.
         chunk: variants evaluated by one call of a compiled program; others are split, and the last part is filled up.
+        pull_chunk: the same for gradients by reverse mode.
+        computed: channels that the program computes, `channels` among them, which are picked out of its answer;
+            evaluators that differ in nothing but `channels` share one program. By default `channels` alone.
     """
 
     scene: Scene
     parameters: Parameters
     channels: tuple[str, ...]
     chunk: int = CHUNK
-    pull_chunk: int = 8  # the same for gradients by reverse mode
+    pull_chunk: int = 8
+    computed: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         self._plain_scene = self.scene.unnamed()
@@ -196,7 +200,7 @@ class Evaluator:
     @property
     def widths(self) -> tuple[int, ...]:
         """Columns of each channel."""
-        return tuple({POSITION: 3, ORIENTATION: 4}.get(c, 1) for c in self.channels)
+        return widths(self.channels)
 
     def values(self, theta: NDArray[np.float64], substeps: int) -> Prediction:
         """Predictions for (N, p) parameters."""
@@ -261,18 +265,27 @@ class Evaluator:
         values, slope, found = (None if a[0] is None else np.concatenate(a) for a in zip(*parts, strict=True))
         assert values is not None
         assert found is not None
+        if self.computed is not None:
+            values = values[..., self._kept]
+            slope = None if slope is None else slope[..., self._kept, :]
         usable = found & np.isfinite(values).all(axis=(1, 2))
         if slope is not None:
             usable &= np.isfinite(slope).all(axis=(1, 2, 3))
         return Prediction(values, slope, usable)
 
+    @cached_property
+    def _kept(self) -> NDArray[np.intp]:
+        """Of `channels` among those of `computed`."""
+        return columns_of(self.channels, self.computed or self.channels)
+
     def _run(self, theta: NDArray, guesses: Pose, substeps: int, slopes: bool) -> tuple[Any, Any, Any, Any]:
         """Values (N, n, c), slopes (N, n, c, p) or None, whether in equilibrium at the start (N,), starting poses."""
         args = (self._plain_scene, jnp.asarray(theta, dtype=float), guesses, jnp.asarray(substeps))
+        computed = self.computed or self.channels
         if slopes:
-            (values, poses, found), columns = _with_slopes(*args, self.parameters.places, self.channels)
+            (values, poses, found), columns = _with_slopes(*args, self.parameters.places, computed)
             return np.asarray(values), np.moveaxis(np.asarray(columns), 0, -1), np.asarray(found), poses
-        values, poses, found = _plain(*args, self.parameters.places, self.channels)
+        values, poses, found = _plain(*args, self.parameters.places, computed)
         return np.asarray(values), None, np.asarray(found), poses
 
     def guesses(self, theta: NDArray[np.float64]) -> Pose:

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fitting import checkpoint as checkpoints
+from fitting.channels import POSITION, channels_of
 from fitting.estimate import Estimate
-from fitting.evaluation import POSITION
 from fitting.method import Method, State
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, free_parameters
@@ -58,6 +58,7 @@ def fit_tendons(
     progress: Callable[[Progress], None] | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = False,
+    computed: Sequence[str] | None = None,
     **options: Any,
 ) -> Estimate:
     """Parameters of a scene from measurements of its motion, and how sure they are.
@@ -83,6 +84,9 @@ def fit_tendons(
         progress: called after every iteration.
         checkpoint: file in which the state is kept while the fit runs.
         resume: go on from that file.
+        computed: channels that the compiled program computes, those compared among them; by default no others. Fits
+            that compare different channels share one program where they compute the same; so does `plan_experiment`
+            with fits that compute `fitting.channels_of(scene)`.
         options: of the method: `starts` (least squares), `generations`, `population`, `populations` (genetic and
             evosax), `iterations` (gradient).
 
@@ -105,7 +109,7 @@ def fit_tendons(
     if objective == "paper" and priors:
         raise InputError("the paper's objective has no noise to weigh priors against", where="priors")
     target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
-    problem = Problem.of(scene, parameters, target)
+    problem = Problem.of(scene, parameters, target, _computed(scene, target, computed))
     search = _method(method, problem, seed, options)
     problem.evaluator.prepare(search.widest)
     began = time.perf_counter()
@@ -136,6 +140,24 @@ def measured_of(scene: Scene) -> Measured:
     if scene.measured is None:
         raise InputError("nothing to compare with", where="measured", expected="measurements of this scene's motion")
     return scene.measured
+
+
+def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> tuple[str, ...] | None:
+    """In the scene's order, so that the same channels are the same program; None for those compared alone."""
+    if wanted is None:
+        return None
+    known = channels_of(scene)
+    names = {wanted} if isinstance(wanted, str) else set(wanted)
+    if strange := names - set(known):
+        found = f"no channel {min(strange)!r}"
+        raise InputError(found, where="computed", expected=f"some of: {', '.join(known)}")
+    if missing := set(target.channels) - names:
+        raise InputError(
+            f"without {', '.join(sorted(missing))}, which the fit compares",
+            where="computed",
+            expected="what is compared, and what else the program is to compute",
+        )
+    return tuple(c for c in known if c in names)
 
 
 def first_look(problem: Problem, first: Request | None = None) -> None:

@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.channels import ORIENTATION, POSITION, channels_of
 from fitting.estimate import Estimate
-from fitting.evaluation import ORIENTATION, POSITION, Evaluator
+from fitting.evaluation import Evaluator
 from fitting.fit import SPRING_PARAMETERS, measured_of
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, Parameters, free_parameters
 from fitting.problem import Problem, Request
 from fitting.uncertainty import in_words, inverted, percent
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
 from pftwin.measured import Measured
 from pftwin.scene import Scene, check
@@ -140,13 +139,6 @@ def plan_experiment(
         dict(sorted(additions.items(), key=lambda item: float(item[1].max()))),
         in_words(parameters, parameters.nominal, covariance, tuple(c for c in wanted if c in use)),
     )
-
-
-def channels_of(scene: Scene) -> tuple[str, ...]:
-    """Everything that could be measured: poses, and the forces of contact, tendons and ligaments."""
-    contact = scene.contact
-    forces = [e.name for e in scene.effects if isinstance(e, Tendon | StrandGroup)]
-    return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *forces)
 
 
 def _information(

@@ -110,6 +110,7 @@ def run(
     chunk: int,
     threads: int,
     progress: Callable[[int, int], None] | None = None,
+    fewest: int = _FEWEST,
 ) -> Members:
     """All members, `chunk` at a time, `threads` chunks at once. No member's failure stops the others.
 
@@ -120,13 +121,14 @@ def run(
         chunk: most members of a chunk; a study of fewer is one smaller chunk.
         threads: chunks that run at once, in as many threads over one compiled function.
         progress: called with the number of members done and of all.
+        fewest: least size of a chunk, to which fewer are filled up; that of `chunk` has all sizes share one program.
     """
     recipe = recipe._replace(scene=recipe.scene.unnamed())
     starts = _starts(recipe, amounts, thetas)
-    found = _in_chunks(recipe, amounts, thetas, starts, chunk, threads, progress)
+    found = _in_chunks(recipe, amounts, thetas, starts, chunk, threads, progress, fewest)
     badly = found.flags[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] > 0
     if badly.any() and starts is not None:  # where the neighbour's equilibrium led nowhere, the scene's own start may
-        again = _in_chunks(recipe, amounts[badly], thetas[badly], None, chunk, threads, None)
+        again = _in_chunks(recipe, amounts[badly], thetas[badly], None, chunk, threads, None, fewest)
         jax.tree.map(lambda old, new: old.__setitem__(badly, new), found, again)
     return found
 
@@ -171,9 +173,10 @@ def _in_chunks(
     chunk: int,
     threads: int,
     progress: Callable[[int, int], None] | None,
+    fewest: int,
 ) -> Members:
     n = len(amounts)
-    size = min(chunk, max(_FEWEST, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
+    size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
     if starts is None:
         starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
     done = 0

@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.evaluation import ORIENTATION, POSITION, Prediction
+from fitting.channels import ORIENTATION, POSITION
+from fitting.evaluation import Prediction
 from pftwin.errors import InputError
 from pftwin.measured import Measured
 from pftwin.scene import Scene

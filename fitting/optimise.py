@@ -1,8 +1,9 @@
 """The smallest treatment that meets stated limits: a batched grid over the surgeon's range, then gradients.
 
-The grid finds where limits can be met at all, also where outcomes jump (dislocation). From its best amounts sequential
+The grid finds where limits can be met at all, also where outcomes jump (dislocation). A single amount is then found
+between the last that does not meet them and the first that does (Brent). From the best of several amounts sequential
 quadratic programming (scipy's SLSQP) goes on with forward-mode derivatives of the smooth outcomes; a step that leads
-nowhere better is not taken, so the answer always meets the limits by a simulation of its own.
+nowhere better is not taken. So the answer always meets the limits by a simulation of its own.
 
 An estimate is uncertain. With draws from its uncertainty the limits have to hold for the estimate and, all of them
 together, for a stated share of the draws.
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from fitting.limits import Limit
 from fitting.predicting import STEP, Fitted, predict
-from fitting.refine import Search, refined
+from fitting.refine import CHUNK, Search, refined
 from fitting.treatment_plan import Plan
 from fitting.treatments import Treatment
 from pftwin.errors import InputError
@@ -82,7 +83,7 @@ def optimise_treatment(
     amounts = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
     scale = np.maximum(np.abs(lower), np.abs(upper))
     amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
-    options: dict[str, Any] = {"dt": dt, "threshold": threshold}
+    options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
     room = _room(predict(scene, search.treated(amounts), estimate, **options), wanted)
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
@@ -108,8 +109,16 @@ def optimise_treatment(
         for k in part[shares >= (confidence if samples else 1.0) - 1e-9]:
             if (search.room(amounts[k]) >= 0).all():  # by a simulation of its own
                 best = amounts[k]
-                return plan(True, refined(search, best, lower, upper, scale) if best.any() else best)
+                if not best.any():
+                    return plan(True, best)
+                return plan(True, refined(search, best, _below(amounts, k, lower, upper), lower, upper, scale))
     return plan(False, amounts[surest])
+
+
+def _below(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floats:
+    """Of a single amount, the one before it on the way from nothing, on the same side; else the least that there is."""
+    before = [a for a in amounts[:k] if (a * amounts[k] >= 0).all()]
+    return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
 
 
 def _room(data: Any, limits: tuple[Limit, ...]) -> Floats:

@@ -45,9 +45,13 @@ class Problem:
     evaluator: Evaluator
 
     @staticmethod
-    def of(scene: Scene, parameters: Parameters, objective: Objective) -> Problem:
-        """With its own evaluator."""
-        return Problem(scene, parameters, objective, Evaluator(scene, parameters, objective.channels))
+    def of(
+        scene: Scene, parameters: Parameters, objective: Objective, computed: tuple[str, ...] | None = None
+    ) -> Problem:
+        """With its own evaluator, which computes these channels."""
+        return Problem(
+            scene, parameters, objective, Evaluator(scene, parameters, objective.channels, computed=computed)
+        )
 
     def answer(self, request: Request) -> Answer:
         """The objective, what is known beforehand included."""
@@ -74,7 +78,7 @@ class Problem:
         arrays, fixed = eqx.partition(self.scene.unnamed(), eqx.is_array)
         texts = [jax.tree.structure(arrays), jax.tree.leaves(fixed), jax.tree.structure(fixed)]
         o = self.objective
-        texts += [self.parameters, o.kind, o.channels, o.noise, o.loss, settings]
+        texts += [self.parameters, o.kind, o.channels, o.noise, o.loss, settings, self.evaluator.computed]
         total.update(repr(texts).encode())
         for array in (*jax.tree.leaves(arrays), o.measured, o.present):
             total.update(np.ascontiguousarray(array).tobytes())

@@ -1,5 +1,7 @@
 """Refining a treatment: simulations with forward-mode derivatives, and sequential quadratic programming.
 
+A single amount needs no derivatives, which take longer to compile than the whole search: it is bracketed (Brent).
+
 With draws from an estimate's uncertainty every point is simulated for the estimate and for all draws side by side; that
 limits hold in a share of the draws is a limit itself: on the quantile of the least room that a draw leaves.
 """
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 
 from fitting.course import Groove, course
 from fitting.limits import Limit
-from fitting.members import Recipe
+from fitting.members import Recipe, run
 from fitting.outcomes import MEASURES, measure
 from fitting.predicting import Fitted
 from fitting.treatments import Treatment
@@ -33,6 +35,8 @@ _ROOM = 1e-6  # of a limit's size: what the search keeps clear of it, so that it
 _HALVINGS = 12
 _NONE = -1e3  # room where there is no number
 _CLOSE = 1e-4  # of the effort: where halving ends
+_FINE = 1e-4  # of the grid's step, to which a single amount is found
+CHUNK = 64  # members at once: one program for the grid and for draws, which come in pieces of all sizes
 Floats = NDArray[np.float64]
 
 
@@ -96,6 +100,7 @@ class Search:
         self._limits = limits
         self._draws, self._needed = len(draws), math.ceil(confidence * len(draws) - 1e-9)
         self._known: dict[bytes, Any] = {}
+        self.alone = len(names) == 1
 
     @property
     def count(self) -> int:
@@ -105,9 +110,19 @@ class Search:
     def _at(self, amounts: Floats) -> Any:
         key = np.asarray(amounts, dtype=np.float64).tobytes()
         if key not in self._known:
-            numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
-            self._known[key] = jax.tree.map(np.asarray, _looked(self._recipe, self._places, *numbers))
+            if self.alone:
+                self._known[key] = self._simulated(amounts), None
+            else:
+                numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
+                self._known[key] = jax.tree.map(np.asarray, _looked(self._recipe, self._places, *numbers))
         return self._known[key]
+
+    def _simulated(self, amounts: Floats) -> dict[str, Floats]:
+        """Outcomes for the estimate and the draws (1 + draws,), by the program that the grid was simulated with."""
+        every = np.array(self._fixed)
+        every[list(self._places)] = amounts
+        thetas = np.asarray(self._thetas)
+        return run(self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, 1, fewest=CHUNK).outcomes
 
     def outcomes(self, amounts: Floats) -> dict[str, float]:
         """The estimate's by name, SI."""
@@ -150,8 +165,19 @@ class Search:
         return self._treatment.with_values(values)
 
 
-def refined(search: Search, start: Floats, lower: Floats, upper: Floats, scale: Floats) -> Floats:
-    """The smallest amounts near the start that meet the limits; the start where nothing smaller does."""
+def refined(search: Search, start: Floats, below: Floats, lower: Floats, upper: Floats, scale: Floats) -> Floats:
+    """The smallest amounts near the start that meet the limits; the start where nothing smaller does.
+
+    Args:
+        search: what simulates.
+        start: amounts that meet the limits.
+        below: of a single amount, the nearest smaller one that was tried and does not meet them.
+        lower: least amounts.
+        upper: largest amounts.
+        scale: what amounts are measured by.
+    """
+    if search.alone:
+        return _just_met(search, start, below)
     from scipy.optimize import minimize
 
     best = start
@@ -176,6 +202,24 @@ def refined(search: Search, start: Floats, lower: Floats, upper: Floats, scale: 
         if within and (search.room(amounts) >= 0).all() and effort(amounts, scale) < effort(best, scale):
             best = amounts
     return _nearer(search, best, np.clip(0.0 * best, lower, upper), scale)
+
+
+def _just_met(search: Search, best: Floats, below: Floats) -> Floats:
+    """Between a single amount that does not meet the limits and one that does: the smallest tried that does."""
+    from scipy.optimize import brentq
+
+    met = {1.0: best}
+
+    def room(share: float) -> float:
+        amounts = below + share * (best - below)
+        least = float(search.room(amounts).min())
+        if least >= 0:
+            met[share] = amounts
+        return least - _ROOM
+
+    if room(0.0) < 0 < room(1.0):
+        brentq(room, 0.0, 1.0, xtol=_FINE)
+    return met[min(met)]
 
 
 def _nearer(search: Search, best: Floats, least: Floats, scale: Floats) -> Floats:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.evaluation import POSITION
+from fitting.channels import POSITION
 from fitting.objective import Objective
 from fitting.parameters import Parameters
 

@@ -57,8 +57,12 @@ def table(head, rows):
 # The Cramer-Rao bound says what any unbiased fit could reach at best, from exact derivatives of the simulation alone.
 # K1 and L1 are stiffness and slack length of the quadriceps' tendon, K2 and L2 those of the patellar tendon. Noise is
 # 0.2 mm in position and 0.15 N in a force.
+#
+# Compiling takes most of this notebook's time. `computed` has every fit below use one program, the plan's: it computes
+# all that could be compared, and each fit picks what it compares.
 
 # %%
+computed = fitting.channels_of(scene)
 plan = fitting.plan_experiment(scene)
 print(plan.sentence())
 
@@ -91,7 +95,7 @@ assert worst[best] < 0.5 * plan.relative.max()
 # Least squares by Levenberg and Marquardt, from 32 starts side by side, with exact derivatives.
 
 # %%
-positions = fitting.fit_tendons(scene, measured, use="position")
+positions = fitting.fit_tendons(scene, measured, use="position", computed=computed)
 print(positions.summary())
 assert positions.dropped < positions.starts
 assert not positions.at_bounds or "at a bound" in positions.summary()
@@ -115,7 +119,7 @@ assert ratio > 0.9
 # The rig's laboratory has the force in the quadriceps' spring as well.
 
 # %%
-with_force = fitting.fit_tendons(scene, measured, use=("position", "quadriceps"))
+with_force = fitting.fit_tendons(scene, measured, use=("position", "quadriceps"), computed=computed)
 print(with_force.sentence())
 share = {
     name: [float(sd / value) for sd, value in zip(e.standard_deviations, e.values, strict=True)]
@@ -159,7 +163,7 @@ for _ in range(10):
         femoral_spring_force=clean.effects["quadriceps"]["tension"] + 0.15 * random.standard_normal(clean.times.size),
         synthetic=True,
     )
-    e = fitting.fit_tendons(scene, noisy, use=("position", "quadriceps"), starts=4)
+    e = fitting.fit_tendons(scene, noisy, use=("position", "quadriceps"), starts=4, computed=computed)
     inside.append((e.intervals[:, 0] <= true) & (true <= e.intervals[:, 1]))
     off.append(e.values / true - 1)
 inside, off = np.array(inside), np.array(off)
@@ -176,8 +180,8 @@ assert inside.sum() >= 34  # fewer would happen once in two hundred times
 # nothing of how sure it is.
 
 # %%
-paper = fitting.fit_tendons(scene, measured, method="genetic", objective="paper", generations=12)
-exact = fitting.fit_tendons(scene, measured, objective="paper")
+paper = fitting.fit_tendons(scene, measured, method="genetic", objective="paper", generations=12, computed=computed)
+exact = fitting.fit_tendons(scene, measured, objective="paper", computed=computed)
 table(
     ["method", "evaluations", f"objective [{paper.objective_unit}]"],
     [[e.method, e.evaluations, f"{e.objective_value:.6g}"] for e in (paper, exact)],

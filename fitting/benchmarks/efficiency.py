@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.benchmarks.side_by_side import WideEvaluator, fitted, seen_by
-from fitting.evaluation import POSITION, Prediction
+from fitting.channels import POSITION
+from fitting.evaluation import Prediction
 from fitting.fit import SPRING_PARAMETERS
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import free_parameters

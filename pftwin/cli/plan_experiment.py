@@ -31,7 +31,7 @@ def plan_experiment(
     check_outputs(json)
     levels = noise_levels(noise)
     chosen = chosen_scene(scene, case, contact)
-    from fitting.identifiability import channels_of
+    from fitting.channels import channels_of
     from fitting.identifiability import plan_experiment as plan
 
     channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)

@@ -35,7 +35,19 @@ from pftwin.scene import Scene
 J = jnp.asarray
 NAMES = ("linear_implicit", "linear_implicit_bdf2", "symplectic_euler", "newmark", "newmark:rho=0.5", "ali3p")
 EACH = pytest.mark.parametrize("integrator", NAMES)
-SECOND = pytest.mark.parametrize("integrator", [n for n in NAMES if integrator_named(n).order == 2])
+# With contact, a program of a quarter of a minute each: every formula once, `newmark`'s damping and `ali3p` (which has
+# its own file, on the same motion) in the slow tests. The orders on smooth motion are by default those of all.
+_REST = ("newmark:rho=0.5", "ali3p")
+
+
+def _in_contact(names):
+    return pytest.mark.parametrize(
+        "integrator", [pytest.param(n, marks=pytest.mark.slow) if n in _REST else n for n in names]
+    )
+
+
+IN_CONTACT = _in_contact(NAMES)
+SECOND_IN_CONTACT = _in_contact([n for n in NAMES if integrator_named(n).order == 2])
 COUNTS = (100, 200, 400, 800)
 
 
@@ -75,7 +87,7 @@ def fine(held):
     return np.asarray(path(*held, J(500), "newmark"))
 
 
-@EACH
+@IN_CONTACT
 def test_order_on_two_facets(integrator, held, fine):
     """The button slides in its groove on both facets; every integrator comes to the same motion."""
     explicit = integrator == "symplectic_euler"  # unstable where the others have long arrived
@@ -158,10 +170,10 @@ def slopes(held):
     found, h, one = {}, 1e-5, J(1.0)
     for name in ("newmark", "linear_implicit_bdf2"):
         value = partial(total, integrator=name)
-        at = compiled(value)
-        ends = [float(at(J(x))) for x in (h, -h)]
-        forward = compiled(lambda f, value=value: jax.jvp(value, (f,), (one,))[1])
-        found[name] = float(forward(J(0.0))), float(compiled(jax.grad(value))(J(0.0))), (ends[0] - ends[1]) / (2 * h)
+        forward = compiled(lambda f, value=value: jax.jvp(value, (f,), (one,)))  # with the values, for the differences
+        ends = [float(forward(J(x))[0]) for x in (h, -h)]
+        slope, reverse = float(forward(J(0.0))[1]), float(compiled(jax.grad(value))(J(0.0)))
+        found[name] = slope, reverse, (ends[0] - ends[1]) / (2 * h)
     return found
 
 
@@ -173,7 +185,7 @@ def test_derivatives(integrator, slopes):
     assert abs(forward) > 1e-5
 
 
-@SECOND
+@SECOND_IN_CONTACT
 def test_the_energy_budget_closes_with_the_second_order(integrator, held):
     """What is left over of work, heat and energy shrinks with the square of the step, or is rounding."""
     scene, start = held

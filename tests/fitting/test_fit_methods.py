@@ -91,7 +91,31 @@ fitting.fit_tendons(lifting_scene(), Measured(data["t"], data["c"]), method="gen
 """
 
 
-def test_a_killed_fit_resumes_as_if_nothing_had_happened(tmp_path):
+class _Gone(BaseException):
+    """What no part of a fit waits for: like the end of the process, it leaves what is on disk, and no more."""
+
+
+def test_a_fit_that_is_gone_resumes_as_if_nothing_had_happened(tmp_path, monkeypatch):
+    def end(p):
+        if p.iteration == 5:
+            raise _Gone
+
+    path = tmp_path / "state.json"
+    options = {"method": "genetic", "generations": 12, "population": 24}
+    monkeypatch.setattr(fitting.fit, "_BETWEEN_CHECKPOINTS", 0.0)
+    with pytest.raises(_Gone):
+        fitting.fit_tendons(scene(), clean(), checkpoint=path, progress=end, **options)
+    assert json.loads(path.read_text())["state"]["iteration"] == 5
+    resumed = fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **options)
+    whole = fitting.fit_tendons(scene(), clean(), **options)
+    assert resumed.history == whole.history
+    np.testing.assert_array_equal(resumed.values, whole.values)
+    assert whole.reason == "12 generations, the most allowed"
+    assert whole.evaluations == 24 + 12 * 22
+
+
+@pytest.mark.slow
+def test_a_killed_process_leaves_what_can_be_resumed(tmp_path):
     import jax
 
     data, path = tmp_path / "data.npz", tmp_path / "state.json"

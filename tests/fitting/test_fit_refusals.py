@@ -35,6 +35,8 @@ from pftwin.measured import Measured
         ({"starts": 0}, "at least 1"),
         ({"generations": 5}, "no option 'generations'"),
         ({"resume": True}, "nothing to resume"),
+        ({"computed": ("position", "magic")}, "computed: no channel 'magic'.*quadriceps"),
+        ({"computed": ("quadriceps",)}, "computed: without position, which the fit compares"),
     ],
 )
 def test_mistakes_are_named(arguments, said):

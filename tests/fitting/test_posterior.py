@@ -11,6 +11,7 @@ from small_scene import small_scene
 import fitting
 import pftwin
 from fitting import independence
+from fitting.evaluation import Evaluator
 from pftwin.errors import InputError, MissingExtraError
 from pftwin.measured import Measured
 from pftwin.result_files import load_dataset
@@ -50,6 +51,21 @@ def posterior(estimate):
     found = fitting.sample_posterior(estimate, draws=250, progress=lambda *now: seen.append(now))
     assert seen[-1] == (1100, 1100)
     return found
+
+
+def test_one_program_serves_fits_to_other_channels(scene, estimate):
+    """It computes both channels; the one that is compared is picked, whatever their order."""
+    p = fitting.free_parameters(scene, SPRINGS)
+    both = Evaluator(scene, p, ("position", "quadriceps")).with_slopes(TRUTH[None], 6)
+    for channels, columns in ((("position",), slice(0, 3)), (("quadriceps",), slice(3, 4))):
+        one = Evaluator(scene, p, channels, computed=("position", "quadriceps"))
+        found = one.with_slopes(TRUTH[None], 6)
+        np.testing.assert_array_equal(found.values, both.values[..., columns])
+        np.testing.assert_array_equal(found.slopes, both.slopes[..., columns, :])
+        assert one.widths == ((3,) if channels == ("position",) else (1,))
+    alone = fitting.fit_tendons(scene, estimate.measured, computed=("quadriceps", "position"), starts=4)
+    assert alone.channels == ("position",)
+    assert 0.9 * NOISE < alone.rmse["position"] < estimate.rmse["position"]  # with the force it gives way a little
 
 
 @pytest.mark.slow

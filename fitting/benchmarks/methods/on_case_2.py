@@ -7,7 +7,8 @@ import sys
 from fitting.benchmarks.methods.comparison import Setting, compared
 from fitting.benchmarks.methods.meter import Budget
 from fitting.benchmarks.methods.table import rows_of
-from fitting.evaluation import POSITION, Evaluator
+from fitting.channels import POSITION
+from fitting.evaluation import Evaluator
 from fitting.fit import SPRING_PARAMETERS
 from fitting.objective import Objective
 from fitting.parameters import free_parameters

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from pftwin.hard_cases.case import Case
-from pftwin.hard_cases.limits import LIMITS
+from pftwin.hard_cases.limits import LIMITS, UNMENDED
 from pftwin.hard_cases.pieces import Piece, runs
 from pftwin.hard_cases.verdict import Cell
 
@@ -39,6 +39,11 @@ def by_case(cells: Sequence[Cell]) -> list[list[str]]:
             row.append(", ".join(f"{found[o]} {o}" for o in OUTCOMES if found[o]) or "-")
         rows.append(row)
     return rows
+
+
+def _failing(cells: Sequence[Cell]) -> list[str]:
+    """Names of the cases that fail somewhere, each once."""
+    return list(dict.fromkeys(c.case for c in cells if c.outcome == "fail"))
 
 
 def outcomes(cells: Sequence[Cell]) -> list[list[str]]:
@@ -86,6 +91,7 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
         _table(by_case(cells)),
         "## What fails, and why",
         _table(reasons(cells, "fail")) if found["fail"] else "Nothing.",
+        "\n".join(f"- **{name}**: {UNMENDED[name]}" for name in _failing(cells) if name in UNMENDED),
         "## What is refused\nIn words, before anything is computed, or by flags of the frames that say so.",
         _table(reasons(cells, "refused")),
         "### Limits of kinds of contact\nA run that goes beyond them says so by its flags, and is refused.",

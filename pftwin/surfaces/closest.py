@@ -10,9 +10,8 @@ from jax.lax import stop_gradient
 
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.charts import Chart, Jet
+from pftwin.surfaces.descent import Slope, descend
 
-PUSH = 0.04  # of the longest step: what moves a point off a saddle
-FLATTEST = 0.1  # curvatures of the distance below this share of the tangents' own are raised to it
 SHORT = 0.5  # of the longest step: up to here a point counts as having arrived
 
 
@@ -71,11 +70,6 @@ class ClosestPoint(NamedTuple):
     drift_v: Vec3
 
 
-def _limited(x: Scalar, most: Scalar) -> Scalar:
-    """x held within +-most; unlike `clip`, with a derivative of a single operation."""
-    return jnp.where(x > most, most, jnp.where(x < -most, -most, x))
-
-
 def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, push: float = 1.0) -> ClosestPoint:
     """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), at most `longest` in either coordinate, nor round an axis.
 
@@ -87,37 +81,30 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     extrapolation: a point that is still on its way understates an indentation and cannot invent one. The normal there
     is that of the surface's second-order expansion about the start, off by the step squared.
 
-    Derivatives are those of the step itself, the Hessian's and the start's included. Those of the closest point, by the
-    implicit function theorem, are theirs to first order in the step's length; but a point that crawls along a groove
-    as round as the sphere, or is on its way to a facet just found, follows the step and not the theorem.
+    Derivatives are those of the step, the Hessian's and the start's included, but for the surface's height where a step
+    ends, which is differentiated as an expansion of second order. Second derivatives of the normal are not to be had.
     """
     jet = surface.jet(u, v)
     s = surface.chart.separation(c, u, v, jet)
-    gu, gv = s.gradient
-    (huu, huv, hvv), gram, (tu, tv) = s.hessian, s.gram, s.tangents
-    convex = (huu > 0) & (huu * hvv > huv * huv)
-    # Raising the second pivot alone keeps a flat valley's direction.
-    over_u = 1 / jnp.maximum(jnp.where(convex, huu, jnp.abs(huu)), FLATTEST * gram[0])
-    ratio = jnp.where(convex, huv, 0.0) * over_u
-    over_v = 1 / jnp.maximum(jnp.where(convex, hvv - ratio * huv, jnp.abs(hvv)), FLATTEST * gram[2])
-    dv = (ratio * gu - gv) * over_v + jnp.where(convex, 0.0, push * PUSH * longest)
-    dv = _limited(dv, longest)
+    gram, (tu, tv) = stop_gradient((s.gram, s.tangents))
     along = surface.chart.longest_along(longest)
-    du = _limited(-gu * over_u - ratio * dv, along)
+    step = descend(Slope(s.gradient, s.hessian, (gram[0], gram[2]), (along, longest)), push)
+    du, dv = step.du, step.dv
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
-    _, slope_u, slope_v = jet.shifted(du, dv)
-    height = surface.height(u + du, v + dv)
+    height, slope_u, slope_v = jet.shifted(du, dv)
+    exact = surface.height(*stop_gradient((u + du, v + dv)))
+    height = height + stop_gradient(exact - height)
     normal = surface.chart.normal(u + du, height, slope_u, slope_v)
     away = c - surface.chart.local_point(u + du, v + dv, height)
     distance = away.norm()
-    drift_v = (tv - ratio * tu) * over_v
+    drift_v = (tv - step.ratio * tu) * step.over_v
     return ClosestPoint(
         u + du,
         v + dv,
         jnp.where(away.dot(normal) < 0, -distance, distance),
         normal,
         length,
-        jnp.where(convex & (jnp.abs(du) < SHORT * along) & (jnp.abs(dv) < SHORT * longest), 1.0, 0.0),
-        tu * over_u - ratio * drift_v,
+        jnp.where((step.convex > 0) & (jnp.abs(du) < SHORT * along) & (jnp.abs(dv) < SHORT * longest), 1.0, 0.0),
+        tu * step.over_u - step.ratio * drift_v,
         drift_v,
     )

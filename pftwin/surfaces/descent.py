@@ -69,14 +69,15 @@ def descend(slope: Slope, side: float) -> Step:
 @descend.defjvp
 def _descend_jvp(side: float, primals: tuple[Any], tangents: tuple[Any]) -> tuple[Step, Step]:
     ((slope,), (change,)) = primals, tangents
-    ((gu, _), (huu, _, hvv), gram, (along, across)), (dg, dh, _, dl) = slope, change
+    ((gu, _), (huu, huv, hvv), gram, (along, across)), (dg, dh, _, dl) = slope, change
     step = descend(slope, side)
     du, dv, over_u, over_v, ratio, convex = step
     free = -gu * over_u - ratio * dv  # du without its limit, which is what the equations have
     push = (1 - convex) * (side * PUSH)
     # What of the Hessian the two equations have: raised pivots hang on none of it, turned ones on it the other way.
     # The second pivot is hvv - ratio huv; where it is raised, its equation still has ratio huv = huv^2 / huu.
-    raised_u, raised_v = over_u * (FLATTEST * gram[0]) >= 1, over_v * (FLATTEST * gram[1]) >= 1
+    raised_u = jnp.abs(huu) <= FLATTEST * gram[0]
+    raised_v = jnp.where(convex > 0, hvv - ratio * huv, jnp.abs(hvv)) <= FLATTEST * gram[1]
     first = jnp.where(raised_u, 0.0, jnp.where(huu < 0, -1.0, 1.0)) * dh[0]
     mixed = convex * dh[1]
     whole = jnp.where((convex > 0) | (hvv > 0), dh[2], -dh[2]) * (dv - push * across)

@@ -74,14 +74,18 @@ def test_every_frame_in_contact_agrees_with_differences(programs):
         assert np.abs(forward[1, :, k]).max() > 1e-7
 
 
-def test_four_columns_cost_a_few_runs(programs):
-    """Residuals once stacked into one array were computed anew for every entry: 800 runs on the rig."""
+def test_four_columns_are_not_computed_anew_for_every_entry(programs):
+    """Residuals once stacked into one array were: 800 runs on the rig, where five to seven are right.
 
+    No speed is tested: it is an order of magnitude that separates the two. Ten runs at a time, for clocks of a process
+    tick once in 10 ms on some machines.
+    """
     times: tuple[list[float], list[float]] = ([], [])
-    for _ in range(12):  # in turn, the least of each: whatever else the machine does only adds
+    for _ in range(4):
         for program, own in zip(programs, times, strict=True):
             began = time.process_time()
-            jax.block_until_ready(program(jnp.zeros(4), J(40)))
+            for _ in range(10):
+                jax.block_until_ready(program(jnp.zeros(4), J(40)))
             own.append(time.process_time() - began)
     plain, columns = (min(own[1:]) for own in times)
-    assert columns < 8 * plain
+    assert columns < 60 * plain

@@ -56,12 +56,6 @@ UNMENDED = {
     " second is found the contact stores 1.35 J instead of 0.74. The run says two frames later that energy was created."
     " Without inertia and in float32: across such a groove the tangent's stiffness is lost in rounding, and a fold is"
     " taken where float64 finds none; the patella snaps out of the groove.",
-    "tendon_stiff": "On the spline, derivatives alone: from where a second facet is found. Its point takes steps of up"
-    " to 0.12 radii then, and the height at a step's end is differentiated as an expansion of second order. With the"
-    " height's own derivative they are 8e-6 off, for a tenth more operations in every derivative.",
-    "step_of_10_ms": "Newmark's derivative on P8, in some frames from the twelfth on, where the contact point begins to"
-    " creep along a groove as round as the button; six frames later finite differences of two sizes differ by more."
-    " Why it is off there is not known yet.",
     "contact_hard": "By volume, in float32: a contact of 1e11 N/m^1.5 starts 0.2 um deep, where float32 places the"
     " button by steps of 4 nm; the energy is created by rounding, and the run says so.",
 }

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
 import jax
@@ -73,6 +73,7 @@ class FemoralComponent(eqx.Module):
     proximal_end: Scalar | float = 50.0 * _DEG  # of the component, as meshed [rad]
     distal_end: Scalar | float = -110.0 * _DEG  # [rad]
     half_width: Scalar | float = 32.0e-3  # of the component [m]
+    smooth: ClassVar[bool] = True
 
     @property
     def chart(self) -> CylindricalChart:

@@ -8,6 +8,7 @@ stay continuous (C1), and `outside` says that the edge has been crossed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,6 +32,7 @@ class PolynomialPatch(eqx.Module):
     center: tuple[Scalar, Scalar]  # (u0, v0) [m]
     half_size: tuple[Scalar, Scalar]  # (half_u, half_v) [m]
     degree: int = eqx.field(static=True)
+    smooth: ClassVar[bool] = True
 
     def unstacked(self) -> PolynomialPatch:
         """The same patch with one array per coefficient: done once before a loop, so that the loop only multiplies."""

@@ -17,7 +17,7 @@ fetched for every sample would double the price of a batch.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -52,6 +52,7 @@ class SplinePatch(eqx.Module):
     center: tuple[Scalar, Scalar]  # (u0, v0) [m]
     half_size: tuple[Scalar, Scalar]  # (half_u, half_v) [m]
     loop: Loop | None = None  # once it has been made
+    smooth: ClassVar[bool] = False  # third derivatives jump from cell to cell
 
     @property
     def cells(self) -> tuple[int, int]:

@@ -64,7 +64,7 @@ def everything() -> list[Setting]:
     stepping, found = COMMON[:2], []
     for contact in (*SMOOTH, *MESHES):
         smooth, chief = contact in SMOOTH, contact == "P5"
-        # Contours' forces jump from facet to facet: there `quasi_static` finds no equilibrium and bursts at every step.
+        # Contours' forces jump from facet to facet: `quasi_static` refuses them. By volume it takes minutes.
         for integrator in (*COMMON, *FURTHER) if smooth else COMMON[:3]:
             more = smooth and (chief or integrator in stepping)
             found.append(Setting(contact, integrator, "float64", more, more))

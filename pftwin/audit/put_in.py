@@ -6,6 +6,7 @@ import equinox as eqx
 
 from pftwin.audit.left_out import TOE
 from pftwin.audit.variant import NotApplicable, Variant
+from pftwin.dynamics.integrators import integrator_named
 from pftwin.effects.friction import Friction, WithFriction
 from pftwin.effects.gravity import Gravity
 from pftwin.effects.rough_contact import with_friction
@@ -72,7 +73,7 @@ def _toe(scene: Scene) -> Variant | NotApplicable | None:
     return Variant(TOE, "put in", f"toe strain {TOE_STRAIN:g} in {names}, the linear region as it is", stiffening)
 
 
-def _inertia(scene: Scene, integrator: str) -> list[Variant]:
+def _inertia(scene: Scene, integrator: str) -> list[Variant | NotApplicable]:
     def times(factor: float) -> Scene:
         body = scene.patella
         heavier = factor * body.mass, factor * body.inertia
@@ -81,9 +82,17 @@ def _inertia(scene: Scene, integrator: str) -> list[Variant]:
     if integrator.startswith("quasi_static"):
         sentence = "mass and moments of inertia, by linear_implicit"
         return [Variant("patella inertia", "put in", sentence, scene, integrator="linear_implicit")]
-    sentence = "no inertia: quasi_static, weight as it is"
     return [
-        Variant("patella inertia", "left out", sentence, scene, integrator="quasi_static"),
+        _no_inertia(scene),
         Variant("patella inertia x 2", "changed", "mass and moments doubled, weight as it is", times(2.0), alike=True),
         Variant("patella inertia x 1/2", "changed", "mass and moments halved, weight as it is", times(0.5), alike=True),
     ]
+
+
+def _no_inertia(scene: Scene) -> Variant | NotApplicable:
+    try:
+        integrator_named("quasi_static").fits(scene.effects)
+    except InputError as error:
+        return NotApplicable("patella inertia", "left out", str(error))
+    sentence = "no inertia: quasi_static, weight as it is"
+    return Variant("patella inertia", "left out", sentence, scene, integrator="quasi_static")

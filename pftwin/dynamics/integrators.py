@@ -25,6 +25,7 @@ from pftwin.dynamics import (
 )
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
+from pftwin.effects.base import Effect
 from pftwin.errors import InputError
 from pftwin.spatial import Scalar
 
@@ -52,6 +53,20 @@ class Integrator(NamedTuple):
     options: Callable[..., Integrator] | None = None  # the same with options, where it has any
     told: Told = Told()
     inertia: bool = True  # whether the motion has any: else nothing is in its velocities
+
+    def fits(self, effects: tuple[Effect, ...]) -> None:
+        """Refuses effects that it has no answer for.
+
+        Raises:
+            InputError: without inertia, an effect whose force jumps, which need not have an equilibrium anywhere.
+        """
+        jumping = [] if self.inertia else [e.name for e in effects if e.jumps]
+        if jumping:
+            raise InputError(
+                f"found no inertia, and forces that jump from triangle to triangle in: {', '.join(jumping)}",
+                where="integrator",
+                expected="one with inertia, or a contact with equilibria: by volume, or of a patch",
+            )
 
     def unsettled(self, state: State) -> Scalar | None:
         """What is left of the equations of a frame's worst step, where they are not solved."""

@@ -125,7 +125,7 @@ def simulate(
             raise InputError("found both dt and tolerance", where="simulate", expected="one of them")
         return _within(scene, tolerance_in_metres(tolerance), integrator or ECONOMICAL, bool(energy_budget))
     name = integrator or "linear_implicit"
-    integrator_named(name)
+    integrator_named(name).fits(scene.effects)
     substeps = substeps_for(scene.motion.frame_interval, 1e-3 if dt is None else dt)
     plain = scene.unnamed()
     ahead = _compiled_side_by_side(plain, name, substeps, bool(energy_budget))
@@ -139,7 +139,8 @@ ECONOMICAL = "linear_implicit_bdf2"  # least work for an error between 0.3 and 0
 
 def _within(scene: Scene, tolerance: float, name: str, energy: bool) -> Result:
     """With the longest steps that hold a tolerance; one program serves all of them."""
-    order = integrator_named(name).order
+    chosen = integrator_named(name)
+    chosen.fits(scene.effects)
     plain = scene.unnamed()
     start, relaxed = settle(plain)
     spent = 0.0
@@ -152,7 +153,7 @@ def _within(scene: Scene, tolerance: float, name: str, energy: bool) -> Result:
         center, turn = (np.stack([np.asarray(a, float) for a in leaves], axis=-1) for leaves in _leaves(seen))
         return ran, Path(center, turn), not (np.asarray(seen.status) & int(Status.STEP_TOO_LONG)).any()
 
-    choice = coarsest(run, order, tolerance)
+    choice = coarsest(run, chosen.order, tolerance)
     settings = {"integrator": name, **_step(scene, choice.substeps), **settings_of(choice, tolerance)}
     return _result(scene, start, relaxed, choice.run._replace(preparation=spent), 0.0, settings)
 

@@ -102,9 +102,13 @@ def trajectory(
         start: an equilibrium to start from; by default it is solved for.
         ledger: whether to keep the energy ledger.
 
+    Raises:
+        InputError: no such integrator, or an effect that it has no answer for.
+
     Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
     """
     chosen = integrator_named(integrator)
+    chosen.fits(scene.effects)
     system = scene.system()
     if start is None:
         start = starting_equilibrium(scene)

@@ -197,6 +197,7 @@ class Effect(eqx.Module):
 
     name: str = eqx.field(static=True, kw_only=True)
     observables: ClassVar[dict[str, Observable]] = {}
+    jumps: ClassVar[bool] = False  # whether the force jumps as the pose changes: then there need be no equilibrium
 
     @abstractmethod
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:

@@ -40,6 +40,7 @@ class MeshContact(Effect):
     meshes: MeshPair | None = None  # laid out for the inner loop by `about`
     name: str = eqx.field(static=True, kw_only=True, default="contact")
     method: ClassVar[str] = "contours"
+    jumps: ClassVar[bool] = True  # where a corner or a triangle joins a contour
     observables: ClassVar[dict[str, Observable]] = {
         **{k: v for k, v in SphereContact.observables.items() if k != "off_patch"},
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),

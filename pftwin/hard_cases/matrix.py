@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.dynamics.integrators import integrator_named
 from pftwin.errors import InputError
 from pftwin.hard_cases import derivatives
 from pftwin.hard_cases.batch import Batch, batches, member, part, short_enough, steps_of
@@ -18,6 +19,7 @@ from pftwin.hard_cases.case import Case
 from pftwin.hard_cases.contacts import CONTACTS, PATCHES
 from pftwin.hard_cases.integrators import INTEGRATORS, Method
 from pftwin.hard_cases.knee import RATE
+from pftwin.hard_cases.limits import limit_of
 from pftwin.hard_cases.mates import batch_mates
 from pftwin.hard_cases.programs import PARAMETERS, Run, compiled, depths, poses, run, slopes
 from pftwin.hard_cases.starts import Starts, starts_of, starts_part
@@ -74,7 +76,11 @@ def _of_contact(
     methods = [m for m in selection.integrators if m.only is None or contact in m.only]
     methods = [m for m in methods if m.float32 or dtype == "float64"]
     cells = [_refusal(c, contact, m, dtype, refused[c.name]) for m in methods for c in cases if c.name in refused]
-    for batch in stacks:
+    words = limit_of(contact).without_inertia
+    unfit = [m for m in methods if words is not None and not m.inertia]
+    cells += [_unfit(c, batch, contact, m, dtype) for m in unfit for batch in stacks for c in batch.cases]
+    methods = [m for m in methods if m not in unfit]
+    for batch in stacks if methods else ():
         starts = starts_of(batch, dtype)
         for method in methods:
             began = time.perf_counter()
@@ -94,6 +100,17 @@ def _refusal(case: Case, contact: str, method: Method, dtype: str, error: InputE
     if words not in str(error):
         return Cell(case.name, contact, method.name, dtype, "fail", f"refused for another reason: {error}")
     return Cell(case.name, contact, method.name, dtype, "refused", str(error))
+
+
+def _unfit(case: Case, batch: Batch, contact: str, method: Method, dtype: str) -> Cell:
+    """An integrator that has to say that it has no answer with this contact."""
+    words = limit_of(contact).without_inertia or ""
+    try:
+        integrator_named(method.name).fits(batch.scenes.effects)
+    except InputError as error:
+        outcome = "refused" if words in str(error) else "fail"
+        return Cell(case.name, contact, method.name, dtype, outcome, str(error))
+    return Cell(case.name, contact, method.name, dtype, "fail", "not refused")
 
 
 def _run_batch(

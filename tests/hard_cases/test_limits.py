@@ -5,12 +5,21 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
+import pftwin
+from pftwin.audit.put_in import put_in
+from pftwin.audit.variant import NotApplicable
 from pftwin.dynamics.observe import Status
+from pftwin.dynamics.trajectory import trajectory
+from pftwin.errors import InputError
 from pftwin.hard_cases import CONTACTS, case_named
+from pftwin.hard_cases.batch import batches
+from pftwin.hard_cases.integrators import method_named
 from pftwin.hard_cases.limits import LIMITS, limit_of
+from pftwin.hard_cases.matrix import EVERYTHING, run_matrix
 from pftwin.hard_cases.verdict import _at_limit
 
 OK, CREATED, LOST = Status.OK, Status.ENERGY_FROM_NOWHERE, Status.SEARCH_OVERFLOW
@@ -49,3 +58,20 @@ def test_a_volume_creates_energy_only_over_a_rim():
     assert told("volume", [RIM, CREATED])
     assert not told("volume", [OK, CREATED, RIM])  # too late
     assert not told("volume", [RIM | LOST, CREATED])
+
+
+def test_contours_without_inertia_are_refused_in_words_before_anything_is_computed():
+    case = case_named("plain_knee")
+    selection = EVERYTHING._replace(contacts=("contours",), integrators=(method_named("quasi_static"),))
+    cells = run_matrix([case], selection)
+    assert [(c.outcome, c.dtype) for c in cells] == [("refused", "float64"), ("refused", "float32")]
+    scene = batches([case], "contours")[0][0].scenes
+    scene = jax.tree.map(lambda a: a[0], scene)
+    for how in ({}, {"tolerance": "0.1 mm"}):
+        with pytest.raises(InputError, match=r"jump from triangle to triangle in: contact.*by volume, or of a patch"):
+            pftwin.simulate(scene, integrator="quasi_static", **how)
+    with pytest.raises(InputError, match="no inertia"):
+        trajectory(scene, integrator="quasi_static")
+    (left_out,) = [v for v in put_in(scene, "newmark") if v.name == "patella inertia"]
+    assert isinstance(left_out, NotApplicable)
+    assert "jump" in left_out.reason

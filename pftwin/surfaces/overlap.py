@@ -17,6 +17,7 @@ from pftwin.surfaces.seam import SeamDepth
 from pftwin.surfaces.sphere_patch import Patch
 
 ONE_CONTACT = 3.0  # of depth^2 pi r (1 / V_m + 1 / V_l): from here on two facets bear one contact
+MICRO = 1e6  # per metre: squares of quotients' denominators stay within single precision down to 0.001 nm
 _PARABOLA = 1.25  # height of a parabola over the ratio of the integrals of its square and itself
 
 
@@ -81,9 +82,11 @@ def _out_of_power(power: Scalar, radius: Scalar, behind: Array) -> tuple[Scalar,
 def _merged(
     cuts: tuple[BallCut, BallCut], squares: list[Scalar], seam: SeamDepth, scale: Scalar
 ) -> tuple[Scalar, Vec3]:
-    """s and its gradient with respect to the sphere's centre."""
-    both = (squares[0] > 0) & (squares[1] > 0) & (seam.depth > 0)
-    m, v, along, square = (jnp.where(both, x, 1.0) for x in (*squares, seam.depth, seam.square))
+    """s and its gradient with respect to the sphere's centre; inside in micrometres."""
+    both = (squares[0] > 0) & (squares[1] > 0) & (seam.depth > 0) & (seam.square > 0)
+    area, volume = MICRO**2, MICRO**3
+    micro = (area * squares[0], area * squares[1], area * seam.depth, volume * seam.square)
+    m, v, along, square = (jnp.where(both, x, 1.0) for x in micro)
     depth = _PARABOLA * square / along
     t = (depth * depth / ONE_CONTACT) * (1 / m + 1 / v)
     partly = both & (t < 1)
@@ -91,8 +94,8 @@ def _merged(
     s = jnp.where(both, u * u * (3 - 2 * u), 0.0)
     slope = jnp.where(partly, 6 * u * (1 - u), 0.0)
     # d t: by the depth, and by each volume, of which 2 R V has the slope 2 * moment.
-    by_depth = (2 * t * slope) * ((1 / square) * seam.square_slope - (1 / along) * seam.depth_slope)
+    by_depth = (2 * t * slope) * ((volume / square) * seam.square_slope - (area / along) * seam.depth_slope)
     # By quotients of like size: the derivative of 1 / m^2 divides by m^4, too small for single precision when shallow.
-    rest, by_m, by_v = (slope / ONE_CONTACT) * (-2 / scale), depth / m, depth / v
+    rest, by_m, by_v = (slope / ONE_CONTACT) * (-2 / scale), MICRO * depth / m, MICRO * depth / v
     by_volume = (rest * by_m * by_m) * cuts[0].moment + (rest * by_v * by_v) * cuts[1].moment
     return s, by_depth + by_volume

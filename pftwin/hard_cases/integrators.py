@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pftwin.hard_cases.contacts import PATCHES
+
 
 class Method(NamedTuple):
     """An integrator, and how it is used here."""
@@ -25,7 +27,8 @@ INTEGRATORS = (
     Method("newmark", may_refuse=True, side_by_side=False),  # a batch of it compiles for minutes
     Method("symplectic_euler", longest_step=1e-4, may_refuse=True),
     Method("diffrax:Tsit5", may_refuse=True, only=("P5",), float32=False),
-    Method("quasi_static", may_refuse=True, inertia=False, side_by_side=False),
+    # By volume its derivatives were not there after 40 minutes, most of it compiling.
+    Method("quasi_static", may_refuse=True, inertia=False, side_by_side=False, differentiated_on=PATCHES),
     # Some 0.3 ms a step, and so few steps; undamped, as Newmark's method.
     Method(
         "ali3p",

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import pickle
 import warnings
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pftwin.kept import folder
 from pftwin.kept.identity import CannotKeepError, digest, value_text
+from pftwin.kept.plain import packed, unpacked
 from pftwin.kept.reach import reach, source, versions
 
 T = TypeVar("T")
@@ -23,7 +22,7 @@ _KIND = "values"
 def kept(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
     """function(*args), or what it once gave for the same arguments, the same content of the files and the same code.
 
-    The value must be picklable and depend on nothing else. What came with a warning is not kept, so that the warning
+    The value must be plain (`plain.packed`; what is not is not kept) and depend on nothing else. What came with a warning is not kept, so that the warning
     comes again. Where no folder is chosen, and wherever a key cannot be made, the function is simply called.
     """
     key = _key(function, args, files)
@@ -32,15 +31,15 @@ def kept(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
     body = folder.read(_KIND, key)
     if body is not None:
         with contextlib.suppress(Exception):  # whatever is wrong with it, it can be made anew
-            return pickle.loads(zlib.decompress(body))
+            return unpacked(body)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         value = function(*args)
     for w in warned:
         warnings.warn_explicit(w.message, w.category, w.filename, w.lineno)
     if not warned and _key(function, args, files) == key:  # the files are still those that were read
-        with contextlib.suppress(pickle.PicklingError, TypeError, AttributeError):  # not picklable
-            folder.write(_KIND, key, zlib.compress(pickle.dumps(value), 1))
+        with contextlib.suppress(CannotKeepError):  # not plain
+            folder.write(_KIND, key, packed(value))
     return value
 
 

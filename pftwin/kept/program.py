@@ -82,7 +82,7 @@ class Program:
 
     def at_hand(self, *args: Any) -> bool:
         """Whether arguments of this kind need no compilation: it was done here, or by a former process."""
-        kind, arrays = _kind_of(args)
+        kind, _ = _kind_of(args)
         if debugging() or kind in self._ready:
             return True
         name = self._name(kind)

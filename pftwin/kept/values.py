@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pftwin.file_limits import MESH_BYTES
 from pftwin.kept import folder
 from pftwin.kept.identity import CannotKeepError, digest, value_text
 from pftwin.kept.plain import packed, unpacked
@@ -22,8 +23,9 @@ _KIND = "values"
 def kept(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
     """function(*args), or what it once gave for the same arguments, the same content of the files and the same code.
 
-    The value must be plain (`plain.packed`; what is not is not kept) and depend on nothing else. What came with a warning is not kept, so that the warning
-    comes again. Where no folder is chosen, and wherever a key cannot be made, the function is simply called.
+    The value must be plain (`plain.packed`; what is not is not kept) and depend on nothing else. What came with a
+    warning is not kept, so that the warning comes again. Where no folder is chosen, and wherever a key cannot be made,
+    the function is simply called.
     """
     key = _key(function, args, files)
     if key is None:
@@ -47,7 +49,13 @@ def _key(function: Callable[..., Any], args: tuple[Any, ...], files: Sequence[Pa
     if folder.chosen() is None:
         return None
     try:
-        contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        contents = [_content(file) for file in files]
         return digest((source(), reach(function), versions(), value_text(args), *contents))
     except (CannotKeepError, OSError):
         return None
+
+
+def _content(file: Path) -> str:
+    if file.stat().st_size > MESH_BYTES:  # no reader takes it: that is for the reader to say
+        raise CannotKeepError(f"{file} is too large")
+    return hashlib.sha256(file.read_bytes()).hexdigest()

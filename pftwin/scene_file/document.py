@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pftwin.errors import InputError
+from pftwin.file_limits import SCENE_BYTES
 from pftwin.mocap.text_files import read_lines
 
 Place = tuple[str | int, ...]
@@ -40,7 +41,7 @@ class Document:
             InputError: missing, empty or binary; no TOML (naming line and column).
         """
         file = Path(path)
-        lines, _ = read_lines(file)
+        lines, _ = read_lines(file, max_bytes=SCENE_BYTES)
         try:
             data = tomllib.loads("\n".join(lines))
         except tomllib.TOMLDecodeError as error:

@@ -57,7 +57,7 @@ class Document:
     def files(self) -> tuple[Path, ...]:
         """The file itself and every file that a text in it may name."""
         named = sorted({text for text in _texts(self.data) if text.isprintable()})
-        return self.path, *(path for text in named if (path := self.folder / text).is_file())
+        return self.path, *(path for text in named if _is_file(path := self.folder / text))
 
     @property
     def folder(self) -> Path:
@@ -130,6 +130,13 @@ def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:
 
 def _keys(dotted: str) -> list[str]:
     return [part.strip("\"'") for part in re.findall(_PART, dotted)]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a text too long for a name
+        return False
 
 
 def _texts(data: Any) -> Iterator[str]:

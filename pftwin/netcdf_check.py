@@ -31,9 +31,12 @@ def check_netcdf(file: Path) -> list[str]:
         raise _too_large(f"{size / 1e9:.1f} GB", file)
     try:
         with h5py.File(file, "r") as opened:
-            opened.visititems_links(lambda name, link: _check_link(link, name, file))
             total = [0]
-            opened.visititems(lambda name, item: _check_item(item, name, file, total))
+            # What is returned ends the visit; an error would have to pass through HDF5, which it does not survive.
+            wrong = opened.visititems_links(lambda name, link: _in_link(link, name, file))
+            wrong = wrong or opened.visititems(lambda name, item: _in_item(item, name, file, total))
+            if wrong is not None:
+                raise wrong
             return [name for name, item in opened.items() if isinstance(item, h5py.Group)]
     except InputError:
         raise
@@ -41,20 +44,19 @@ def check_netcdf(file: Path) -> list[str]:
         raise not_netcdf(file, error) from error
 
 
-def _check_link(link: Any, name: str, file: Path) -> None:
+def _in_link(link: Any, name: str, file: Path) -> InputError | None:
     import h5py
 
-    if not isinstance(link, h5py.HardLink):
-        raise InputError(f"{name!r} stands elsewhere", where=file, expected=f"{_SAVED}, which holds all of itself")
+    return None if isinstance(link, h5py.HardLink) else _elsewhere(name, file)
 
 
-def _check_item(item: Any, name: str, file: Path, total: list[int]) -> None:
+def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError | None:
     import h5py
 
     if not isinstance(item, h5py.Dataset):
-        return
+        return None
     if item.external or item.is_virtual:
-        raise InputError(f"{name!r} stands elsewhere", where=file, expected=f"{_SAVED}, which holds all of itself")
+        return _elsewhere(name, file)
     announced, there = item.nbytes, item.id.get_storage_size()
     total[0] += announced
     # A chunk is unpacked whole, however little of it counts.
@@ -62,14 +64,19 @@ def _check_item(item: Any, name: str, file: Path, total: list[int]) -> None:
     for n in item.chunks or ():
         chunk *= int(n)
     if total[0] > RESULT_BYTES or chunk > RESULT_BYTES:
-        raise _too_large(f"{max(total[0], chunk) / 1e9:.1f} GB of variables", file)
+        return _too_large(f"{max(total[0], chunk) / 1e9:.1f} GB of variables", file)
     if max(announced, chunk) > max(RESULT_SMALL, RESULT_PACKED * there):
-        raise InputError(
+        return InputError(
             f"{name!r} announces {max(announced, chunk) / 1e6:.0f} MB, of which the file holds {there / 1e6:.1f}",
             where=file,
             expected=_SAVED,
             remedy="copy the file again, or simulate again",
         )
+    return None
+
+
+def _elsewhere(name: str, file: Path) -> InputError:
+    return InputError(f"{name!r} stands elsewhere", where=file, expected=f"{_SAVED}, which holds all of itself")
 
 
 def _too_large(found: str, file: Path) -> InputError:

@@ -68,7 +68,8 @@ def _check_record(content: bytes, begin: int, end: int, group: int, where: objec
             raise _damaged(where)
         kind, dimensions = struct.unpack_from("bB", content, begin)
         begin += 2 + dimensions
-        if kind not in (-1, 1, 2, 4) or dimensions > 7 or begin > end:
+        # ezc3d crashes on a text without dimensions, a single character, which no program is known to write.
+        if kind not in (-1, 1, 2, 4) or not (kind == -1) <= dimensions <= 7 or begin > end:
             raise _damaged(where)
         begin += abs(kind) * math.prod(content[begin - dimensions : begin])
     if begin >= end or begin + 1 + content[begin] > end:

@@ -52,6 +52,9 @@ class Document:
                 where=f"{file}, {place}" if place else file,
                 remedy="strings need quotes, lists square brackets; see https://toml.io",
             ) from None
+        except (ValueError, RecursionError) as error:  # a number of thousands of digits, lists within lists
+            problem = "lists within lists without end" if isinstance(error, RecursionError) else str(error)
+            raise InputError(f"not readable TOML: {problem}", where=file) from None
         return Document(file, data, _line_numbers(lines, data))
 
     def files(self) -> tuple[Path, ...]:

@@ -9,7 +9,8 @@ from typing import Any
 
 NUMBER = re.compile(rb"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
 NUMBERS = (
-    b"nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e999", b"0", b"-1", b"1e-320", b"4294967295", b"9223372036854775808",
+    b"nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e999", b"0", b"-1", b"1e-320", b"4294967295",
+    b"9223372036854775808",
     b"1_0", b"0x10", b"", b"text", b"1,5", b"9" * 5000, b"-0.0", b"true", b"[]", b'"text"', b"1e18", b"0.5",
 )  # fmt: skip
 INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF)

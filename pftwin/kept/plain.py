@@ -97,7 +97,7 @@ class _Writer:
         raise CannotKeepError(f"a {kind.__module__}.{kind.__qualname__} is not plain")
 
     def _of_jax(self, value: jax.Array) -> list[Any]:
-        if jax.dtypes.issubdtype(value.dtype, jax.dtypes.extended):
+        if jnp.issubdtype(value.dtype, jax.dtypes.extended):
             raise CannotKeepError(f"an array of {value.dtype}")
         if not value.weak_type:
             return ["device", *self._numbers(np.asarray(value))]
@@ -159,11 +159,11 @@ class _Reader:
         raise ValueError(f"no kind {kind!r}")
 
     def _fields(self, name: str, fields: list[Any]) -> Any:
-        kind = _found(name, object)
+        kind: Any = _found(name, object)
         if not dataclasses.is_dataclass(kind):
             raise TypeError(f"{name} is no dataclass")
         known = {f.name for f in dataclasses.fields(kind)}
-        made = object.__new__(kind)
+        made: Any = object.__new__(kind)  # pyright: ignore[reportArgumentType]
         for key, node in fields:
             if key not in known:
                 raise KeyError(key)

@@ -21,6 +21,7 @@ from pftwin.scene_file.document import Document
 
 # A crash of ezc3d or HDF5 would end the whole run of tests: these are left to the script, which takes processes.
 IN_C = ("c3d", "result")
+SLOW = (HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +48,7 @@ def test_the_valid_file_is_read(readers, name):
 
 
 @pytest.mark.parametrize("name", [f for f in FORMATS if f not in IN_C])
-@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
+@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=SLOW, database=None)
 @given(seed=st.integers(0, 2**63))
 def test_a_damaged_file_is_read_or_refused(readers, name, seed):
     one, folder = readers(name)
@@ -55,7 +56,7 @@ def test_a_damaged_file_is_read_or_refused(readers, name, seed):
 
 
 @pytest.mark.parametrize("name", ["estimate", "checkpoint", "strands"])
-@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
+@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=SLOW, database=None)
 @given(content=st.recursive(st.sampled_from(VALUES), lambda v: st.lists(v) | st.dictionaries(st.text(), v)))
 def test_any_json_is_read_or_refused(readers, name, content):
     import json

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pftwin.errors import InputError
+from pftwin.json_files import read_json
 from pftwin.output import written_whole
 
 FORMAT = "pftwin fit checkpoint 1"
@@ -31,16 +32,15 @@ def load(path: Path, problem: str) -> dict[str, Any]:
     Raises:
         InputError: no such file, no checkpoint, or one of another problem.
     """
+    content = read_json(path, expected=f"a file of {FORMAT!r}")
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise KeyError(content["format"])
         state = _restored(content["state"])
-    except FileNotFoundError:
-        raise InputError("there is no such file", where=path, expected="the checkpoint of an earlier fit") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        saved_of = content["problem"]
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(f"no checkpoint of a fit: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
-    if content["problem"] != problem:
+    if saved_of != problem:
         raise InputError(
             "a checkpoint of another problem",
             where=path,

@@ -15,6 +15,7 @@ from fitting.parameters import applied
 from fitting.places import find
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
 from pftwin.errors import InputError
+from pftwin.json_files import read_json
 from pftwin.output import written_whole
 from pftwin.scene import Scene
 
@@ -198,8 +199,8 @@ class Estimate:
         Raises:
             InputError: no such file, or no estimate.
         """
+        content = read_json(path, expected=f"a file of {FORMAT!r}, as `pftwin fit -o` writes it")
         try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
@@ -208,9 +209,7 @@ class Estimate:
             for key in ("names", "units", "channels"):
                 known[key] = tuple(known[key])
             known["priors"] = {k: (v[0], v[1]) for k, v in known["priors"].items()}
-        except FileNotFoundError:
-            raise InputError("there is no such file", where=path, expected="what `pftwin fit -o` wrote") from None
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
             raise InputError(f"no estimate: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
         return Estimate(**known, nominal_scene=scene)
 

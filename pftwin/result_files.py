@@ -13,6 +13,7 @@ from pftwin.errors import InputError
 from pftwin.mocap.csv_files import write_csv
 from pftwin.mocap.tables import Table
 from pftwin.mocap.text_files import write_text
+from pftwin.netcdf_check import check_netcdf, not_netcdf
 from pftwin.output import check_place, written_whole
 
 if TYPE_CHECKING:
@@ -44,14 +45,15 @@ def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> D
     """A dataset that `save_dataset` wrote, or one of its groups, read into memory.
 
     Raises:
-        InputError: no such file, not NetCDF-4, or no such group.
+        InputError: no such file, not NetCDF-4, too large, not whole in itself, or no such group.
     """
     from xarray import load_dataset as load
 
     file = Path(path)
     if not file.is_file():
         raise InputError("no such file", where=file, remedy="check the path and the working directory")
-    if group is not None and group not in _groups(file):
+    groups = check_netcdf(file)
+    if group is not None and group not in groups:
         raise InputError(
             f"holds no group {group!r}",
             where=file,
@@ -60,22 +62,8 @@ def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> D
         )
     try:
         return load(file, engine="h5netcdf", group=group)
-    except (OSError, ValueError) as err:
-        raise _not_netcdf(file, err) from err
-
-
-def _groups(file: Path) -> list[str]:
-    import h5netcdf
-
-    try:
-        with h5netcdf.File(file, "r") as opened:
-            return list(opened.groups)
-    except (OSError, ValueError) as err:
-        raise _not_netcdf(file, err) from err
-
-
-def _not_netcdf(file: Path, error: Exception) -> InputError:
-    return InputError(f"cannot be read as NetCDF: {error}", where=file, expected="a result saved by pftwin")
+    except Exception as error:  # the libraries raise whatever their parsing of a damaged file runs into
+        raise not_netcdf(file, error) from error
 
 
 def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from pathlib import Path
 
 from pftwin.errors import PftwinError
 
@@ -46,8 +47,8 @@ def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | o
         float64: compute in double precision.
         fast_cpu: switch on the fast CPU compilation.
         cache_dir: folder in which compiled programs, and what was derived from files (fitted patches, filtered
-            recordings), are kept for later processes. What is found in it is loaded and run, so nobody else must be
-            able to write to it. By default nothing is kept.
+            recordings), are kept for later processes. Programs found in it are run: a folder that another user owns or
+            can write to is not used, and a warning says so. By default nothing is kept.
 
     Raises:
         PftwinError: JAX has already started, and `fast_cpu` could have no effect any more.
@@ -69,10 +70,11 @@ def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | o
     if cache_dir is not None:
         from pftwin.kept import folder
 
-        folder.use(cache_dir)
-        jax.config.update("jax_compilation_cache_dir", str(cache_dir))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+        if folder.use(cache_dir):
+            Path(cache_dir).mkdir(mode=0o700, parents=True, exist_ok=True)  # JAX would make it by the user's mask
+            jax.config.update("jax_compilation_cache_dir", str(cache_dir))
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+            jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
 def _jax_has_started() -> bool:

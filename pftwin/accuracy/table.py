@@ -6,13 +6,13 @@ import csv as comma_separated
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pftwin.accuracy.measure import Row
 from pftwin.errors import InputError
+from pftwin.mocap.text_files import read_lines
 from pftwin.result_dataset import plain_attribute
 
 if TYPE_CHECKING:
@@ -76,10 +76,7 @@ def read_csv(path: str | os.PathLike[str]) -> list[Row]:
         InputError: no such file, or one without the columns that make a row.
     """
     where, texts = str(path), ("contact", "integrator", "dtype", "status")
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=where) from error
+    lines, _ = read_lines(path)
     found = []
     for number, cells in enumerate(comma_separated.DictReader(x for x in lines if not x.startswith("#")), start=1):
         if missing := [n for n in (*texts, "order", *_NEEDED) if not cells.get(n)]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pftwin.errors import InputError
 from pftwin.hard_cases.verdict import Cell
+from pftwin.json_files import read_json
 
 
 class Piece(NamedTuple):
@@ -31,14 +31,12 @@ def read_piece(path: Path) -> Piece:
         InputError: no such file, or another one's content.
     """
     where = str(path)
+    expected = "a file that pftwin hard-cases --json has written"
+    found = read_json(path, expected=expected)
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
         cells = tuple(Cell(**c) for c in found["cells"])
         return Piece(cells, float(found["seconds"]), dict(found["machine"]), bool(found["quick"]))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=where) from error
     except (ValueError, KeyError, TypeError) as error:
-        expected = "a file that pftwin hard-cases --json has written"
         raise InputError(f"no cells of the matrix in it: {error}", where=where, expected=expected) from error
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.errors import InputError
+from pftwin.file_limits import MODEL_BYTES
 from pftwin.mocap.text_files import read_bytes
 
 DEEPEST = 64  # elements within each other; models have a dozen
-MOST_BYTES = 64 * 2**20
 OLDEST = 40000  # the version of files of OpenSim 4
 
 
@@ -90,7 +90,7 @@ def read_osim(path: str | os.PathLike[str]) -> Element:
     Raises:
         InputError: no such file, no XML (naming the line), a DOCTYPE, no model, or one of an older version.
     """
-    root = _parsed(read_bytes(path, max_bytes=MOST_BYTES), str(path))
+    root = _parsed(read_bytes(path, max_bytes=MODEL_BYTES), str(path))
     if root.tag != "OpenSimDocument":
         raise InputError(f"the document is a <{root.tag}>", where=root.where, expected="an <OpenSimDocument>")
     version = root.name

@@ -82,11 +82,11 @@ class Program:
 
     def at_hand(self, *args: Any) -> bool:
         """Whether arguments of this kind need no compilation: it was done here, or by a former process."""
-        kind, arrays = _kind_of(args)
+        kind, _ = _kind_of(args)
         if debugging() or kind in self._ready:
             return True
         name = self._name(kind)
-        loaded = None if name is None else store.recalled(name, len(arrays))
+        loaded = None if name is None else store.recalled(name)
         if loaded is not None:
             self._ready[kind] = _Ready(*loaded, True)
         return loaded is not None
@@ -114,7 +114,7 @@ class Program:
     def _traced(self, kind: _Kind, arrays: list[Any], anew: bool = False) -> Callable[[], _Ready]:
         """The second part of `_prepared`, the first being done."""
         name = self._name(kind)
-        if name is not None and not anew and (loaded := store.recalled(name, len(arrays))) is not None:
+        if name is not None and not anew and (loaded := store.recalled(name)) is not None:
             return lambda: _Ready(*loaded, True)
         flat, structure = self._flat(kind)
         if name is None:

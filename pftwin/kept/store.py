@@ -6,36 +6,36 @@ program itself, so that source that changed elsewhere costs tracing but no compi
 
 from __future__ import annotations
 
-import pickle
+import contextlib
 import secrets
 import threading
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import jax
-from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
 from pftwin.kept import folder
 from pftwin.kept.environment import environment
-from pftwin.kept.identity import digest
+from pftwin.kept.executable import loaded, written
+from pftwin.kept.identity import CannotKeepError, digest
+from pftwin.kept.plain import packed, unpacked
 
 _ANSWERS, _PROGRAMS = "answers", "programs"
 Call = Callable[..., list[Any]]
 
 
-def recalled(name: str, arguments: int) -> tuple[Call, Any] | None:
+def recalled(name: str) -> tuple[Call, Any] | None:
     """The program of that name and its answer's structure; None where it was not kept, or is damaged."""
     body = folder.read(_ANSWERS, name)
     if body is None:
         return None
     try:
-        program, example = pickle.loads(body)
+        program, example = unpacked(body)
         structure = jax.tree.structure(example)
     except Exception:  # whatever is wrong with it, it can be made anew
         return None
-    call = _loaded(program, arguments, structure.num_leaves)
+    call = _loaded(program)
     return None if call is None else (call, structure)
 
 
@@ -55,36 +55,38 @@ def traced(
     # cannot be written down again (it lacks functions when it is next loaded).
     plain = flat.__name__
     flat.__name__ = f"{plain}_{secrets.token_hex(4)}"
-    lowered = jax.jit(flat).lower(*arrays)
-    program = digest((environment(), lowered.as_text().replace(flat.__name__, plain)))
+    trace = jax.jit(flat, keep_unused=True).trace(*arrays)  # what is kept takes all arguments
+    lowered = trace.lower()
+    text = lowered.as_text()
+    program = digest((environment(), text.replace(flat.__name__, plain)))
     answer = structure()
 
     def finish() -> tuple[Call, bool]:
-        call = None if anew else _loaded(program, len(arrays), answer.num_leaves)
+        call = None if anew else _loaded(program)
         found = call is not None
         if call is None:
             with _not_in_the_cache_of_jax():
                 call = lowered.compile()
             try:
-                body = zlib.compress(serialize(call)[0], 1)
-            except Exception:  # a version of JAX that cannot write programs down
+                body = written(call, trace.out_info, text)
+            except CannotKeepError:
                 return call, False
             folder.write(_PROGRAMS, program, body)
         # The structure as an example: its static parts come back as the very objects that they were.
         example = jax.tree.unflatten(answer, range(answer.num_leaves))
-        folder.write(_ANSWERS, name, pickle.dumps((program, example)))
+        with contextlib.suppress(CannotKeepError):
+            folder.write(_ANSWERS, name, packed((program, example)))
         return call, found
 
     return finish
 
 
-def _loaded(program: str, arguments: int, answers: int) -> Call | None:
+def _loaded(program: str) -> Call | None:
     body = folder.read(_PROGRAMS, program)
     if body is None:
         return None
-    ins, outs = jax.tree.structure(((0,) * arguments, {})), jax.tree.structure([0] * answers)
     try:
-        return deserialize_and_load(zlib.decompress(body), ins, outs)
+        return loaded(body)
     except Exception:  # whatever is wrong with it, it can be compiled anew
         return None
 

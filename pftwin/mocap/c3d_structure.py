@@ -6,6 +6,7 @@ and the length of the data section compared with the header (layout: c3d.org use
 
 from __future__ import annotations
 
+import math
 import struct
 
 from pftwin.errors import InputError
@@ -27,7 +28,7 @@ def check_c3d_structure(content: bytes, *, where: object) -> None:
         raise _truncated("its parameter section", where)
     processor = content[start + 3]
     if processor not in (_INTEL, _DEC, _MIPS):
-        raise InputError("the parameter section of this C3D file is damaged", where=where, remedy="export it again")
+        raise _damaged(where)
     order = ">" if processor == _MIPS else "<"
     _walk_parameters(content, start + 4, order, where)
     if processor != _DEC:  # the sign of DEC's float is elsewhere
@@ -35,21 +36,48 @@ def check_c3d_structure(content: bytes, *, where: object) -> None:
 
 
 def _walk_parameters(content: bytes, position: int, order: str, where: object) -> None:
+    groups, used = set(), set()
     while True:
         if position + 2 > len(content):
             raise _truncated("its parameter section", where)
-        length = abs(struct.unpack_from("b", content, position)[0])
+        length, group = struct.unpack_from("2b", content, position)
+        length = abs(length)
         if length == 0:
-            return
+            break
         link = position + 2 + length
         if link + 2 > len(content):
             raise _truncated("its parameter section", where)
         step = struct.unpack_from(order + "h", content, link)[0]
-        if step == 0:
-            return
-        if step < 0 or any(byte < 32 for byte in content[position + 2 : link]):
-            raise InputError("the parameter section of this C3D file is damaged", where=where, remedy="export it again")
+        if group == 0 or step < 0 or any(byte < 32 for byte in content[position + 2 : link]):
+            raise _damaged(where)
+        (groups if group < 0 else used).add(abs(group))
+        last = step == 0
+        _check_record(content, link + 2, len(content) if last else link + step, group, where)
+        if last:
+            break
         position = link + step
+    if used - groups:
+        raise _damaged(where)
+
+
+def _check_record(content: bytes, begin: int, end: int, group: int, where: object) -> None:
+    """A group's or parameter's data and description lie within its record."""
+    end = min(end, len(content))
+    if group > 0:
+        if begin + 2 > end:
+            raise _damaged(where)
+        kind, dimensions = struct.unpack_from("bB", content, begin)
+        begin += 2 + dimensions
+        # ezc3d crashes on a text without dimensions, a single character, which no program is known to write.
+        if kind not in (-1, 1, 2, 4) or not (kind == -1) <= dimensions <= 7 or begin > end:
+            raise _damaged(where)
+        begin += abs(kind) * math.prod(content[begin - dimensions : begin])
+    if begin >= end or begin + 1 + content[begin] > end:
+        raise _damaged(where)
+
+
+def _damaged(where: object) -> InputError:
+    return InputError("the parameter section of this C3D file is damaged", where=where, remedy="export it again")
 
 
 def _check_length(content: bytes, order: str, where: object) -> None:

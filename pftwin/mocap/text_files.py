@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,38 +11,46 @@ from pathlib import Path
 import numpy as np
 
 from pftwin.errors import InputError, OutputError
+from pftwin.file_limits import MIB, RECORDING_BYTES
 
-MAX_FILE_BYTES = 512 * 2**20
 _MISSING = {"", "nan", "-nan", "na", "n/a", "null", "-nan(ind)", "nan(ind)", "-1.#ind", "1.#qnan"}
 _TEXT_CONTROLS = {0x09, 0x0A, 0x0B, 0x0C, 0x0D, 0x1A}
 
 
-def read_bytes(path: str | os.PathLike[str], *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
+def read_bytes(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES) -> bytes:
     """A file's content.
 
     Raises:
-        InputError: missing, a folder, unreadable, empty, or larger than `max_bytes`.
+        InputError: missing, a folder, no file of its own (a pipe, a device), unreadable, empty, or larger than
+            `max_bytes`.
     """
     file = Path(path)
-    if file.is_dir():
-        raise InputError("is a folder", where=file, expected="a file")
     try:
-        size = file.stat().st_size
-        if size > max_bytes:
+        found = file.stat()
+        if stat.S_ISDIR(found.st_mode):
+            raise InputError("is a folder", where=file, expected="a file")
+        if not stat.S_ISREG(found.st_mode):  # it may have no end
+            raise InputError("is a device or a pipe", where=file, expected="a file")
+        if found.st_size > max_bytes:
             raise InputError(
-                f"{size / 2**20:.0f} MiB is too large", where=file, expected=f"at most {max_bytes / 2**20:.0f} MiB"
+                f"{found.st_size / MIB:.1f} MiB is too large",
+                where=file,
+                expected=f"at most {max_bytes / MIB:.0f} MiB",
+                remedy="check that it is the file that you mean; cut a long recording",
             )
         content = file.read_bytes()
     except FileNotFoundError as err:
         raise InputError("no such file", where=file, remedy="check the path and the working directory") from err
     except OSError as err:
         raise InputError(f"cannot be read: {err.strerror or err}", where=file) from err
+    except ValueError as err:  # a name with a zero byte
+        raise InputError(f"no name of a file: {err}", where=repr(str(file))) from err
     if not content.strip():
         raise InputError("the file is empty", where=file, expected="data")
     return content
 
 
-def read_lines(path: str | os.PathLike[str], *, max_bytes: int = MAX_FILE_BYTES) -> tuple[list[str], bool]:
+def read_lines(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES) -> tuple[list[str], bool]:
     """Lines of a text file without their ends (any convention), and whether the last one ends with a line end.
 
     Raises:

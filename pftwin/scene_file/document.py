@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pftwin.errors import InputError
+from pftwin.file_limits import SCENE_BYTES
 from pftwin.mocap.text_files import read_lines
 
 Place = tuple[str | int, ...]
@@ -40,7 +41,7 @@ class Document:
             InputError: missing, empty or binary; no TOML (naming line and column).
         """
         file = Path(path)
-        lines, _ = read_lines(file)
+        lines, _ = read_lines(file, max_bytes=SCENE_BYTES)
         try:
             data = tomllib.loads("\n".join(lines))
         except tomllib.TOMLDecodeError as error:
@@ -51,12 +52,15 @@ class Document:
                 where=f"{file}, {place}" if place else file,
                 remedy="strings need quotes, lists square brackets; see https://toml.io",
             ) from None
+        except (ValueError, RecursionError) as error:  # a number of thousands of digits, lists within lists
+            problem = "lists within lists without end" if isinstance(error, RecursionError) else str(error)
+            raise InputError(f"not readable TOML: {problem}", where=file) from None
         return Document(file, data, _line_numbers(lines, data))
 
     def files(self) -> tuple[Path, ...]:
         """The file itself and every file that a text in it may name."""
         named = sorted({text for text in _texts(self.data) if text.isprintable()})
-        return self.path, *(path for text in named if (path := self.folder / text).is_file())
+        return self.path, *(path for text in named if _is_file(path := self.folder / text))
 
     @property
     def folder(self) -> Path:
@@ -129,6 +133,13 @@ def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:
 
 def _keys(dotted: str) -> list[str]:
     return [part.strip("\"'") for part in re.findall(_PART, dotted)]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a text too long for a name
+        return False
 
 
 def _texts(data: Any) -> Iterator[str]:

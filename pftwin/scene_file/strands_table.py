@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import fnmatch
-import json
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -13,6 +12,7 @@ from pydantic import Field, model_validator
 
 from pftwin.effects.strands import StrandGroup
 from pftwin.errors import InputError
+from pftwin.json_files import read_json
 from pftwin.leaves import number as leaf
 from pftwin.leaves import vector
 from pftwin.mocap.naming import unknown_name
@@ -118,11 +118,7 @@ def read_strands(path: str, body: str) -> Strands:
 
 
 def _json_rows(path: str, body: str) -> list[tuple[str, list[float]]]:
-    lines, _ = read_lines(path)
-    try:
-        data = json.loads("\n".join(lines))
-    except json.JSONDecodeError as error:
-        raise InputError(f"not valid JSON: {error.msg}", where=f"{path}, line {error.lineno}") from None
+    data = read_json(path, expected='{"NAME": {"points": ...}, ...}')
     if not isinstance(data, dict):
         raise InputError("the file holds no object", where=path, expected='{"NAME": {"points": ...}, ...}')
     rows = []

@@ -20,7 +20,7 @@ from pftwin.spatial import Vec3
 from pftwin.surfaces.bvh.features import features_of
 from pftwin.surfaces.depth_fans import Fans, fans_of, rows_of
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.mesh_files import MOST_TRIANGLES
+from pftwin.surfaces.mesh_files import MESH_TRIANGLES
 from pftwin.surfaces.triangle import Triangle
 
 FEMUR_LANES = 8  # most triangles in a leaf
@@ -141,7 +141,7 @@ def _placed(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray
 
 
 def _check(mesh: SurfaceMesh) -> None:
-    if not 0 < len(mesh.faces) <= MOST_TRIANGLES:
-        raise InputError(f"{len(mesh.faces)} triangles", where=mesh.source, expected=f"1 to {MOST_TRIANGLES}")
+    if not 0 < len(mesh.faces) <= MESH_TRIANGLES:
+        raise InputError(f"{len(mesh.faces)} triangles", where=mesh.source, expected=f"1 to {MESH_TRIANGLES}")
     if not np.isfinite(mesh.vertices).all():
         raise InputError("vertices that are not finite", where=mesh.source, remedy="pftwin doctor-mesh")

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.errors import InputError
+from pftwin.file_limits import MESH_TRIANGLES
 from pftwin.surfaces.mesh import SurfaceMesh, weld
-from pftwin.surfaces.mesh_files import MOST_TRIANGLES
 from pftwin.surfaces.winding import adjacent
 
 
@@ -29,8 +29,8 @@ def icosphere(radius: float, frequency: int) -> SurfaceMesh:
     Raises:
         InputError: a frequency below 1 or that makes too many triangles; a radius that is not positive.
     """
-    if not frequency >= 1 or 20 * frequency**2 > MOST_TRIANGLES:
-        raise InputError(f"found {frequency}", where="frequency", expected=f"1 to {int((MOST_TRIANGLES / 20) ** 0.5)}")
+    if not frequency >= 1 or 20 * frequency**2 > MESH_TRIANGLES:
+        raise InputError(f"found {frequency}", where="frequency", expected=f"1 to {int((MESH_TRIANGLES / 20) ** 0.5)}")
     if not (np.isfinite(radius) and radius > 0):
         raise InputError(f"found {radius}", where="radius", expected="a positive length")
     vertices, faces = _unit(frequency)

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.errors import InputError
+from pftwin.file_limits import MESH_BYTES, MESH_TRIANGLES
 
 _FORMATS = (".stl", ".obj", ".ply")
-MOST_BYTES = 500_000_000  # of a file
-MOST_TRIANGLES = 2_000_000  # of a mesh: a hundred times what a knee's implant takes
 
 
 def check_format(path: Path) -> None:
@@ -27,19 +26,19 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices (n, 3) in the file's own unit and faces (m, 3), as the file has them.
 
     Raises:
-        InputError: missing, empty, unreadable or truncated file; no triangles; more than `MOST_BYTES` or
-            `MOST_TRIANGLES`.
+        InputError: missing, empty, unreadable or truncated file; no triangles; more than `MESH_BYTES` or
+            `MESH_TRIANGLES`.
     """
     import trimesh
 
     check_format(path)
     if not path.is_file():
         raise InputError("no such file", where=path, remedy="check the path")
-    if path.stat().st_size > MOST_BYTES:
+    if path.stat().st_size > MESH_BYTES:
         raise InputError(
             f"the file has {path.stat().st_size / 1e6:.0f} MB",
             where=path,
-            expected=f"at most {MOST_BYTES / 1e6:.0f} MB",
+            expected=f"at most {MESH_BYTES / 1e6:.0f} MB",
             remedy="export a coarser mesh, in binary",
         )
     data, kind = path.read_bytes(), path.suffix[1:].lower()
@@ -65,9 +64,9 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _check_count(triangles: int, path: Path) -> None:
-    if triangles > MOST_TRIANGLES:
+    if triangles > MESH_TRIANGLES:
         raise InputError(
-            f"{triangles} triangles", where=path, expected=f"at most {MOST_TRIANGLES}", remedy="export a coarser mesh"
+            f"{triangles} triangles", where=path, expected=f"at most {MESH_TRIANGLES}", remedy="export a coarser mesh"
         )
 
 

@@ -90,7 +90,7 @@ def test_ranges_that_are_none_are_refused(text):
         (["--case", "2", "--tighten-mpfl", "1"], "no tendon or strands named 'mpfl'"),
         (["--case", "2", "--contact", "P2", "--deepen", "2"], "expected: degree 4 or more"),
         (["--case", "2", "--medialise", "0:1000:0.01", "--distalise", "0:99:1"], "combinations"),
-        (["--case", "2", "--medialise", "1", "--estimate", "nothing.json"], "nothing.json: there is no such file"),
+        (["--case", "2", "--medialise", "1", "--estimate", "nothing.json"], "nothing.json: no such file"),
         (["--medialise", "1"], "neither a scene file nor --case"),
     ],
 )

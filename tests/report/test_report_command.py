@@ -47,7 +47,7 @@ def test_writes_a_page_of_a_result(folder, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("absent.nc", "-o", "r.html"), "there is no such file"),
+        (("absent.nc", "-o", "r.html"), "no such file"),
         (("notes.txt", "-o", "r.html"), "not a file that a report is made of"),
         (("other.json", "-o", "r.html"), "no estimate"),
         (("empty", "-o", "r.html"), "there is no fit.json in this folder"),

@@ -168,11 +168,11 @@ def test_what_is_not_finite_or_nowhere_is_fatal():
 def test_huge_files_are_refused_before_they_are_read(tmp_path, monkeypatch):
     save_mesh(check_mesh(*ball()), tmp_path / "ball.stl")
     save_mesh(check_mesh(*ball()), tmp_path / "ball.ply")
-    monkeypatch.setattr(mesh_files, "MOST_TRIANGLES", 1000)
+    monkeypatch.setattr(mesh_files, "MESH_TRIANGLES", 1000)
     for name in ("ball.stl", "ball.ply"):
         with pytest.raises(InputError, match=rf"{name}: 1280 triangles; expected: at most 1000"):
             load_mesh(tmp_path / name, units="m")
-    monkeypatch.setattr(mesh_files, "MOST_BYTES", 10_000)
+    monkeypatch.setattr(mesh_files, "MESH_BYTES", 10_000)
     with pytest.raises(InputError, match="the file has 0 MB; expected: at most 0 MB"):
         examine_file(tmp_path / "ball.stl")
 

@@ -11,6 +11,7 @@ import numpy as np
 from pftwin.cli.report.html import Section, bullets, drawn, number, paragraph, picture, subtitle, table
 from pftwin.cli.report.material import Material
 from pftwin.errors import InputError
+from pftwin.mocap.text_files import read_bytes, read_lines
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -102,7 +103,7 @@ def _of_demo(material: Material, folder: Path) -> str:
     for stem, words in figures.items():
         file = folder / f"{stem}.png"
         if file.is_file():
-            data = file.read_bytes()
+            data = read_bytes(file)
             if not data.startswith(_PNG):
                 raise InputError("is no PNG picture", where=file, expected="the folder as `pftwin demo` wrote it")
             alternative = f"{words}: path of the button in two planes, tilt and contact force over time."
@@ -112,8 +113,8 @@ def _of_demo(material: Material, folder: Path) -> str:
 
 def _errors(path: Path) -> str:
     """The study's Table 2 as the folder holds it."""
-    with path.open(encoding="utf-8", newline="") as file:
-        lines = list(csv.reader(file))
+    lines = list(csv.reader(read_lines(path)[0]))
+    lines = [line for line in lines if line]
     if not lines or lines[0][:2] != ["row", "unit"] or any(len(line) != len(lines[0]) for line in lines):
         raise InputError("is not the demo's table", where=path, expected="the folder as `pftwin demo` wrote it")
     headings = ["", "unit", *(_heading(h) for h in lines[0][2:])]

@@ -24,7 +24,7 @@ from pftwin.kept.values import kept
 from pftwin.surfaces.bvh import boxes, discs
 from pftwin.surfaces.bvh.order import depth_for, median_order
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.mesh_files import MOST_TRIANGLES
+from pftwin.surfaces.mesh_files import MESH_TRIANGLES
 
 Kind = Literal["disc", "box"]
 VOLUMES: dict[str, ModuleType] = {"disc": discs, "box": boxes}
@@ -79,8 +79,8 @@ def build_tree(mesh: SurfaceMesh, *, kind: Kind = "disc", leaf: int = 4, depth: 
         raise InputError(f"no bounding volume {kind!r}", where="kind", expected='"disc" or "box"')
     if not 1 <= leaf <= 64:
         raise InputError(f"leaves of {leaf} triangles", where="leaf", expected="1 to 64")
-    if not 0 < len(mesh.faces) <= MOST_TRIANGLES:
-        raise InputError(f"{len(mesh.faces)} triangles", where=mesh.source, expected=f"1 to {MOST_TRIANGLES}")
+    if not 0 < len(mesh.faces) <= MESH_TRIANGLES:
+        raise InputError(f"{len(mesh.faces)} triangles", where=mesh.source, expected=f"1 to {MESH_TRIANGLES}")
     if not np.isfinite(mesh.vertices).all():
         raise InputError("vertices that are not finite", where=mesh.source, remedy="pftwin doctor-mesh")
     deep = depth_for(len(mesh.faces), leaf)

@@ -1,0 +1,169 @@
+"""Kept values are data: they come back bit for bit, and no content of a file makes reading run code."""
+
+from __future__ import annotations
+
+import ast
+import json
+import pickle
+import zlib
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scene import small_scene
+
+import fitting
+import pftwin
+from pftwin.errors import PftwinWarning
+from pftwin.kept import folder
+from pftwin.kept.identity import CannotKeepError
+from pftwin.kept.plain import packed, unpacked
+from pftwin.spatial import Vec3
+
+
+def content(text: object, numbers: bytes = b"") -> bytes:
+    """Bytes as `packed` makes them, of any text."""
+    written = json.dumps(text).encode()
+    return zlib.compress(len(written).to_bytes(8, "little") + written + numbers)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None, True, -3, 0.1, float("inf"), "text", [1, (2.0, None)], {"a": [1], 2: "b"}, (), Path("folder/file"), Vec3,
+        np.float32(0.1), np.int64(4),
+    ],
+)  # fmt: skip
+def test_plain_values_come_back(value):
+    again = unpacked(packed(value))
+    assert again == value
+    assert type(again) is type(value)
+
+
+@pytest.mark.parametrize("array", [np.arange(6.0).reshape(2, 3), np.zeros((0, 3)), np.array([True]), np.array(1j)])
+def test_arrays_come_back(array):
+    again = unpacked(packed([array, array]))
+    np.testing.assert_array_equal(again[0], array)
+    assert again[0].dtype == array.dtype
+    assert again[0].shape == array.shape
+    assert again[0] is again[1]  # written once
+    assert again[0].flags.writeable
+
+
+def test_arrays_of_jax_come_back_strong_and_weak():
+    strong, weak = jnp.asarray(2.0, dtype=float), jnp.asarray(2.0)
+    again = unpacked(packed((strong, weak)))
+    assert [a.aval for a in again] == [strong.aval, weak.aval]
+
+
+def test_a_scene_comes_back():
+    scene = small_scene(11)
+    again = unpacked(packed(scene))
+    assert type(again) is type(scene)
+    assert again.name == scene.name
+    assert jax.tree.structure(again) == jax.tree.structure(scene)
+    for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(scene), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("value", [len, object(), np.array([object()]), {1, 2}, jax.random.key(0), lambda: None])
+def test_what_is_not_plain_is_not_kept(value):
+    with pytest.raises(CannotKeepError):
+        packed([value])
+
+
+class Sprung:
+    """Unpickling it writes a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return (Path.touch, (self.path,))
+
+
+def test_a_pickle_in_a_kept_file_is_not_run(tmp_path):
+    sprung = pickle.dumps(Sprung(tmp_path / "run"))
+    pickle.loads(sprung)
+    (tmp_path / "run").unlink()  # so it does run where it is unpickled
+    for body in (sprung, zlib.compress(sprung)):
+        with pytest.raises((ValueError, zlib.error)):
+            unpacked(body)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "node",
+    [
+        ["fields", "subprocess:Popen", ["args", "true"]],
+        ["fields", "pftwin.kept.folder:os.system"],
+        ["fields", "pftwin.kept.folder:Path"],
+        ["fields", "pftwin.errors:InputError"],
+        ["fields", "pftwin.spatial:Vec3", ["__class__", 1]],
+        ["type", "builtins:eval"],
+        ["named", "pftwin.spatial:Vec3", 1],
+        ["enum", "pftwin.spatial:Vec3", "x"],
+        ["array", "|O", [1], 0],
+        ["array", "<f8", [10**12], 0],
+        ["array", "<f8", [-1], 0],
+        ["again", 3],
+        ["call", "os.system"],
+        {"a": 1},
+        [],
+    ],
+)
+def test_no_other_type_is_made(node):
+    with pytest.raises((ValueError, TypeError, KeyError, IndexError, AttributeError, ImportError)):
+        unpacked(content(node, bytes(8)))
+
+
+def test_a_bomb_is_not_unpacked_whole(monkeypatch):
+    body = zlib.compress(bytes(10_000_000))
+    monkeypatch.setattr("pftwin.kept.plain.MOST_BYTES", 1_000_000)
+    with pytest.raises(ValueError, match="too large"):
+        unpacked(body)
+
+
+def test_nothing_in_the_packages_unpickles_or_evaluates():
+    banned = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml"}
+    for package in (pftwin, fitting):
+        for path in Path(package.__path__[0]).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                names = [a.name for a in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+                names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                parts = {part for name in names for part in name.split(".")}
+                assert not parts & (banned | {"serialize_executable"}), path
+                if isinstance(node, ast.Call):
+                    assert getattr(node.func, "id", "") not in ("eval", "exec"), path
+                    assert not any(k.arg == "allow_pickle" and ast.unparse(k.value) != "False" for k in node.keywords)
+
+
+class TestWhoseFolder:
+    @pytest.fixture(autouse=True)
+    def _as_before(self):
+        before = folder.chosen()
+        yield
+        folder.use(before)
+
+    def test_it_is_made_for_its_owner_alone(self, tmp_path):
+        assert folder.use(tmp_path / "kept")
+        folder.write("values", "a", b"content")
+        assert [p.stat().st_mode & 0o777 for p in (tmp_path / "kept", tmp_path / "kept" / "values")] == [0o700] * 2
+
+    @pytest.mark.parametrize("which", ["", "programs"])
+    @pytest.mark.parametrize("mode", [0o777, 0o770, 0o722])
+    def test_one_that_others_can_write_to_is_not_used(self, tmp_path, which, mode):
+        (tmp_path / "kept" / "programs").mkdir(parents=True)
+        (tmp_path / "kept" / which).chmod(mode)
+        with pytest.warns(PftwinWarning, match=r"others can write to .*nothing is kept.*chmod"):
+            assert not folder.use(tmp_path / "kept")
+        assert folder.chosen() is None
+
+    def test_one_of_another_user_is_not_used(self, tmp_path, monkeypatch):
+        owner = tmp_path.stat().st_uid
+        monkeypatch.setattr("os.getuid", lambda: owner + 1)
+        with pytest.warns(PftwinWarning, match="belongs to another user"):
+            assert not folder.use(tmp_path)
+        assert folder.chosen() is None

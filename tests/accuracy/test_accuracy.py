@@ -166,7 +166,7 @@ def test_a_table_that_was_kept_is_read_back(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("a,b\n1,2\n", "no contact"), (None, "cannot be read"), ("fast", "could not convert")]
+    ("text", "words"), [("a,b\n1,2\n", "no contact"), (None, "no such file"), ("fast", "could not convert")]
 )
 def test_a_file_that_is_no_table_is_refused(tmp_path, text, words):
     path = tmp_path / "kept.csv"

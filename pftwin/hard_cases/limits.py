@@ -49,8 +49,8 @@ LIMITS = {
 
 _AMPLIFIED = (
     "By volume, in float32, the derivatives of undamped steps (Newmark, explicit). Where the button goes from triangle"
-    " to triangle the motion multiplies rounding: Newmark's ends 0.002 to 1 mm from float64's, and its derivatives, which"
-    " agree to 1e-4 until then, are those of another path. In steps of 10 ms float64 refuses itself."
+    " to triangle the motion multiplies rounding: Newmark's ends 0.002 to 1 mm from float64's, and its derivatives,"
+    " which agree to 1e-4 until then, are those of another path. In steps of 10 ms float64 refuses itself."
 )
 
 # Cases that fail somewhere, with what is known of it; nothing is excused by standing here.

@@ -28,7 +28,9 @@ explains one. This page is made from the models that read the file, so it has ev
 - **Frames** are anatomical unless `[axes]` says otherwise: x proximal, y lateral, z anterior
   ([conventions](conventions.md)). Quaternions are (w, x, y, z).
 - **Groups.** "or a list" means one value for all members of a group, or one for each.
-- **Relative paths** start at the folder of the scene file.
+- **Relative paths** start at the folder of the scene file. Files lie in it or below; a scene that names others, by
+  `..`, by an absolute path or by a link, is refused unless you trust it and say so, by
+  `pftwin --allow-outside COMMAND ...` or `load_scene(..., allow_outside=True)`.
 - A table may be written `[contact]`, or, where there are several, `[[contact]]`.
 """
 _PARTS = (

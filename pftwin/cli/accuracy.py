@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from pftwin.cli.exit_codes import keeping
-from pftwin.cli.scenes import CaseOption, SceneArgument
+from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 from pftwin.errors import InputError, OutputError
 
@@ -96,9 +96,14 @@ def _source(scene: Path | None, case: int | None) -> _Source:
     if scene is not None:
         from pftwin.scene_file import load_scene_file
 
-        loaded = load_scene_file(scene)
+        allowed = allow_outside.get()
+
+        def of_the_file(name: str) -> Scene:
+            return load_scene_file(scene, contact=None if name == OWN else name, allow_outside=allowed).scene
+
+        loaded = load_scene_file(scene, allow_outside=allowed)
         return _Source(
-            lambda name: load_scene_file(scene, contact=None if name == OWN else name).scene,
+            of_the_file,
             OWN,
             loaded.measured,
             loaded.scene.name,

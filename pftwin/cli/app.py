@@ -35,6 +35,7 @@ from pftwin.cli import (
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
 from pftwin.cli.live import command as live
 from pftwin.cli.report import command as report
+from pftwin.cli.scenes import allow_outside
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
 
@@ -127,8 +128,12 @@ def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and end.")
     ] = False,
+    outside: Annotated[
+        bool, typer.Option("--allow-outside", help="Let a scene file name files outside its folder: one you trust.")
+    ] = False,
 ) -> None:
     """Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."""
+    allow_outside.set(outside)
 
 
 for _panel, _commands in COMMANDS.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +24,8 @@ SceneArgument = Annotated[
 CaseOption = Annotated[
     int | None, typer.Option("--case", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
 ]
+# Whether scene files may name files outside their folders: --allow-outside, set before each command by the program.
+allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
 _CONTACTS = "P2|P4|P5|spline|CM|FM|volume"
 
 
@@ -102,7 +105,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
         from pftwin.scene_file import load_scene_file
 
         with working(f"reading {scene}"):
-            loaded = load_scene_file(scene, contact=contact)
+            loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get())
         for note in loaded.notes:
             err().print(note, style="dim", markup=False, highlight=False, soft_wrap=True)
         return Chosen(loaded.scene, contact or _contact(loaded.scene), loaded.button)

@@ -32,9 +32,10 @@ class Document:
     data: dict[str, Any]
     lines: dict[Place, int] = field(default_factory=dict)
     wrapped: set[int] = field(default_factory=set)  # ids of values that validation has put into a list of one
+    allow_outside: bool = False  # whether it may name files outside its folder
 
     @staticmethod
-    def read(path: str | os.PathLike[str]) -> Document:
+    def read(path: str | os.PathLike[str], *, allow_outside: bool = False) -> Document:
         """Read a file.
 
         Raises:
@@ -55,17 +56,41 @@ class Document:
         except (ValueError, RecursionError) as error:  # a number of thousands of digits, lists within lists
             problem = "lists within lists without end" if isinstance(error, RecursionError) else str(error)
             raise InputError(f"not readable TOML: {problem}", where=file) from None
-        return Document(file, data, _line_numbers(lines, data))
+        return Document(file, data, _line_numbers(lines, data), allow_outside=allow_outside)
 
     def files(self) -> tuple[Path, ...]:
         """The file itself and every file that a text in it may name."""
         named = sorted({text for text in _texts(self.data) if text.isprintable()})
-        return self.path, *(path for text in named if _is_file(path := self.folder / text))
+        beside = (path for text in named if _is_file(path := self.folder / text))
+        return self.path, *(path for path in beside if self.allow_outside or self._holds(path))
 
     @property
     def folder(self) -> Path:
         """Relative paths in the file start here."""
         return self.path.parent
+
+    def file(self, name: str) -> Path:
+        """A file that a field names.
+
+        Raises:
+            InputError: it lies outside the scene's folder, or a link leads there, and that is not allowed. A scene file
+                may come from a stranger, and is not to make anybody read, or show, what lies elsewhere.
+        """
+        path = self.folder / name
+        if not self.allow_outside and not self._holds(path):
+            raise InputError(
+                f"{name!r} leads out of the scene's folder",
+                expected="a file beside the scene file, or in a folder below",
+                remedy="copy it there; or, if you know where the scene comes from, pftwin --allow-outside COMMAND ..., "
+                "load_scene(..., allow_outside=True)",
+            )
+        return path
+
+    def _holds(self, path: Path) -> bool:
+        try:
+            return path.resolve().is_relative_to(self.folder.resolve())
+        except (OSError, RuntimeError, ValueError):  # links in a circle, a text that is no name: for its reader to say
+            return True
 
     def locate(self, location: Sequence[str | int]) -> tuple[Place, Any, Any]:
         """Place in the file, enclosing value and value of a location in the validated models.

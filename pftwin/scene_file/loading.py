@@ -78,29 +78,33 @@ class LoadedScene:
         return self.scene.measured
 
 
-def load_scene(path: str | os.PathLike[str], *, contact: str | None = None) -> Scene:
+def load_scene(path: str | os.PathLike[str], *, contact: str | None = None, allow_outside: bool = False) -> Scene:
     """The scene that a TOML file describes.
 
     Args:
         path: the scene file; relative paths in it start at its folder.
         contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), in place of the file's.
+        allow_outside: whether the file may name others outside its folder; allow it to files whose origin you know.
 
     Raises:
         InputError: a file that cannot be read, unknown or missing fields, values that cannot be right; one message that
             lists every problem with its line and field.
     """
-    return load_scene_file(path, contact=contact).scene
+    return load_scene_file(path, contact=contact, allow_outside=allow_outside).scene
 
 
-def load_scene_file(path: str | os.PathLike[str], *, contact: str | None = None) -> LoadedScene:
+def load_scene_file(
+    path: str | os.PathLike[str], *, contact: str | None = None, allow_outside: bool = False
+) -> LoadedScene:
     """As `load_scene`, with the measurements that the file names and with notes for the user."""
     float_type = str(canonicalize_dtype(float))
-    return kept(_loaded, os.fspath(path), contact, float_type, files=Document.read(path).files())
+    files = Document.read(path, allow_outside=allow_outside).files()
+    return kept(_loaded, os.fspath(path), contact, float_type, allow_outside, files=files)
 
 
-def _loaded(path: str, contact: str | None, float_type: str) -> LoadedScene:
+def _loaded(path: str, contact: str | None, float_type: str, allow_outside: bool) -> LoadedScene:
     """The scene with leaves of this float type, which is JAX's default one."""
-    document = Document.read(path)
+    document = Document.read(path, allow_outside=allow_outside)
     file = _validated(document)
     side = Side.read(file.side == "left", file.axes, document)
     notes: list[str] = []

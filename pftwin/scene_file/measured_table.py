@@ -77,7 +77,7 @@ class MeasuredSection(Section):
                 raise InputError("a column of no file", where=document.describe(place), remedy='forces = "FILE.csv"')
             return dict.fromkeys(_FORCES)
         with document.naming("measured", "forces"):
-            table = read_csv(document.folder / self.forces, units="1")
+            table = read_csv(document.file(self.forces), units="1")
             slack = 0.1 * motion.frame_interval
             if table.times[0] > motion.start_time + slack or table.times[-1] < motion.end_time - slack:
                 raise InputError(

@@ -165,9 +165,10 @@ class Recording:
         if file is None:
             raise InputError("a body needs a file of poses", remedy='poses = "FILE.csv" in [motion]')
         with self.document.naming("motion", "poses"):
-            _check_there(self.document.folder / file)
+            path = self.document.file(file)
+            _check_there(path)
         if name not in self._poses:
-            self._poses.update(read_poses_csv(str(self.document.folder / file), [name]))
+            self._poses.update(read_poses_csv(str(path), [name]))
         return self._poses[name]
 
     def _filtered(self, names: list[str]) -> MarkerTrajectories:
@@ -177,7 +178,7 @@ class Recording:
             raise InputError("a cluster needs a file of markers", remedy='markers = "FILE.trc" in [motion]')
         if self._markers is None:
             with self.document.naming("motion", "markers"):
-                self._markers = read_markers(str(self.document.folder / motion.markers), units=motion.units)
+                self._markers = read_markers(str(self.document.file(motion.markers)), units=motion.units)
         seen = [name for name in names if name not in motion.fixed_points_m]
         markers, gaps = fill_gaps(self._markers.select(seen), max_gap_s=motion.max_gap_s)
         self.notes.extend(f"{g.marker}: filled frames {g.first_frame} to {g.last_frame}" for g in gaps)

@@ -32,8 +32,12 @@ class Setting:
     notes: list[str] = field(default_factory=list)  # for the user to read
 
     def path(self, name: str) -> str:
-        """A file's path; relative ones start at the scene file."""
-        return str(self.document.folder / name)
+        """A file's path; relative ones start at the scene file.
+
+        Raises:
+            InputError: it leads out of the scene's folder, and that is not allowed.
+        """
+        return str(self.document.file(name))
 
     def points(self, frame: str, values: ArrayLike) -> NDArray[np.float64]:
         """Points (..., 3) of a body's frame, mirrored where the knee is a left one, in the scene's frames."""

@@ -69,9 +69,10 @@ def test_a_checkpoint_of_another_problem_is_refused(tmp_path):
             fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **{**FEW, **other})
     with pytest.raises(InputError, match="another problem"):
         fitting.fit_tendons(scene(), noisy(5), checkpoint=path, resume=True, **FEW)
-    path.write_text("not json")
-    with pytest.raises(InputError, match="no checkpoint"):
-        fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **FEW)
+    for text, words in (("not json", "not valid JSON.*pftwin fit checkpoint"), ("{}", "no checkpoint of a fit")):
+        path.write_text(text)
+        with pytest.raises(InputError, match=words):
+            fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **FEW)
 
 
 _KILLED = """

@@ -248,14 +248,15 @@ def test_the_command_line_simulates_and_balances(toy: Path, tmp_path: Path, name
     scene = tmp_path / "scene.toml"
     text = changed('poses = "poses.csv"', 'poses = "poses.csv"\nend_time_s = 0.1', COMMANDS[name])
     scene.write_text(text.replace('"poses.csv"', f'"{toy}/poses.csv"').replace('"femur.stl"', f'"{toy}/femur.stl"'))
-    rest = CliRunner().invoke(app, ["equilibrium", str(scene), "--json", "-"])
+    rest = CliRunner().invoke(app, ["--allow-outside", "equilibrium", str(scene), "--json", "-"])
     assert rest.exit_code == 0, rest.output
     report = json.loads(rest.stdout)
     assert report["converged"]
     assert report["status"] == "ok"
     contact = report["effects"]["elastic_foundation" if name == "foundation" else "mesh_contact"]
     assert contact["force"] > 1
-    run = CliRunner().invoke(app, ["simulate", str(scene), "-o", str(tmp_path / "out.nc"), "--json", "-"])
+    command = ["--allow-outside", "simulate", str(scene), "-o", str(tmp_path / "out.nc"), "--json", "-"]
+    run = CliRunner().invoke(app, command)
     assert run.exit_code == 0, run.output
     facts = json.loads(run.stdout)
     assert facts["status"] == "ok"

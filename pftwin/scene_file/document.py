@@ -61,8 +61,8 @@ class Document:
     def files(self) -> tuple[Path, ...]:
         """The file itself and every file that a text in it may name."""
         named = sorted({text for text in _texts(self.data) if text.isprintable()})
-        beside = (path for text in named if _is_file(path := self.folder / text))
-        return self.path, *(path for path in beside if self.allow_outside or self._holds(path))
+        paths = (self.folder / text for text in named)
+        return self.path, *(p for p in paths if (self.allow_outside or self._holds(p)) and _is_file(p))
 
     @property
     def folder(self) -> Path:

@@ -15,12 +15,12 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.errors import InputError
+from pftwin.file_limits import MESH_TRIANGLES
 from pftwin.kept.values import kept
 from pftwin.spatial import Vec3
 from pftwin.surfaces.bvh.features import features_of
 from pftwin.surfaces.depth_fans import Fans, fans_of, rows_of
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.mesh_files import MESH_TRIANGLES
 from pftwin.surfaces.triangle import Triangle
 
 FEMUR_LANES = 8  # most triangles in a leaf

@@ -20,11 +20,11 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from pftwin.errors import InputError
+from pftwin.file_limits import MESH_TRIANGLES
 from pftwin.kept.values import kept
 from pftwin.surfaces.bvh import boxes, discs
 from pftwin.surfaces.bvh.order import depth_for, median_order
 from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.mesh_files import MESH_TRIANGLES
 
 Kind = Literal["disc", "box"]
 VOLUMES: dict[str, ModuleType] = {"disc": discs, "box": boxes}

@@ -113,6 +113,7 @@ def test_effective_lines_run_as_the_recorded_pulls(case):
     assert np.degrees(np.arccos(cosine)).max() < 8  # a line to the mean of the last points: 17 deg
 
 
+@pytest.mark.slow
 def test_fitted_positions_follow_the_recorded_ones(from_positions, with_stiffness):
     for outcome in (from_positions, with_stiffness):
         assert outcome.mean_distance < 1.1 * 2.12e-3
@@ -122,6 +123,7 @@ def test_fitted_positions_follow_the_recorded_ones(from_positions, with_stiffnes
         assert pftwin.Status.START_NOT_IN_EQUILIBRIUM not in outcome.result.status
 
 
+@pytest.mark.slow
 def test_positions_leave_the_scale_open_and_say_so(case, from_positions):
     e = from_positions.estimate
     assert "measure one force to fix both" in e.sentence()
@@ -136,12 +138,14 @@ def test_positions_leave_the_scale_open_and_say_so(case, from_positions):
     assert e.correlation[k1, k2] > 0.9
 
 
+@pytest.mark.slow
 def test_one_known_stiffness_fixes_the_scale(from_positions, with_stiffness):
     before, after = from_positions.estimate, with_stiffness.estimate
     assert np.all(after.standard_deviations[[0, 2]] < 0.5 * before.standard_deviations[[0, 2]])
     assert after.standard_deviations[0] < 0.05 * after.values[0]
 
 
+@pytest.mark.slow
 def test_tensions_that_the_fit_did_not_see(with_stiffness):
     for name, least, rms, ratio in ((QUADRICEPS, 0.99, 9.8, 0.90), (TENDON, 0.93, 15.1, 0.81)):
         found = with_stiffness.agreement(name)

@@ -244,6 +244,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS if name 
 
 
 @pytest.mark.parametrize("name", ["nearest", *SLOW])
+@pytest.mark.slow
 def test_the_command_line_simulates_and_balances(toy: Path, tmp_path: Path, name: str) -> None:
     scene = tmp_path / "scene.toml"
     text = changed('poses = "poses.csv"', 'poses = "poses.csv"\nend_time_s = 0.1', COMMANDS[name])

@@ -136,6 +136,7 @@ def test_a_parameter_that_went_wrong_later_is_named() -> None:
         pftwin.simulate(scene.with_effect(rough))
 
 
+@pytest.mark.slow
 def test_all_of_them_run_from_a_file(toy: Path) -> None:
     """One knee with all three: it starts in equilibrium, closes its budget and reports them with their units."""
     begin, end = (LIGHT.index(a) for a in ('[[tendon]]\nname = "patellar_tendon"', "[contact]"))
@@ -183,6 +184,7 @@ print(before == size(scene), any("frict" in str(p) or "dashpot" in str(p) for p 
 """
 
 
+@pytest.mark.slow
 def test_a_scene_without_them_neither_imports_them_nor_has_an_equation_of_them() -> None:
     root = Path(__file__).resolve().parents[1]
     done = subprocess.run(

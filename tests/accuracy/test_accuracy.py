@@ -90,6 +90,7 @@ def found(short_case) -> Found:
     return Found(measured_rows, {"P5": reference}, {"P5": validate(reference.result, measured)})
 
 
+@pytest.mark.slow
 def test_errors_fall_with_the_step(found):
     two = [r for r in found.rows if r.integrator == "linear_implicit_bdf2"]
     errors = [r.position_rms_mm for r in two]
@@ -102,6 +103,7 @@ def test_errors_fall_with_the_step(found):
     assert all(0.1 < r.measured_mm < 20 for r in two[1:])
 
 
+@pytest.mark.slow
 def test_single_precision_has_its_own_floor(found):
     single = [r for r in found.rows if r.dtype == "float32"]
     assert {r.dtype for r in found.rows} == set(FLOATS)
@@ -110,6 +112,7 @@ def test_single_precision_has_its_own_floor(found):
     assert np.isnan(single[0].gradient)
 
 
+@pytest.mark.slow
 def test_files(found, tmp_path):
     about = {"cpu": "a processor", "date": "a day"}
     paths = write(found, tmp_path / "new", "a case", about)

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scenes import knee, settled, tendon
 
 from pftwin.dynamics.trajectory import trajectory
@@ -36,6 +37,7 @@ def loaded(*words: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_a_scene_without_meshes_imports_no_search_and_no_effect_that_it_lacks():
     absent = "bvh", "mesh_contact", "elastic_foundation", "strands", "toe_tendon", "viscoelastic", "friction", "audit"
     assert loaded(*absent) == "[]"
@@ -49,6 +51,7 @@ def run(scene, start) -> list[np.ndarray]:
     return [np.asarray(a) for a in jax.tree.leaves(states)]
 
 
+@pytest.mark.slow
 def test_what_other_scenes_have_changes_no_bit():
     scene = knee(7)
     start = settled(scene)

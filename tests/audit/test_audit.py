@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 from scenes import RADIUS, gravity, knee
+from small_scene import small_result, small_scene
 from test_variants import hung
 from typer.testing import CliRunner
 
@@ -44,7 +45,7 @@ def found() -> Audit:
 
 @pytest.fixture(scope="module")
 def own() -> Result:
-    return run_alone(knee(FRAMES), "linear_implicit", SUBSTEPS).result
+    return small_result()
 
 
 def row(found: Audit, name: str):
@@ -95,20 +96,20 @@ def test_it_falls_apart_without_what_holds_it(found):
 
 def test_changes_are_those_that_were_made(own):
     shifted = replace(own, position=own.position + np.array([3e-3, 0, 4e-3]))
-    made = changes(knee(FRAMES), shifted, own)
+    made = changes(small_scene(), shifted, own)
     assert made.center_rms == pytest.approx(5e-3)
     assert made.center_max == pytest.approx(5e-3)
     assert made.flexion == made.contact_rms == made.tension_rms == 0
     turn = np.array([np.cos(0.05), 0.0, np.sin(0.05), 0.0])  # about the lateral axis
     quaternion = (Quaternion(*own.quaternion.T) * Quaternion(*turn)).array()
-    turned = changes(knee(FRAMES), replace(own, quaternion=np.asarray(quaternion)), own)
+    turned = changes(small_scene(), replace(own, quaternion=np.asarray(quaternion)), own)
     assert turned.flexion == pytest.approx(0.1, rel=0.02)
     assert turned.center_max < 1e-12  # about the button's centre, which is the origin
     stronger = {**own.effects, "quadriceps": {"tension": own.effects["quadriceps"]["tension"] + 2.0}}
-    pulled = changes(knee(FRAMES), replace(own, effects=stronger), own)
+    pulled = changes(small_scene(), replace(own, effects=stronger), own)
     assert (pulled.tension_of, pulled.tension_rms) == ("quadriceps", pytest.approx(2.0))
     without = {k: v for k, v in own.effects.items() if k != "contact"}
-    assert changes(knee(FRAMES), replace(own, effects=without), own).contact_rms is None
+    assert changes(small_scene(), replace(own, effects=without), own).contact_rms is None
 
 
 def test_runs_that_are_lost_say_why(own):
@@ -123,7 +124,7 @@ def test_runs_that_are_lost_say_why(own):
 
 def test_a_run_without_an_equilibrium_is_not_lost_from_the_table(own):
     """Only weight: nothing holds the patella, and the run says so itself."""
-    falling = knee(FRAMES).without("contact").without("quadriceps").without("patellar_tendon")
+    falling = small_scene().without("contact").without("quadriceps").without("patellar_tendon")
     result = run_alone(falling, "linear_implicit", SUBSTEPS).result
     assert lost(result, own) == "no equilibrium to start from"
 
@@ -139,12 +140,13 @@ def test_outcomes_are_what_is_new(own):
 @pytest.mark.parametrize(("kind", "yes", "no"), [("left out", "worth keeping", "could go"),
                                                  ("put in", "worth putting in", "not needed")])  # fmt: skip
 def test_verdicts_go_by_the_tolerance_and_by_dislocation(own, kind, yes, no):
-    moved = changes(knee(FRAMES), replace(own, position=own.position + np.array([2e-4, 0, 0])), own)
+    moved = changes(small_scene(), replace(own, position=own.position + np.array([2e-4, 0, 0])), own)
     assert _verdict(kind, moved, "", 1e-4) == yes
     assert _verdict(kind, moved, "", 3e-4) == no
     assert _verdict(kind, moved, "dislocates", 3e-4) == yes
 
 
+@pytest.mark.slow
 def test_side_by_side_is_as_alone():
     base = knee(FRAMES)
     heavier = eqx.tree_at(lambda s: s.patella.mass, base, 2 * base.patella.mass)

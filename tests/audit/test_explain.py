@@ -34,12 +34,14 @@ def found() -> Explanation:
     return explain(rough(), dt=1e-3)
 
 
+@pytest.mark.slow
 def test_every_part_has_a_row_and_friction_its_own(found):
     assert [p.name for p in found.parts] == ["gravity", "quadriceps", "patellar_tendon", "contact", "contact: friction"]
     assert found.parts[-1].of == "contact"
     assert found.steps == 10 * (FRAMES - 1)
 
 
+@pytest.mark.slow
 def test_works_add_up_to_the_kinetic_energy(found):
     moved = sum(p.moved for p in found.parts)
     assert moved > 1e-4
@@ -47,6 +49,7 @@ def test_works_add_up_to_the_kinetic_energy(found):
     assert all(p.moved >= abs(p.work) for p in found.parts)
 
 
+@pytest.mark.slow
 def test_only_what_damps_makes_heat(found):
     heat = {p.name: p.heat for p in found.parts}
     assert heat["gravity"] == 0
@@ -54,6 +57,7 @@ def test_only_what_damps_makes_heat(found):
     assert 0 < heat["contact: friction"] <= heat["contact"]
 
 
+@pytest.mark.slow
 def test_equations_add_up(found):
     assert found.equations == equations(rough())
     assert found.equations == found.shared_equations + sum(p.equations for p in found.parts if p.of is None)
@@ -61,6 +65,7 @@ def test_equations_add_up(found):
     assert 0 < friction.equations < found.parts[-2].equations
 
 
+@pytest.mark.slow
 def test_the_contact_takes_most_of_the_time_and_is_stiff(found):
     by_name = {p.name: p for p in found.parts}
     assert by_name["contact"].stiff
@@ -70,6 +75,7 @@ def test_the_contact_takes_most_of_the_time_and_is_stiff(found):
     assert found.step_time > 0
 
 
+@pytest.mark.slow
 def test_plain_values(found):
     assert json.loads(json.dumps(found.to_dict(), default=str))["parts"][3]["name"] == "contact"
     sheet = explanation_sheet(found)
@@ -114,6 +120,7 @@ def test_times_are_relative_to_the_first():
     assert 2 < three.ratio < 4
 
 
+@pytest.mark.slow
 def test_shares_are_what_is_gone_without_the_part(monkeypatch):
     """Quiet times make exact shares: whatever the machine does."""
     monkeypatch.setattr(module, "in_turn", lambda runs: [Share(1.0, 1.0, 0.0)] + [Share(0.6, 0.6, 0.01)] * 5)
@@ -122,6 +129,7 @@ def test_shares_are_what_is_gone_without_the_part(monkeypatch):
     assert again.shared_time == pytest.approx(1 - 4 * 0.4)
 
 
+@pytest.mark.slow
 def test_gravity_does_the_work_of_its_potential(found):
     plain = rough().unnamed()
     z = account(plain, settle(plain)[0].answer, "linear_implicit", 10).states.position.z

@@ -66,6 +66,7 @@ def test_completion_can_be_shown_for_common_shells():
         assert "_PFTWIN_COMPLETE" in done.stdout, done
 
 
+@pytest.mark.slow
 def test_no_color_is_respected():
     """Colours where they are forced: else the test could not fail."""
     for arguments in (("--help",), ("simulate", "none.toml", "-o", "out.nc")):

@@ -68,6 +68,7 @@ class Run:
         return said
 
 
+@pytest.mark.slow
 def test_fit_keeps_the_best_so_far_and_its_checkpoint(toy, tmp_path):
     options = ["-o", "fit.json", "--free", "K1,L1", "--method", "genetic", "--checkpoint", "state.npz"]
     slow = (
@@ -142,6 +143,7 @@ DURING_TIMES = (
 )
 
 
+@pytest.mark.slow
 def test_audit_keeps_the_variants_that_are_done(toy, tmp_path):
     run = Run(DURING_VARIANTS, "audit", toy, "--out", "worth", "--json", "worth.json", "--dt", "0.005", cwd=tmp_path)
     run.until_ready()
@@ -190,6 +192,7 @@ def test_contact_map_keeps_the_frames_that_are_done(tmp_path):
         assert data.attrs["title"] == "contact at given poses (interrupted: 2 of 3 frames)"
 
 
+@pytest.mark.slow
 def test_simulate_names_the_files_that_are_whole(toy, tmp_path):
     before = f"import pftwin.result as r\ndef to_csv(*a): {PAUSE}\nr.Result.to_csv = to_csv"
     run = Run(before, "simulate", toy, "-o", "out.nc", "--csv", cwd=tmp_path)
@@ -221,6 +224,7 @@ def test_where_nothing_is_saved_it_says_so(toy, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_blocks_change_no_outcome(toy, tmp_path, monkeypatch):
     import numpy as np
     from typer.testing import CliRunner

@@ -31,6 +31,7 @@ def run(folder: Path, *more: str, femur="plate.stl", patella="ball.stl", poses="
     return CliRunner().invoke(app, ["contact-map", *arguments, "--units", "m", *more])
 
 
+@pytest.mark.slow
 def test_a_ball_on_a_plate(files, tmp_path):
     import xarray as xr
 
@@ -56,6 +57,7 @@ def test_a_ball_on_a_plate(files, tmp_path):
     assert png.stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_a_stiffer_layer_and_the_logarithmic_law_bear_more(files):
     def force(*more: str) -> float:
         told = run(files, "--from", "0.1", "--to", "0.1", "--json", "-", *more)

@@ -61,6 +61,7 @@ def test_slope_and_rate_of_its_stiff_term(page: dict[str, Any]) -> None:
     assert float(brace.load(at(0.02, speed=0.3), None)[0].dissipation()) == 0.0
 
 
+@pytest.mark.slow
 def test_the_whole_example_runs(page: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     scene = small_scene(11)
     monkeypatch.setattr(pftwin.rig, "case", lambda n: scene)

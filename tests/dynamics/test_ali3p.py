@@ -129,6 +129,7 @@ def test_velocities_and_accelerations_are_projected(states, followed):
     assert np.abs(second_rate[1:]).max() < 1e-12 * np.abs(now.second_rate).max()
 
 
+@pytest.mark.slow
 def test_the_same_motion_as_in_independent_coordinates(held):
     """Differences from `newmark` shrink with the square of the step."""
     counts = (5, 10, 20, 40)

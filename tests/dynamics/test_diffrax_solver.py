@@ -72,6 +72,7 @@ def test_it_comes_to_newmarks_motion_and_closes_the_budget(held):
     assert abs(float(left)) < 1e-4 * abs(float(path.ledger.work[-1]))
 
 
+@pytest.mark.slow
 def test_derivatives_forward_and_reverse():
     """Of a fall on a tendon, by its stiffness; in steps of constant length, or differences see the choice of steps."""
 
@@ -92,6 +93,7 @@ def test_derivatives_forward_and_reverse():
     assert abs(difference) > 1e-6
 
 
+@pytest.mark.slow
 def test_a_solver_that_gives_up_says_so(held, monkeypatch):
     scene, start = held
     monkeypatch.setattr(diffrax_solver, "MOST_STEPS", 2)

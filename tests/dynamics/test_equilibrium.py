@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scenes import J, contact, flat_patch, knee, run, settled, starting_as_it_is, vec
 
 from pftwin.dynamics.linear_implicit import linear_implicit
@@ -39,6 +40,7 @@ def test_equilibrium_is_where_damped_motion_ends():
     assert lowest > 0  # it is a stable one
 
 
+@pytest.mark.slow
 def test_equilibrium_follows_its_parameters():
     """The implicit function theorem against central differences: a stiffness, and the shape of the whole patch.
 
@@ -94,6 +96,7 @@ def test_a_clean_motion_is_ok():
     assert status.describe() == "ok"
 
 
+@pytest.mark.slow
 def test_a_button_in_the_air_touches_nothing():
     scene = knee()
     away = eqx.tree_at(lambda s: s.effects[0].acceleration, scene, vec(0, 0, 300.0))

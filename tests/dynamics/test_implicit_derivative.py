@@ -64,6 +64,7 @@ def programs(held):
     return plain, columns
 
 
+@pytest.mark.slow
 def test_every_frame_in_contact_agrees_with_differences(programs):
     """The button lies on both facets from the first step on, which is the frame that a mistake would not leave."""
     plain, columns = programs

@@ -178,6 +178,7 @@ def slopes(held):
 
 
 @pytest.mark.parametrize("integrator", ["newmark", "linear_implicit_bdf2"])
+@pytest.mark.slow
 def test_derivatives(integrator, slopes):
     forward, reverse, difference = slopes[integrator]
     assert reverse == pytest.approx(forward, rel=1e-9)
@@ -186,6 +187,7 @@ def test_derivatives(integrator, slopes):
 
 
 @SECOND_IN_CONTACT
+@pytest.mark.slow
 def test_the_energy_budget_closes_with_the_second_order(integrator, held):
     """What is left over of work, heat and energy shrinks with the square of the step, or is rounding."""
     scene, start = held

@@ -38,6 +38,7 @@ def test_a_load_that_is_not_known_is_no_equilibrium() -> None:
     assert float(equilibrium._size([jnp.asarray(3.0), jnp.asarray(4.0)])) == 5
 
 
+@pytest.mark.slow
 def test_contours_have_an_equilibrium_and_it_follows_its_parameters(toy: Path) -> None:
     """Their tangent is not symmetric; taken for symmetric, it found no rest and its derivatives were wrong."""
     scene = load(toy, CONTOURS)

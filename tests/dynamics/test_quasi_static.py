@@ -100,6 +100,7 @@ def test_speed_of_a_motion(held):
         motion.at_speed(0.0)
 
 
+@pytest.mark.slow
 def test_without_dashpots_every_step_is_exact():
     """What forces know of speed is all that a step's length can change: here nothing."""
     scene = knee(16, Hertz(J(2e8)))
@@ -222,6 +223,7 @@ def test_what_a_snap_releases_is_heat(over_the_ridge, by_energy):
     assert heat[at - 1] < 1e-3 * by_energy.released
 
 
+@pytest.mark.slow
 def test_members_of_a_batch_snap_on_their_own(over_the_ridge):
     """One whose spring is too soft to leave its groove does not, and changes nothing for the other."""
     scene, (alone, _) = over_the_ridge
@@ -260,6 +262,7 @@ def derivatives(over_the_ridge, by_energy):
     return aside, np.asarray(jax.jit(jax.jacfwd(aside))(J(PULL)))
 
 
+@pytest.mark.slow
 def test_derivatives_agree_with_differences(derivatives):
     aside, forward = derivatives
     at, h = jax.jit(aside), 0.05
@@ -275,6 +278,7 @@ def test_reverse_mode_agrees_with_forward_mode(derivatives):
     np.testing.assert_allclose(backward(J(PULL)), forward, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_what_is_not_balanced_says_so(held, monkeypatch):
     monkeypatch.setattr(quasi_static_newton, "MOST_ITERATIONS", 1)
     scene, start = held

@@ -100,6 +100,7 @@ def small():
     return knee(16)
 
 
+@pytest.mark.slow
 def test_it_is_the_run_with_the_step_that_it_names(small):
     found = simulate(small, tolerance="0.01 mm")
     settings = found.settings
@@ -115,6 +116,7 @@ def test_it_is_the_run_with_the_step_that_it_names(small):
     assert data.attrs["estimated_error_m"] == settings["estimated_error_m"]
 
 
+@pytest.mark.slow
 def test_the_error_is_what_it_says(small):
     """Against a path of steps two hundred times as short."""
     found = simulate(small, tolerance="0.01 mm")
@@ -123,6 +125,7 @@ def test_the_error_is_what_it_says(small):
     assert 0.01 * found.settings["estimated_error_m"] < error < 2 * found.settings["estimated_error_m"]
 
 
+@pytest.mark.slow
 def test_what_cannot_be_held_is_said_and_still_handed_out(small, tmp_path):
     with pytest.warns(PftwinWarning, match="not met with 128 steps"):
         found = simulate(small, tolerance="1e-12 mm", integrator="linear_implicit")

@@ -21,6 +21,7 @@ def scene() -> Scene:
     return pftwin.rig.case(1, contact="P5")
 
 
+@pytest.mark.slow
 def test_is_the_centre_of_a_result(scene: Scene) -> None:
     path = jax.jit(lambda: tracked_path(scene, substeps=4))()
     np.testing.assert_allclose(
@@ -28,6 +29,7 @@ def test_is_the_centre_of_a_result(scene: Scene) -> None:
     )
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_finite_differences_beyond_the_edge_too(scene: Scene) -> None:
     at = scene.index("quadriceps")
     nominal = scene.effects[at].stiffness  # pyright: ignore[reportAttributeAccessIssue]

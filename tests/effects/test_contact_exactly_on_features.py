@@ -70,6 +70,7 @@ def looked(effect: Effect, d):
 
 
 @pytest.mark.parametrize("spot", SPOTS)
+@pytest.mark.slow
 def test_derivatives_are_finite_and_agree_where_features_meet(effect, spot):
     d = J([*SPOTS[spot], RADIUS - DEPTH, 0.0, 0.0, 0.0])
     value, forward, reverse = looked(effect, d)

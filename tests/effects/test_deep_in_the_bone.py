@@ -65,6 +65,7 @@ def first_status(scene: Scene, height: float) -> Status:
 
 
 @pytest.mark.parametrize("height", [0.0, 0.006, 0.02], ids=["at the middle", "off the middle", "under the surface"])
+@pytest.mark.slow
 def test_wholly_inside_it_is_too_deep(scene, height):
     assert Status.DEEP_INDENTATION in first_status(scene, height)
 
@@ -86,6 +87,7 @@ def test_apart_nothing_touches(scene, height):
     assert first_status(scene, height) == Status.NO_CONTACT
 
 
+@pytest.mark.slow
 def test_pairs_that_there_is_no_room_for_are_said():
     """Of contours; a foundation's load is not known then, see `test_elastic_foundation_motion`."""
     from pftwin.surfaces.bvh.pairs import Room
@@ -112,6 +114,7 @@ def test_the_search_for_contours_alone_sees_nothing_of_it():
     assert not bool(half.too_deep)
 
 
+@pytest.mark.slow
 def test_behind_an_open_surface_is_too_deep_and_says_how_far():
     """A femur's surface without its back: a button that hangs far below it does not just touch nothing."""
     from pftwin.effects.mesh_contact import MeshContact

@@ -39,6 +39,7 @@ def at_depth(d, **rest):
     return look((0, 0, RADIUS - d), orientation=Quaternion.from_rotation_vector(vec(0.3, 0.2, -0.1)), **rest)
 
 
+@pytest.mark.slow
 def test_a_ball_on_a_plate_bears_what_the_displaced_volume_says(effect):
     d = 5e-4
     load, report = seen(effect, at_depth(d))
@@ -54,6 +55,7 @@ def test_a_ball_on_a_plate_bears_what_the_displaced_volume_says(effect):
     assert float(report["too_deep"]) == 0
 
 
+@pytest.mark.slow
 def test_the_force_is_minus_the_energys_gradient_and_the_stiffness_its_slope(effect):
     now = at_depth(0.0)
 
@@ -92,6 +94,7 @@ def test_a_ball_comes_to_rest_under_its_weight(effect):
     assert abs(float(rest.velocity.z)) < 1e-4
 
 
+@pytest.mark.slow
 def test_the_sums_are_those_of_the_list_of_triangles(effect):
     pose = at_depth(1.5e-3, velocity=(0.01, 0.02, -0.03))
     pose = eqx.tree_at(lambda n: n.patella.spin, pose, vec(0.3, -0.4, 0.5))
@@ -131,6 +134,7 @@ def test_apart_nothing_is_borne(effect):
     assert all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(load.bed))
 
 
+@pytest.mark.slow
 def test_an_offset_button_is_the_same_ball(effect):
     there = eqx.tree_at(lambda e: e.origin, effect, vec(0.0, 0.0, 0.003))
     one, _ = seen(there, look((0, 0, RADIUS - 4e-4 - 3e-3)))

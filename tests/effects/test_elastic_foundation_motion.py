@@ -62,6 +62,7 @@ def test_a_logarithmic_layer_is_as_deep_as_its_law_asks_for():
     assert seen["indentation"] == pytest.approx(depth, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_dome_is_as_deep_as_the_volume_it_displaces():
     scene = alone(DOMED)
     seen = equilibrium(scene).effects["contact"]
@@ -104,6 +105,7 @@ def test_what_the_fall_loses_is_accounted_for(fallen):
     assert gaps[-1] < 0.2 * gaps[0]
 
 
+@pytest.mark.slow
 def test_a_run_from_equilibrium_is_clean_and_keeps_its_budget():
     result = simulate(pressed(DOMED))
     assert result.status == Status.OK
@@ -165,6 +167,7 @@ def test_the_reverse_mode_agrees_with_the_forward(short):
     np.testing.assert_allclose(backward, forward, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_an_equilibrium_follows_a_layers_modulus():
     scene = pressed(DOMED)
 

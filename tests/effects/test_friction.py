@@ -115,6 +115,7 @@ def test_a_sliding_ball_comes_to_roll():
 
 
 @pytest.mark.parametrize("step", [1e-3, 5e-3, 0.02])
+@pytest.mark.slow
 def test_it_never_turns_a_block_round_nor_keeps_it_going(step):
     """However long the step against the damper mu N / v_s: 350 kg/s on 0.12 kg."""
     sys = slope(0.0)
@@ -126,6 +127,7 @@ def test_it_never_turns_a_block_round_nor_keeps_it_going(step):
 
 
 @pytest.mark.parametrize("integrator", ["linear_implicit", "symplectic_euler"])
+@pytest.mark.slow
 def test_heat_is_all_that_is_lost(integrator):
     sys = slope(0.0, creep=0.02)  # a damper that the explicit step can take
     gaps = []

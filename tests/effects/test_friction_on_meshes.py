@@ -55,6 +55,7 @@ def test_every_contact_becomes_its_rough_kind_and_back():
 
 @pytest.mark.parametrize("kind", ["nearest", "volume"])
 @pytest.mark.parametrize("flank", [0.0, 25.0])
+@pytest.mark.slow
 def test_along_a_groove_it_slows_by_mu_g_over_the_flanks_cosine(kind, flank):
     """Each flank bears m g / (2 cos); a plate is a groove without flanks."""
     angle = np.radians(flank)

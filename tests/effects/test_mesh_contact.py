@@ -46,6 +46,7 @@ def loaded(effect: MeshContact, now: Instant, memory):
     return effect.load(now, memory), effect.report(now, memory)
 
 
+@pytest.mark.slow
 def test_force_moment_energy_and_rate_on_a_plate(on_a_plate):
     depth, arm = 0.3e-3, on_a_plate.origin
     turn = Quaternion.from_rotation_vector(vec(0.1, -0.2, 0.3))
@@ -71,6 +72,7 @@ def test_force_moment_energy_and_rate_on_a_plate(on_a_plate):
     assert not any(float(report[name]) for name in ("at_rim", "overflow", "too_deep", "merged"))
 
 
+@pytest.mark.slow
 def test_apart_nothing_pushes_and_no_approach_is_remembered(on_a_plate):
     now = instant(vec(0.0, 0.0, RADIUS + 0.02), vec(0.0, 0.0, -1.0), vec(0.0, 0.0, 0.0))
     (load, speeds), (report, energy) = loaded(on_a_plate, now, (J(0.3),))

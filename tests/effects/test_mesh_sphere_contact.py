@@ -88,6 +88,7 @@ def test_leaning_on_one_side_the_seam_is_no_second_contact():
     np.testing.assert_allclose(seen["indentation_lateral"], 1e-4, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_one_contact_on_a_plain_surface_is_not_counted_twice_by_its_labels():
     flat = grid(lambda u, v: 0 * u)
     both = mesh_facets(flat, lateral(flat))

@@ -87,6 +87,7 @@ def rates():
     return eqx.filter_jit(force_of), eqx.filter_jit(lambda e, p: jax.grad(lambda q: energy_of(e, q))(p)), *both
 
 
+@pytest.mark.slow
 def test_force_and_energy_go_on_smoothly_while_two_contacts_become_one(rates):
     """Down into a rounded groove: two contacts, then one across its bottom; the force stays the energy's slope."""
     groove = grid(lambda u, v: 0.004 * np.sqrt(1 + (v / 0.004) ** 2) * np.tan(np.radians(12)), 81, (0.012, 0.012))

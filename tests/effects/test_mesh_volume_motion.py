@@ -26,6 +26,7 @@ from pftwin.surfaces.mesh_facets import lateral_of_groove
 from pftwin.surfaces.patch_mesh import patch_mesh
 
 
+@pytest.mark.slow
 def test_energy_is_kept_by_a_sphere_that_bounces_on_a_ball_of_triangles():
     """Elastic law, small steps: what the steps lose tends to zero with them."""
     lost = []

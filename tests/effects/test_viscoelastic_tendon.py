@@ -222,6 +222,7 @@ def viscoelastic_knee():
     return scene, scene.with_effect(wants)
 
 
+@pytest.mark.slow
 def test_a_motion_starts_with_the_branch_relaxed():
     plain, viscous = viscoelastic_knee()
     one, two = settled(plain), settled(viscous)

@@ -65,6 +65,7 @@ def test_fit_with_a_posterior(toy, tmp_path):
     assert Estimate.load(output).names == ("L1",)
 
 
+@pytest.mark.slow
 def test_plan_experiment_says_what_helps(toy):
     result = pftwin("plan-experiment", toy, "--free", "K1,L1", "--noise", "position=1e-4", "--json", "-")
     assert result.exit_code == 0, result.output

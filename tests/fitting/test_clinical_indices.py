@@ -45,6 +45,7 @@ def tuberosity(flexion: float) -> np.ndarray:
     return Rotation.from_euler("YZ", [-flexion, ADDUCTION]).apply([-0.07, 0.01, 0.045])  # as scenes.knee has it
 
 
+@pytest.mark.slow
 def test_tt_tg_is_taken_at_least_flexion_unless_asked_for():
     found = clinical_indices(knee()).tt_tg
     assert found.value == pytest.approx(1e3 * tuberosity(FLEXION[-1])[1])

@@ -22,6 +22,7 @@ def test_noise_leaves_an_error_of_the_size_that_is_reported():
     assert (estimate().standard_deviations / TRUTH < 0.03).all()
 
 
+@pytest.mark.slow
 def test_samples_have_the_covariance():
     samples = estimate().samples(20000, seed=1)
     np.testing.assert_allclose(

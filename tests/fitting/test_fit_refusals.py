@@ -44,6 +44,7 @@ def test_mistakes_are_named(arguments, said):
         fitting.fit_tendons(scene(), clean(), **arguments)
 
 
+@pytest.mark.slow
 def test_measurements_of_another_length_rate_or_frame():
     for times, center, said in (
         (truth().times[:-1], truth().center[:-1], "40 frames at 100 Hz"),

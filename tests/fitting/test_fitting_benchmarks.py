@@ -88,6 +88,7 @@ def test_every_method_takes_part_from_every_seed_within_its_budget(comparison):
             assert course.bests[-1].cpu <= course.cpu
 
 
+@pytest.mark.slow
 def test_one_point_at_a_time_is_counted_as_that(comparison):
     batches = {name: courses[0].evaluations / courses[0].batches for name, courses in comparison.courses.items()}
     assert batches["scipy_dual_annealing"] == 1
@@ -107,6 +108,7 @@ def test_derivatives_count_for_as_many_as_there_are_parameters(setting, name, ba
     assert problem.answer(Request(np.array([last.theta]), 6, "normal")).value[0] == pytest.approx(last.value, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_was_found_is_worth_what_was_noted(comparison, setting):
     problem = Problem(setting.evaluator.scene, setting.nominal, setting.objective, setting.evaluator)
     lasts = {name: courses[0].bests[-1] for name, courses in comparison.courses.items()}
@@ -135,6 +137,7 @@ def test_guesses_differ_between_seeds_and_not_between_methods(setting):
     assert ((share >= 0.25) & (share <= 0.75)).all()
 
 
+@pytest.mark.slow
 def test_the_table_has_every_method_and_says_where_ours_stands(rows, comparison):
     places = [r for r in rows if r.what.startswith("place of our least squares")]
     assert len(places) == 2
@@ -153,6 +156,7 @@ def test_the_table_has_every_method_and_says_where_ours_stands(rows, comparison)
     assert min(float(line["excess_evaluations_mm_least"]) for line in table) >= 0
 
 
+@pytest.mark.slow
 def test_the_figure_shows_every_method(rows, comparison):
     figure = comparison_figure(courses_of(rows), comparison.budget)
     labels = {line.get_label() for axes in figure.axes for line in axes.lines}
@@ -160,6 +164,7 @@ def test_the_figure_shows_every_method(rows, comparison):
     assert "SYNTHETIC" in figure.get_suptitle()
 
 
+@pytest.mark.slow
 def test_the_page_is_written_from_the_file_of_figures(rows, tmp_path):
     file, target = tmp_path / "b.json", tmp_path / "page.md"
     file.write_text(to_json(rows, MACHINE))

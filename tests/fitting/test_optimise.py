@@ -32,6 +32,7 @@ def bound(knee):
     return offset(knee, medialisation=7.3e-3)
 
 
+@pytest.mark.slow
 def test_one_amount_ends_where_its_limit_is_just_met(knee, bound):
     plan = optimise_treatment(knee, Limit("largest_offset", at_most=bound), {"medialisation": (0.0, 0.02)}, dt=DT)
     assert plan.met

@@ -191,6 +191,7 @@ def test_courses_over_draws_are_those_of_the_drawn_scenes(of_the_small_knee):
     assert "2 draws from its uncertainty" in figure.get_suptitle().replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_response_of_the_small_knee(of_the_small_knee):
     amounts = grid("tibial_tuberosity_transfer", medialisation=[0.0, 0.002, 0.004])
     figure = of_the_small_knee.plot.response(amounts, samples=3)

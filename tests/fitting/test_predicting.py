@@ -138,6 +138,7 @@ def test_chunks_do_not_change_the_answer(sampled, knee):
     assert max(calls) == (70, 70)
 
 
+@pytest.mark.slow
 def test_members_that_cannot_be_simulated_are_marked(knee):
     lengths = [-0.001, -0.0715, -0.5, 0.0]
     found = predict(knee, grid("patellar_tendon_length_change", lengthening=lengths), dt=DT)

@@ -41,6 +41,7 @@ def test_a_treated_knee_has_none():
         measured_of(Treatment.of("tibial_tuberosity_transfer", medialisation=0.01)(case))
 
 
+@pytest.mark.slow
 def test_a_fit_compares_with_what_the_scene_carries():
     carrying = replace(scene(), measured=clean())
     found = fitting.fit_tendons(carrying, free=SPRINGS[:1], starts=1)

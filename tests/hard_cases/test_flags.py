@@ -33,6 +33,7 @@ def test_a_bounce_shorter_than_an_undamped_step_is_said_to_create_energy():
 
 
 @pytest.mark.parametrize("integrator", ["linear_implicit", "linear_implicit_bdf2"])
+@pytest.mark.slow
 def test_damped_steps_create_none(integrator):
     """The second-order one starts afresh after an impact, and work is taken by the velocity of the loads."""
     for flags in flags_of(["bounce_to_rest", "plain_knee"], integrator, 10):

@@ -30,6 +30,7 @@ def outcomes() -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.parametrize("name", HARD)
+@pytest.mark.slow
 def test_what_a_plane_passes_a_cylinder_passes(outcomes, name):
     assert outcomes[name] == ("pass", "")
 

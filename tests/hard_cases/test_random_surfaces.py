@@ -8,6 +8,7 @@ import hypothesis
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 from pftwin.hard_cases.batch import built, member, stacked
@@ -26,6 +27,7 @@ COEFFICIENTS = st.lists(
 
 @hypothesis.settings(max_examples=12, deadline=None, derandomize=True)
 @hypothesis.given(COEFFICIENTS, st.floats(7.5, 9.5), st.floats(0.03, 0.3))
+@pytest.mark.slow
 def test_invariants_hold_on_any_surface(coefficients, stiffness, mass):
     plain = Knee(ground=bumpy(np.array(coefficients)), mass=mass)
     knee = replace(plain, law=replace(plain.law, stiffness=10**stiffness))

@@ -17,6 +17,7 @@ def found() -> dict[str, Result | InputError]:
     return results([case_named(name) for name in NAMES])
 
 
+@pytest.mark.slow
 def test_a_case_in_equilibrium_is_what_simulate_makes_of_it(found):
     case = case_named("plain_knee")
     same = simulate(built(case, "P5"), dt=case.step)

@@ -196,6 +196,7 @@ def test_transformations_go_through():
     assert float(jax.grad(root)(x[0])) == 0.25
 
 
+@pytest.mark.slow
 def test_timing_tells_preparation_from_running():
     scene = small_scene(11)
     scene = eqx.tree_at(lambda s: s.patella.mass, scene, 1.01 * scene.patella.mass)
@@ -218,6 +219,7 @@ def test_a_program_can_be_prepared_from_shapes():
     np.testing.assert_array_equal(ready.answer, 2 * np.ones(3))
 
 
+@pytest.mark.slow
 def test_both_programs_of_a_first_simulation_are_those_that_were_compiled_side_by_side():
     scene = small_scene(9)
     simulate_module = sys.modules["pftwin.dynamics.simulate"]

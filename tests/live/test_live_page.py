@@ -22,6 +22,7 @@ from viewer_pages import chromium  # noqa: E402
 
 from pftwin.labels import SYNTHETIC  # noqa: E402
 
+pytestmark = pytest.mark.slow
 SLIDER = "xpath=//*[normalize-space(text())='{}']/ancestor::*[.//*[@role='slider']][1]"
 ORANGE = (213, 94, 0)  # of the treated knee
 

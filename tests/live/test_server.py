@@ -191,6 +191,7 @@ def test_reset_time_play_and_comparison(client, server):
     client.wait(lambda c: any(e.get("label") == "Play" for e in c.elements.values()))
 
 
+@pytest.mark.slow
 def test_another_contact_is_prepared_while_the_page_goes_on(client, server):
     (session,) = server.sessions
     client.move("contact", "cubic")

@@ -144,6 +144,7 @@ def test_wrong_arguments_are_named(variants, arguments, message):
         against_flexion(**{"results": variants, **arguments})
 
 
+@pytest.mark.slow
 def test_a_still_knee_and_other_frames_are_refused(variants):
     one = variants[0]
     with pytest.raises(InputError, match=r"5 frames at .*; expected: the simulation's 41 frames"):

@@ -26,6 +26,7 @@ def settings() -> dict:
     return dict(mpl.rcParams)
 
 
+@pytest.mark.slow
 def test_no_global_setting_is_changed(result, tmp_path):
     before = settings()
     measured = Measured(result.times, result.center + 1e-3, result.quaternion, synthetic=True)

@@ -95,6 +95,7 @@ def test_measurements_are_labelled_for_what_they_are(result):
     np.testing.assert_allclose(line.get_xdata(), in_chart(result, measured.center)[1], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_mesh_is_drawn_from_where_it_is_touched(on_a_mesh):
     assert on_a_mesh.surface is None
     drawn = relief(on_a_mesh, on_a_mesh.center)

@@ -84,6 +84,7 @@ def test_a_fit_of_the_rig_finds_its_scene(folder, tmp_path):
     assert seen.rows["position of the button's centre"] == [["721", "0", "0"]]
 
 
+@pytest.mark.slow
 def test_the_demos_folder(folder, tmp_path):
     """Its fits, its runs, its table and its pictures; nothing is simulated."""
     demo = tmp_path / "demo"

@@ -82,6 +82,7 @@ def dislocating():
     return {k: simulate(with_retinacula(rig.case(2), n, reference_strain=e)) for k, (n, e) in wanted.items()}
 
 
+@pytest.mark.slow
 def test_the_mpfl_keeps_case_2_from_dislocating(dislocating):
     """37 mm off without it, 13 mm with it, 10 mm with one 6 % tighter; synthetic rig, motion and springs."""
     farthest = {name: 1e3 * result.shift.max() for name, result in dislocating.items()}
@@ -91,12 +92,14 @@ def test_the_mpfl_keeps_case_2_from_dislocating(dislocating):
     assert farthest == pytest.approx(expected, abs=1.0)
 
 
+@pytest.mark.slow
 def test_held_it_stays_subluxed_unless_the_ligament_is_tight(dislocating):
     """At the end, 49 deg bent, a slack MPFL lets it rest on the flank; a tight one has let it back."""
     assert 1e3 * dislocating["mpfl"].shift[-1] > 10
     assert 1e3 * dislocating["tight"].shift[-1] < 5
 
 
+@pytest.mark.slow
 def test_their_runs_are_clean(dislocating):
     for result in dislocating.values():
         assert result.equilibrium.residual < 1e-6

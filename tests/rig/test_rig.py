@@ -85,6 +85,7 @@ def test_the_plant_agrees_with_the_twin_on_who_dislocates(runs):
         assert twin == plant, f"case {n}"
 
 
+@pytest.mark.slow
 def test_p2_shows_no_dislocation():
     for n in (2, 3):
         assert not simulate(rig.case(n, "P2")).dislocations().events

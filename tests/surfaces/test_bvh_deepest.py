@@ -92,6 +92,7 @@ def _compare(groove: tuple[ContactMesh, ContactMesh], n: int, seed: int) -> None
         np.testing.assert_allclose(depths[k], want, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_button_in_the_groove(groove):
     _compare(groove, 6, seed=3)
 
@@ -117,6 +118,7 @@ def test_nothing_is_found_where_the_meshes_are_apart(groove):
     assert (np.asarray(depths) == -1).all()
 
 
+@pytest.mark.slow
 def test_a_mesh_of_few_large_triangles_has_room_for_all_corners():
     """A coarse ground and a fine button that is deep in it: nearly every corner may be over every triangle."""
     mesh = mesh_on(TROCHLEA)

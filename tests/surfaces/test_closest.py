@@ -128,6 +128,7 @@ def _both(button, now):
     return button.touches(now, button.remember(now))[:2]
 
 
+@pytest.mark.slow
 def test_a_search_from_nothing_finds_both_facets():
     for y, facets in ((-0.002, 1), (-0.0003, 2), (0.0, 2), (0.0004, 2), (0.001, 1)):
         found = [np.hypot(v - y, GROOVE.height(J(u), J(v)) - BOTTOM) for u, v in places(BUTTON, vec(0, y, BOTTOM))]

@@ -88,6 +88,7 @@ def test_gradients_are_those_of_finite_differences(mode):
     np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-5 * float(np.abs(differences).max()))
 
 
+@pytest.mark.slow
 def test_a_groove_is_touched_on_both_facets():
     # A groove of 14 mm radius under a button of 25 mm: two contacts, mirror images of each other.
     mesh = grid(lambda x, y: 0.6 * np.abs(y) - 2.0 * x * x, 81, (0.02, 0.02))
@@ -105,6 +106,7 @@ def test_a_groove_is_touched_on_both_facets():
     np.testing.assert_allclose(array(medial.point), array(side.point) * [1, -1, 1], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_contact_across_the_border_of_the_facets_is_one():
     mesh = plate()
     pair = mesh_pair(
@@ -145,6 +147,7 @@ def test_a_contour_that_ends_on_a_rim_is_flagged(on_a_plate):
         assert bool(contacts(pair, at(0.0, 0.0, RADIUS - 0.4e-3, (tilt, 0.0, 0.0))).at_rim) is expected
 
 
+@pytest.mark.slow
 def test_a_batch_is_what_its_members_are(on_a_plate):
     heights = RADIUS - jnp.array([-1e-3, 0.1e-3, 0.3e-3])
     together = jax.jit(jax.vmap(lambda z: on_a_plate.contacts(_lifted(z))))(heights)
@@ -153,6 +156,7 @@ def test_a_batch_is_what_its_members_are(on_a_plate):
             np.testing.assert_allclose(a, b[k], rtol=1e-12, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_on_the_implant_the_indentation_is_the_spheres():
     from pftwin.rig.cases import implant_mesh
 

@@ -29,6 +29,7 @@ def _numbers(pair: MeshPair, X: Pose) -> jax.Array:
 
 
 @pytest.mark.parametrize("differentiated", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
+@pytest.mark.slow
 def test_a_mesh_that_moves_by_its_corners_is_one_at_another_pose(coarse, differentiated):
     pair, X = coarse
 
@@ -45,6 +46,7 @@ def test_a_mesh_that_moves_by_its_corners_is_one_at_another_pose(coarse, differe
     assert (np.abs(expected) > 0).any(axis=0).all()
 
 
+@pytest.mark.slow
 def test_second_derivatives_are_those_of_the_first(coarse):
     pair, X = coarse
 

@@ -98,6 +98,7 @@ def check(femur, button, poses, band=0.0) -> int:
     return total
 
 
+@pytest.mark.slow
 def test_listed_triangles_and_depths_are_those_of_the_brute_force(femur, button):
     assert check(femur, button, touching_poses(femur, 12, 0)) > 100
     assert check(femur, button, touching_poses(femur, 4, 1), band=1e-3) > 100
@@ -108,6 +109,7 @@ def test_on_many_poses(femur, button):
     assert check(femur, button, touching_poses(femur, 300, 2)) > 3000
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_pose_are_those_of_differences(femur, button):
     sides = pressing_surface(button), pressed_surface(femur)
     (pose,) = touching_poses(femur, 1, 3)
@@ -139,6 +141,7 @@ def test_batches_are_their_members(femur, button):
         np.testing.assert_allclose(many[k], listed(*sides, pose).depth, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_short_list_says_so_and_a_clear_pose_is_empty(femur, button):
     sides = pressing_surface(button), pressed_surface(femur)
     (pose,) = touching_poses(femur, 1, 5)

@@ -30,6 +30,7 @@ def nearest(patch, center):
 
 
 @pytest.mark.parametrize(("angle", "half"), [(48, 0.02), (55, 0.02), (60, 0.02), (60, 0.03), (70, 0.03)])
+@pytest.mark.slow
 def test_walls_steeper_than_the_fan_is_wide(angle, half):
     """A button wedged 0.1 mm deep between walls that it touches farther out than the fan's last sample."""
     patch = fitted(lambda u, v: np.sqrt(v**2 + 0.006**2) * np.tan(np.radians(angle)), 4, (0.024, half))

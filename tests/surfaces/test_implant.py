@@ -142,6 +142,7 @@ def test_outside_measures_the_way_past_the_edge():
 
 
 @pytest.mark.parametrize("deviation", [0.1e-3, 0.006e-3])
+@pytest.mark.slow
 def test_the_mesh_stays_within_its_deviation(deviation):
     c = rig_implant()
     mesh = c.mesh(deviation=deviation)
@@ -166,6 +167,7 @@ def _coordinates(component: FemoralComponent, points: np.ndarray):
     return component.chart.coordinates(Vec3.from_array(points))
 
 
+@pytest.mark.slow
 def test_the_angle_bound_holds_along_the_grid():
     mesh = rig_implant().mesh(deviation=0.1e-3, angle=4 * _DEG)
     normals = mesh.area_vectors / mesh.face_areas[:, None]

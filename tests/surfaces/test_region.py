@@ -148,6 +148,7 @@ def test_inward_normals_are_noticed(component):
         trochlear_region(component.flipped(), **_FRONT)
 
 
+@pytest.mark.slow
 def test_a_cylinder_has_no_groove():
     smooth = FemoralComponent(
         sulcus_angle=math.radians(179.8), sulcus_angle_proximal=math.radians(179.8), notch_depth=0

@@ -29,6 +29,7 @@ def test_icospheres_are_closed_round_and_outward(frequency):
 
 
 @pytest.mark.parametrize("name", ["CM", "FM", "CM-angle", "FM-angle"])
+@pytest.mark.slow
 def test_a_button_keeps_to_the_papers_tolerances_and_no_coarser_one_does(name):
     fineness = resolution(name)
     ball = button_mesh(R, fineness)

@@ -147,6 +147,7 @@ def _sums(c, radius, mesh=READY):
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("depth", [-1e-4, 0.0, 1e-7, 2e-4, 2e-3])
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences_in_both_modes(place, depth):
     c, radius = J(PLACES[place] / np.linalg.norm(PLACES[place]) * (0.03 + R - depth)), J(R)
     forward, reverse, plain = _derivatives()
@@ -175,6 +176,7 @@ def _derivatives():
     return _KEPT
 
 
+@pytest.mark.slow
 def test_the_slope_by_the_mesh_is_that_of_moving_all_of_it():
     """Moving the mesh one way is moving the ball the other way."""
     c = J(PLACES["face"] / np.linalg.norm(PLACES["face"]) * (0.03 + R - 3e-4))

@@ -59,6 +59,7 @@ def test_it_moves_as_on_the_exact_implant_and_nearer_to_that_than_p5(scene, path
     assert distance(path, p5) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_members(scene, path):
     factors = jnp.concatenate([jnp.ones((1, 4)), variants(3)])
     together = np.asarray(eqx.filter_jit(jax.vmap(lambda f: path_of(with_springs(scene, f))))(factors))
@@ -66,6 +67,7 @@ def test_a_batch_is_its_members(scene, path):
     np.testing.assert_allclose(together[2], path_of(with_springs(scene, factors[2])), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_batch_of_surfaces_is_its_members(scene, path):
     c = scene.contact.surface.coefficients
     some = jnp.stack([c, c + 1e-4])

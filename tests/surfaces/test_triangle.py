@@ -47,6 +47,7 @@ def test_as_near_as_the_brute_force_says(seed):
 
 
 @pytest.mark.parametrize("feature", PLACES)
+@pytest.mark.slow
 def test_features_and_derivatives(feature):
     p = jnp.asarray(PLACES[feature])
     assert int(look(CORNERS, p)[2]) == feature

@@ -30,6 +30,11 @@ def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
     return said
 
 
+def side(name: str) -> str:
+    """A word beside the knee, in the page's letters instead of those for formulas."""
+    return f"<span style=\"font-family:system-ui,'Segoe UI',Helvetica,Arial,sans-serif\">{escape(name)}</span>"
+
+
 def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str]) -> str:
     """Names in their colours, and the notes."""
     rows = [
@@ -62,7 +67,7 @@ def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> s
     return f'<div style="{_BOX};font-variant-numeric:tabular-nums"><b>{time:.2f} s</b>{table}</div>'
 
 
-_RIGHT = "text-align:right;padding-right:10px;white-space:nowrap"
+_RIGHT = "text-align:right;padding-right:8px;white-space:nowrap"
 
 
 def _cell(value: float, unit: str, digits: int) -> str:

@@ -46,6 +46,8 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         raise InputError("the file is empty", where=path, remedy="export the mesh again")
     if kind == "stl":
         _check_whole_stl(data, path)
+    if kind == "ply":
+        _check_whole_text_ply(data, path)
     if kind == "obj":  # comments in odd encodings are no reason to refuse it
         data = data.decode("utf-8", errors="replace").encode()
     try:
@@ -88,4 +90,25 @@ def _check_whole_stl(data: bytes, path: Path) -> None:
     if text.lstrip().startswith("solid") and "endsolid" not in text[text.rfind("endfacet") :]:
         raise InputError(
             "a truncated text STL: it ends without endsolid", where=path, remedy="copy or export the file again"
+        )
+
+
+def _check_whole_text_ply(data: bytes, path: Path) -> None:
+    """A text PLY must have a line for everything that its header announces; of a binary one trimesh sees to that."""
+    header, end, body = data.partition(b"end_header")
+    words = [line.split() for line in header.decode("latin-1").splitlines()]
+    if not end or ["format", "ascii", "1.0"] not in words:
+        return
+    announced = [w[1:] for w in words if w[:1] == ["element"]]
+    if not all(len(a) == 2 and a[1].isdecimal() and len(a[1]) < 20 for a in announced):
+        raise InputError(
+            "its header does not say how many vertices and faces there are", where=path, remedy="export the mesh again"
+        )
+    lines = sum(1 for line in body.splitlines() if line.strip())
+    if lines != sum(int(count) for _, count in announced):
+        promised = " and ".join(f"{count} of {name}" for name, count in announced)
+        raise InputError(
+            f"a truncated or damaged text PLY: its header promises {promised}, {lines} lines follow",
+            where=path,
+            remedy="copy or export the file again",
         )

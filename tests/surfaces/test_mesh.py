@@ -127,6 +127,39 @@ def test_truncated_binary_stl_says_how_much_is_missing(tmp_path):
         load_mesh(tmp_path / "half.stl", units="m")
 
 
+def text_ply(vertices: str, faces: str) -> bytes:
+    corners = "0 0 0\n0.05 0 0\n0 0.05 0\n"
+    about = "property float x\nproperty float y\nproperty float z\n"
+    lists = "property list uchar int vertex_indices\nend_header\n"
+    head = f"ply\nformat ascii 1.0\nelement vertex {vertices}\n{about}element face {faces}\n{lists}"
+    return (head + corners + "3 0 1 2\n").encode()
+
+
+def test_a_text_ply_keeps_the_promises_of_its_header(tmp_path):
+    file = tmp_path / "a.ply"
+    file.write_bytes(text_ply("3", "1"))
+    assert len(load_mesh(file, units="m").faces) == 1
+    file.write_bytes(text_ply("3", "1000000000000"))
+    with pytest.raises(InputError, match=r"promises 3 of vertex and 1000000000000 of face, 4 lines follow"):
+        load_mesh(file, units="m")
+    for count in ("-3", "many", 5000 * "9"):
+        file.write_bytes(text_ply("3", count))
+        with pytest.raises(InputError, match="does not say how many vertices and faces there are"):
+            load_mesh(file, units="m")
+
+
+def test_a_binary_ply_keeps_them_too(tmp_path):
+    file = tmp_path / "a.ply"
+    save_mesh(check_mesh(*sheet()), file)
+    data = file.read_bytes()
+    assert b"format binary" in data
+    for old, new in ((b"element face 242", b"element face 243"), (b"element face 242", b"element face 99999999999999")):
+        assert old in data
+        file.write_bytes(data.replace(old, new))
+        with pytest.raises(InputError, match="not a readable PLY mesh"):
+            load_mesh(file, units="m")
+
+
 def test_wrong_units_are_noticed_and_the_right_ones_named(tmp_path):
     save_mesh(check_mesh(*sheet()), tmp_path / "a.stl", units="mm")
     with pytest.raises(InputError, match=r"50 m = 5e\+04 mm is implausible.*between 20 and 200 mm.*units='mm'"):

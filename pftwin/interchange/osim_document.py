@@ -137,4 +137,8 @@ def _parsed(content: bytes, file: str) -> Element:
     except expat.ExpatError as error:
         words = expat.ErrorString(error.code)
         raise InputError(f"no valid XML: {words}", where=f"{file}, line {error.lineno}") from None
+    except InputError:
+        raise
+    except (LookupError, ValueError) as error:  # of the encoding that the first line names
+        raise InputError(f"no readable XML: {error}", where=file, expected="UTF-8") from None
     return top.children[0]

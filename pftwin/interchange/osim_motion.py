@@ -72,12 +72,19 @@ def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]
     """Positions (n, 3) [m] and quaternions (n, 4), scalar first, of bodies in ground.
 
     Raises:
-        InputError: joints on the way that are not known.
+        InputError: joints on the way that are not known; functions that overflow.
     """
     values = tree.values(given, times.size)
     out = {}
     for body in bodies:
-        pose = tree.pose(body, values, times.size)
+        with np.errstate(over="ignore", invalid="ignore"):
+            pose = tree.pose(body, values, times.size)
+        if not np.isfinite(pose).all():
+            raise InputError(
+                f"the pose of {body!r} is not finite",
+                where=tree.joints[body].where,
+                expected="functions and coordinates of this joint, and of those that carry it, of a human size",
+            )
         turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat(scalar_first=True)
         flips = np.where(np.einsum("ij,ij->i", turn[1:], turn[:-1]) < 0, -1.0, 1.0)
         out[body] = pose[:, :3, 3], turn * np.concatenate([[1.0], np.cumprod(flips)])[:, None]

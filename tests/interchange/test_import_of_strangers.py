@@ -59,6 +59,9 @@ OUTSIDE = '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/hostname">]>\n'
         (lambda t: t.replace("<OpenSim", OUTSIDE + "<OpenSim", 1), r"line 2: it declares a DOCTYPE"),
         (lambda t: t.replace("</Model>", "<a>" * 100 + "</a>" * 100 + "</Model>"), "nested deeper than 64"),
         (lambda t: t[:-40], "no valid XML"),
+        (lambda t: t.replace("UTF-8", "UTF-1e999"), "no readable XML: unknown encoding: UTF-1e999; expected: UTF-8"),
+        (lambda t: t.replace("UTF-8", "shift_jis"), "no readable XML: multi-byte encodings are not supported"),
+        (lambda t: t.replace(">-1 0<", ">1e308 0<", 1), "the pose of 'tibia_r' is not finite; expected: functions"),
         (lambda t: t.replace("OpenSimDocument", "Scene"), "the document is a <Scene>"),
         (lambda t: t.replace('Version="40000"', 'Version="30000"'), "open the model in OpenSim 4 and save it"),
         (

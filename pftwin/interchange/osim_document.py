@@ -94,9 +94,9 @@ def read_osim(path: str | os.PathLike[str]) -> Element:
     if root.tag != "OpenSimDocument":
         raise InputError(f"the document is a <{root.tag}>", where=root.where, expected="an <OpenSimDocument>")
     version = root.name
-    if not (version.isdigit() and int(version) >= OLDEST):
+    if not (version.isdecimal() and len(version) < 10 and int(version) >= OLDEST):
         raise InputError(
-            f"version {version or 'unknown'}",
+            f"version {version[:20] or 'unknown'}",
             where=root.where,
             expected=f"{OLDEST} or later, as OpenSim 4 writes",
             remedy="open the model in OpenSim 4 and save it",

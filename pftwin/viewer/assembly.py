@@ -68,7 +68,9 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
     for side, y in (("lateral", SIDE), ("medial", -SIDE)):
         x, _, z = shown["anterior"][3:6]
         place = {"position": [x, y, z], "reference_point": "cc"}
-        made += k3d().text(words.side(side), **place, color=0x888888, size=0.9, is_html=True, label_box=False, name=side)
+        made += k3d().text(
+            words.side(side), **place, color=0x888888, size=0.9, is_html=True, label_box=False, name=side
+        )
     made += _written("legend", words.legend(results, codes, said), (0.01, 0.015), "lt")
     numbers = keyed(times, [words.readout(results, codes, t) for t in times])
     made += _written("numbers", numbers, (0.99, 0.015), "rt")

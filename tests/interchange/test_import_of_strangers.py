@@ -65,6 +65,11 @@ OUTSIDE = '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/hostname">]>\n'
         (lambda t: t.replace("OpenSimDocument", "Scene"), "the document is a <Scene>"),
         (lambda t: t.replace('Version="40000"', 'Version="30000"'), "open the model in OpenSim 4 and save it"),
         (
+            lambda t: t.replace('Version="40000"', f'Version="{"4" * 5000}"'),
+            "version 44444444444444444444; expected: 40000",
+        ),
+        (lambda t: t.replace('Version="40000"', 'Version="4²"'), "version 4²; expected: "),
+        (
             lambda t: t.replace("<mass>0.12</mass>", "<mass>heavy</mass>"),
             r"line 5: <mass> is 'heavy'; expected: 1 finite",
         ),

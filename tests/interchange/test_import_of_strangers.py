@@ -66,7 +66,7 @@ OUTSIDE = '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/hostname">]>\n'
         (lambda t: t.replace('Version="40000"', 'Version="30000"'), "open the model in OpenSim 4 and save it"),
         (
             lambda t: t.replace('Version="40000"', f'Version="{"4" * 5000}"'),
-            "version 44444444444444444444; expected: 40000",
+            "version 44444444444444444444; expected: ",
         ),
         (lambda t: t.replace('Version="40000"', 'Version="4²"'), "version 4²; expected: "),
         (

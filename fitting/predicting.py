@@ -70,7 +70,7 @@ def predict(
         dt: longest time step [s].
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
         trajectories: whether the dataset holds paths, tilt and facet forces over time as well.
-        chunk: most members that are simulated together on a device; it bounds the memory and does not change the answer.
+        chunk: most members that are simulated together on a device; it bounds the memory, not the answer.
         devices: over which members are laid, as `pftwin.simulate_batch` has them.
         progress: called with the number of members done and of all.
 

@@ -10,7 +10,7 @@ import jax
 from pftwin.errors import InputError
 from pftwin.runtime import configure, cores
 
-Devices = str | int | Sequence[jax.Device]
+Devices = str | int | Sequence[Any]
 
 
 def use_cpu_devices(count: int | None = None) -> int:
@@ -30,7 +30,7 @@ def use_cpu_devices(count: int | None = None) -> int:
     return len(jax.devices("cpu"))
 
 
-def chosen_devices(devices: Devices = "all") -> tuple[jax.Device, ...]:
+def chosen_devices(devices: Devices = "all") -> tuple[Any, ...]:
     """The devices that are meant.
 
     Args:

@@ -85,7 +85,7 @@ class Spread:
         chunk: most members computed between two looks of the host, at least a piece for each device.
     """
 
-    def __init__(self, devices: tuple[jax.Device, ...], piece: int, chunk: int) -> None:
+    def __init__(self, devices: tuple[Any, ...], piece: int, chunk: int) -> None:
         self._mesh = Mesh(np.array(devices), (_AXIS,))
         self.devices, self.piece = len(devices), piece
         self._pieces = max(1, chunk // (piece * len(devices)))

@@ -77,5 +77,5 @@ def test_the_command_line_counts_cpu_devices_by_a_variable(monkeypatch, given, d
 @pytest.mark.parametrize("given", ["0", "-1", "two", ""])
 def test_a_variable_that_is_no_number_is_refused(monkeypatch, given):
     monkeypatch.setenv("PFTWIN_DEVICES", given)
-    with pytest.raises(InputError, match='PFTWIN_DEVICES: found .*; expected: "all", or a whole number, at least 1'):
+    with pytest.raises(InputError, match=r'PFTWIN_DEVICES: found .*; expected: "all", or a whole number, at least 1'):
         terminal.start_computing(batches=True)

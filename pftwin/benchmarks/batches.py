@@ -1,7 +1,8 @@
 """What batches over devices cost: what a second device brings, a variant in batches of every size, memory.
 
 The study: transfers of the tibial tuberosity on case 2 of the rig (P5), the whole motion of 7.2 s, by steps of 5 ms of
-`linear_implicit_bdf2`, which hold 0.05 mm, without the account of energy. One process: what is compiled serves all sizes.
+`linear_implicit_bdf2`, which hold 0.05 mm, without the account of energy. One process: what is compiled serves all
+sizes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,12 @@ SIZES, QUICK_SIZES = (1, 16, 128, 1_024, 10_000, 100_000), (1, 16, 1_024)
 RATIO_SIZE = 3_840  # 32 pieces: as many for every device
 FASTER, ALIKE, MINUTE, MEMORY = 1.8, 1.2, 60.0, 4_096.0  # times, times, s, MiB
 FARTHEST_MEDIAL, FARTHEST_DISTAL = 0.015, 0.010  # [m]
-STEP = 5e-3  # [s]
+SETTINGS: dict[str, Any] = {
+    "dt": 5e-3,
+    "integrator": "linear_implicit_bdf2",
+    "trajectories": False,
+    "energy_budget": False,
+}
 
 
 def transferred(scene: Scene, row: Array) -> Scene:

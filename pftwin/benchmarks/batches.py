@@ -57,13 +57,7 @@ def rows(quick: bool) -> list[Row]:
     def study(count: int, devices: int | str = "all") -> tuple[float, Any]:
         many = pftwin.Variants(scene, transferred, amounts(count))
         began = time.perf_counter()
-        settings: dict[str, Any] = {
-            "dt": STEP,
-            "integrator": "linear_implicit_bdf2",
-            "trajectories": False,
-            "energy_budget": False,
-        }
-        found = pftwin.simulate_batch(many, devices=devices, **settings)
+        found = pftwin.simulate_batch(many, devices=devices, **SETTINGS)
         return time.perf_counter() - began, found
 
     said = f"{len(jax.devices())} devices"

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +22,6 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from pftwin.batches import PIECE
-from pftwin.kept.program import Program
 
 FEW = 16  # members of a piece where there are few
 _ACCELERATED = 2048  # members of a piece on an accelerator, whose lanes are thousands
@@ -36,7 +36,7 @@ def piece_for(n: int, platform: str) -> int:
     return FEW if n <= 2 * FEW else PIECE
 
 
-@Program
+@eqx.filter_jit
 def _on_devices(function: Callable[..., Any], mesh: Mesh, shared: Any, counts: Array, each: Any) -> Any:
     """function(shared, *row) for the rows of each, (devices * pieces, members, ...); `counts` pieces of each device."""
     arrays, structure = jax.tree.flatten(shared)

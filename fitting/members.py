@@ -6,7 +6,6 @@ Memory does not grow with the number of members: a chunk's trajectories are gone
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,7 +18,9 @@ from numpy.typing import NDArray
 from fitting.course import Groove, course
 from fitting.outcomes import measure
 from fitting.treatments import Treatment
-from pftwin.batches import batched
+from pftwin.batch.devices import Devices, chosen_devices, idle_cores
+from pftwin.batch.spread import Chunk, Spread
+from pftwin.batches import good_sizes
 from pftwin.dynamics.observe import Status, observe
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.strands import StrandGroup
@@ -69,25 +70,22 @@ def _sensible(scene: Scene) -> Scalar:
     return good if contact is None else good & (contact.radius > 0)
 
 
-@eqx.filter_jit
-def _run(recipe: Recipe, amounts: Array, thetas: Array, starts: Pose) -> Any:
-    def one(a: Array, theta: Array, start: Pose) -> Any:
-        scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
-        seen = observe(scene, trajectory(scene, substeps=recipe.substeps))
-        at = course(scene, seen, recipe.groove)
-        flags = jnp.stack([jnp.sum((at.status & int(flag)) != 0) for flag in FLAGS])
-        courses = {}
-        if recipe.trajectories:
-            courses = {
-                "sphere_center": seen.center.array(),
-                "groove_offset": at.offset,
-                "patella_tilt": at.tilt,
-                "force_medial": at.force[0],
-                "force_lateral": at.force[1],
-            }
-        return measure(at, recipe.threshold), flags, _sensible(scene), courses
-
-    return batched(one)(amounts, thetas, starts)
+def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
+    """A member's outcomes."""
+    scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
+    seen = observe(scene, trajectory(scene, substeps=recipe.substeps))
+    at = course(scene, seen, recipe.groove)
+    flags = jnp.stack([jnp.sum((at.status & int(flag)) != 0) for flag in FLAGS])
+    courses = {}
+    if recipe.trajectories:
+        courses = {
+            "sphere_center": seen.center.array(),
+            "groove_offset": at.offset,
+            "patella_tilt": at.tilt,
+            "force_medial": at.force[0],
+            "force_lateral": at.force[1],
+        }
+    return measure(at, recipe.threshold), flags, _sensible(scene), courses
 
 
 @eqx.filter_jit
@@ -108,27 +106,27 @@ def run(
     amounts: Floats,
     thetas: Floats,
     chunk: int,
-    threads: int,
+    devices: Devices = "all",
     progress: Callable[[int, int], None] | None = None,
     fewest: int = _FEWEST,
 ) -> Members:
-    """All members, `chunk` at a time, `threads` chunks at once. No member's failure stops the others.
+    """All members, up to `chunk` at a time on each device. No member's failure stops the others.
 
     Args:
         recipe: of every member.
         amounts: (n, k).
         thetas: (n, p).
-        chunk: most members of a chunk; a study of fewer is one smaller chunk.
-        threads: chunks that run at once, in as many threads over one compiled function.
+        chunk: most members of a chunk of one device; a study of fewer is one smaller chunk.
+        devices: over which members are laid, as `pftwin.simulate_batch` has them.
         progress: called with the number of members done and of all.
         fewest: least size of a chunk, to which fewer are filled up; that of `chunk` has all sizes share one program.
     """
     recipe = recipe._replace(scene=recipe.scene.unnamed())
     starts = _starts(recipe, amounts, thetas)
-    found = _in_chunks(recipe, amounts, thetas, starts, chunk, threads, progress, fewest)
+    found = _in_chunks(recipe, amounts, thetas, starts, chunk, devices, progress, fewest)
     badly = found.flags[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] > 0
     if badly.any() and starts is not None:  # where the neighbour's equilibrium led nowhere, the scene's own start may
-        again = _in_chunks(recipe, amounts[badly], thetas[badly], None, chunk, threads, None, fewest)
+        again = _in_chunks(recipe, amounts[badly], thetas[badly], None, chunk, devices, None, fewest)
         jax.tree.map(lambda old, new: old.__setitem__(badly, new), found, again)
     return found
 
@@ -171,7 +169,7 @@ def _in_chunks(
     thetas: Floats,
     starts: Pose | None,
     chunk: int,
-    threads: int,
+    devices: Devices,
     progress: Callable[[int, int], None] | None,
     fewest: int,
 ) -> Members:
@@ -179,24 +177,13 @@ def _in_chunks(
     size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
     if starts is None:
         starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
-    done = 0
+    chosen = chosen_devices(devices)
+    pieces, piece = good_sizes(size)
+    spread = Spread(chosen, piece, pieces * piece * len(chosen))
+    shared = spread.shared(recipe)
+    rows = (np.asarray(amounts, float), np.asarray(thetas, float), starts)
 
-    def part(first: int) -> Members:
-        rows = np.minimum(np.arange(first, first + size), n - 1)  # the last chunk is filled with its last member
-        values, parameters = (jnp.asarray(a[rows], dtype=float) for a in (amounts, thetas))
-        poses = jax.tree.map(lambda a: jnp.asarray(a[rows], dtype=float), starts)
-        got = jax.tree.map(np.asarray, _run(recipe, values, parameters, poses))
-        nonlocal done
-        done += min(size, n - first)
-        if progress is not None:
-            progress(min(done, n), n)
-        return Members(*jax.tree.map(lambda a: a[: n - first], got))
+    def part(chunk: Chunk) -> Members:
+        return Members(*spread.taken(spread.run(_one, shared, chunk, spread.placed(rows, chunk)), chunk))
 
-    firsts = range(0, n, size)
-    parts = [part(firsts[0])]  # compiles
-    if threads > 1 and len(firsts) > 2:
-        with ThreadPoolExecutor(threads) as pool:
-            parts += pool.map(part, firsts[1:])
-    else:
-        parts += [part(first) for first in firsts[1:]]
-    return jax.tree.map(lambda *a: np.concatenate(a), *parts)
+    return spread.over(part, n, idle_cores(chosen) if devices == "all" else 1, progress)

@@ -12,6 +12,7 @@ from fitting.course import Groove
 from fitting.members import Members, Recipe, run
 from fitting.treatments import Treatment
 from fitting.variants import Batch, batches
+from pftwin.batch.devices import Devices, chosen_devices
 from pftwin.dynamics.trajectory import substeps_for
 from pftwin.errors import InputError
 from pftwin.scene import Scene, check
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 STEP = 2.5e-3  # [s]: on case 1 peak forces are 2 % above those at 1 ms; at 5 ms, where the path still is right, 25 %
 CHUNK = 256  # members: where a step of the whole chunk stays in a core's cache
-THREADS = 2
 _COURSE_LIMIT = 4096  # members whose trajectories are kept: some 50 MB per thousand
 Floats = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def predict(
     threshold: float = DISLOCATED,
     trajectories: bool = False,
     chunk: int = CHUNK,
-    threads: int = THREADS,
+    devices: Devices = "all",
     progress: Callable[[int, int], None] | None = None,
 ) -> Dataset:
     """Outcomes of treatments.
@@ -70,8 +70,8 @@ def predict(
         dt: longest time step [s].
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
         trajectories: whether the dataset holds paths, tilt and facet forces over time as well.
-        chunk: most members that are simulated together; it bounds the memory and does not change the answer.
-        threads: chunks that run at once.
+        chunk: most members that are simulated together on a device; it bounds the memory, not the answer.
+        devices: over which members are laid, as `pftwin.simulate_batch` has them.
         progress: called with the number of members done and of all.
 
     Returns:
@@ -84,7 +84,8 @@ def predict(
             estimate; numbers out of range.
     """
     given = [scenes] if isinstance(scenes, Scene) else list(scenes)
-    _check(samples, dt, threshold, chunk, threads, estimate)
+    _check(samples, dt, threshold, chunk, estimate)
+    chosen_devices(devices)
     if stray := [s for s in given if not isinstance(s, Scene)]:
         raise InputError(f"found {stray[0]!r}", where="scenes", expected="scenes")
     groups = batches(given, variants)
@@ -104,7 +105,7 @@ def predict(
             if progress is not None:
                 progress(before + here, total * len(thetas))
 
-        found.append(_of_batch(batch, estimate, thetas, dt, threshold, trajectories, chunk, threads, counted))
+        found.append(_of_batch(batch, estimate, thetas, dt, threshold, trajectories, chunk, devices, counted))
         done += len(batch.places) * len(thetas)
     from fitting.prediction import dataset
 
@@ -119,7 +120,7 @@ def _of_batch(
     threshold: float,
     trajectories: bool,
     chunk: int,
-    threads: int,
+    devices: Devices,
     progress: Callable[[int, int], None],
 ) -> Members:
     """Members in the order variants by samples, samples varying fastest."""
@@ -138,7 +139,7 @@ def _of_batch(
     )
     amounts = np.repeat(batch.amounts, len(thetas), axis=0)
     parameters = np.tile(thetas, (len(batch.amounts), 1))
-    return run(recipe, amounts, parameters, chunk, threads, progress)
+    return run(recipe, amounts, parameters, chunk, devices, progress)
 
 
 def _thetas(estimate: Fitted | None, samples: int, seed: int) -> Floats:
@@ -150,8 +151,8 @@ def _thetas(estimate: Fitted | None, samples: int, seed: int) -> Floats:
     return np.concatenate([values[None], drawn])
 
 
-def _check(samples: int, dt: float, threshold: float, chunk: int, threads: int, estimate: Fitted | None) -> None:
-    for name, value, least in (("samples", samples, 0), ("chunk", chunk, 1), ("threads", threads, 1)):
+def _check(samples: int, dt: float, threshold: float, chunk: int, estimate: Fitted | None) -> None:
+    for name, value, least in (("samples", samples, 0), ("chunk", chunk, 1)):
         if not (isinstance(value, int) and value >= least):
             raise InputError(f"found {value!r}", where=name, expected=f"a whole number, at least {least}")
     for name, value in (("dt", dt), ("threshold", threshold)):

@@ -122,7 +122,7 @@ class Search:
         every = np.array(self._fixed)
         every[list(self._places)] = amounts
         thetas = np.asarray(self._thetas)
-        return run(self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, 1, fewest=CHUNK).outcomes
+        return run(self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, fewest=CHUNK).outcomes
 
     def outcomes(self, amounts: Floats) -> dict[str, float]:
         """The estimate's by name, SI."""

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pftwin import effects, interchange, mocap, plots, rig, surfaces, viewer
+    from pftwin.batch.simulate_batch import simulate_batch
+    from pftwin.batch.variants import Variants
     from pftwin.dynamics.observe import Status
     from pftwin.dynamics.simulate import equilibrium, simulate
     from pftwin.errors import InputError, OutputError, PftwinError
@@ -38,10 +40,12 @@ _HOME = {
     "Result": "result",
     "Scene": "scene",
     "Status": "dynamics.observe",
+    "Variants": "batch.variants",
     "configure": "runtime",
     "equilibrium": "dynamics.simulate",
     "load_scene": "scene_file",
     "simulate": "dynamics.simulate",
+    "simulate_batch": "batch.simulate_batch",
     "validate": "metrics",
 }
 _PACKAGES = ("effects", "interchange", "mocap", "plots", "rig", "surfaces", "viewer")
@@ -54,6 +58,7 @@ __all__ = [
     "Result",
     "Scene",
     "Status",
+    "Variants",
     "__version__",
     "configure",
     "effects",
@@ -64,6 +69,7 @@ __all__ = [
     "plots",
     "rig",
     "simulate",
+    "simulate_batch",
     "surfaces",
     "validate",
     "viewer",

@@ -11,7 +11,7 @@ import os
 import sys
 from pathlib import Path
 
-from pftwin.errors import PftwinError
+from pftwin.errors import InputError, PftwinError
 
 # Three switches of XLA's CPU compiler. A time step is a thousand scalar operations with two dozen results. By default
 # XLA compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one
@@ -38,8 +38,14 @@ def fast_cpu_flags(existing: str = "") -> str:
     return " ".join([*others, _OPTION + ",".join(options)])
 
 
-def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | os.PathLike[str] | None = None) -> None:
-    """Sets up the process: double precision, fast CPU compilation, and a folder in which things persist.
+def configure(
+    *,
+    float64: bool = True,
+    fast_cpu: bool = True,
+    cache_dir: str | os.PathLike[str] | None = None,
+    cpu_devices: int | str | None = None,
+) -> None:
+    """Sets up the process: double precision, fast CPU compilation, a folder in which things persist, CPU devices.
 
     Call it before the first JAX computation.
 
@@ -49,9 +55,12 @@ def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | o
         cache_dir: folder in which compiled programs, and what was derived from files (fitted patches, filtered
             recordings), are kept for later processes. Programs found in it are run: a folder that another user owns or
             can write to is not used, and a warning says so. By default nothing is kept.
+        cpu_devices: as how many devices JAX counts the CPU: batches are laid over all of them. "all": one for each
+            core that this process may use. By default JAX's own choice stays, which is one.
 
     Raises:
-        PftwinError: JAX has already started, and `fast_cpu` could have no effect any more.
+        PftwinError: JAX has already started, and `fast_cpu` or `cpu_devices` could have no effect any more.
+        InputError: a number of devices that is none.
     """
     given = os.environ.get("XLA_FLAGS", "")
     flags = fast_cpu_flags(given)
@@ -64,6 +73,8 @@ def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | o
         os.environ["XLA_FLAGS"] = flags
     import jax
 
+    if cpu_devices is not None:
+        _count_cpu_devices(cpu_devices)
     gc.freeze()  # the hundred thousand objects of these imports stay: never searched for garbage, nor when all ends
     if float64:
         jax.config.update("jax_enable_x64", True)
@@ -75,6 +86,29 @@ def configure(*, float64: bool = True, fast_cpu: bool = True, cache_dir: str | o
             jax.config.update("jax_compilation_cache_dir", str(cache_dir))
             jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
             jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def _count_cpu_devices(wanted: int | str) -> None:
+    """Tells JAX, which asks once, as it starts."""
+    import jax
+
+    count = cores() if wanted == "all" else wanted
+    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+        raise InputError(f"found {wanted!r}", where="cpu_devices", expected='"all", or a whole number, at least 1')
+    if not _jax_has_started():
+        jax.config.update("jax_num_cpu_devices", count)
+        return
+    there = len(jax.devices("cpu"))
+    if there != count:
+        raise PftwinError(
+            f"JAX has already started with {there} CPU device(s), so there cannot be {count} any more; try: call "
+            f"pftwin.configure(cpu_devices={count}) before any other use of JAX"
+        )
 
 
 def _jax_has_started() -> bool:

@@ -136,7 +136,7 @@ _NOT_NEGATIVE = {
     "rotational",
     "tension",
 }
-_LIMITS = {  # beyond which a law has no sense: bounces that grow, a stiffness without bound where contact begins
+LIMITS = {  # beyond which a law has no sense: bounces that grow, a stiffness without bound where contact begins
     "restitution": (0.0, 1.0, "at most 1"),
     "hertz_exponent": (1.0, np.inf, "at least 1"),
 }
@@ -155,25 +155,25 @@ def check(scene: Scene) -> None:
             raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
     leaves, structure = jax.tree.flatten(scene)
     values = [np.ones(0) if isinstance(a, Tracer) else np.asarray(a, dtype=float).ravel() for a in leaves]
-    positive, not_negative, limited = _limited(structure)
+    positive, not_negative, bounded = limited(structure)
     # All at once, for this is done before every run; what is wrong is looked for where something is.
     finite = np.isfinite(np.concatenate([*values, np.ones(1)])).all()
     smallest, least = (
         np.concatenate([*(values[i] for i in which), np.ones(1)]).min() for which in (positive, not_negative)
     )
-    outside = any(not _within(values[i], *_LIMITS[name][:2]) for i, name in limited)
+    outside = any(not _within(values[i], *LIMITS[name][:2]) for i, name in bounded)
     if outside or not (finite and smallest > 0 and least >= 0):
         _refuse(scene)
 
 
 @lru_cache(maxsize=64)
-def _limited(structure: Any) -> tuple[tuple[int, ...], tuple[int, ...], tuple[tuple[int, str], ...]]:
-    """Which leaves of a scene of this structure must be positive, which not negative, and which are in `_LIMITS`."""
+def limited(structure: Any) -> tuple[tuple[int, ...], tuple[int, ...], tuple[tuple[int, str], ...]]:
+    """Which leaves of a scene of this structure must be positive, which not negative, and which are in `LIMITS`."""
     numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
     fields = [({_part(p) for p in path}, i) for path, i in jax.tree_util.tree_leaves_with_path(numbered)]
     positive, not_negative = (tuple(i for parts, i in fields if parts & limit) for limit in (_POSITIVE, _NOT_NEGATIVE))
-    limited = tuple((i, name) for parts, i in fields for name in _LIMITS if name in parts)
-    return positive, not_negative, limited
+    bounded = tuple((i, name) for parts, i in fields for name in LIMITS if name in parts)
+    return positive, not_negative, bounded
 
 
 def _within(values: np.ndarray, low: float, high: float) -> bool:
@@ -196,7 +196,7 @@ def _refuse(scene: Scene) -> None:
             raise InputError(f"found {worst:g}", where=f"{scene.name}: {field}", expected="a positive number")
         if _NOT_NEGATIVE & set(parts) and worst < 0:
             raise InputError(f"found {worst:g}", where=f"{scene.name}: {field}", expected="zero or a positive number")
-        for name, (low, high, words) in _LIMITS.items():
+        for name, (low, high, words) in LIMITS.items():
             if name in parts and not _within(values, low, high):
                 found = float(values.max() if high < np.inf else worst)
                 raise InputError(f"found {found:g}", where=f"{scene.name}: {field}", expected=words)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from pftwin import runtime
+from pftwin.cli import terminal
+from pftwin.errors import InputError
 from pftwin.runtime import FAST_CPU, VECTOR_WIDTH, fast_cpu_flags
 
 FAST = f"{VECTOR_WIDTH} --xla_backend_extra_options={','.join(FAST_CPU)}"
@@ -55,3 +58,24 @@ def test_switches_may_stand_in_any_order(monkeypatch):
     monkeypatch.setattr(runtime, "_jax_has_started", lambda: True)
     runtime.configure()
     assert os.environ["XLA_FLAGS"].split() == words[::-1]
+
+
+@pytest.mark.parametrize(("given", "devices"), [(None, "all"), ("all", "all"), ("3", 3)])
+def test_the_command_line_counts_cpu_devices_by_a_variable(monkeypatch, given, devices):
+    monkeypatch.delenv("PFTWIN_DEVICES", raising=False)
+    if given is not None:
+        monkeypatch.setenv("PFTWIN_DEVICES", given)
+    asked = {}
+    monkeypatch.setattr(runtime, "configure", lambda **settings: asked.update(settings))
+    monkeypatch.setitem(sys.modules, "jax", SimpleNamespace(config=SimpleNamespace(values={})))
+    terminal.start_computing(batches=True)
+    assert asked["cpu_devices"] == devices
+    terminal.start_computing()
+    assert asked["cpu_devices"] is None
+
+
+@pytest.mark.parametrize("given", ["0", "-1", "two", ""])
+def test_a_variable_that_is_no_number_is_refused(monkeypatch, given):
+    monkeypatch.setenv("PFTWIN_DEVICES", given)
+    with pytest.raises(InputError, match=r'PFTWIN_DEVICES: found .*; expected: "all", or a whole number, at least 1'):
+        terminal.start_computing(batches=True)

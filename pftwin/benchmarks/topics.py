@@ -19,7 +19,7 @@ from pftwin.errors import PftwinError
 if TYPE_CHECKING:
     from pftwin.benchmarks.row import Row
 
-TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", "start", "meshes", "growth")
+TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", "start", "meshes", "growth", "batches")
 ON_ONE_CORE = ("batch", "forward", "reverse")
 LEVELS = {"0.01": 1e-5, "0.05": 5e-5}  # rms error: as the rows name it in mm, and in metres
 
@@ -39,7 +39,7 @@ def measure_topics(
     from pftwin.benchmarks.problem import scene_of_case_1
 
     about, rows = machine.describe(), []
-    if set(chosen) - {"start", "meshes", "growth"}:
+    if set(chosen) - {"start", "meshes", "growth", "batches"}:
         scene = scene_of_case_1()
         say("measuring accuracy ...")
         found = accuracy.errors(scene, reference=100 if quick else accuracy.REFERENCE)
@@ -67,6 +67,9 @@ def measure_topics(
         from pftwin.benchmarks import growth
 
         rows += growth.rows(meshes=() if quick else ("volume",))
+    if "batches" in chosen:
+        say("measuring batches ...")
+        rows += in_a_process({"topic": "batches", "quick": quick}, "pftwin.benchmarks.batches")
     return rows, about
 
 

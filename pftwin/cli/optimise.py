@@ -53,7 +53,7 @@ def optimise(
     wanted = by_kind(amounts)
     pairs = {f"{k}.{a.name}": limits(text, a.flag) for k, given in wanted.items() for a, text in given}
     check_outputs(output, json)
-    start_computing()
+    start_computing(batches=True)
     from fitting.limits import Limit
     from fitting.optimise import optimise_treatment
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pftwin.errors import OutputError
+from pftwin.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,11 +46,18 @@ def working(what: str) -> Iterator[None]:
         yield
 
 
-def start_computing() -> None:
-    """Double precision, fast CPU code and the folder of compiled programs.
+def start_computing(*, batches: bool = False) -> None:
+    """Double precision, fast CPU code and the folder of compiled programs; for batches, a device for each core.
 
     A process that has made these settings already keeps its own.
+
+    Args:
+        batches: whether batches are run: $PFTWIN_DEVICES says on how many CPU devices, by default one for each core.
+
+    Raises:
+        InputError: $PFTWIN_DEVICES is no number.
     """
+    devices = _cpu_devices() if batches else None
     if "jax" in sys.modules:
         import jax
 
@@ -59,7 +66,14 @@ def start_computing() -> None:
             return
     from pftwin.runtime import configure, default_cache_dir
 
-    configure(cache_dir=default_cache_dir())
+    configure(cache_dir=default_cache_dir(), cpu_devices=devices)
+
+
+def _cpu_devices() -> int | str:
+    given = os.environ.get("PFTWIN_DEVICES", "all")
+    if given == "all" or (given.isascii() and given.isdigit() and int(given) > 0):
+        return given if given == "all" else int(given)
+    raise InputError(f"found {given!r}", where="PFTWIN_DEVICES", expected='"all", or a whole number, at least 1')
 
 
 def check_outputs(*paths: str | os.PathLike[str] | None) -> None:

@@ -57,7 +57,7 @@ def treat(
     numbers = {k: {a.name: values(text, a.flag) for a, text in v} for k, v in wanted.items()}
     pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
     check_outputs(output, *pictures, json)
-    start_computing()
+    start_computing(batches=True)
     variants = _variants(numbers)
     found = None if estimate is None else loaded_estimate(estimate)
     chosen = chosen_scene(scene, case, contact)

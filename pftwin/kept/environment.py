@@ -15,8 +15,15 @@ from jax.extend.backend import get_backend
 
 from pftwin.kept.reach import versions
 
-# Settings of JAX that say where and what to log or keep, not what to compute.
-_INDIFFERENT = ("jax_compilation_cache", "jax_persistent_cache", "jax_log", "jax_raise_persistent_cache")
+# Settings of JAX that say where and what to log or keep, not what to compute. What is kept is for one device, whatever
+# their number: a program that is laid over several is found by them, and they have no text.
+_INDIFFERENT = (
+    "jax_compilation_cache",
+    "jax_persistent_cache",
+    "jax_log",
+    "jax_raise_persistent_cache",
+    "jax_num_cpu_devices",
+)
 _DEBUGGING = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_enable_checks", "jax_check_tracer_leaks")
 _LOCAL = (
     "jax_enable_x64",
@@ -38,8 +45,8 @@ def settings() -> tuple[Any, ...]:
 
 
 def can_keep() -> bool:
-    """Whether programs are kept for this backend: one CPU device. Others are served by JAX's own cache."""
-    return jax.default_backend() == "cpu" and jax.device_count() == 1
+    """Whether programs are kept for this backend: the CPU's. Others are served by JAX's own cache."""
+    return jax.default_backend() == "cpu"
 
 
 def environment() -> str:

@@ -46,7 +46,8 @@ class Program:
     Where a folder is chosen (`pftwin.configure(cache_dir=...)`), compiled programs are kept in it, and another process
     neither traces nor compiles. What a program is found by holds all that decides it: pftwin's source, the constants
     and functions it looks up, versions, settings, compiler flags and processor, and the arguments' kind. Where that
-    cannot be told (effects from outside pftwin, source that changed meanwhile, several devices), nothing is kept.
+    cannot be told (effects from outside pftwin, source that changed meanwhile, a program over several devices),
+    nothing is kept.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:

@@ -96,7 +96,7 @@ VARIANTS = [
 
 @pytest.fixture(scope="module")
 def sampled(knee):
-    return predict(knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, threads=1)
+    return predict(knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, devices=1)
 
 
 def test_variants_stand_in_the_order_they_were_given(sampled):
@@ -129,9 +129,7 @@ def test_samples_spread_around_the_estimate(sampled, knee):
 @pytest.mark.slow
 def test_chunks_do_not_change_the_answer(sampled, knee):
     calls = []
-    small = predict(
-        knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, chunk=16, threads=2, progress=lambda *a: calls.append(a)
-    )
+    small = predict(knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, chunk=16, progress=lambda *a: calls.append(a))
     for name in MEASURES:
         np.testing.assert_allclose(small[name], sampled[name], rtol=1e-7, atol=1e-9, err_msg=name)
     np.testing.assert_array_equal(small["status_frames"], sampled["status_frames"])

@@ -183,10 +183,26 @@ def test_functions_and_effects_from_elsewhere_are_compiled_but_not_kept(place):
     assert list(place.iterdir()) == []
 
 
-def test_several_devices_are_left_to_jax(place, monkeypatch):
+def test_other_backends_are_left_to_jax(place, monkeypatch):
     monkeypatch.setattr(program, "can_keep", lambda: False)
     assert float(Program(safe_sqrt)(jnp.asarray(4.0))) == 2.0
     assert list(place.iterdir()) == []
+
+
+def test_programs_are_shared_by_processes_of_one_device_and_of_two(package, tmp_path):
+    """What is kept is for one device: a process that counts the CPU as two has the same program."""
+    two = TINY.replace("configure(", "configure(cpu_devices=2, ")
+    traced = []
+    for code in (TINY, two):
+        command = [sys.executable, "-c", code, str(tmp_path / "kept"), "double"]
+        environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, env=environment)
+        assert done.returncode == 0, done.stderr
+        traced.append(json.loads(done.stdout.splitlines()[-1]))
+    assert traced[0][0]
+    assert not traced[1][0]
+    assert traced[1][1] == 0
+    assert traced[0][2] == traced[1][2] == [2.0, 3.0]
 
 
 def test_transformations_go_through():

@@ -1,0 +1,123 @@
+"""`simulate_batch`: many scenes at once, over all devices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.batch.again import all_members, with_care
+from pftwin.batch.devices import Devices, chosen_devices, idle_cores
+from pftwin.batch.member import Outcome, Task
+from pftwin.batch.spread import Spread, piece_for
+from pftwin.batch.variants import Group, Variants, groups_of
+from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.simulate import ECONOMICAL, simulate
+from pftwin.dynamics.trajectory import substeps_for
+from pftwin.errors import InputError
+from pftwin.scene import Scene
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+_PIECES = 8  # of each device in a chunk, by default
+_MOST_FRAMES = 300_000  # of all members, up to which trajectories are kept without being asked for: 30 MB
+
+
+def simulate_batch(
+    scenes: Sequence[Scene] | Variants,
+    *,
+    devices: Devices = "all",
+    chunk: int | None = None,
+    integrator: str | None = None,
+    dt: float | None = None,
+    tolerance: str | float | None = None,
+    outcome: Outcome | None = None,
+    trajectories: bool | None = None,
+    energy_budget: bool = True,
+    care: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Dataset:
+    """Many simulations side by side. Each is what `simulate` gives of its scene; none that fails stops the others.
+
+    Args:
+        scenes: a list of scenes; or `Variants`: a scene, a function that changes it, and a row of numbers a member.
+        devices: "all" that JAX has, a number of them, or a list. How to have more of a CPU: `configure(cpu_devices=)`.
+        chunk: most members between two looks of the host; at least a piece of 120 members for each device. It bounds
+            the memory for what is kept of a chunk, and does not change the answer.
+        integrator: as in `simulate`.
+        dt: longest step [s], 1e-3 by default.
+        tolerance: instead of `dt`, how far off the path of the first scene of each structure may be: the step that
+            `simulate` chooses for it serves all.
+        outcome: a pure function of a member's scene and its observation (`pftwin.dynamics.observe.Observation`), to a
+            dictionary of numbers or arrays: they are kept as well. A function that is defined once compiles once.
+        trajectories: whether paths are kept; by default where all members together have up to 300,000 frames.
+        energy_budget: keep account of work and heat, by which energy from nowhere is found.
+        care: recompute members whose status says that the run is not to be trusted: from a relaxed start, by steps of a
+            quarter, by another integrator.
+        progress: called with the number of members done and of all.
+
+    Returns:
+        A dataset over `variant`, in the order given: a summary of each motion, `status`, `status_frames` (frames with
+        each flag), `recomputed` and `failed`. Nothing is raised for members that stay bad: they are marked, and hold
+        NaN where `failed` says that they could not be simulated at all.
+
+    Raises:
+        InputError: no scenes, or something that is none; a scene that cannot give a right answer; a step, integrator,
+            chunk or number of devices that makes no sense.
+    """
+    found_devices = chosen_devices(devices)
+    if chunk is not None and (not isinstance(chunk, int) or isinstance(chunk, bool) or chunk < 1):
+        raise InputError(f"found {chunk!r}", where="chunk", expected="a whole number, at least 1")
+    if dt is not None and tolerance is not None:
+        raise InputError("found both dt and tolerance", where="simulate_batch", expected="one of them")
+    groups = groups_of(scenes)
+    name = integrator or ("linear_implicit" if tolerance is None else ECONOMICAL)
+    for group in groups:
+        integrator_named(name).fits(group.scene.effects)
+    courses = _with_courses(groups, trajectories)
+    total = sum(len(g.places) for g in groups)
+    piece = piece_for(total, found_devices[0].platform)
+    spread = Spread(found_devices, piece, chunk or _PIECES * piece * len(found_devices))
+    threads = idle_cores(found_devices) if devices == "all" else 1
+    parts, steps, before = [], [], 0
+    for group in groups:
+        substeps = _substeps(group, name, dt, tolerance)
+        steps.append(group.scene.motion.frame_interval / substeps)
+        shared = jnp.asarray(substeps)
+        task = Task(group.scene, group.change, shared, name, bool(energy_budget), courses, outcome)
+        told = None if progress is None else (lambda done, _, b=before: progress(b + done, total))
+        found = all_members(spread, task, group.rows, threads=threads, progress=told)
+        found = {**found, "recomputed": with_care(spread, task, group.rows, found) if care else _nothing(group)}
+        parts.append(found)
+        before += len(group.places)
+    from pftwin.batch.batch_dataset import dataset
+
+    settings = {"integrator": name, "dt_s": max(steps), **({} if tolerance is None else {"tolerance": str(tolerance)})}
+    return dataset(groups, parts, scenes.values if isinstance(scenes, Variants) else None, settings)
+
+
+def _nothing(group: Group) -> NDArray[np.int8]:
+    return np.zeros(len(group.places), dtype=np.int8)
+
+
+def _substeps(group: Group, integrator: str, dt: float | None, tolerance: str | float | None) -> int:
+    if tolerance is None:
+        return substeps_for(group.scene.motion.frame_interval, 1e-3 if dt is None else dt)
+    first = simulate(group.scene, integrator=integrator, tolerance=tolerance)
+    return int(first.settings["substeps"])
+
+
+def _with_courses(groups: list[Group], wanted: bool | None) -> bool:
+    """Whether trajectories are kept."""
+    frames = [g.scene.motion.n_frames for g in groups]
+    alike = len({(g.scene.motion.n_frames, float(g.scene.motion.frame_interval)) for g in groups}) == 1
+    if wanted and not alike:
+        raise InputError(
+            "scenes of different recorded times", where="trajectories", remedy="a batch for each, or outcomes alone"
+        )
+    few = sum(n * len(g.places) for n, g in zip(frames, groups, strict=True)) <= _MOST_FRAMES
+    return alike and few if wanted is None else bool(wanted)

@@ -12,12 +12,11 @@ from pftwin.batch.again import WAYS, Found
 from pftwin.batch.member import FLAGS
 from pftwin.batch.variants import Group
 from pftwin.dynamics.observe import Status
-from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-_SUMMARY = {  # unit, meaning
+SUMMARY = {  # unit, meaning
     "mean_tilt": ("deg", "mean patellar tilt, lateral positive"),
     "largest_tilt": ("deg", "largest patellar tilt, lateral positive"),
     "mean_shift": ("m", "mean lateral place of the tracked point in the femur frame"),
@@ -28,26 +27,23 @@ _SUMMARY = {  # unit, meaning
     "largest_contact_force": ("N", "largest contact force of the button"),
     "mean_contact_force": ("N", "mean contact force of the button"),
 }
-_COURSES = {
+COURSES = {
     "sphere_center": ("axis", "m", "tracked point in the femur frame"),
     "patella_position": ("axis", "m", "patella's origin in the femur frame"),
     "patella_quaternion": ("component", "1", "orientation of the patella in the femur frame, unit quaternion"),
     "frame_status": (None, "1", "how far the frame can be trusted; 0: no reservation"),
 }
+OWN_NAMES = {*SUMMARY, *COURSES, "status", "status_frames", "recomputed", "failed", "equilibrium_residual"}
+COORDINATES = ("variant", "scene", "flag", "values", "number", "time", "axis", "component")
 _VOID = (Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM)
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
 
 def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict[str, Any]) -> Dataset:
-    """The dataset of members, in the order in which they were given.
-
-    Raises:
-        InputError: outcomes that differ between scenes, or are named as what a batch has by itself.
-    """
+    """The dataset of members, in the order in which they were given."""
     from xarray import Dataset
 
     order = np.argsort(np.concatenate([g.places for g in groups]))
-    _check_own(parts)
 
     def gathered(*path: str) -> NDArray[Any]:
         return np.concatenate([_at(part, path) for part in parts])[order]
@@ -56,8 +52,8 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
     status = ((frames > 0) @ np.array([int(f) for f in FLAGS])).astype(np.int32)
     failed = ~gathered("sensible") | (status & sum(int(f) for f in _VOID) > 0)
     variables: Variables = {}
-    for name in [n for n in _SUMMARY if all(n in part["summary"] for part in parts)]:
-        unit, words = _SUMMARY[name]
+    for name in [n for n in SUMMARY if all(n in part["summary"] for part in parts)]:
+        unit, words = SUMMARY[name]
         shown = gathered("summary", name)
         shown = np.degrees(shown) if unit == "deg" else shown
         variables[name] = (("variant",), np.where(failed, np.nan, shown), _about(unit, words))
@@ -67,7 +63,7 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
         variables[name] = (dimensions, own, {"long_name": name.replace("_", " ")})
     variables |= _trust(gathered, frames, status, failed)
     for name in parts[0]["courses"]:
-        last, unit, words = _COURSES[name]
+        last, unit, words = COURSES[name]
         variables[name] = (
             ("variant", "time", *([last] if last else [])),
             gathered("courses", name),
@@ -128,15 +124,6 @@ def _attributes(groups: list[Group], gathered: Any, settings: dict[str, Any]) ->
         "recomputed_in_vain": int((again == WAYS.index("in_vain")).sum()),
         **settings,
     }
-
-
-def _check_own(parts: list[Found]) -> None:
-    shapes = [{name: a.shape[1:] for name, a in part["own"].items()} for part in parts]
-    if any(s != shapes[0] for s in shapes):
-        raise InputError("found other outcomes in other scenes", where="outcome", expected="the same names and shapes")
-    ours = {*_SUMMARY, *_COURSES, "status", "status_frames", "recomputed", "failed", "equilibrium_residual"}
-    if taken := sorted(ours & set(shapes[0])):
-        raise InputError(f"found {taken[0]!r}", where="outcome", expected="names that the batch does not have itself")
 
 
 def _at(part: Found, path: tuple[str, ...]) -> NDArray[Any]:

@@ -14,6 +14,7 @@ from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.observe import Observation, Status, observe
 from pftwin.dynamics.relaxation import THROWN, relax
 from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
+from pftwin.errors import InputError
 from pftwin.rotations import patellar_angles
 from pftwin.scene import LIMITS, Scene, limited
 from pftwin.spatial import Pose, Scalar, Vec3
@@ -55,7 +56,9 @@ def moved(task: Task, row: Any, start: Solution) -> dict[str, Any]:
         scene, integrator=task.integrator, substeps=task.substeps, start=start, ledger=task.energy
     )  # a traced number of substeps: smaller steps are the same program
     seen = observe(scene, path)
-    own = {} if task.outcome is None else dict(task.outcome(scene, seen))
+    own = {} if task.outcome is None else task.outcome(scene, seen)
+    if not isinstance(own, dict):
+        raise InputError(f"gives {type(own).__name__}", where="outcome", expected="a dictionary of numbers or arrays")
     return {
         "sensible": _sensible(scene),
         "status_frames": jnp.stack([jnp.sum((seen.status & int(flag)) != 0) for flag in FLAGS]),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pftwin.batch.again import all_members, with_care
 from pftwin.batch.devices import Devices, chosen_devices, idle_cores
 from pftwin.batch.member import Outcome, Task
+from pftwin.batch.outcomes import check_outcomes
 from pftwin.batch.spread import Spread, piece_for
 from pftwin.batch.variants import Group, Variants, groups_of
 from pftwin.dynamics.integrators import integrator_named
@@ -67,7 +68,8 @@ def simulate_batch(
 
     Raises:
         InputError: no scenes, or something that is none; a scene that cannot give a right answer; a step, integrator,
-            chunk or number of devices that makes no sense.
+            chunk or number of devices that makes no sense; outcomes that differ between scenes, or are named as what a
+            batch has by itself. All of it before anything is simulated.
     """
     found_devices = chosen_devices(devices)
     if chunk is not None and (not isinstance(chunk, int) or isinstance(chunk, bool) or chunk < 1):
@@ -83,12 +85,14 @@ def simulate_batch(
     piece = piece_for(total, found_devices[0].platform)
     spread = Spread(found_devices, piece, chunk or _PIECES * piece * len(found_devices))
     threads = idle_cores(found_devices) if devices == "all" else 1
-    parts, steps, before = [], [], 0
-    for group in groups:
-        substeps = _substeps(group, name, dt, tolerance)
-        steps.append(group.scene.motion.frame_interval / substeps)
-        shared = jnp.asarray(substeps)
-        task = Task(group.scene, group.change, shared, name, bool(energy_budget), courses, outcome)
+    substeps = [_substeps(group, name, dt, tolerance) for group in groups]
+    tasks = [
+        Task(g.scene, g.change, jnp.asarray(n), name, bool(energy_budget), courses, outcome)
+        for g, n in zip(groups, substeps, strict=True)
+    ]
+    check_outcomes(tasks, [g.rows for g in groups])
+    parts, before = [], 0
+    for group, task in zip(groups, tasks, strict=True):
         told = None if progress is None else (lambda done, _, b=before: progress(b + done, total))
         found = all_members(spread, task, group.rows, threads=threads, progress=told)
         found = {**found, "recomputed": with_care(spread, task, group.rows, found) if care else _nothing(group)}
@@ -96,7 +100,8 @@ def simulate_batch(
         before += len(group.places)
     from pftwin.batch.batch_dataset import dataset
 
-    settings = {"integrator": name, "dt_s": max(steps), **({} if tolerance is None else {"tolerance": str(tolerance)})}
+    dt_s = max(g.scene.motion.frame_interval / n for g, n in zip(groups, substeps, strict=True))
+    settings = {"integrator": name, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
     return dataset(groups, parts, scenes.values if isinstance(scenes, Variants) else None, settings)
 
 

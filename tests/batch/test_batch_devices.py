@@ -24,6 +24,7 @@ def with_two() -> dict:
     return seen_with(2)
 
 
+@pytest.mark.slow
 def test_two_devices_give_what_one_gives(with_two):
     assert with_two["devices"] == 2
     assert with_two["padding"] == 130
@@ -33,10 +34,12 @@ def test_two_devices_give_what_one_gives(with_two):
         assert with_two["one"][exact] == 0
 
 
+@pytest.mark.slow
 def test_the_order_of_members_changes_no_bit(with_two):
     assert with_two["order"]
 
 
+@pytest.mark.slow
 def test_three_devices_give_the_bits_of_two(with_two):
     assert seen_with(3)["bits"] == with_two["bits"]
 

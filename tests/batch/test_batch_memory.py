@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax
+import pytest
 from batch_checks import elsewhere
 
 MORE = 8_640  # members
@@ -22,6 +23,7 @@ print(sizes[1] - sizes[0])
 """
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_members():
     done = elsewhere("-c", CODE, str(jax.config.values["jax_compilation_cache_dir"]), str(MORE))
     assert done.returncode == 0, done.stderr[-2000:]

@@ -48,6 +48,7 @@ def test_each_member_is_what_simulate_gives():
         assert five()["status"].values[i] == int(np.bitwise_or.reduce(alone.flags))
 
 
+@pytest.mark.slow
 def test_a_list_of_scenes_is_a_batch_in_its_order():
     rows = rows_of(COUNT)
     scenes = [dataclasses.replace(bent(small(), jnp.asarray(row)), name=f"knee {i}") for i, row in enumerate(rows)]
@@ -62,6 +63,7 @@ def test_a_list_of_scenes_is_a_batch_in_its_order():
         simulate_batch(scenes, dt=DT, trajectories=True)
 
 
+@pytest.mark.slow
 def test_chunks_change_no_bit():
     calls = []
     rows = rows_of(2 * FEW)
@@ -70,6 +72,7 @@ def test_chunks_change_no_bit():
     assert calls == [(FEW, 2 * FEW), (2 * FEW, 2 * FEW)]
 
 
+@pytest.mark.slow
 def test_a_bad_member_is_done_again_and_its_mates_stay_as_they_were(monkeypatch):
     """What counts as bad is changed to a flag that one member alone has."""
     rows = rows_of(COUNT)
@@ -88,6 +91,7 @@ def test_a_bad_member_is_done_again_and_its_mates_stay_as_they_were(monkeypatch)
     assert bits(after, mates) == bits(before, mates)
 
 
+@pytest.mark.slow
 def test_too_long_a_step_is_shortened():
     """At 10 ms the step is too long for a stiff tendon's patella; a quarter of it is not."""
     rows = rows_of(COUNT)
@@ -138,12 +142,27 @@ def test_refusals(call, words):
         call()
 
 
-def test_outcomes_with_a_name_of_the_batch_are_refused():
-    def named(scene, seen):
-        return {"status": seen.status[0]}
-
-    with pytest.raises(InputError, match="outcome: found 'status'; expected: names that"):
-        simulate_batch(Variants(small(), bent, rows_of(1)), dt=DT, devices=1, outcome=named)
+@pytest.mark.parametrize(
+    ("outcome", "words"),
+    [
+        (lambda scene, seen: {"status": seen.status[0]}, "outcome: found 'status'; expected: names that the batch"),
+        pytest.param(
+            lambda scene, seen: {"time": seen.status[0]},
+            "outcome: found 'time'; expected: names that the batch",
+            marks=pytest.mark.slow,
+        ),
+        (lambda scene, seen: seen.status[0], "outcome: gives .*; expected: a dictionary of numbers or arrays"),
+        pytest.param(
+            lambda scene, seen: {"name": "knee"},
+            "outcome: found 'name'; expected: names with numbers or arrays",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_outcomes_that_cannot_be_kept_are_refused_before_anything_runs(outcome, words, monkeypatch):
+    monkeypatch.setattr("pftwin.batch.simulate_batch.all_members", None)
+    with pytest.raises(InputError, match=words):
+        simulate_batch(Variants(small(), bent, rows_of(1)), dt=DT, devices=1, outcome=outcome)
 
 
 @pytest.mark.parametrize("n", [1, 119, 120, 121, 241, 5000])

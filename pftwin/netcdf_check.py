@@ -11,6 +11,7 @@ from typing import Any
 
 from pftwin.errors import InputError
 from pftwin.file_limits import RESULT_BYTES, RESULT_PACKED, RESULT_SMALL
+from pftwin.hdf5_heaps import check_heaps
 
 _SAVED = "a result saved by pftwin"
 
@@ -29,6 +30,7 @@ def check_netcdf(file: Path) -> list[str]:
     size = file.stat().st_size
     if size > RESULT_BYTES:
         raise _too_large(f"{size / 1e9:.1f} GB", file)
+    check_heaps(file)
     try:
         with h5py.File(file, "r") as opened:
             total = [0]

@@ -7,6 +7,7 @@ import os
 import h5py
 import numpy as np
 import pytest
+from xarray import Dataset
 
 from fitting import checkpoint
 from fitting.estimate import Estimate
@@ -15,7 +16,7 @@ from pftwin.errors import InputError
 from pftwin.interchange.osim_document import read_osim
 from pftwin.json_files import read_json
 from pftwin.mocap import read_csv, read_markers, read_sto
-from pftwin.result_files import load_dataset
+from pftwin.result_files import load_dataset, save_dataset
 from pftwin.scene_file import load_scene
 
 
@@ -99,3 +100,16 @@ class TestNetCDF:
         with h5py.File(file, "a") as opened:
             opened["big"] = h5py.ExternalLink("other.nc", "/time")
         assert "'big' stands elsewhere" in self.refusal(file)
+
+    @pytest.mark.parametrize(("at", "value"), [(8, 0x10FF), (8, 2**40), (24, 2**64 - 8), (24, 0), (8, 8)])
+    def test_a_damaged_heap_in_which_the_library_would_go_round_in_circles(self, tmp_path, at, value):
+        file = tmp_path / "a.nc"
+        save_dataset(Dataset({"x": ("time", np.arange(3.0))}, {"time": np.arange(3.0)}), file)
+        assert load_dataset(file)["x"].size == 3
+        data = bytearray(file.read_bytes())
+        heap = data.rindex(b"GCOL")
+        if at == 24:
+            data[heap + 16] = 0  # free, and of no room
+        data[heap + at : heap + at + 8] = value.to_bytes(8, "little")
+        file.write_bytes(data)
+        assert f"the heap at byte {heap} is damaged" in self.refusal(file)

@@ -1,8 +1,8 @@
 """Global heaps of an HDF5 file, walked before the library does: in a damaged one it goes round in circles for ever.
 
 A heap (HDF5 File Format Specification 3.0, section III.E) is "GCOL", a version, its size, and objects one behind
-the other, each with its own size. Where an object says that it takes no room the library (2.0) stays where it is, inside
-of C, where no time limit of Python's reaches it. Variables' dimensions are kept in such heaps.
+the other, each with its own size. Where an object says that it takes no room the library (2.0) stays where it is,
+inside of C, where no time limit of Python reaches it. Variables' dimensions are kept in such heaps.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ import os
 import h5py
 import numpy as np
 import pytest
-from xarray import Dataset
 
 from fitting import checkpoint
 from fitting.estimate import Estimate
@@ -103,6 +102,8 @@ class TestNetCDF:
 
     @pytest.mark.parametrize(("at", "value"), [(8, 0x10FF), (8, 2**40), (24, 2**64 - 8), (24, 0), (8, 8)])
     def test_a_damaged_heap_in_which_the_library_would_go_round_in_circles(self, tmp_path, at, value):
+        from xarray import Dataset
+
         file = tmp_path / "a.nc"
         save_dataset(Dataset({"x": ("time", np.arange(3.0))}, {"time": np.arange(3.0)}), file)
         assert load_dataset(file)["x"].size == 3

@@ -68,7 +68,7 @@ def read_cohort(path: str | os.PathLike[str], *, allow_outside: bool = False) ->
     _check_size(treatments, table, document)
     patients = tuple(_patient(p, i, table, document) for i, p in enumerate(table.patient))
     with document.naming("output"):
-        output = document.file(table.output or f"{document.path.stem}_results")
+        output = _inside(document, table.output or f"{document.path.stem}_results")
     predict = {"samples": table.predict.samples, "seed": table.predict.seed, "dt": table.predict.dt_s}
     name = table.name or document.path.stem
     return Cohort(name, document.path, output, patients, treatments, predict, allow_outside)
@@ -78,7 +78,7 @@ def _patient(table: PatientTable, i: int, cohort: CohortTable, document: Documen
     scene = None
     if table.scene is not None:
         with document.naming("patient", i, "scene"):
-            scene = document.file(table.scene)
+            scene = _inside(document, table.scene)
     contact = None
     if table.contact is not None:
         with document.naming("patient", i, "contact"):
@@ -87,6 +87,18 @@ def _patient(table: PatientTable, i: int, cohort: CohortTable, document: Documen
     if cohort.fit is not None or table.fit is not None:
         fit = {**(cohort.fit.options() if cohort.fit else {}), **(table.fit.options() if table.fit else {})}
     return Patient(table.name, scene, table.case, contact, fit)
+
+
+def _inside(document: Document, name: str) -> Path:
+    """As `Document.file`, in words that fit this file."""
+    try:
+        return document.file(name)
+    except InputError:
+        raise InputError(
+            f"{name!r} leads out of the cohort file's folder",
+            expected="a path in that folder",
+            remedy="if you know where the cohort file comes from: pftwin --allow-outside cohort ...",
+        ) from None
 
 
 def _contact(table: PatientTable) -> str:

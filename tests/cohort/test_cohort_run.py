@@ -215,7 +215,7 @@ def test_places_that_cannot_be(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(OutputError, match="is a file; try: another folder"):
         run_cohort(cohort, tmp_path / "file", work=CheapWork())
-    with pytest.raises(OutputError, match="there is no folder .*none; try: create it first"):
+    with pytest.raises(OutputError, match=r"there is no folder .*none; try: create it first"):
         run_cohort(cohort, tmp_path / "none" / "out", work=CheapWork())
     with pytest.raises(OutputError, match="cannot be made"):
         run_cohort(cohort, tmp_path / "file" / "out", work=CheapWork())

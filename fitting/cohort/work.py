@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 from fitting.cohort.description import Amounts, Cohort, Patient
+from fitting.cohort.shared import Shared
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,9 +80,10 @@ class ByPftwin:
         if estimate is None:
             settings["samples"] = 0  # nothing is uncertain
         variants = [variants_of(amounts) for amounts in self.cohort.treatments]
-        data = predict(
-            self._scene(patient), variants, estimate, progress=lambda done, of: tell(done / max(of, 1)), **settings
-        )
+        # Measurements, and the estimate as an object, would make a program of each patient's own.
+        scene = replace(self._scene(patient), measured=None)
+        fitted = None if estimate is None else Shared(estimate)
+        data = predict(scene, variants, fitted, progress=lambda done, of: tell(done / max(of, 1)), **settings)
         if bool(data["failed"].all()):
             raise InputError(
                 "no variant could be simulated: no equilibrium to start from, or no finite motion",

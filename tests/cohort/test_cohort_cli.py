@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import json
+import os
+import random
 import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cheap_cohort import CheapWork, write_cohort
 from toy_scene_files import LIGHT, write_toy
 from typer.testing import CliRunner, Result
 
+from fitting import Estimate, predict
+from fitting.cohort.manifest import Manifest
+from fitting.cohort.shared import _Apply
+from fitting.cohort.store import read_store
+from fitting.variants import grid
 from pftwin.cli import app
 from pftwin.errors import InputError
+from pftwin.scene_file import load_scene
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def pftwin(*arguments: object) -> Result:
@@ -129,10 +143,15 @@ def write_real(folder: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_real_fits_beside_broken_files(tmp_path):
-    file = write_real(tmp_path)
+def test_real_fits_beside_broken_files(tmp_path, monkeypatch):
+    file, put_in = write_real(tmp_path), []
+    once = _Apply.__call__
+    monkeypatch.setattr(_Apply, "__call__", lambda self, *given: put_in.append(self.values[0]) or once(self, *given))
     result = pftwin("cohort", file, "--json", tmp_path / "said.json")
     assert result.exit_code == 3, result.output
+    first, second = (Estimate.load(tmp_path / f"cohort_results/patients/{n}.fit.json") for n in ("first", "second"))
+    assert put_in.count(first.values[0]) > 1  # the program of the first patient is traced
+    assert put_in.count(second.values[0]) == 1  # and used for the second, who is only checked
     said = {p["patient"]: p for p in json.loads((tmp_path / "said.json").read_text())["patients"]}
     assert {n for n, p in said.items() if p["status"] == "done"} == {"first", "second"}
     why = {n: p["failure"]["message"] for n, p in said.items() if p["failure"]}
@@ -150,6 +169,12 @@ def test_real_fits_beside_broken_files(tmp_path):
     assert (done["peak_contact_force"] > 0).all()
     assert (done["peak_contact_force_low"] <= done["peak_contact_force_high"]).all()
 
+    _, _, stored = read_store(tmp_path / "cohort_results" / "patients" / "second.nc")
+    variants = grid("tibial_tuberosity_transfer", medialisation=[0, 0.005])
+    alone = predict(load_scene(tmp_path / "second" / "scene.toml"), variants, second, samples=2, dt=5e-3)
+    for name in ("peak_contact_force", "largest_offset", "mean_tilt", "parameters"):
+        np.testing.assert_allclose(stored[name], alone[name], rtol=1e-9)
+
     store = (tmp_path / "cohort_results" / "patients" / "first.nc").read_bytes()
     shutil.copy(tmp_path / "first" / "scene.toml", tmp_path / "no_toml" / "scene.toml")
     again = pftwin("cohort", file, "--resume", "--json", tmp_path / "said.json")
@@ -157,3 +182,35 @@ def test_real_fits_beside_broken_files(tmp_path):
     said = {p["patient"]: p for p in json.loads((tmp_path / "said.json").read_text())["patients"]}
     assert (said["first"]["kept"], said["no_toml"]["computed"]) == (2, 2)
     assert (tmp_path / "cohort_results" / "patients" / "first.nc").read_bytes() == store
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_real_processes_killed(tmp_path):
+    """As `test_cohort_kill` has it with cheap units: here compiled code runs, and threads of its own."""
+    text = REAL
+    for i in range(3):
+        (tmp_path / f"P{i}").mkdir()
+        scene = write_toy(tmp_path / f"P{i}", LIGHT + MEASURED)
+        scene.write_text(scene.read_text().replace("stiffness_N_per_m = 156", f"stiffness_N_per_m = {150 + i}"))
+        text += f'\n[[patient]]\nname = "P{i}"\nscene = "P{i}/scene.toml"\n'
+    (tmp_path / "cohort.toml").write_text(text)
+    patients, chance, finished = tmp_path / "cohort_results" / "patients", random.Random(3), {}
+    program = [sys.executable, "-c", "from pftwin.cli import main; main()", "cohort", "cohort.toml", "--resume"]
+    cache = os.environ.get("PFTWIN_TEST_CACHE", str(ROOT / ".jax_cache"))
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "PFTWIN_CACHE": cache, "NO_COLOR": "1"}
+    for wanted in (1, 2, 4):  # files that are there before the kill
+        with subprocess.Popen(program, cwd=tmp_path, env=env, stderr=subprocess.PIPE, text=True) as process:
+            while process.poll() is None and len([*patients.glob("P*")]) < wanted:
+                time.sleep(0.02)
+            time.sleep(chance.uniform(0, 0.3))
+            process.kill()
+        manifest = Manifest.load(tmp_path / "cohort_results")
+        now = {name: (tmp_path / "cohort_results" / name).read_bytes() for name in manifest.files}
+        assert len(now) >= wanted - 1
+        assert all(now[name] == content for name, content in finished.items())
+        finished = now
+    ended = subprocess.run(program, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert f"{6 - len(finished)} units computed, {len(finished)} were there" in ended.stdout
+    assert pftwin("cohort", tmp_path / "cohort.toml", "--check").exit_code == 0

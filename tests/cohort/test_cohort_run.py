@@ -254,7 +254,7 @@ def test_progress_and_time_left(tmp_path, monkeypatch):
     assert [p.left for p in ended] == [50.0, 40.0, 20.0, 10.0, 0.0]
     assert ended[2].failure is not None
     assert seen[0].left is None
-    assert [p.left for p in seen if p.share == 0.5] == [None, 20.0]
+    assert [p.left for p in seen if p.share == 0.5] == [None, 10.0]  # a unit of 10 s that has run for 10 s
 
 
 def test_a_chosen_folder(tmp_path):

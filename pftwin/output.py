@@ -56,7 +56,12 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def _on_disk(path: Path) -> None:
     """Waits until what was written to a file, or changed in a folder, is no longer in memory alone."""
-    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    except PermissionError:
+        if path.is_dir():  # one that may be written to, not listed
+            return
+        raise
     try:
         os.fsync(handle)
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -29,6 +30,8 @@ def check_place(path: str | os.PathLike[str]) -> Path:
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary file beside `path`, of the same suffix, that takes its place when the block ends without an error.
 
+    Its content is on the disk before it takes the place: after a loss of power there is the old file or the new one.
+
     Raises:
         OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
     """
@@ -40,12 +43,32 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary = Path(name)
         temporary.chmod(_default_mode())
         yield temporary
+        _on_disk(temporary)
         temporary.replace(target)
+        if os.name == "posix":
+            _on_disk(target.parent)  # the name, too
     except OSError as err:
         raise OutputError(f"{target}: cannot be written: {err.strerror or err}") from err
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def _on_disk(path: Path) -> None:
+    """Waits until what was written to a file, or changed in a folder, is no longer in memory alone."""
+    try:
+        handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    except PermissionError:
+        if path.is_dir():  # one that may be written to, not listed
+            return
+        raise
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP) or not path.is_dir():  # not every file system can
+            raise
+    finally:
+        os.close(handle)
 
 
 def _default_mode() -> int:

@@ -35,10 +35,23 @@ def save_dataset(data: Dataset, path: str | os.PathLike[str], *, groups: Mapping
         OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
     """
     with written_whole(path) as temporary:
-        data.to_netcdf(temporary, engine="h5netcdf")
-        for name, group in (groups or {}).items():
+        temporary.write_bytes(_netcdf(data, groups or {}))
+
+
+def _netcdf(data: Dataset, groups: Mapping[str, Dataset]) -> memoryview:
+    """The file's content, made in memory: a disk that is full under HDF5's own writing can end the process."""
+    import io
+
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as file:
+        data.dump_to_store(H5NetCDFStore(file))
+        for name, group in groups.items():
             packed = {k: {"compression": "gzip", "shuffle": True} for k, v in group.data_vars.items() if v.ndim}
-            group.to_netcdf(temporary, engine="h5netcdf", group=name, mode="a", encoding=packed)
+            group.dump_to_store(H5NetCDFStore(file, group=name, mode="a"), encoding=packed)
+    return content.getbuffer()
 
 
 def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> Dataset:

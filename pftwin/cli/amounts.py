@@ -5,18 +5,16 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from fitting.ranges import numbers, values
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from pftwin.scene import Scene
-
-_MOST_VALUES = 1_000_000
 
 
 class Amount(NamedTuple):
@@ -94,46 +92,16 @@ def with_amounts(metavar: str, more: str = "") -> Callable[[Callable[..., None]]
     return decorate
 
 
-def values(text: str, option: str) -> list[float]:
-    """Numbers from "0:20:1" (the end included), "0,5,10" or "7".
-
-    Raises:
-        InputError: anything else.
-    """
-    parts = _numbers(text.split(":" if ":" in text else ","))
-    if not parts or (":" in text and len(parts) not in (2, 3)):
-        raise InputError(f"found {text!r}", where=option, expected="FROM:TO:STEP, or values such as 0,5,10")
-    if ":" not in text:
-        return parts
-    first, last = parts[:2]
-    step = parts[2] if len(parts) == 3 else 1.0
-    if step == 0 or (last - first) * step < 0:
-        raise InputError(f"found {text!r}", where=option, expected="a step that leads from the first to the last value")
-    count = math.floor((last - first) / step + 1e-9) + 1
-    if count > _MOST_VALUES:
-        raise InputError(f"{count} values", where=option, expected=f"at most {_MOST_VALUES}")
-    return [first + i * step for i in range(count)]
-
-
 def limits(text: str, option: str) -> tuple[float, float]:
     """The least and the most from "0:20".
 
     Raises:
         InputError: anything else.
     """
-    parts = _numbers(text.split(":"))
+    parts = numbers(text.split(":"))
     if len(parts) != 2 or not parts[0] < parts[1]:
         raise InputError(f"found {text!r}", where=option, expected="FROM:TO, such as 0:20")
     return parts[0], parts[1]
-
-
-def _numbers(parts: list[str]) -> list[float]:
-    """None at all where one is no finite number."""
-    try:
-        found = [float(p) for p in parts]
-    except ValueError:
-        return []
-    return found if all(map(math.isfinite, found)) else []
 
 
 def by_kind(given: Given) -> dict[str, list[tuple[Amount, str]]]:

@@ -13,6 +13,7 @@ from typer.core import TyperGroup
 from pftwin.cli import (
     accuracy,
     audit,
+    cohort,
     contact_map,
     demo,
     doctor,
@@ -60,6 +61,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
     "Treat": (
         ("treat", treat.treat, "Predict outcomes of treatments, with bands"),
         ("optimise", optimise.optimise, "The smallest treatment that meets stated limits"),
+        ("cohort", cohort.cohort, "Many patients: fits, treatments, one summary"),
         ("app", live.app, "Treatments by sliders, live in the browser"),
     ),
     "Look": (

@@ -1,0 +1,194 @@
+"""The loop over a cohort's units: each is computed, written, recorded; what fails does not stop the others."""
+
+from __future__ import annotations
+
+import os
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fitting.cohort.description import Cohort, Patient
+from fitting.cohort.folder import check_room, opened
+from fitting.cohort.manifest import Failure, Manifest
+from fitting.cohort.progress import Pace, Progress
+from fitting.cohort.report import Outcome, Report
+from fitting.cohort.store import write_store
+from fitting.cohort.summary import require_pyarrow
+from fitting.cohort.summary_file import SummaryFile
+from fitting.cohort.units import PATIENTS, Unit, units_of
+from fitting.cohort.work import ByPftwin, Work
+from pftwin.errors import InputError, PftwinError
+
+if TYPE_CHECKING:
+    from fitting.estimate import Estimate
+
+_NOTHING: Callable[[Progress], None] = lambda _: None  # noqa: E731
+
+
+def run_cohort(
+    cohort: Cohort,
+    folder: str | os.PathLike[str] | None = None,
+    *,
+    resume: bool = False,
+    work: Work | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Report:
+    """Computes what a cohort's folder lacks: fits, predictions, the summary, the manifest.
+
+    Args:
+        cohort: what to compute.
+        folder: of the results; by default the cohort's own.
+        resume: whether to go on where the folder holds results already. Units that are there with the right key and
+            checksum are kept, all others are computed; a folder without results is begun either way.
+        work: what computes the units; by default pftwin does.
+        progress: called while units run, and when they end.
+
+    Returns:
+        What became of each patient. Files that are broken, fits that find nothing, a disk that is full: all are in it,
+        and none stops the others.
+
+    Raises:
+        InputError: results are there and `resume` is not given, or another process is at work there.
+        OutputError: the folder cannot be made or written to.
+        MissingExtraError: pyarrow is not installed.
+    """
+    require_pyarrow()
+    place = Path(cohort.output if folder is None else folder)
+    with opened(place, cohort.name, resume=resume) as manifest:
+        return _Run(cohort, place, manifest, work or ByPftwin(cohort), progress or _NOTHING).all()
+
+
+class _Run:
+    """One run over all patients."""
+
+    def __init__(
+        self, cohort: Cohort, folder: Path, manifest: Manifest, work: Work, tell: Callable[[Progress], None]
+    ) -> None:
+        self.cohort, self.folder, self.manifest, self.work, self.tell = cohort, folder, manifest, work, tell
+        self.outcomes = {p.name: Outcome(p.name) for p in cohort.patients}
+        self.report = Report(folder, list(self.outcomes.values()))
+        self.summary = SummaryFile(cohort, folder, manifest)
+        self.pace = Pace()
+
+    def all(self) -> Report:
+        """Plans, runs what is missing, and writes the summary after every patient."""
+        began = time.perf_counter()
+        missing = self._plan()
+        self.pace.waits_for(missing)
+        for patient in self.cohort.patients:
+            if units := [u for u in missing if u.patient == patient.name]:
+                self._patient(patient, units)
+                self._summarised()
+        for outcome in self.outcomes.values():
+            outcome.status = "failed" if outcome.failure else "done"
+        self._summarised()
+        self.report.seconds = time.perf_counter() - began
+        return self.report
+
+    def _plan(self) -> list[Unit]:
+        """The units that are not done."""
+        missing: list[Unit] = []
+        self.manifest.failures.clear()
+        for patient in self.cohort.patients:
+            outcome = self.outcomes[patient.name]
+            with self._caught(outcome, "files"):
+                units = units_of(self.cohort, patient)
+                lacking = [u for u in units if not self.manifest.holds(u, self.folder)]
+                if lacking and lacking[-1] is not units[-1]:
+                    lacking.append(units[-1])  # predictions follow their fit
+                outcome.kept = len(units) - len(lacking)
+                missing += lacking
+                if not lacking:
+                    outcome.status = "done"
+                    self.summary.take(patient.name, units[-1])
+        return missing
+
+    def _patient(self, patient: Patient, units: list[Unit]) -> None:
+        """One unit after the other, until one fails."""
+        outcome = self.outcomes[patient.name]
+        for unit in units:
+            with self._caught(outcome, unit.kind):
+                self._unit(patient, unit)
+                outcome.computed += 1
+            self._saved()
+            self.pace.ended(unit, failed=outcome.failure is not None)
+            self.tell(self.pace.last(unit, outcome.failure))
+            if outcome.failure is not None:
+                return
+        with self._caught(outcome, "summary"):
+            self.summary.take(patient.name, units[-1])
+            outcome.status = "done"
+
+    def _unit(self, patient: Patient, unit: Unit) -> None:
+        """Computes it, writes its file, takes it up in the manifest.
+
+        Raises:
+            PftwinError: it cannot be computed or written.
+        """
+        began = time.perf_counter()
+        self.pace.began(unit)
+        self.tell(self.pace.progress(unit, 0.0))
+        check_room(self.folder / PATIENTS)
+        path = self.folder / unit.file
+
+        def tell(share: float) -> None:
+            self.tell(self.pace.progress(unit, share))
+
+        if unit.kind == "fit":
+            estimate = self.work.fit(patient, tell)
+            self._check_inputs(patient, unit)
+            estimate.save(path)
+        else:
+            fitted = None if patient.fit is None else self._fitted(unit)
+            prediction = self.work.predict(patient, fitted, tell)
+            about = self.work.about(patient)
+            self._check_inputs(patient, unit)
+            write_store(path, unit, about, fitted, prediction)
+        self.manifest.record(unit, self.folder, time.perf_counter() - began)
+
+    def _fitted(self, unit: Unit) -> Estimate:
+        """The patient's estimate, from its file: a prediction is the same whether its fit was of this run or not."""
+        from fitting.estimate import Estimate
+
+        return Estimate.load(self.folder / PATIENTS / f"{unit.patient}.fit.json")
+
+    def _check_inputs(self, patient: Patient, unit: Unit) -> None:
+        """Refuses a result of files that are no longer those of its key."""
+        if unit.key not in [u.key for u in units_of(self.cohort, patient)]:
+            raise InputError("its files changed while it was computed", where=patient.name, remedy="--resume")
+
+    def _saved(self) -> None:
+        """The manifest, as far as the disk lets it; the next one that can be written holds the same."""
+        with self._noted("manifest"):
+            self.manifest.save(self.folder)
+
+    def _summarised(self) -> None:
+        self.manifest.failures = {o.patient: o.failure for o in self.outcomes.values() if o.failure}
+        with self._noted("summary"):
+            self.summary.write(self.manifest.failures)
+
+    @contextmanager
+    def _caught(self, outcome: Outcome, stage: str) -> Iterator[None]:
+        """A patient's failure is written down. Not Ctrl-C: that is nobody's failure."""
+        try:
+            yield
+        except Exception as error:
+            known = isinstance(error, PftwinError)
+            text = None if known else traceback.format_exc()
+            kind = type(error).__name__
+            message = str(error) if known else f"unexpected, a mistake of pftwin's own: {kind}: {error}"
+            outcome.failure = Failure(stage, kind, message, text)
+            outcome.status = "failed"
+            self.manifest.failures[outcome.patient] = outcome.failure
+
+    @contextmanager
+    def _noted(self, what: str) -> Iterator[None]:
+        """What keeps manifest or summary from being written is said at the end, unless it could be written later."""
+        self.report.unwritten.pop(what, None)
+        try:
+            yield
+        except (PftwinError, OSError) as error:
+            self.report.unwritten[what] = str(error)

@@ -75,6 +75,7 @@ def test_every_frame_in_contact_agrees_with_differences(programs):
         assert np.abs(forward[1, :, k]).max() > 1e-7
 
 
+@pytest.mark.slow
 def test_four_columns_are_not_computed_anew_for_every_entry(programs):
     """Residuals once stacked into one array were: 800 runs on the rig, where five to seven are right.
 

@@ -84,6 +84,7 @@ def test_derivatives_are_finite_and_agree_where_features_meet(effect, spot):
 
 @pytest.mark.parametrize("spot", SPOTS)
 @pytest.mark.parametrize("gap", [0.0, 1e-300, 1e-15, 1e-3])
+@pytest.mark.slow
 def test_just_touching_or_clear_there_is_next_to_no_force_and_every_derivative_is_finite(effect, spot, gap):
     value, forward, reverse = looked(effect, J([*SPOTS[spot], RADIUS + gap, 0.0, 0.0, 0.0]))
     assert np.abs(value).max() < 1e-3

@@ -70,6 +70,7 @@ def test_wholly_inside_it_is_too_deep(scene, height):
     assert Status.DEEP_INDENTATION in first_status(scene, height)
 
 
+@pytest.mark.slow
 def test_half_inside_it_is_too_deep(scene):
     assert Status.DEEP_INDENTATION in first_status(scene, BONE)
 

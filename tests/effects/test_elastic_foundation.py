@@ -76,6 +76,7 @@ def test_the_force_is_minus_the_energys_gradient_and_the_stiffness_its_slope(eff
     np.testing.assert_allclose(forward, expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_damping_resists_and_never_pulls(effect):
     damped = eqx.tree_at(lambda e: e.damping_time, effect, J(1e-3))
     still, sinking, leaving = (seen(damped, at_depth(4e-4, velocity=(0, 0, v)))[0] for v in (0.0, -0.05, 10.0))

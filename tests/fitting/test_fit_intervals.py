@@ -32,6 +32,7 @@ def test_samples_have_the_covariance():
     assert "K1" in estimate().summary()
 
 
+@pytest.mark.slow
 def test_planning_tells_what_a_fit_reports():
     plan = fitting.plan_experiment(estimate().scene, noise={"position": NOISE}, candidates=())
     np.testing.assert_allclose(plan.covariance, estimate().covariance, rtol=0.05)

@@ -31,6 +31,7 @@ def test_genetic_batches_have_one_size():
 
 
 @pytest.mark.parametrize("method", [pytest.param("cma_es", marks=pytest.mark.slow), "differential_evolution"])
+@pytest.mark.slow
 def test_strategies_find_it_and_repeat_themselves(method):
     pytest.importorskip("evosax")
     one, other = (

@@ -57,6 +57,7 @@ def test_two_amounts_share_the_work(knee, bound):
             assert offset(knee, medialisation=other[0], distalisation=other[1]) > bound
 
 
+@pytest.mark.slow
 def test_nothing_is_done_where_nothing_is_needed(knee):
     plan = optimise_treatment(knee, Limit("largest_offset", at_most=0.015), dt=DT)
     assert plan.met

@@ -40,6 +40,7 @@ def test_damped_steps_create_none(integrator):
         assert Status.ENERGY_FROM_NOWHERE not in flags
 
 
+@pytest.mark.slow
 def test_an_explicit_step_that_blows_up_says_that_it_is_too_long():
     light, plain = flags_of(["patella_of_1_g", "plain_knee"], "symplectic_euler", 100)
     assert Status.NOT_FINITE in light

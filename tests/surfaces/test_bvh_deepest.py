@@ -102,6 +102,7 @@ def test_a_thousand_poses(groove):
     _compare(groove, 1000, seed=8)
 
 
+@pytest.mark.slow
 def test_a_batch_is_what_its_members_are(groove):
     search = depth_search(groove[0], groove[1].corners, LIMIT)
     poses = on_the_groove(4, 0.3e-3, seed=1)

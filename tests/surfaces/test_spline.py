@@ -239,6 +239,7 @@ def test_the_facets_of_a_brute_force_search_are_found(trochlea):
     ],
     ids=["touch", "apart", "beyond the edge"],
 )
+@pytest.mark.slow
 def test_derivatives_by_coefficients_are_those_of_finite_differences(trochlea, place):
     """Of the distances at the closest points, forward and in reverse."""
     u, y, gap = place

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.parameters import applied
-from fitting.places import find
+from fitting.applied import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
 from pftwin.errors import InputError
 from pftwin.json_files import read_json
@@ -98,16 +97,10 @@ class Estimate:
             raise InputError("an estimate from a file holds no scene", remedy="estimate.apply(scene)")
         return self.apply(self.nominal_scene)
 
-    def apply(self, scene: Scene, theta: Any = None) -> Scene:
-        """A scene with the estimated values, or with others (p,). Pure in theta; the scene may be another one.
-
-        Raises:
-            InputError: it has no such parameters.
-        """
-        import jax.numpy as jnp
-
-        places = tuple(find(scene, name)[0] for name in self.names)
-        return applied(places, scene, jnp.asarray(self.values, dtype=float) if theta is None else theta)
+    @property
+    def apply(self) -> Applied:
+        """`estimate.apply(scene)` has the estimated values, `estimate.apply(scene, theta)` others (p,)."""
+        return Applied(tuple(self.names), self.values)
 
     def samples(self, count: int, seed: int = 0) -> Floats:
         """Parameters (count, p) as uncertain as the estimate: normal, kept within the bounds."""

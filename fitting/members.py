@@ -19,16 +19,14 @@ from fitting.course import Groove, course
 from fitting.outcomes import measure
 from fitting.treatments import Treatment
 from pftwin.batch.devices import Devices, chosen_devices, idle_cores
+from pftwin.batch.member import FLAGS, sensible
 from pftwin.batch.spread import Chunk, Spread
 from pftwin.batches import good_sizes
 from pftwin.dynamics.observe import Status, observe
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tendon import Tendon
 from pftwin.scene import Scene
-from pftwin.spatial import Pose, Scalar
+from pftwin.spatial import Pose
 
-FLAGS = tuple(flag for flag in Status if flag)
 _NEAR = 48  # equilibria that are found from the scene's own start; all others start from the nearest of them
 _FEWEST = 16  # members of a chunk: fewer cost the same
 Floats = NDArray[np.float64]
@@ -60,16 +58,6 @@ class Members(NamedTuple):
     courses: dict[str, Floats]  # (n, frames, ...), where trajectories are wanted
 
 
-def _sensible(scene: Scene) -> Scalar:
-    """Whether lengths and stiffnesses are positive: amounts may be larger than what they are taken from."""
-    good = jnp.asarray(True)
-    for effect in scene.effects:
-        if isinstance(effect, Tendon | StrandGroup):
-            good = good & jnp.all((effect.stiffness > 0) & (effect.slack_length > 0))
-    contact = scene.contact
-    return good if contact is None else good & (contact.radius > 0)
-
-
 def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
     """A member's outcomes."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
@@ -85,7 +73,7 @@ def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
             "force_medial": at.force[0],
             "force_lateral": at.force[1],
         }
-    return measure(at, recipe.threshold), flags, _sensible(scene), courses
+    return measure(at, recipe.threshold), flags, sensible(scene), courses
 
 
 @eqx.filter_jit
@@ -183,7 +171,7 @@ def _in_chunks(
     shared = spread.shared(recipe)
     rows = (np.asarray(amounts, float), np.asarray(thetas, float), starts)
 
-    def part(chunk: Chunk) -> Members:
-        return Members(*spread.taken(spread.run(_one, shared, chunk, spread.placed(rows, chunk)), chunk))
+    def computed(some: Chunk) -> Members:
+        return Members(*spread.taken(spread.run(_one, shared, some, spread.placed(rows, some)), some))
 
-    return spread.over(part, n, idle_cores(chosen) if devices == "all" else 1, progress)
+    return spread.over(computed, n, idle_cores(chosen) if devices == "all" else 1, progress)

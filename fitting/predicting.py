@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,9 @@ class Fitted(Protocol):
     units: tuple[str, ...]
     values: Floats
 
-    def apply(self, scene: Scene, theta: Any = None) -> Scene:
-        """The scene with the estimated values, or others."""
+    @property
+    def apply(self) -> Callable[..., Scene]:
+        """Of a scene, and of values (p,) if others than the estimated ones are meant: the scene with them."""
         ...
 
     def samples(self, count: int, seed: int = 0) -> Floats:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.members import FLAGS, Members
+from fitting.members import Members
 from fitting.outcomes import MEASURES
 from fitting.variants import Batch
+from pftwin.batch.member import FLAGS
 from pftwin.dynamics.observe import Status
 from pftwin.labels import SYNTHETIC
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
-from fitting.treatments import Treatment
+from fitting.treatments import KINDS, Treatment
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 
@@ -55,6 +55,23 @@ def grid(treatment: str | Treatment, amounts: Mapping[str, ArrayLike] | None = N
         raise InputError(f"no amount {next(iter(given))!r}", where="grid", expected=f"one of: {', '.join(names)}")
     mesh = np.meshgrid(*axes, indexing="ij")
     return treatment.with_values([jnp.asarray(a.ravel(), dtype=float) for a in mesh])
+
+
+def combinations(shown: Mapping[str, Mapping[str, Sequence[float]]]) -> Treatment:
+    """All combinations of amounts of one treatment, or of several after each other.
+
+    Args:
+        shown: values by the treatment's name and the amount's, as people write them: mm, degrees and percent.
+
+    Raises:
+        InputError: as `grid`.
+    """
+    whole, axes = Treatment(), {}
+    for kind, amounts in shown.items():
+        whole = whole.then(Treatment.of(kind, dict.fromkeys(amounts, 0.0)))
+        for name, values in amounts.items():
+            axes[f"{kind}.{name}"] = KINDS[kind].amounts[name].from_shown(values)
+    return grid(whole, axes)
 
 
 def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] | None) -> list[Batch]:

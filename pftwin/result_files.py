@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,22 +23,29 @@ _QUATERNION = "component"
 GEOMETRY = "geometry"  # the group of a result's file that says what there is to draw
 
 
-def save_dataset(data: Dataset, path: str | os.PathLike[str], *, groups: Mapping[str, Dataset] | None = None) -> None:
+def save_dataset(
+    data: Dataset,
+    path: str | os.PathLike[str],
+    *,
+    groups: Mapping[str, Dataset] | None = None,
+    encoding: Mapping[str, dict[str, Any]] | None = None,
+) -> None:
     """Writes NetCDF-4.
 
     Args:
         data: the file's root.
         path: where to.
         groups: further datasets, by the name of their group; compressed.
+        encoding: how variables of the root are packed, as xarray has it.
 
     Raises:
         OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
     """
     with written_whole(path) as temporary:
-        temporary.write_bytes(_netcdf(data, groups or {}))
+        temporary.write_bytes(_netcdf(data, groups or {}, dict(encoding or {})))
 
 
-def _netcdf(data: Dataset, groups: Mapping[str, Dataset]) -> memoryview:
+def _netcdf(data: Dataset, groups: Mapping[str, Dataset], encoding: dict[str, dict[str, Any]]) -> memoryview:
     """The file's content, made in memory: a disk that is full under HDF5's own writing can end the process."""
     import io
 
@@ -47,7 +54,7 @@ def _netcdf(data: Dataset, groups: Mapping[str, Dataset]) -> memoryview:
 
     content = io.BytesIO()
     with h5netcdf.File(content, "w") as file:
-        data.dump_to_store(H5NetCDFStore(file))
+        data.dump_to_store(H5NetCDFStore(file), encoding=encoding)
         for name, group in groups.items():
             packed = {k: {"compression": "gzip", "shuffle": True} for k, v in group.data_vars.items() if v.ndim}
             group.dump_to_store(H5NetCDFStore(file, group=name, mode="a"), encoding=packed)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from fitting.cohort.description import Amounts, Cohort, Patient
-from fitting.cohort.shared import Shared
+from fitting.cohort.description import Cohort, Patient
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
     from fitting.estimate import Estimate
-    from fitting.treatments import Treatment
     from pftwin.scene import Scene
 
 Tell = Callable[[float], None]  # how far a unit is: the share that is done
@@ -75,15 +72,14 @@ class ByPftwin:
         if not self.cohort.treatments:
             return None
         from fitting.predicting import predict
+        from fitting.variants import combinations
 
         settings = dict(self.cohort.predict)
         if estimate is None:
             settings["samples"] = 0  # nothing is uncertain
-        variants = [variants_of(amounts) for amounts in self.cohort.treatments]
-        # Measurements, and the estimate as an object, would make a program of each patient's own.
-        scene = replace(self._scene(patient), measured=None)
-        fitted = None if estimate is None else Shared(estimate)
-        data = predict(scene, variants, fitted, progress=lambda done, of: tell(done / max(of, 1)), **settings)
+        variants = [combinations(amounts) for amounts in self.cohort.treatments]
+        scene = self._scene(patient)
+        data = predict(scene, variants, estimate, progress=lambda done, of: tell(done / max(of, 1)), **settings)
         if bool(data["failed"].all()):
             raise InputError(
                 "no variant could be simulated: no equilibrium to start from, or no finite motion",
@@ -107,16 +103,3 @@ class ByPftwin:
         from pftwin.scene_file import load_scene
 
         return load_scene(patient.scene, contact=patient.contact, allow_outside=self.cohort.allow_outside)
-
-
-def variants_of(amounts: Amounts) -> Treatment:
-    """All combinations of a treatment's amounts, which are in mm, degrees and percent."""
-    from fitting.treatments import KINDS, Treatment
-    from fitting.variants import grid
-
-    whole, axes = Treatment(), {}
-    for kind, given in amounts.items():
-        whole = whole.then(Treatment.of(kind, dict.fromkeys(given, 0.0)))
-        for name, shown in given.items():
-            axes[f"{kind}.{name}"] = KINDS[kind].amounts[name].from_shown(shown)
-    return grid(whole, axes)

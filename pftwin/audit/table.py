@@ -119,5 +119,6 @@ def write_netcdf(found: Audit, path: str | os.PathLike[str]) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    with written_whole(path) as temporary:
-        dataset(found).to_netcdf(temporary, engine="h5netcdf")
+    from pftwin.result_files import save_dataset
+
+    save_dataset(dataset(found), path)

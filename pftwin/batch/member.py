@@ -60,7 +60,7 @@ def moved(task: Task, row: Any, start: Solution) -> dict[str, Any]:
     if not isinstance(own, dict):
         raise InputError(f"gives {type(own).__name__}", where="outcome", expected="a dictionary of numbers or arrays")
     return {
-        "sensible": _sensible(scene),
+        "sensible": sensible(scene),
         "status_frames": jnp.stack([jnp.sum((seen.status & int(flag)) != 0) for flag in FLAGS]),
         "equilibrium_residual": start.residual,
         "summary": _summary(scene, seen),
@@ -101,7 +101,7 @@ def _rows(v: Vec3) -> Array:
     return jnp.stack([v.x, v.y, v.z], axis=-1)
 
 
-def _sensible(scene: Scene) -> Array:
+def sensible(scene: Scene) -> Array:
     """What `pftwin.scene.check` asks for, of a scene that is traced."""
     leaves, structure = jax.tree.flatten(scene)
     positive, not_negative, within = limited(structure)

@@ -162,11 +162,10 @@ def _progress(frames: int) -> Any:
 def _write(path: Path, found: ContactMap, button: Any, settings: dict[str, Any]) -> None:
     from pftwin import __version__
     from pftwin.contact_map.dataset import compressed, dataset
-    from pftwin.output import written_whole
+    from pftwin.result_files import save_dataset
 
     data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
-    with written_whole(path) as temporary:
-        data.to_netcdf(temporary, engine="h5netcdf", encoding=compressed(data))
+    save_dataset(data, path, encoding=compressed(data))
 
 
 def _draw(path: Path, found: ContactMap, femur: Any, button: Any, title: str) -> None:

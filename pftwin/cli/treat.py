@@ -127,18 +127,12 @@ def _variants(numbers: dict[str, dict[str, list[float]]]) -> Treatment:
     """All combinations."""
     import math
 
-    from fitting.treatments import KINDS, Treatment
-    from fitting.variants import grid
+    from fitting.variants import combinations
 
     count = math.prod(len(v) for amounts in numbers.values() for v in amounts.values())
     if count > _MOST_VARIANTS:
         raise InputError(f"{count} combinations", expected=f"at most {_MOST_VARIANTS}", remedy="longer steps")
-    whole, axes = Treatment(), {}
-    for kind, amounts in numbers.items():
-        whole = whole.then(Treatment.of(kind, dict.fromkeys(amounts, 0.0)))
-        for name, shown in amounts.items():
-            axes[f"{kind}.{name}"] = KINDS[kind].amounts[name].from_shown(shown)
-    return grid(whole, axes)
+    return combinations(numbers)
 
 
 def loaded_estimate(path: Path) -> Estimate:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import stat
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from pftwin.errors import InputError, OutputError
+from pftwin.errors import InputError
 from pftwin.file_limits import MIB, RECORDING_BYTES
+from pftwin.output import written_whole
 
 _MISSING = {"", "nan", "-nan", "na", "n/a", "null", "-nan(ind)", "nan(ind)", "-1.#ind", "1.#qnan"}
 _TEXT_CONTROLS = {0x09, 0x0A, 0x0B, 0x0C, 0x0D, 0x1A}
@@ -131,26 +131,10 @@ def check_row_length(found: int, wanted: int, *, path: object, line: int, broken
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file whole: to a temporary neighbour first, then renamed, so that no half-written file is left.
+    """Writes a text file, whole or not at all.
 
     Raises:
         OutputError: the place cannot be written to.
     """
-    file = Path(path)
-    temporary = ""
-    try:
-        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-        Path(temporary).chmod(0o666 & ~_umask())
-        Path(temporary).replace(file)
-    except OSError as err:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
-        raise OutputError(f"{file}: cannot be written: {err.strerror or err}") from err
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")

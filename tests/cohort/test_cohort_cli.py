@@ -18,8 +18,8 @@ from toy_scene_files import LIGHT, write_toy
 from typer.testing import CliRunner, Result
 
 from fitting import Estimate, predict
+from fitting.applied import Applied
 from fitting.cohort.manifest import Manifest
-from fitting.cohort.shared import _Apply
 from fitting.cohort.store import read_store
 from fitting.variants import grid
 from pftwin.cli import app
@@ -145,8 +145,8 @@ def write_real(folder: Path) -> Path:
 @pytest.mark.slow
 def test_real_fits_beside_broken_files(tmp_path, monkeypatch):
     file, put_in = write_real(tmp_path), []
-    once = _Apply.__call__
-    monkeypatch.setattr(_Apply, "__call__", lambda self, *given: put_in.append(self.values[0]) or once(self, *given))
+    once = Applied.__call__
+    monkeypatch.setattr(Applied, "__call__", lambda self, *given: put_in.append(self.values[0]) or once(self, *given))
     result = pftwin("cohort", file, "--json", tmp_path / "said.json")
     assert result.exit_code == 3, result.output
     first, second = (Estimate.load(tmp_path / f"cohort_results/patients/{n}.fit.json") for n in ("first", "second"))

@@ -88,13 +88,18 @@ def test_the_folder_becomes_unwritable_on_the_way(tmp_path):
     assert "patients: cannot be written to" in report.outcomes[2].failure.message
 
 
+def blocked(manifest: Path) -> None:
+    """A folder in its place: nothing can be written there, not by the superuser either."""
+    manifest.unlink()
+    manifest.mkdir()
+
+
 def test_a_manifest_that_cannot_be_written_is_told_and_stops_nobody(tmp_path):
     cohort = cheap(tmp_path, 2)
 
     def began(patient: str, kind: str) -> None:
         if (patient, kind) == ("A", "prediction"):
-            (cohort.output / "manifest.json").unlink()
-            (cohort.output / "manifest.json").mkdir()
+            blocked(cohort.output / "manifest.json")
 
     work = CheapWork(began=began)
     report = run_cohort(cohort, work=work)
@@ -109,8 +114,7 @@ def test_a_manifest_that_is_written_at_last_holds_everything(tmp_path):
 
     def began(patient: str, kind: str) -> None:
         if (patient, kind) == ("A", "prediction"):
-            (cohort.output / "manifest.json").unlink()
-            (cohort.output / "manifest.json").mkdir()
+            blocked(cohort.output / "manifest.json")
         elif (patient, kind) == ("B", "prediction"):
             (cohort.output / "manifest.json").rmdir()
 

@@ -10,11 +10,10 @@ from cheap_cohort import HEAD, write_cohort
 
 from fitting.cohort import read_cohort
 from fitting.cohort.tables import FitTable
-from fitting.cohort.work import variants_of
 from fitting.fit import METHODS
 from fitting.objective import LOSSES, OBJECTIVES
 from fitting.treatments import KINDS
-from fitting.variants import amounts_of
+from fitting.variants import amounts_of, combinations
 from pftwin.errors import InputError
 
 PATIENT = '\n[[patient]]\nname = "A"\ncase = 1\n'
@@ -48,9 +47,9 @@ lateral_release = { release_percent = 50 }
 femoral_component_rotation = { external_rotation_deg = -3 }
 """
     first, second = read(tmp_path, "schema = 1\n" + table + PATIENT).treatments
-    found = amounts_of(variants_of(first))
+    found = amounts_of(combinations(first))
     assert found.round(9).tolist() == [[m, d, 0.5] for m in (0.0, 0.005, 0.01) for d in (0.0, 0.004)]
-    assert amounts_of(variants_of(second)).tolist() == [[pytest.approx(-0.05235987756)]]
+    assert amounts_of(combinations(second)).tolist() == [[pytest.approx(-0.05235987756)]]
 
 
 def test_every_amount_of_every_treatment_can_be_given(tmp_path):

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 from pftwin.dynamics.observe import Status
 from pftwin.hard_cases.case import RELEASED, UNKNOWN, Case, Expected
+from pftwin.hard_cases.ground import Ground, mesh_on
 from pftwin.hard_cases.grounds import PLATE, VEE
 from pftwin.hard_cases.knee import ABSENT, PATELLAR_TENDON, RADIUS, Knee, Law, standing
+from pftwin.surfaces.mesh import SurfaceMesh
 
 FREE = Knee(
     ground=PLATE,
@@ -19,6 +21,11 @@ FREE = Knee(
 )
 WEIGHTLESS = (0.0, 0.0, 0.0)
 TOPIC = "contact"
+
+
+def _wide(ground: Ground) -> SurfaceMesh:
+    """A mesh that goes on where a patch does: by its edge a small button would roll over the rim on its way to rest."""
+    return mesh_on(replace(ground, half=(0.03, 0.03)))
 
 
 def above(height: float, **changes: object) -> Knee:
@@ -150,8 +157,9 @@ CASES = (
     Case(
         "button_of_1_mm",
         TOPIC,
-        "A button of 1 mm radius: a way of 0.25 mm in one step is too long for it, and a twentieth of its radius deep.",
-        lambda: Knee(radius=1e-3, center=(0.0, 0.0, RADIUS * -1 + 1e-3)),
+        "A button of 1 mm radius: a way of 0.25 mm in one step is too long for it, and a twentieth of its radius deep."
+        " It comes to rest 40 mm from where it is put.",
+        lambda: Knee(radius=1e-3, center=(0.0, 0.0, RADIUS * -1 + 1e-3), mesh=_wide),
         Expected(may=Status.STEP_TOO_LONG),
         step=2e-4,
     ),

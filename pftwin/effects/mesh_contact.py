@@ -68,6 +68,12 @@ class MeshContact(Effect):
         femur = self.femur
         return behind(femur.tree.triangles, femur.source, femur.rim, corner, found.pairs == 0)
 
+    def _engulfed(self, now: Instant, found: Contacts) -> Behind:
+        """Whether the femur's mesh is wholly inside the patella's: an open one of a part of the femur can be."""
+        corner = self._pose(now).unapply(Vec3.from_array(self.femur.tree.triangles[0, :3]))
+        patella = self.patella
+        return behind(patella.tree.triangles, patella.source, patella.rim, corner, found.pairs == 0)
+
     def _hollow(self, found: Contacts) -> Array:
         """Whether a contour is too wide to hold no corner, and yet none within reach was found in it."""
         largest = jnp.max(Triangle.of_rows(self.patella.tree.triangles).area_vector().norm())
@@ -128,7 +134,10 @@ class MeshContact(Effect):
             # No force, but anything but no contact: the corner's distance to the surface tells.
             here = inside.there & (self.femur.facet(inside.place) == k)
             report[f"indentation_{facet}"] = jnp.where(here, inside.depth, report[f"indentation_{facet}"])
-        too_deep = found.too_deep | inside.there | self._hollow(found)
+        engulfed = self._engulfed(now, found)
+        medial = report["indentation_medial"]
+        report["indentation_medial"] = jnp.where(engulfed.there & ~inside.there, engulfed.depth, medial)
+        too_deep = found.too_deep | inside.there | engulfed.there | self._hollow(found)
         flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
         report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
         report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}

@@ -115,6 +115,21 @@ def test_the_search_for_contours_alone_sees_nothing_of_it():
     assert not bool(half.too_deep)
 
 
+def test_a_bone_wholly_inside_the_button_is_too_deep_and_says_how_far():
+    """A part of the femur's surface that a large button has gone over: no triangles meet."""
+    from pftwin.effects.mesh_contact import MeshContact
+    from pftwin.hard_cases.ground import Ground, mesh_on
+    from pftwin.surfaces.contact_mesh import contact_mesh
+
+    plate = contact_mesh(mesh_on(Ground(lambda u, v: 0.0 * u, (0.01, 0.01))))
+    made = about(MeshContact(plate, contact_mesh(icosphere(0.05, 2)), LAW, vec(0, 0, 0)), vec(0, 0, 0))
+    report = eqx.filter_jit(lambda now: made.report(now, None)[0])
+    inside, apart = (report(look((0, 0, z))) for z in (0.02, 0.06))
+    assert [Status(int(reservations(r))) for r in (inside, apart)] == [Status.DEEP_INDENTATION, Status.OK]
+    assert 0.01 < float(inside["indentation_medial"]) < 0.05
+    assert np.isnan(float(apart["indentation_medial"]))
+
+
 @pytest.mark.slow
 def test_behind_an_open_surface_is_too_deep_and_says_how_far():
     """A femur's surface without its back: a button that hangs far below it does not just touch nothing."""

@@ -19,7 +19,10 @@ from pftwin.errors import PftwinError
 if TYPE_CHECKING:
     from pftwin.benchmarks.row import Row
 
-TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", "start", "meshes", "growth", "batches")
+TOPICS = (
+    *("accuracy", "one run", "equilibrium", "batch", "forward", "reverse"),
+    *("start", "meshes", "growth", "batches", "accelerator"),
+)
 ON_ONE_CORE = ("batch", "forward", "reverse")
 LEVELS = {"0.01": 1e-5, "0.05": 5e-5}  # rms error: as the rows name it in mm, and in metres
 
@@ -39,7 +42,7 @@ def measure_topics(
     from pftwin.benchmarks.problem import scene_of_case_1
 
     about, rows = machine.describe(), []
-    if set(chosen) - {"start", "meshes", "growth", "batches"}:
+    if set(chosen) - {"start", "meshes", "growth", "batches", "accelerator"}:
         scene = scene_of_case_1()
         say("measuring accuracy ...")
         found = accuracy.errors(scene, reference=100 if quick else accuracy.REFERENCE)
@@ -70,6 +73,13 @@ def measure_topics(
     if "batches" in chosen:
         say("measuring batches ...")
         rows += in_a_process({"topic": "batches", "quick": quick}, "pftwin.benchmarks.batches")
+    if "accelerator" in chosen:
+        say("measuring an accelerator ...")
+        from pftwin.benchmarks.accelerator import PRECISIONS
+
+        for precision in PRECISIONS:
+            task = {"topic": "accelerator", "precision": precision, "quick": quick}
+            rows += in_a_process(task, "pftwin.benchmarks.accelerator")
     return rows, about
 
 

@@ -61,9 +61,11 @@ UNMENDED = {
     " its count ends. A damped fall then finds the place, on all kinds of contact. Here the last iterate lies behind"
     " the surface, where the point that is followed is not the nearest one. Steps of at most a quarter of the radius"
     " mend that, and let the count run out elsewhere.",
-    "button_of_1_m": "By contours: the ball comes to bear on the rim of the open mesh, where contours are not"
-    " closed, and finds no equilibrium, which every frame says. A frame later it has rolled over the rim: 90 mm"
-    " deep by the exhaustive search, without a contour and without a force, and that is not said.",
+    "button_of_1_m": "By contours: the ball's own triangles are larger than the mesh that it lies on. It comes to"
+    " bear on the rim of the open mesh, where contours are not closed, and finds no equilibrium, which every frame"
+    " says. A frame later it has rolled over the rim and cuts it without a corner inside: 90 mm deep by the exhaustive"
+    " search, and without a force; said is that the contact reaches over the rim, and once no triangles meet, that it"
+    " is too deep.",
     "at_random_4": "By contours, whose force jumps from triangle to triangle: the search stops 0.6 N from"
     " balance, from the start and from the end of the damped relaxation. With LLVM's optimisations, which the"
     " matrix does without, rounding is another, and it goes on to 1e-10 N. Every frame says that the run did not"

@@ -73,11 +73,12 @@ def merged(pieces: Sequence[Piece], order: Sequence[tuple[str, ...]]) -> list[Ce
 
 def runs(pieces: Sequence[Piece]) -> list[list[str]]:
     """Rows of what each piece ran and when, a head first."""
-    rows = [["date", "minutes", "contacts", "integrators", "float types", "looked at"]]
+    rows = [["date", "minutes", "contacts", "integrators", "float types", "cases", "looked at"]]
     for piece in pieces:
         names = (
             ", ".join(dict.fromkeys(getattr(c, n) for c in piece.cells)) for n in ("contact", "integrator", "dtype")
         )
+        cases = str(len({c.case for c in piece.cells}))
         looked = "the run alone" if piece.quick else "everything"
-        rows.append([str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}", *names, looked])
+        rows.append([str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}", *names, cases, looked])
     return rows

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.dynamics.observe import Observation
+from pftwin.dynamics.observe import Frame, Observation
 from pftwin.errors import InputError
 from pftwin.rotations import patellar_angles, tibiofemoral_angles
 from pftwin.scene import Scene
-from pftwin.spatial import Quaternion
+from pftwin.spatial import Quaternion, Vec3
 from pftwin.tracking import DISLOCATED, RE_ENGAGED, groove_line
 
 
@@ -55,21 +55,44 @@ class Course(NamedTuple):
     status: Array  # bits of `pftwin.Status`
 
 
+class Glimpse(NamedTuple):
+    """What a course is made of, of a frame or of all (leading axis n)."""
+
+    center: Vec3
+    orientation: Quaternion
+    force: tuple[Array, Array]
+    point: tuple[Array, Array]
+
+    @staticmethod
+    def of(scene: Scene, seen: Frame | Observation) -> Glimpse:
+        """Of what is seen of a scene with contact."""
+        contact = scene.contact
+        assert contact is not None
+        report = seen.effects[contact.name]
+        force, point = ((report[f"{what}_medial"], report[f"{what}_lateral"]) for what in ("force", "point"))
+        return Glimpse(seen.center, seen.patella.orientation, force, point)
+
+
 def course(scene: Scene, seen: Observation, groove: Groove) -> Course:
     """What outcomes need of an observed motion. Pure."""
-    contact = scene.contact
+    return course_of(scene, Glimpse.of(scene, seen), seen.status, groove)
+
+
+def course_of(scene: Scene, seen: Glimpse, status: Array, groove: Groove) -> Course:
+    """What outcomes need of glimpses of all frames, and their status (n,). Pure."""
+    contact, motion = scene.contact, scene.motion
     assert contact is not None
-    chart, report, motion = contact.surface.chart, seen.effects[contact.name], scene.motion
+    chart = contact.surface.chart
     u, v = chart.foot(chart.to_frame(seen.center))
     return Course(
         motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float),
         knee_flexion(scene),
         v - jnp.interp(u, groove.u, groove.v),
-        patellar_angles(seen.patella.orientation).tilt,
+        patellar_angles(seen.orientation).tilt,
         seen.center.y,
-        (report["force_medial"], report["force_lateral"]),
-        (report["point_medial"], report["point_lateral"]),
-        seen.status,
+        seen.force,
+        seen.point,
+        status,
     )
 
 

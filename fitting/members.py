@@ -15,15 +15,16 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from fitting.course import Groove, course
+from fitting.course import Glimpse, Groove, course_of
 from fitting.outcomes import measure
 from fitting.treatments import Treatment
 from pftwin.batch.devices import Devices, chosen_devices, idle_cores
 from pftwin.batch.member import FLAGS, sensible
 from pftwin.batch.spread import Chunk, Spread
 from pftwin.batches import good_sizes
-from pftwin.dynamics.observe import Status, observe
-from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
+from pftwin.dynamics.observe import observe_on_the_way
+from pftwin.dynamics.status import Status
+from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.scene import Scene
 from pftwin.spatial import Pose
 
@@ -61,8 +62,8 @@ class Members(NamedTuple):
 def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
     """A member's outcomes."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
-    seen = observe(scene, trajectory(scene, substeps=recipe.substeps))
-    at = course(scene, seen, recipe.groove)
+    seen, status, _ = observe_on_the_way(scene, lambda frame: Glimpse.of(scene, frame), substeps=recipe.substeps)
+    at = course_of(scene, seen, status, recipe.groove)
     flags = jnp.stack([jnp.sum((at.status & int(flag)) != 0) for flag in FLAGS])
     courses = {}
     if recipe.trajectories:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from fitting.course import Course, center_of_pressure, dislocated
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.errors import InputError
 from pftwin.result import Result
 from pftwin.spatial import Scalar, Vec3

@@ -11,7 +11,7 @@ from fitting.members import Members
 from fitting.outcomes import MEASURES
 from fitting.variants import Batch
 from pftwin.batch.member import FLAGS
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from pftwin import effects, interchange, mocap, plots, rig, surfaces, viewer
     from pftwin.batch.simulate_batch import simulate_batch
     from pftwin.batch.variants import Variants
-    from pftwin.dynamics.observe import Status
     from pftwin.dynamics.simulate import equilibrium, simulate
+    from pftwin.dynamics.status import Status
     from pftwin.errors import InputError, OutputError, PftwinError
     from pftwin.measured import Measured
     from pftwin.metrics import validate

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pftwin import tracking
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.observe import Observation, Status
+from pftwin.dynamics.observe import Observation
+from pftwin.dynamics.status import Status
 from pftwin.effects.base import Observable
 from pftwin.equilibrium_report import EquilibriumReport, on_host
 from pftwin.motion import KneeMotion

@@ -13,8 +13,8 @@ from small_scene import GROOVE_AT, knee_flexion, small_result, small_scene, vec
 
 import pftwin
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.observe import Status
 from pftwin.dynamics.state import Guide
+from pftwin.dynamics.status import Status
 from pftwin.equilibrium_report import EquilibriumReport
 from pftwin.errors import InputError, OutputError
 from pftwin.mocap.csv_files import read_csv

@@ -14,8 +14,8 @@ from pftwin.audit.equations import equations
 from pftwin.audit.parts import Part, parts
 from pftwin.audit.shares import Share, in_turn, through_frames
 from pftwin.dynamics.integrators import integrator_named
-from pftwin.dynamics.observe import Status
 from pftwin.dynamics.simulate import settle
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import substeps_for
 from pftwin.scene import Scene, check
 

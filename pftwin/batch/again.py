@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pftwin.batch.member import FLAGS, Task, moved, settled, settled_after_relaxing
 from pftwin.batch.spread import Chunk, Spread
 from pftwin.dynamics.integrators import integrator_named
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.errors import InputError
 
 # What says that the run itself is not to be trusted; that a patella leaves its patch or its groove is physics.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pftwin.batch.again import WAYS, Found
 from pftwin.batch.member import FLAGS
 from pftwin.batch.variants import Group
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 
 if TYPE_CHECKING:
     from xarray import Dataset

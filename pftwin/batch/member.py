@@ -11,8 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.observe import Observation, Status, observe
+from pftwin.dynamics.observe import Frame, Observation, observe, observe_on_the_way
 from pftwin.dynamics.relaxation import THROWN, relax
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.errors import InputError
 from pftwin.rotations import patellar_angles
@@ -52,49 +53,64 @@ def settled_after_relaxing(task: Task, row: Any) -> Solution:
 def moved(task: Task, row: Any, start: Solution) -> dict[str, Any]:
     """The member's motion from an equilibrium, as `batch_dataset` names it."""
     scene = task.change(task.scene, row)
-    path = trajectory(
-        scene, integrator=task.integrator, substeps=task.substeps, start=start, ledger=task.energy
-    )  # a traced number of substeps: smaller steps are the same program
-    seen = observe(scene, path)
-    own = {} if task.outcome is None else task.outcome(scene, seen)
+    options: Any = {"integrator": task.integrator, "start": start, "ledger": task.energy}
+    options["substeps"] = task.substeps  # a traced number: smaller steps are the same program
+    own: Any = {}
+    if task.outcome is None:
+        seen, status, _ = observe_on_the_way(scene, lambda frame: _Kept.of(scene, frame), **options)
+    else:  # which may look at anything
+        whole = observe(scene, trajectory(scene, **options))
+        seen, status, own = _Kept.of(scene, whole), whole.status, task.outcome(scene, whole)
     if not isinstance(own, dict):
         raise InputError(f"gives {type(own).__name__}", where="outcome", expected="a dictionary of numbers or arrays")
     return {
         "sensible": sensible(scene),
-        "status_frames": jnp.stack([jnp.sum((seen.status & int(flag)) != 0) for flag in FLAGS]),
+        "status_frames": jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS]),
         "equilibrium_residual": start.residual,
-        "summary": _summary(scene, seen),
+        "summary": seen.summary(),
         "own": own,
-        "courses": _courses(seen) if task.courses else {},
+        "courses": seen.courses(status) if task.courses else {},
     }
 
 
-def _summary(scene: Scene, seen: Observation) -> dict[str, Scalar]:
-    angles = patellar_angles(seen.patella.orientation)
-    found = {
-        "mean_tilt": jnp.mean(angles.tilt),
-        "largest_tilt": jnp.max(angles.tilt),
-        "mean_shift": jnp.mean(seen.center.y),
-        "largest_shift": jnp.max(seen.center.y),
-        "last_proximal": seen.center.x[-1],
-        "last_lateral": seen.center.y[-1],
-        "last_anterior": seen.center.z[-1],
-    }
-    button = scene.button
-    if button is not None:
-        force = seen.effects[button.name]["force"]
-        found |= {"largest_contact_force": jnp.max(force), "mean_contact_force": jnp.mean(force)}
-    return found
+class _Kept(NamedTuple):
+    """What is kept of a frame, or of all (leading axis n)."""
 
+    patella: Pose
+    center: Vec3
+    force: Scalar | None  # of contact, where there is any [N]
 
-def _courses(seen: Observation) -> dict[str, Array]:
-    q = seen.patella.orientation
-    return {
-        "sphere_center": _rows(seen.center),
-        "patella_position": _rows(seen.patella.position),
-        "patella_quaternion": jnp.stack([q.w, q.x, q.y, q.z], axis=-1),
-        "frame_status": seen.status,
-    }
+    @staticmethod
+    def of(scene: Scene, seen: Frame | Observation) -> _Kept:
+        """Of what is seen."""
+        button = scene.button
+        return _Kept(seen.patella, seen.center, None if button is None else seen.effects[button.name]["force"])
+
+    def summary(self) -> dict[str, Scalar]:
+        """Of the whole motion."""
+        angles = patellar_angles(self.patella.orientation)
+        found = {
+            "mean_tilt": jnp.mean(angles.tilt),
+            "largest_tilt": jnp.max(angles.tilt),
+            "mean_shift": jnp.mean(self.center.y),
+            "largest_shift": jnp.max(self.center.y),
+            "last_proximal": self.center.x[-1],
+            "last_lateral": self.center.y[-1],
+            "last_anterior": self.center.z[-1],
+        }
+        if self.force is not None:
+            found |= {"largest_contact_force": jnp.max(self.force), "mean_contact_force": jnp.mean(self.force)}
+        return found
+
+    def courses(self, status: Array) -> dict[str, Array]:
+        """Frame by frame."""
+        q = self.patella.orientation
+        return {
+            "sphere_center": _rows(self.center),
+            "patella_position": _rows(self.patella.position),
+            "patella_quaternion": jnp.stack([q.w, q.x, q.y, q.z], axis=-1),
+            "frame_status": status,
+        }
 
 
 def _rows(v: Vec3) -> Array:

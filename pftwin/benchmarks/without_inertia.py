@@ -36,7 +36,7 @@ class Point(NamedTuple):
 def compare(contact: str, case: int, speed: float) -> Point:
     """Both integrators on one motion, each with the step that holds the level of error."""
     import pftwin
-    from pftwin.dynamics.observe import Status
+    from pftwin.dynamics.status import Status
 
     scene = pftwin.rig.case(case, contact=contact)
     scene = eqx.tree_at(lambda s: s.motion, scene, scene.motion.at_speed(speed))

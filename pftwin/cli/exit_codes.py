@@ -49,7 +49,7 @@ def check_trust(result: Result) -> None:
     Frames without contact, beyond the edge of a fitted patch or after a snap are what happened to the patella: the
     summary tells of them, and they do not count here.
     """
-    from pftwin.dynamics.observe import Status
+    from pftwin.dynamics.status import Status
 
     told = Status.NO_CONTACT | Status.LEFT_PATCH | Status.SNAPPED
     if doubts := result.status & ~told:

@@ -27,8 +27,8 @@ def self_test() -> list[Finding]:
     import numpy as np
 
     from pftwin import rig
-    from pftwin.dynamics.observe import Status
     from pftwin.dynamics.simulate import simulate
+    from pftwin.dynamics.status import Status
 
     began = time.perf_counter()
     scene = rig.case(1)

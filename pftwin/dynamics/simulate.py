@@ -14,8 +14,9 @@ from jaxtyping import Array
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.observe import Observation, Status, observe
+from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax, thrown
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Path, coarsest, settings_of, tolerance_in_metres
 from pftwin.dynamics.trajectory import (
     first_guide,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pftwin.dynamics.observe import DEEPEST, Status
+from pftwin.dynamics.status import DEEPEST, Status
 from pftwin.hard_cases.expectations import at_end, still, symmetric
 from pftwin.hard_cases.look import Look
 

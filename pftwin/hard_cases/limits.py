@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 
 
 class Limit(NamedTuple):

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.hard_cases.case import RELEASED, Case, Expected
 from pftwin.hard_cases.contacts import MESHES
 from pftwin.hard_cases.ground import Ground, mesh_on

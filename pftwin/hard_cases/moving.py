@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.hard_cases.case import Case, Expected
 from pftwin.hard_cases.knee import FRAMES, RATE, Knee, flexed, swinging
 from pftwin.mocap.poses import PoseSeries

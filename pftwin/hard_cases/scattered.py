@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.hard_cases.case import Case, Expected
 from pftwin.hard_cases.ground import Ground
 from pftwin.hard_cases.knee import PATELLAR_TENDON, QUADRICEPS, TROCHLEA, Knee, Law

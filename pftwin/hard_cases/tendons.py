@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.hard_cases.case import RELEASED, Case, Expected
 from pftwin.hard_cases.grounds import VEE
 from pftwin.hard_cases.knee import PATELLAR_TENDON, QUADRICEPS, RADIUS, Knee, Strand

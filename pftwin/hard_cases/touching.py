@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.hard_cases.case import RELEASED, UNKNOWN, Case, Expected
 from pftwin.hard_cases.ground import Ground, mesh_on
 from pftwin.hard_cases.grounds import PLATE, VEE

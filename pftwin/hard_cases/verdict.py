@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.hard_cases import derivatives
 from pftwin.hard_cases.case import UNKNOWN, Case
 from pftwin.hard_cases.integrators import Method

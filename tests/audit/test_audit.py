@@ -22,7 +22,7 @@ from pftwin.audit.runs import run_alone, run_side_by_side
 from pftwin.audit.table import columns, dataset
 from pftwin.audit.variant import Variant
 from pftwin.cli import app
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.errors import InputError
 from pftwin.labels import SYNTHETIC
 from pftwin.result import Result

@@ -71,7 +71,7 @@ def test_a_mesh_that_is_not_to_be_used_is_code_3(tmp_path):
 def test_a_run_whose_numbers_are_doubtful_is_code_3_and_is_written(toy, tmp_path, monkeypatch):
     """The flags of a real result, changed: a patch that was left is told only, too long a step is flagged."""
     from pftwin.dynamics import simulate as module
-    from pftwin.dynamics.observe import Status
+    from pftwin.dynamics.status import Status
 
     real = module.simulate
     for flag, code in ((Status.LEFT_PATCH, ExitCode.DONE), (Status.STEP_TOO_LONG, ExitCode.FLAGGED)):

@@ -40,8 +40,9 @@ from pftwin.dynamics.natural_coordinates import (
     rates_wanted,
     second_rates_wanted,
 )
-from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import trajectory
 from pftwin.effects.contact_law import Flores
 from pftwin.effects.viscoelastic_tendon import ViscoelasticTendon

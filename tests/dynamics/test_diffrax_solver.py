@@ -24,7 +24,8 @@ from scenes import (
 
 from pftwin.dynamics import diffrax_solver
 from pftwin.dynamics.integrators import integrator_named
-from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import trajectory
 from pftwin.errors import InputError
 

@@ -10,7 +10,8 @@ import pytest
 from scenes import J, contact, flat_patch, knee, run, settled, starting_as_it_is, vec
 
 from pftwin.dynamics.linear_implicit import linear_implicit
-from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.effects.contact_law import Hertz
 from pftwin.effects.damping import LinearDamping

@@ -25,7 +25,8 @@ from scenes import (
 
 from pftwin.dynamics import newmark
 from pftwin.dynamics.integrators import Told, integrator_named
-from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import first_guide, starting_state, trajectory
 from pftwin.effects.friction import Friction
 from pftwin.effects.rough_contact import with_friction

@@ -27,7 +27,8 @@ from scenes import (
 
 from pftwin.dynamics import quasi_static_newton
 from pftwin.dynamics.integrators import integrator_named
-from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.contact_law import Hertz
 from pftwin.errors import InputError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import J, about, knee_motion, look, run, starting_as_it_is, vec
 
-from pftwin.dynamics.observe import Status, reservations
+from pftwin.dynamics.status import Status, reservations
 from pftwin.effects.base import Effect
 from pftwin.effects.contact_law import Hertz
 from pftwin.effects.foundation_law import LinearFoundation, checked_layer

@@ -11,8 +11,8 @@ from pressed_button import ARM, DOME, MASS, disc, pressed
 from scenes import J, run, starting_as_it_is
 from scipy.optimize import brentq
 
-from pftwin.dynamics.observe import Status
 from pftwin.dynamics.simulate import equilibrium, simulate
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.foundation_law import LogarithmicFoundation
 from pftwin.scene import Scene

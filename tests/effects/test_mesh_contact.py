@@ -11,7 +11,8 @@ import pytest
 from height_meshes import plate
 from scenes import J, about
 
-from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.base import Ground, Instant, Patella
 from pftwin.effects.contact_law import Flores, Hertz

@@ -11,7 +11,8 @@ from height_meshes import grid
 from mesh_volumes import K, contact
 from scenes import RADIUS, J, energies, gravity, knee, record, run, settled, state_at, system, trochlea, vec
 
-from pftwin.dynamics.observe import Status, observe
+from pftwin.dynamics.observe import observe
+from pftwin.dynamics.status import Status
 from pftwin.effects.contact_law import Flores
 from pftwin.effects.mesh_volume_contact import MeshVolumeContact
 from pftwin.rig.cases import case, implant_mesh

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fitting.course import Course, dislocated
 from fitting.outcomes import MEASURES, measure, outcomes, running_median
 from pftwin import rig, simulate
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.errors import InputError
 from pftwin.motion import KneeMotion
 from pftwin.tracking import follow

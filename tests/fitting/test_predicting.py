@@ -16,7 +16,7 @@ from fitting.predicting import predict
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from fitting.variants import grid
 from pftwin import rig, simulate
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.errors import InputError
 from pftwin.labels import SYNTHETIC
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.hard_cases import case_named
 from pftwin.hard_cases.batch import built, member, stacked
 from pftwin.hard_cases.programs import compiled, rest, run

@@ -12,7 +12,7 @@ import pytest
 import pftwin
 from pftwin.audit.put_in import put_in
 from pftwin.audit.variant import NotApplicable
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import trajectory
 from pftwin.errors import InputError
 from pftwin.hard_cases import CONTACTS, case_named

@@ -47,7 +47,7 @@ class Answer:
         Raises:
             InputError: fewer than two frames of it are finite.
         """
-        from pftwin.dynamics.observe import Status
+        from pftwin.dynamics.status import Status
 
         outcome = result.dislocations()
         recorded = Recorded.of(result, name, geometry=geometry)

@@ -1,0 +1,162 @@
+"""How far each frame of a motion can be trusted: flags, their words, and what raises them."""
+
+from __future__ import annotations
+
+import enum
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.state import State
+from pftwin.scene import Scene
+from pftwin.spatial import Scalar
+
+if TYPE_CHECKING:
+    from pftwin.dynamics.equilibrium import Solution
+
+FARTHEST = 0.25  # a way within one step beyond this share of the button's radius leaps over what it should feel
+MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is exact
+MOST_CREATED = 0.02  # energy from nowhere, as a share of the largest that moves; times the milliseconds of longer steps
+MOST_SO_FAR = 0.2  # and as a share of the largest that has moved so far
+LEAST_CREATED = 1e-6  # below which nothing is said [J]
+DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
+
+
+class Status(enum.IntFlag):
+    """How far a frame can be trusted; 0 is a clean frame."""
+
+    OK = 0
+    NO_CONTACT = 1
+    LEFT_PATCH = 2
+    DEEP_INDENTATION = 4
+    NOT_FINITE = 8
+    START_NOT_IN_EQUILIBRIUM = 16
+    STEP_TOO_LONG = 32
+    SEARCH_OVERFLOW = 64
+    ENERGY_FROM_NOWHERE = 128
+    SNAPPED = 256
+
+    def describe(self) -> str:
+        """The status in words."""
+        if not self:
+            return "ok"
+        return "; ".join(_WORDS[flag] for flag in Status if flag in self)
+
+
+_WORDS = {
+    Status.NO_CONTACT: "the button touches nothing",
+    Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation, or"
+    " reaches over the rim of the mesh",
+    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or deeper than is looked for:"
+    " step too large or law too soft",
+    Status.NOT_FINITE: "not finite: step too large, or a load that is not known",
+    Status.STEP_TOO_LONG: "the patella moves or turns too far within one step, or the step's equations are not solved:"
+    " take a shorter one",
+    Status.SEARCH_OVERFLOW: "the search for what touches ran out of room: a contact may be wrong",
+    Status.SNAPPED: "the equilibrium ended and the patella snapped to another one, in a dynamic burst without a time",
+    Status.ENERGY_FROM_NOWHERE: "there is more energy than before, less the work done: step too long, or forces that"
+    " have no potential, as those of coarse meshes",
+    Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
+}
+
+RESERVATIONS = {  # what effects report, and what it says where positive
+    "off_patch": Status.LEFT_PATCH,
+    "at_rim": Status.LEFT_PATCH,
+    "overflow": Status.SEARCH_OVERFLOW,
+    "too_deep": Status.DEEP_INDENTATION,
+}
+
+
+def status_of_all(
+    status: Array,
+    start: Solution,
+    energies: tuple[Scalar, dict[str, Scalar], Scalar] | None,
+    step: Scalar,
+    snaps: Array | None,
+) -> Array:
+    """The status of every frame (n,), with what the start and the frames before it tell.
+
+    Args:
+        status: of each frame by itself (n,).
+        start: the equilibrium it started from.
+        energies: kinetic, stored by each effect, and the work done (n,), where they are accounted for [J].
+        step: [s].
+        snaps: since the start (n,), of integrators that count them.
+    """
+    badly_started = jnp.where(start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
+    # What was finite at the start, and loads that are all known, become infinite by too long a step alone.
+    lost, unknown = ((status & int(flag)) > 0 for flag in (Status.NOT_FINITE, Status.SEARCH_OVERFLOW))
+    blown_up = lost & ~lost[0] & ~unknown.any()
+    flags = status | badly_started | jnp.where(blown_up, int(Status.STEP_TOO_LONG), 0)
+    if energies is not None:
+        created = _created(*energies, step) & ~lost
+        flags = flags | jnp.where(created, int(Status.ENERGY_FROM_NOWHERE), 0)
+    return flags | _snapped(snaps)
+
+
+def _snapped(snaps: Array | None) -> Array | int:
+    """Frames before which a motion without inertia has left its equilibrium for another."""
+    return 0 if snaps is None else jnp.where(jnp.diff(snaps, prepend=0) > 0, int(Status.SNAPPED), 0)
+
+
+def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Scalar) -> Array:
+    """(n,): whether by a frame kinetic and stored energy, less the work done, have risen above what was left of them.
+
+    Heat only lowers them, so its account plays no part; that of work is of first order in the step.
+    """
+    changes = [kinetic, work, *(energy - energy[0] for energy in stored.values())]
+    total = sum(stored.values(), start=kinetic)
+    left = total - work
+    rise = left - jax.lax.cummin(left)
+    moving, size = (
+        jnp.where(jnp.isfinite(x), x, 0.0) for x in (jnp.abs(jnp.stack(changes)).max(axis=0), jnp.abs(total))
+    )
+    # Of all that ever moves; where that blows up later, of what has moved so far, in which little is much.
+    most = jnp.minimum(MOST_CREATED * moving.max(), MOST_SO_FAR * jax.lax.cummax(moving))
+    rounding = 1000 * jnp.finfo(left.dtype).eps * jax.lax.cummax(size)
+    return jax.lax.cummax(rise) > jnp.maximum(1.0, step / 1e-3) * most + rounding + LEAST_CREATED
+
+
+def status_of_frame(
+    scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar, unsettled: Scalar | None
+) -> Array:
+    """What a frame tells by itself: () int, bits of `Status`.
+
+    Args:
+        scene: whose effects report.
+        seen: their reports, by name.
+        state: of the patella.
+        step: [s].
+        unsettled: what is left of the step's equations, where the integrator tells.
+    """
+    too_long = step * state.spin.norm() > MOST_TURN
+    if unsettled is not None:
+        too_long = too_long | (unsettled > 0)
+    flags = jnp.where(too_long, int(Status.STEP_TOO_LONG), 0)
+    for effect in scene.effects:
+        report = seen[effect.name]
+        flags = flags | reservations(report)
+        conditions = []
+        if effect.followed() is not None:  # a button, whatever it is on
+            conditions.append((report["force"] <= 0, Status.NO_CONTACT))
+        if "indentation_medial" in report:
+            radius = getattr(effect, "radius", None)
+            if radius is not None:
+                deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
+                conditions.append((deepest > DEEPEST * radius, Status.DEEP_INDENTATION))
+                conditions.append((step * state.velocity.norm() > FARTHEST * radius, Status.STEP_TOO_LONG))
+        for condition, flag in conditions:
+            flags = flags | jnp.where(condition, int(flag), 0)
+    finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())
+    return jnp.where(finite, flags, int(Status.NOT_FINITE) | (flags & int(Status.SEARCH_OVERFLOW)))
+
+
+def reservations(report: dict[str, Array]) -> Array:
+    """Bits of `Status` that an effect's report says by itself, whatever moves."""
+    flags = jnp.zeros((), int)
+    for name, flag in RESERVATIONS.items():
+        if name in report:
+            flags = flags | jnp.where(report[name] > 0, int(flag), 0)
+    return flags

@@ -1,0 +1,63 @@
+"""What is seen while a motion goes on is what is seen of it afterwards, to the last bit."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import knee, settled
+from small_scene import small_scene
+
+from pftwin.dynamics.observe import observe, observe_on_the_way
+from pftwin.dynamics.status import Status
+from pftwin.dynamics.trajectory import trajectory
+
+
+def kept(seen):
+    return seen.patella, seen.center, seen.effects["contact"]["force"]
+
+
+def both(scene, start, **options):
+    """Of one program each: what is kept and the status."""
+
+    @eqx.filter_jit
+    def afterwards(scene):
+        seen = observe(scene, trajectory(scene, start=start, **options))
+        return kept(seen), seen.status
+
+    @eqx.filter_jit
+    def on_the_way(scene):
+        found, status, _ = observe_on_the_way(scene, kept, start=start, **options)
+        return found, status
+
+    return afterwards(scene), on_the_way(scene)
+
+
+def same(one, other) -> bool:
+    return jax.tree.all(jax.tree.map(lambda a, b: np.array_equal(a, b, equal_nan=True), one, other))
+
+
+def test_it_is_what_is_seen_afterwards():
+    scene = small_scene(6)
+    afterwards, on_the_way = both(scene, settled(scene), substeps=jnp.asarray(2), ledger=True)
+    assert same(afterwards, on_the_way)
+    assert len(on_the_way[1]) == scene.motion.n_frames
+
+
+def test_energy_from_nowhere_and_lost_motions_are_told_alike():
+    """An explicit step beyond its limit: it multiplies rounding, in which the two programs differ."""
+    scene = small_scene(6)
+    options = {"substeps": jnp.asarray(1), "ledger": True, "integrator": "symplectic_euler"}
+    afterwards, on_the_way = both(scene, settled(scene), **options)
+    assert np.array_equal(afterwards[1], on_the_way[1])
+    assert (np.asarray(on_the_way[1]) & int(Status.ENERGY_FROM_NOWHERE | Status.STEP_TOO_LONG)).any()
+
+
+@pytest.mark.slow
+def test_what_an_integrator_carries_is_told_alike():
+    """Without inertia: snaps and what is unsettled, of a knee whose femur moves."""
+    scene = knee(16)
+    afterwards, on_the_way = both(scene, settled(scene), substeps=jnp.asarray(2), integrator="quasi_static")
+    assert same(afterwards, on_the_way)

@@ -7,7 +7,9 @@ the other never. JAX has no public name for the service's client; this is the on
 
 from __future__ import annotations
 
+import atexit
 import itertools
+from functools import cache
 from typing import Any
 
 import jax
@@ -25,6 +27,8 @@ class Processes:
         self.index, self.count = jax.process_index(), jax.process_count()
         self.alive = tuple(range(self.count))
         self._client = _client() if self.count > 1 else None
+        if self.count > 1 and self.index == 0:
+            _last_to_leave(self.count)
         self._call, self._steps = next(_calls) if self.count > 1 else 0, itertools.count()
 
     def gathered(self, text: str) -> dict[int, str]:
@@ -47,3 +51,14 @@ def _client() -> Any:
     if not hasattr(client, "get_live_nodes"):
         raise PftwinError(f"JAX {jax.__version__} cannot say which processes live; try: a newer JAX")
     return client
+
+
+@cache
+def _last_to_leave(count: int) -> None:
+    """The service lives in process 0, and who is still there when it goes is ended.
+
+    JAX itself has processes leave together, but not where they may outlive each other (jax_enable_recoverability).
+    """
+    if getattr(jax.config, "jax_enable_recoverability", False):
+        client = _client()
+        atexit.register(lambda: client.get_live_nodes(list(range(count))))

@@ -43,6 +43,7 @@ class Cheap:
         first = rows[0] if isinstance(rows, tuple) else rows
         number = np.asarray(first, float).reshape(len(first), -1)[:, 0]
         self.rows.append(number.size)
+        paths = plan.tasks[k].courses
         if progress is not None:
             progress(number.size, number.size)
         return {
@@ -52,7 +53,7 @@ class Cheap:
             "recomputed": (number.astype(int) % 2).astype(np.int8),
             "summary": {"mean_tilt": np.sin(number), "mean_shift": np.cos(number)},
             "own": {},
-            "courses": {"sphere_center": np.tile(np.sin(number)[:, None, None], (1, 6, 3))},
+            "courses": {"sphere_center": np.tile(np.sin(number)[:, None, None], (1, 6, 3))} if paths else {},
         }
 
 
@@ -67,7 +68,7 @@ def made_cheap(put: Any = setattr) -> Cheap:
 def batch(rows: np.ndarray | None = None, **more: Any) -> Any:
     given = rows_of(COUNT) if rows is None else rows
     return pftwin.simulate_batch(
-        pftwin.Variants(small_scene(6), bent, given), **{"dt": 5e-3, "chunk": UNIT, "trajectories": True, **more}
+        pftwin.Variants(small_scene(6), bent, given), **{"dt": 5e-3, "chunk": UNIT, "devices": 1, **more}
     )
 
 

@@ -93,22 +93,33 @@ class Ended(NamedTuple):
 
 def ended(folder: Path, count: int, calls: list[dict[str, Any]], **more: Any) -> list[Ended]:
     """Processes that make these calls, once they have ended; `more` is for `main`."""
-    folder.mkdir()
-    path = os.pathsep.join([*map(str, HERE.parents[:3]), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "PYTHONPATH": path, "JAX_PLATFORMS": "cpu"}
     port = free_port()
+    told = [{"index": i, "count": count, "port": port, "calls": calls, **more} for i in range(count)]
+    folder.mkdir()
+    return run_together(folder, [[__file__, json.dumps(what)] for what in told], LIMIT)
+
+
+def run_together(
+    folder: Path, commands: list[list[str]], limit: float = 600.0, environments: list[dict[str, str]] | None = None
+) -> list[Ended]:
+    """Python processes at once, until all have ended; what they print goes through files in the folder.
+
+    A pipe that nobody reads would hold one up, and through it the others.
+    """
+    path = os.pathsep.join([*map(str, HERE.parents[:3]), os.environ.get("PYTHONPATH", "")])
+    common = {**os.environ, "PYTHONPATH": path, "JAX_PLATFORMS": "cpu"}
     processes = [
         subprocess.Popen(
-            [sys.executable, __file__, json.dumps({"index": i, "count": count, "port": port, "calls": calls, **more})],
-            stdout=(folder / f"{i}.out").open("w"),  # no pipes: who waits for one would hold up the others
+            [sys.executable, *command],
+            stdout=(folder / f"{i}.out").open("w"),
             stderr=(folder / f"{i}.err").open("w"),
-            env=environment,
+            env={**common, **(environments[i] if environments else {})},
         )
-        for i in range(count)
+        for i, command in enumerate(commands)
     ]
     try:
         for process in processes:
-            process.wait(LIMIT)
+            process.wait(limit)
     finally:
         for process in processes:
             process.kill()

@@ -19,7 +19,8 @@ from pftwin.errors import PftwinError
 if TYPE_CHECKING:
     from pftwin.benchmarks.row import Row
 
-TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", "start", "meshes", "growth", "batches")
+APART = ("start", "meshes", "growth", "batches", "processes")  # that need no step of a chosen accuracy
+TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", *APART)
 ON_ONE_CORE = ("batch", "forward", "reverse")
 LEVELS = {"0.01": 1e-5, "0.05": 5e-5}  # rms error: as the rows name it in mm, and in metres
 
@@ -39,7 +40,7 @@ def measure_topics(
     from pftwin.benchmarks.problem import scene_of_case_1
 
     about, rows = machine.describe(), []
-    if set(chosen) - {"start", "meshes", "growth", "batches"}:
+    if set(chosen) - set(APART):
         scene = scene_of_case_1()
         say("measuring accuracy ...")
         found = accuracy.errors(scene, reference=100 if quick else accuracy.REFERENCE)
@@ -70,6 +71,11 @@ def measure_topics(
     if "batches" in chosen:
         say("measuring batches ...")
         rows += in_a_process({"topic": "batches", "quick": quick}, "pftwin.benchmarks.batches")
+    if "processes" in chosen:
+        say("measuring processes ...")
+        from pftwin.benchmarks import processes
+
+        rows += processes.rows(quick)
     return rows, about
 
 

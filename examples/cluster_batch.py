@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("parts", type=Path, help="folder for the parts, on a disk that all machines see")
     parser.add_argument("--scene", type=Path, help="scene file; by default case 2 of the virtual rig")
     parser.add_argument("--members", type=int, default=100_000)
-    parser.add_argument("--chunk", type=int, help="members of a part; by default 960 or more")
+    parser.add_argument("--chunk", type=int, help="members of a part; by default 1,920 or more")
     parser.add_argument("--share", type=int, nargs=2, metavar=("K", "N"), help="the K-th of N shares alone, from 0")
     parser.add_argument("-o", "--out", type=Path, help="NetCDF file for the whole batch")
     given = parser.parse_args(arguments)

@@ -72,8 +72,10 @@ class InParts:
                 names = " and ".join(map(str, lost))
                 text = f"process {names} was lost; the others compute the {len(missing)} parts it left undone"
                 warnings.warn(text, PftwinWarning, stacklevel=2)
-        parts = [self.done[u] if u in self.done else read_part(self.folder, u, self.index, SHOWN) for u in asked]
-        return joined(parts)
+        for unit in asked:
+            if unit not in self.done:
+                self.done[unit] = self._read(unit, SHOWN)
+        return joined([self.done[u] for u in asked])
 
     def _agree(self) -> None:
         """Nobody computes a part of something else."""
@@ -104,11 +106,14 @@ class InParts:
         if not path.exists():
             return False
         try:
-            self.done[unit] = read_part(self.folder, unit, self.index)
+            self.done[unit] = self._read(unit)
         except InputError as error:
             warnings.warn(f"{error}; it is computed anew now", PftwinWarning, stacklevel=2)
             return False
         return True
+
+    def _read(self, unit: int, wait: float = 0.0) -> Dataset:
+        return read_part(self.folder, unit, self.index, wait, next(iter(self.done.values()), None))
 
     def _together(self, work: Callable[[], Any]) -> dict[int, Any]:
         """Everybody's answer, by process. What one fails in ends all, each with words: nobody waits in vain.

@@ -9,15 +9,13 @@ Every file appears whole or not at all (`pftwin.output.written_whole`), and no f
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
+from pftwin.batch.part_numbers import MARKS, checksum, numbers_like
 from pftwin.errors import InputError
 from pftwin.json_files import read_json
 from pftwin.output import make_folder, remove_unfinished, written_whole
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
 
 NAME = "batch.json"
 FORMAT = "pftwin batch in parts 1"
-MARKS = ("part_key", "part", "part_sha256")  # attributes that a part's file has and a batch has not
 _EXPECTED = f"a file of {FORMAT!r}, as pftwin.simulate_batch writes it"
 _UNFINISHED = re.compile(r"^\.(?:batch\.[a-z0-9_]{8}\.json|part_\d+\.[a-z0-9_]{8}\.nc)$")
 _LEFT = 3600.0  # [s] since it was last written to: no process is at it any more
@@ -114,7 +111,7 @@ def write_part(folder: Path, unit: int, key: str, members: Dataset) -> None:
     save_dataset(members.assign_attrs(marks), part_file(folder, unit))
 
 
-def read_part(folder: Path, unit: int, index: Index, wait: float = 0.0) -> Dataset:
+def read_part(folder: Path, unit: int, index: Index, wait: float = 0.0, like: Dataset | None = None) -> Dataset:
     """A unit's members.
 
     Args:
@@ -122,6 +119,7 @@ def read_part(folder: Path, unit: int, index: Index, wait: float = 0.0) -> Datas
         unit: its number.
         index: of the batch.
         wait: how long the file may take to appear [s].
+        like: another part, most likely with the same variables: what need not be looked up makes reading fast.
 
     Raises:
         InputError: it is not there, damaged, or of another batch.
@@ -130,11 +128,25 @@ def read_part(folder: Path, unit: int, index: Index, wait: float = 0.0) -> Datas
 
     path = part_file(folder, unit)
     _await(path, wait)
+    if like is not None and path.is_file():
+        found = numbers_like(like, path)
+        if found is not None and _fault(found, unit, index) is None:
+            return _unmarked(found)
     found = load_dataset(path)
+    if wrong := _fault(found, unit, index):
+        raise InputError(wrong, where=path, remedy=_ANEW)
+    return _unmarked(found)
+
+
+def _fault(found: Dataset, unit: int, index: Index) -> str | None:
     if found.attrs.get("part_key") != index.key or found.attrs.get("part") != unit:
-        raise InputError("belongs to another batch, or to another place in it", where=path, remedy=_ANEW)
+        return "belongs to another batch, or to another place in it"
     if found.sizes.get("variant") != index.units[unit] or found.attrs.get("part_sha256") != checksum(found):
-        raise InputError("its numbers are not those that were written", where=path, remedy=_ANEW)
+        return "its numbers are not those that were written"
+    return None
+
+
+def _unmarked(found: Dataset) -> Dataset:
     found.attrs = {k: v for k, v in found.attrs.items() if k not in MARKS}
     return found
 
@@ -144,20 +156,3 @@ def _await(path: Path, wait: float) -> None:
     while not path.is_file() and time.monotonic() < until:
         time.sleep(0.1)
         list(path.parent.iterdir())  # has a network file system look again
-
-
-def checksum(data: Dataset) -> str:
-    """Of all names, shapes and numbers, however a file packs them."""
-    total = hashlib.sha256()
-    for name in sorted(map(str, data.variables)):
-        variable = data[name].variable
-        values = np.asarray(variable.values)
-        total.update(repr((name, variable.dims, values.shape)).encode())
-        total.update(_bytes(values))
-    return total.hexdigest()
-
-
-def _bytes(values: np.ndarray[Any, Any]) -> bytes:
-    if values.dtype.kind in "OU":
-        return json.dumps(values.ravel().tolist()).encode()
-    return values.dtype.str.encode() + np.ascontiguousarray(values).tobytes()

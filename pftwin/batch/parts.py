@@ -60,7 +60,7 @@ def _looked_through(folder: Path, index: Index) -> tuple[dict[int, Dataset], dic
     wrong: dict[int, str] = {}
     for unit in range(len(index.units)):
         try:
-            there[unit] = read_part(folder, unit, index)
+            there[unit] = read_part(folder, unit, index, like=next(iter(there.values()), None))
         except InputError as error:
             wrong[unit] = str(error)
     return there, wrong

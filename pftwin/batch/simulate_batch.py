@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 _PIECES = 8  # of each device in a chunk, by default
-_LEAST, _FEW, _MOST = 960, 64, 64  # members of a part; parts of a batch; pieces of a part
+_LEAST, _FEW, _MOST = 1920, 64, 64  # members of a part; parts of a batch; pieces of a part
 _MOST_FRAMES = 300_000  # of all members, up to which trajectories are kept without being asked for: 30 MB
 
 
@@ -64,7 +64,7 @@ def simulate_batch(
         care: recompute members whose status says that the run is not to be trusted: from a relaxed start, by steps of a
             quarter, by another integrator.
         progress: called with the number of members done and of all; with `parts`, of those that this process computes.
-        parts: a folder in which members are kept as they are computed, a NetCDF file for each 960 of them or more (or
+        parts: a folder in which members are kept as they are computed, a NetCDF file for each 1,920 of them or more (or
             for each `chunk`). The same call again computes only what is missing there. Under `jax.distributed` the
             processes share the members out; the folder has to be one that all of them see.
         share: (k, n) computes the k-th of n shares alone, k from 0, and returns its members: for processes that know

@@ -186,9 +186,9 @@ def test_scenes_of_several_structures_come_back_in_their_order(cheap, tmp_path):
 @pytest.mark.parametrize(
     ("total", "piece", "members", "files"),
     [
-        (100, 16, 960, 1),
-        (3_840, 120, 960, 4),
-        (100_000, 120, 1_560, 65),
+        (100, 16, 1_920, 1),
+        (3_840, 120, 1_920, 2),
+        (100_000, 120, 1_920, 53),
         (10**6, 120, 7_680, 131),
         (10**6, 2048, 14_336, 70),
     ],

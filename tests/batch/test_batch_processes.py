@@ -24,7 +24,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
-@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_processes_give_the_dataset_of_one(cheap, tmp_path, count):
     whole = digest(batch())
     calls = [{"parts": str(tmp_path / "parts")}, {"parts": str(tmp_path / "parts")}]

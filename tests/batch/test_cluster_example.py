@@ -1,0 +1,73 @@
+"""examples/cluster_batch.py as srun starts it, on two local processes with SLURM's variables, and as a job array."""
+
+from __future__ import annotations
+
+import re
+import socket
+from pathlib import Path
+
+import jax
+import pytest
+from cheap_batch import run_together
+
+from pftwin.batch.parts import missing_parts, read_parts
+from pftwin.result_files import load_dataset
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE, PAGE = ROOT / "examples" / "cluster_batch.py", ROOT / "docs" / "cluster.md"
+FIRST_PORT = 61_440  # of those that JAX takes by the job's number
+
+
+def free_job() -> int:
+    """A job's number whose port is free."""
+    for job in range(1, 4_000):
+        with socket.socket() as found:
+            try:
+                found.bind(("127.0.0.1", FIRST_PORT + job))
+            except OSError:
+                continue
+            return job
+    raise AssertionError("no free port")
+
+
+def variables(count: int) -> list[dict[str, str]]:
+    common = {
+        "SLURM_JOB_ID": str(free_job()),
+        "SLURM_STEP_NODELIST": "localhost",
+        "SLURM_NTASKS": str(count),
+        "PFTWIN_CACHE": str(jax.config.values["jax_compilation_cache_dir"]),
+    }
+    return [{**common, "SLURM_PROCID": str(i), "SLURM_LOCALID": str(i)} for i in range(count)]
+
+
+@pytest.mark.slow
+def test_the_example_under_slurm_and_as_a_job_array(toy, tmp_path):
+    size = ["--scene", str(toy / "scene.toml"), "--members", "32", "--chunk", "16"]
+    together = [str(EXAMPLE), str(tmp_path / "parts"), *size, "-o", str(tmp_path / "found.nc")]
+    first, second = run_together(tmp_path, [together, together], environments=variables(2))
+    assert (first.status, second.status) == (0, 0), (first.words[-2000:], second.words[-2000:])
+    found = load_dataset(tmp_path / "found.nc")
+    assert found.sizes["variant"] == 32
+    assert not found["failed"].any()
+    assert "process 0 of 2: 32 members, 0 failed" in (tmp_path / "0.out").read_text()
+    assert "process 1 of 2: 32 members, 0 failed" in (tmp_path / "1.out").read_text()
+
+    alone = [str(EXAMPLE), str(tmp_path / "array"), *size, "--share", "1", "2"]
+    (task,) = run_together(tmp_path, [alone], environments=variables(1))
+    assert task.status == 0, task.words[-2000:]
+    done = read_parts(tmp_path / "array", incomplete=True)
+    assert done["variant"].values.tolist() == list(range(16, 32))
+    assert list(missing_parts(tmp_path / "array")) == [0]
+    assert done["mean_shift"].values.tobytes() == found["mean_shift"].values[16:].tobytes()
+
+
+def test_the_page_submits_what_the_example_takes():
+    """Options and variables of the job files are those of the script."""
+    text, script = PAGE.read_text(), EXAMPLE.read_text()
+    jobs = re.findall(r"cluster_batch\.py (.*)", text)
+    assert len(jobs) >= 4
+    for option in set(re.findall(r"(?<!\S)(--?[a-z]+)", " ".join(jobs))):
+        assert f'"{option}"' in script
+    for line in ('jax.config.update("jax_enable_recoverability", True)', "jax.distributed.initialize()"):
+        assert line in text
+        assert line in script

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pftwin.batch.batch_dataset import dataset
 from pftwin.batch.batch_key import features, key_of
-from pftwin.batch.part_files import SHOWN, Index, begin, part_file, read_part, write_part
+from pftwin.batch.part_files import SHOWN, Index, begin, check_seen, part_file, read_part, write_part
 from pftwin.batch.parts import joined
 from pftwin.batch.plan import Plan, some_of
 from pftwin.batch.processes import Processes
@@ -63,6 +63,8 @@ class InParts:
         self._agree()
         asked = [u for u in range(len(self.units)) if self.share is None or u % self.share[1] == self.share[0]]
         missing = self._missing(asked)
+        if missing and self.processes.count > 1:
+            self._together(lambda: check_seen(self.folder, self.index, SHOWN))
         while missing:
             shares = {p: missing[i :: len(self.processes.alive)] for i, p in enumerate(self.processes.alive)}
             self._together(lambda own=shares[self.processes.index]: self._compute(own))

@@ -82,6 +82,21 @@ def begin(folder: Path, index: Index) -> None:
     remove_unfinished(folder, _UNFINISHED, older=_LEFT)
 
 
+def check_seen(folder: Path, index: Index, wait: float) -> None:
+    """Refuses a folder that is not the one which another process has begun, before anything is computed.
+
+    Raises:
+        InputError: the batch is not in it, or does not appear within `wait` [s].
+    """
+    _await(folder / NAME, wait)
+    if not (folder / NAME).is_file() or read_index(folder).key != index.key:
+        raise InputError(
+            "holds nothing of what process 0 has just written",
+            where=folder,
+            expected="a folder on a disk that all processes see",
+        )
+
+
 def read_index(folder: Path) -> Index:
     """What batch a folder is of.
 
@@ -155,4 +170,5 @@ def _await(path: Path, wait: float) -> None:
     until = time.monotonic() + wait
     while not path.is_file() and time.monotonic() < until:
         time.sleep(0.1)
-        list(path.parent.iterdir())  # has a network file system look again
+        if path.parent.is_dir():
+            list(path.parent.iterdir())  # has a network file system look again

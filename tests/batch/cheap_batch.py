@@ -22,6 +22,7 @@ from small_scene import small_scene
 import pftwin
 from pftwin.batch import batch_key, in_parts
 from pftwin.batch.member import FLAGS
+from pftwin.batch.part_files import write_part
 from pftwin.batch.plan import Plan
 from pftwin.errors import OutputError, PftwinError
 
@@ -138,8 +139,9 @@ def main(index: int, count: int, port: int, calls: list[dict[str, Any]], recover
 
     Args:
         index, count, port: for `jax.distributed`.
-        calls: for each its arguments, and what is special about it: "seed" has every process draw its own rows, "dies"
-            is who kills itself at which part, "full" whose disk is full, "foreign" has the other's device asked for.
+        calls: for each its arguments, in which "{index}" in "parts" gives each process its own folder, and what is
+            special about it: "seed" has every process draw its own rows, "dies" is who kills itself at which part,
+            "full" whose disk is full, "foreign" has the other's device asked for.
         recover: whether the others go on after one was lost.
         wait: for how long a process may be silent [s].
     """
@@ -153,15 +155,16 @@ def main(index: int, count: int, port: int, calls: list[dict[str, Any]], recover
         f"127.0.0.1:{port}", count, index, heartbeat_timeout_seconds=wait, shutdown_timeout_seconds=wait
     )
     cheap = made_cheap()
+    in_parts.SHOWN = 1.0
     for call in calls:
         call = dict(call)
         cheap.rows.clear()
         rows = rows_of(COUNT) + (index if call.pop("seed", False) else 0)
         cheap.dies_at = call.pop("dies", {}).get(str(index))
-        if call.pop("full", None) == index:
-            in_parts.write_part = _no_room
+        in_parts.write_part = _no_room if call.pop("full", None) == index else write_part
         if call.pop("foreign", False):
             call["devices"] = [d for d in jax.devices() if d.process_index != index]
+        call |= {"parts": call["parts"].format(index=index)} if "parts" in call else {}
         said: dict[str, Any] = {}
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")

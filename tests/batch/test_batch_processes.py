@@ -79,6 +79,7 @@ def test_refusals_of_several_processes(tmp_path):
         {"parts": str(tmp_path / "a"), "share": [0, 2]},
         {"parts": str(tmp_path / "a"), "seed": True},
         {"parts": str(tmp_path / "nowhere" / "a")},
+        {"parts": str(tmp_path / "own {index}")},
         {"parts": str(tmp_path / "a"), "full": 1},
         {"parts": str(tmp_path / "a"), "full": 0},
     ]
@@ -96,8 +97,11 @@ def test_refusals_of_several_processes(tmp_path):
         assert "there is no folder" in said[4]
     assert "belongs to process 1, and this is process 0" in words[0][1]
     assert words[1][4].startswith("process 0: ")
-    assert words[0][5].startswith("process 1: ")
-    assert "No space left on device" in words[0][5]
-    assert "No space left on device" in words[1][5]
-    assert not words[1][5].startswith("process"), "one's own failure is raised as it is"
-    assert [line.get("kind") for line in second[1]][4:6] == ["OutputError", "OutputError"]
+    assert words[0][5] == f"process 1: {words[1][5]}"
+    assert words[1][5].endswith(
+        "own 1: holds nothing of what process 0 has just written; expected: a folder on a disk that all processes see"
+    )
+    assert words[0][6] == f"process 1: {words[1][6]}"
+    assert words[1][7] == f"process 0: {words[0][7]}"
+    assert "No space left on device" in words[1][6]
+    assert [line.get("kind") for line in second[1]][4:] == ["OutputError", "InputError", "OutputError", "OutputError"]

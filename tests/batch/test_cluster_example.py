@@ -10,7 +10,7 @@ import jax
 import pytest
 from cheap_batch import run_together
 
-from pftwin.batch.parts import missing_parts, read_parts
+from pftwin.batch.parts import read_parts
 from pftwin.result_files import load_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,13 +54,13 @@ def test_the_example_under_slurm_and_as_a_job_array(toy, tmp_path):
         assert f"process {i} of 2: 32 members, {int(found['failed'].sum())} failed" in said
         assert f"process {i} of 2: 16 of its 16 members" in said
 
-    alone = [str(EXAMPLE), str(tmp_path / "array"), *size, "--share", "1", "2"]
-    (task,) = run_together(tmp_path, [alone], environments=variables(1))
+    before = {p.name: p.read_bytes() for p in (tmp_path / "parts").iterdir()}
+    (task,) = run_together(tmp_path, [[*together[:2], *size, "--share", "1", "2"]], environments=variables(1))
     assert task.status == 0, task.words[-2000:]
-    done = read_parts(tmp_path / "array", incomplete=True)
-    assert done["variant"].values.tolist() == list(range(16, 32))
-    assert list(missing_parts(tmp_path / "array")) == [0]
-    assert done["mean_shift"].values.tobytes() == found["mean_shift"].values[16:].tobytes()
+    assert "process 0 of 1: 16 members" in (tmp_path / "0.out").read_text()
+    assert {p.name: p.read_bytes() for p in (tmp_path / "parts").iterdir()} == before, "all was there already"
+    done = read_parts(tmp_path / "parts")
+    assert done["mean_shift"].values.tobytes() == found["mean_shift"].values.tobytes()
 
 
 def test_the_page_submits_what_the_example_takes():

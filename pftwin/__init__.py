@@ -39,7 +39,7 @@ _HOME = {
     "PftwinError": "errors",
     "Result": "result",
     "Scene": "scene",
-    "Status": "dynamics.observe",
+    "Status": "dynamics.status",
     "Variants": "batch.variants",
     "configure": "runtime",
     "equilibrium": "dynamics.simulate",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -52,6 +54,44 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def make_folder(folder: Path, remedy: str = "another folder") -> None:
+    """Makes a folder in one that is there; it may be there already.
+
+    Raises:
+        OutputError: there is no folder to make it in, it is a file, or it cannot be made.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except FileExistsError:
+        raise OutputError(f"{folder}: is a file; try: {remedy}") from None
+    except FileNotFoundError:
+        raise OutputError(f"{folder}: there is no folder {folder.parent}; try: create it first") from None
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made: {error.strerror or error}") from error
+
+
+def remove_unfinished(folder: Path, names: re.Pattern[str], older: float = 0.0) -> None:
+    """Removes what a killed process has left of files that it had not finished (`written_whole`).
+
+    Args:
+        folder: where; nothing happens if it is not there.
+        names: what such files are called.
+        older: how long ago they must have been written to [s].
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if names.match(path.name) and path.is_file():
+            try:
+                if time.time() - path.stat().st_mtime >= older:
+                    path.unlink()
+            except FileNotFoundError:  # another process was quicker
+                continue
+            except OSError as error:
+                raise OutputError(f"{path}: cannot be removed: {error.strerror or error}") from error
 
 
 def _on_disk(path: Path) -> None:

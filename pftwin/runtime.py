@@ -103,7 +103,7 @@ def _count_cpu_devices(wanted: int | str) -> None:
     if not _jax_has_started():
         jax.config.update("jax_num_cpu_devices", count)
         return
-    there = len(jax.devices("cpu"))
+    there = len(jax.local_devices(backend="cpu"))
     if there != count:
         raise PftwinError(
             f"JAX has already started with {there} CPU device(s), so there cannot be {count} any more; try: call "

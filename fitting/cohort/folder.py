@@ -13,8 +13,10 @@ from typing import IO
 from fitting.cohort.manifest import NAME, SUMMARY, Manifest
 from fitting.cohort.units import PATIENTS
 from pftwin.errors import InputError, OutputError
+from pftwin.output import make_folder, remove_unfinished
 
 LOCK = ".lock"
+_ANOTHER = "another folder, with --out"
 _PROBE = bytes(1 << 16)
 # What `written_whole` calls the files that it has not finished: ".NAME." and eight letters.
 _UNFINISHED = {
@@ -37,13 +39,13 @@ def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
             another process is at work there.
         OutputError: it cannot be made or written to.
     """
-    _make(folder)
+    make_folder(folder, _ANOTHER)
     with _locked(folder):
         manifest = _found(folder, cohort, resume)
         for place, unfinished in _UNFINISHED.items():
-            _clear(folder / place, unfinished)
+            remove_unfinished(folder / place, unfinished)
         manifest.save(folder)
-        _make(folder / PATIENTS)
+        make_folder(folder / PATIENTS, _ANOTHER)
         yield manifest
 
 
@@ -62,17 +64,6 @@ def check_room(folder: Path) -> None:
         raise OutputError(f"{folder}: cannot be written to: {error.strerror or error}") from error
 
 
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(exist_ok=True)
-    except FileExistsError:
-        raise OutputError(f"{folder}: is a file; try: another folder, with --out") from None
-    except FileNotFoundError:
-        raise OutputError(f"{folder}: there is no folder {folder.parent}; try: create it first") from None
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made: {error.strerror or error}") from error
-
-
 def _found(folder: Path, cohort: str, resume: bool) -> Manifest:
     """The manifest that is there, or a new one."""
     if not (folder / NAME).exists():
@@ -81,7 +72,7 @@ def _found(folder: Path, cohort: str, resume: bool) -> Manifest:
                 f"holds {there[0]} and no {NAME}",
                 where=folder,
                 expected="an empty folder, or one that pftwin cohort wrote",
-                remedy="another folder, with --out",
+                remedy=_ANOTHER,
             )
         return Manifest(cohort)
     manifest = Manifest.load(folder)
@@ -90,7 +81,7 @@ def _found(folder: Path, cohort: str, resume: bool) -> Manifest:
             f"holds results of the cohort {manifest.cohort!r}",
             where=folder,
             expected=f"those of {cohort!r}",
-            remedy="another folder, with --out",
+            remedy=_ANOTHER,
         )
     if not resume and (manifest.files or manifest.failures):
         raise InputError(
@@ -99,16 +90,6 @@ def _found(folder: Path, cohort: str, resume: bool) -> Manifest:
             remedy="--resume, which computes what is missing or no longer up to date; or another folder, with --out",
         )
     return manifest
-
-
-def _clear(folder: Path, unfinished: re.Pattern[str]) -> None:
-    """Removes what a killed process had not finished."""
-    for path in folder.iterdir() if folder.is_dir() else ():
-        if unfinished.match(path.name) and path.is_file():
-            try:
-                path.unlink()
-            except OSError as error:
-                raise OutputError(f"{path}: cannot be removed: {error.strerror or error}") from error
 
 
 @contextmanager

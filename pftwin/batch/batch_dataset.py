@@ -40,10 +40,13 @@ Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
 
 def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict[str, Any]) -> Dataset:
-    """The dataset of members, in the order in which they were given."""
+    """The dataset of all members, or of some, in the order in which they were given."""
     from xarray import Dataset
 
+    from pftwin import __version__
+
     order = np.argsort(np.concatenate([g.places for g in groups]))
+    names = np.array([name for g in groups for name in g.names])[order]
 
     def gathered(*path: str) -> NDArray[Any]:
         return np.concatenate([_at(part, path) for part in parts])[order]
@@ -69,7 +72,21 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
             gathered("courses", name),
             _about(unit, words),
         )
-    return Dataset(variables, _coordinates(groups, parts, order, values), _attributes(groups, gathered, settings))
+    attributes = {"source": f"pftwin {__version__}", "jax_version": jax.__version__, **settings}
+    found = Dataset(variables, _coordinates(groups, parts, order, names, values), attributes)
+    return found.assign_attrs(summed_up(found))
+
+
+def summed_up(found: Dataset) -> dict[str, Any]:
+    """The attributes that count members."""
+    names = list(dict.fromkeys(found["scene"].values.tolist()))
+    some = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    again = found["recomputed"].values
+    return {
+        "title": f"batch of {len(again)}: {some}",
+        "recomputed_members": int((again > 0).sum()),
+        "recomputed_in_vain": int((again == WAYS.index("in_vain")).sum()),
+    }
 
 
 def _trust(gathered: Any, frames: NDArray[Any], status: NDArray[Any], failed: NDArray[Any]) -> Variables:
@@ -93,37 +110,24 @@ def _trust(gathered: Any, frames: NDArray[Any], status: NDArray[Any], failed: ND
     }
 
 
-def _coordinates(groups: list[Group], parts: list[Found], order: NDArray[np.int64], values: Any) -> Variables:
-    names = np.array([name for g in groups for name in g.names])[order]
+def _coordinates(
+    groups: list[Group], parts: list[Found], order: NDArray[np.int64], names: NDArray[np.str_], values: Any
+) -> Variables:
+    variants = np.concatenate([g.places for g in groups])[order]
     out: Variables = {
-        "variant": (("variant",), np.arange(len(order)), _about("1", "member of the batch")),
+        "variant": (("variant",), variants, _about("1", "member of the batch")),
         "scene": (("variant",), names, {"long_name": "scene"}),
         "flag": (("flag",), [str(f.name).lower() for f in FLAGS], {"long_name": "status flag"}),
     }
     if values is not None:
-        out["values"] = (("variant", "number"), np.asarray(values, float), {"long_name": "what the change was given"})
+        given = np.asarray(values, float)[variants]
+        out["values"] = (("variant", "number"), given, {"long_name": "what the change was given"})
     if parts[0]["courses"]:
         axis = {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}
         out["time"] = (("time",), groups[0].scene.motion.times, _about("s", "time"))
         out["axis"] = (("axis",), ["x", "y", "z"], axis)
         out["component"] = (("component",), list("wxyz"), _about("1", "quaternion component"))
     return out
-
-
-def _attributes(groups: list[Group], gathered: Any, settings: dict[str, Any]) -> dict[str, Any]:
-    from pftwin import __version__
-
-    names = list(dict.fromkeys(name for g in groups for name in g.names))
-    some = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    again = gathered("recomputed")
-    return {
-        "title": f"batch of {len(again)}: {some}",
-        "source": f"pftwin {__version__}",
-        "jax_version": jax.__version__,
-        "recomputed_members": int((again > 0).sum()),
-        "recomputed_in_vain": int((again == WAYS.index("in_vain")).sum()),
-        **settings,
-    }
 
 
 def _at(part: Found, path: tuple[str, ...]) -> NDArray[Any]:

@@ -27,19 +27,19 @@ def use_cpu_devices(count: int | None = None) -> int:
         InputError: not a whole number, at least 1.
     """
     configure(float64=False, fast_cpu=False, cpu_devices="all" if count is None else count)
-    return len(jax.devices("cpu"))
+    return len(jax.local_devices(backend="cpu"))
 
 
 def chosen_devices(devices: Devices = "all") -> tuple[Any, ...]:
-    """The devices that are meant.
+    """The devices that are meant, of this process: each of several processes lays its own members over its own devices.
 
     Args:
         devices: "all" of JAX's default kind, the first so many of them, or a list of devices of one kind.
 
     Raises:
-        InputError: none of these, or more devices than there are.
+        InputError: none of these, more devices than there are, or a device of another process.
     """
-    there = jax.devices()
+    there = jax.local_devices()
     if isinstance(devices, str) and devices == "all":
         return tuple(there)
     if isinstance(devices, int) and not isinstance(devices, bool):
@@ -59,6 +59,7 @@ def chosen_devices(devices: Devices = "all") -> tuple[Any, ...]:
         listed = tuple(devices)
         kinds = {d.platform for d in listed if isinstance(d, jax.Device)}
         if listed and all(isinstance(d, jax.Device) for d in listed) and len(kinds) == 1:
+            _check_own(listed)
             if len(set(listed)) == len(listed):
                 return listed
             raise InputError("one device is named twice", where="devices", expected="different devices")
@@ -68,6 +69,20 @@ def chosen_devices(devices: Devices = "all") -> tuple[Any, ...]:
 
 
 def idle_cores(devices: Sequence[Any]) -> int:
-    """How many threads may feed these devices: as many as there are cores where JAX takes the whole CPU for one."""
-    alone = len(devices) == 1 and devices[0].platform == "cpu" and len(jax.devices("cpu")) == 1
-    return cores() if alone else 1
+    """How many threads may feed these devices: as many as there are cores where JAX takes the whole CPU for one.
+
+    Of several processes each has one: nobody knows here which cores are whose.
+    """
+    alone = len(devices) == 1 and devices[0].platform == "cpu" and len(jax.local_devices(backend="cpu")) == 1
+    return cores() if alone and jax.process_count() == 1 else 1
+
+
+def _check_own(devices: Sequence[Any]) -> None:
+    for device in devices:
+        if device.process_index != jax.process_index():
+            raise InputError(
+                f"{device} belongs to process {device.process_index}, and this is process {jax.process_index()}",
+                where="devices",
+                expected="devices of this process, as jax.local_devices() lists them",
+                remedy='devices="all"',
+            )

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import jax
 import jax.numpy as jnp
-import numpy as np
-from numpy.typing import NDArray
 
-from pftwin.batch.again import all_members, with_care
 from pftwin.batch.devices import Devices, chosen_devices, idle_cores
 from pftwin.batch.member import Outcome, Task
 from pftwin.batch.outcomes import check_outcomes
+from pftwin.batch.plan import Plan
 from pftwin.batch.spread import Spread, piece_for
 from pftwin.batch.variants import Group, Variants, groups_of
 from pftwin.dynamics.integrators import integrator_named
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 _PIECES = 8  # of each device in a chunk, by default
+_LEAST, _FEW, _MOST = 1920, 64, 64  # members of a part; parts of a batch; pieces of a part
 _MOST_FRAMES = 300_000  # of all members, up to which trajectories are kept without being asked for: 30 MB
 
 
@@ -41,6 +43,8 @@ def simulate_batch(
     energy_budget: bool = True,
     care: bool = True,
     progress: Callable[[int, int], None] | None = None,
+    parts: str | os.PathLike[str] | None = None,
+    share: tuple[int, int] | None = None,
 ) -> Dataset:
     """Many simulations side by side. Each is what `simulate` gives of its scene; none that fails stops the others.
 
@@ -59,7 +63,12 @@ def simulate_batch(
         energy_budget: keep account of work and heat, by which energy from nowhere is found.
         care: recompute members whose status says that the run is not to be trusted: from a relaxed start, by steps of a
             quarter, by another integrator.
-        progress: called with the number of members done and of all.
+        progress: called with the number of members done and of all; with `parts`, of those that this process computes.
+        parts: a folder in which members are kept as they are computed, a NetCDF file for each 1,920 of them or more (or
+            for each `chunk`). The same call again computes only what is missing there. Under `jax.distributed` the
+            processes share the members out; the folder has to be one that all of them see.
+        share: (k, n) computes the k-th of n shares alone, k from 0, and returns its members: for processes that know
+            nothing of each other, such as a job array's. Together they fill one folder of `parts`.
 
     Returns:
         A dataset over `variant`, in the order given: a summary of each motion, `status`, `status_frames` (frames with
@@ -69,13 +78,17 @@ def simulate_batch(
     Raises:
         InputError: no scenes, or something that is none; a scene that cannot give a right answer; a step, integrator,
             chunk or number of devices that makes no sense; outcomes that differ between scenes, or are named as what a
-            batch has by itself. All of it before anything is simulated.
+            batch has by itself; several processes without `parts`, or with different batches; parts of another batch.
+            All of it before anything is simulated.
+        OutputError: a part that cannot be written.
+        PftwinError: another process failed, with its words.
     """
     found_devices = chosen_devices(devices)
     if chunk is not None and (not isinstance(chunk, int) or isinstance(chunk, bool) or chunk < 1):
         raise InputError(f"found {chunk!r}", where="chunk", expected="a whole number, at least 1")
     if dt is not None and tolerance is not None:
         raise InputError("found both dt and tolerance", where="simulate_batch", expected="one of them")
+    _check_share(parts, share)
     groups = groups_of(scenes)
     name = integrator or ("linear_implicit" if tolerance is None else ECONOMICAL)
     for group in groups:
@@ -91,22 +104,56 @@ def simulate_batch(
         for g, n in zip(groups, substeps, strict=True)
     ]
     check_outcomes(tasks, [g.rows for g in groups])
-    parts, before = [], 0
-    for group, task in zip(groups, tasks, strict=True):
-        told = None if progress is None else (lambda done, _, b=before: progress(b + done, total))
-        found = all_members(spread, task, group.rows, threads=threads, progress=told)
-        found = {**found, "recomputed": with_care(spread, task, group.rows, found) if care else _nothing(group)}
-        parts.append(found)
-        before += len(group.places)
+    dt_s = max(float(g.scene.motion.frame_interval) / n for g, n in zip(groups, substeps, strict=True))
+    settings = {"integrator": name, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
+    values = scenes.values if isinstance(scenes, Variants) else None
+    plan = Plan(groups, tasks, values, settings, care, spread, threads)
+    if parts is None:
+        return _whole(plan, progress)
+    from pftwin.batch.in_parts import InParts
+
+    return InParts(plan, Path(parts), _unit(total, piece, chunk), share, progress).all()
+
+
+def _whole(plan: Plan, progress: Callable[[int, int], None] | None) -> Dataset:
     from pftwin.batch.batch_dataset import dataset
 
-    dt_s = max(g.scene.motion.frame_interval / n for g, n in zip(groups, substeps, strict=True))
-    settings = {"integrator": name, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
-    return dataset(groups, parts, scenes.values if isinstance(scenes, Variants) else None, settings)
+    found, before = [], 0
+    for k, group in enumerate(plan.groups):
+        told = None if progress is None else (lambda done, _, b=before: progress(b + done, plan.total))
+        found.append(plan.found(k, group.rows, told))
+        before += len(group.places)
+    return dataset(plan.groups, found, plan.values, plan.settings)
 
 
-def _nothing(group: Group) -> NDArray[np.int8]:
-    return np.zeros(len(group.places), dtype=np.int8)
+def _unit(total: int, piece: int, chunk: int | None) -> int:
+    """Members of a part: by the batch alone, so that any number of processes and devices can go on with it.
+
+    Whole pieces; so many members that writing a file is little beside computing them, and not many files.
+    """
+    if chunk is not None:
+        return max(1, chunk // piece) * piece
+    return max(-(-_LEAST // piece), min(_MOST, total // piece // _FEW)) * piece
+
+
+def _check_share(parts: Any, share: Any) -> None:
+    """Refuses what would compute everything several times over."""
+    processes = jax.process_count()
+    if processes > 1 and parts is None:
+        raise InputError(
+            f"{processes} JAX processes, and no folder in which each could put its part",
+            where="simulate_batch",
+            expected="parts= with a folder that all of them see",
+        )
+    if share is None:
+        return
+    numbers = isinstance(share, Sequence) and len(share) == 2 and all(type(n) is int for n in share)
+    if not numbers or not 0 <= share[0] < share[1]:
+        raise InputError(f"found {share!r}", where="share", expected="(k, n) with k of 0 to n - 1, such as (0, 4)")
+    if parts is None:
+        raise InputError("no folder to share", where="share", expected="parts= with a folder")
+    if processes > 1:
+        raise InputError(f"{processes} JAX processes share by themselves", where="share", remedy="leave it out")
 
 
 def _substeps(group: Group, integrator: str, dt: float | None, tolerance: str | float | None) -> int:

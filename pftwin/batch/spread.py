@@ -90,9 +90,14 @@ class Spread:
         self.devices, self.piece = len(devices), piece
         self._pieces = max(1, chunk // (piece * len(devices)))
 
+    @property
+    def most(self) -> int:
+        """Members of a full chunk."""
+        return self.piece * self._pieces * self.devices
+
     def chunks(self, n: int) -> Iterator[Chunk]:
         """All members, in order; pieces go to the devices in turn."""
-        size = self.piece * self._pieces * self.devices
+        size = self.most
         for first in range(0, n, size):
             members = min(size, n - first)
             number = np.arange(-(-members // self.piece))

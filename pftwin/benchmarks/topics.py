@@ -19,10 +19,8 @@ from pftwin.errors import PftwinError
 if TYPE_CHECKING:
     from pftwin.benchmarks.row import Row
 
-TOPICS = (
-    *("accuracy", "one run", "equilibrium", "batch", "forward", "reverse"),
-    *("start", "meshes", "growth", "batches", "accelerator"),
-)
+APART = ("start", "meshes", "growth", "batches", "processes", "accelerator")  # that need no step of a chosen accuracy
+TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", *APART)
 ON_ONE_CORE = ("batch", "forward", "reverse")
 LEVELS = {"0.01": 1e-5, "0.05": 5e-5}  # rms error: as the rows name it in mm, and in metres
 
@@ -42,7 +40,7 @@ def measure_topics(
     from pftwin.benchmarks.problem import scene_of_case_1
 
     about, rows = machine.describe(), []
-    if set(chosen) - {"start", "meshes", "growth", "batches", "accelerator"}:
+    if set(chosen) - set(APART):
         scene = scene_of_case_1()
         say("measuring accuracy ...")
         found = accuracy.errors(scene, reference=100 if quick else accuracy.REFERENCE)
@@ -73,6 +71,11 @@ def measure_topics(
     if "batches" in chosen:
         say("measuring batches ...")
         rows += in_a_process({"topic": "batches", "quick": quick}, "pftwin.benchmarks.batches")
+    if "processes" in chosen:
+        say("measuring processes ...")
+        from pftwin.benchmarks import processes
+
+        rows += processes.rows(quick)
     if "accelerator" in chosen:
         say("measuring an accelerator ...")
         from pftwin.benchmarks.accelerator import PRECISIONS

@@ -61,7 +61,7 @@ def environment() -> str:
             f"python {sys.version}",
             versions(),
             _machine(),
-            f"{backend.platform} {backend.platform_version} {jax.devices()[0].device_kind}",
+            f"{backend.platform} {backend.platform_version} {jax.local_devices()[0].device_kind}",
             repr(variables),
             _compiler_options(),
             repr(chosen),

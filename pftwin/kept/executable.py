@@ -46,7 +46,7 @@ def loaded(body: bytes) -> Callable[..., list[Any]]:
     from jaxlib.xla_client import DeviceList
 
     answers, code = unpacked(body)
-    device = jax.devices()[0]
+    device = jax.local_devices()[0]  # of several processes each has its own
     executable = device.client.deserialize_executable(code.tobytes(), executable_devices=DeviceList((device,)))
     place = jax.sharding.SingleDeviceSharding(device)
     handlers = [

@@ -72,6 +72,19 @@ def test_chunks_change_no_bit():
     assert calls == [(FEW, 2 * FEW), (2 * FEW, 2 * FEW)]
 
 
+def test_parts_change_no_bit(monkeypatch, tmp_path):
+    monkeypatch.setattr("pftwin.batch.simulate_batch._LEAST", FEW)  # members of a part
+    whole = batch(rows_of(2 * FEW))
+    assert batch(rows_of(2 * FEW), parts=tmp_path).identical(whole)
+    (tmp_path / "part_00001.nc").unlink()
+    calls = []
+    again = batch(rows_of(2 * FEW), parts=tmp_path, progress=lambda *a: calls.append(a))
+    assert bits(again) == bits(whole)
+    assert calls == [(FEW, FEW)]
+    with pytest.raises(InputError, match="holds parts of another batch, with other program; expected"):
+        simulate_batch(Variants(small(), bent, rows_of(2 * FEW)), dt=DT, devices=1, trajectories=True, parts=tmp_path)
+
+
 @pytest.mark.slow
 def test_a_bad_member_is_done_again_and_its_mates_stay_as_they_were(monkeypatch):
     """What counts as bad is changed to a flag that one member alone has."""

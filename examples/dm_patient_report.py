@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from pftwin.dynamics.observe import Status
+from pftwin.dynamics.status import Status
 from pftwin.plots import COLOURS, STYLE, save_figure
 
 if TYPE_CHECKING:

@@ -28,17 +28,12 @@ from fitting.channels import ORIENTATION, POSITION, columns_of, widths
 from fitting.parameters import Parameters, applied
 from fitting.places import Place
 from pftwin.batches import batched
-from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.observe import observe
-from pftwin.dynamics.state import State
-from pftwin.dynamics.trajectory import (
-    Trajectory,
-    starting_equilibrium,
-    substeps_for,
-    trajectory,
-)
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.observe import placed
+from pftwin.dynamics.state import Guide, State
+from pftwin.dynamics.trajectory import starting_equilibrium, substeps_for, watched
 from pftwin.scene import Scene
-from pftwin.spatial import Pose, Quaternion, Scalar
+from pftwin.spatial import Pose, Scalar
 
 CHUNK = 32  # variants evaluated at once by default
 _WITH_SLOPES = 16  # the same with derivatives
@@ -49,6 +44,7 @@ _ROUGH = 5e-4  # error of a search's motion that is too much, rms [m]
 _REMEMBERED = 4  # batches with derivatives
 _CLOUD = 96  # equilibria from the nearest of which a search begins
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # on the rig errors of 0.03 mm and of 0.01 mm [s]
+DEFAULT = "linear_implicit"  # the integrator of fits
 _SEED = 20240418  # of the cloud, the same for every fit
 
 
@@ -65,33 +61,33 @@ class Prediction(NamedTuple):
     usable: NDArray[np.bool_]
 
 
-def _predicted(scene: Scene, guess: Pose, substeps: Scalar, channels: tuple[str, ...]) -> tuple[Array, Pose, Array]:
+def _predicted(
+    scene: Scene, guess: Pose, substeps: int | Scalar, channels: tuple[str, ...]
+) -> tuple[Array, Pose, Array]:
     """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
     start = starting_equilibrium(scene, guess)
-    values = _columns(scene, trajectory(scene, substeps=substeps, start=start).states, start, channels)
+    motion, effects = scene.motion, scene.system().effects
+    times = motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float)
+    guides = Guide.sample(motion, times)
+
+    def columns(state: State, _: Ledger | None, index: Scalar) -> Array:
+        now, patella, center = placed(scene, state, jax.tree.map(lambda a: a[index], guides))
+        turn = patella.orientation
+        found: list[Scalar] = []
+        for channel in channels:
+            if channel == POSITION:
+                found += [center.x, center.y, center.z]
+            elif channel == ORIENTATION:
+                found += [turn.w, turn.x, turn.y, turn.z]
+            else:
+                k = next(i for i, e in enumerate(effects) if e.name == channel)
+                report = effects[k].report(now, state.memories[k])[0]
+                found.append(report["force" if "force" in report else "tension"])
+        return jnp.stack(found)
+
+    values = watched(scene, columns, integrator=DEFAULT, substeps=substeps, start=start)[0]
     pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
     return values, pose, start.converged()
-
-
-def _columns(scene: Scene, states: State, start: Solution, channels: tuple[str, ...]) -> Array:
-    """The channels over the frames, side by side (n, c)."""
-    motion = scene.motion
-    columns = []
-    if POSITION in channels or ORIENTATION in channels:
-        lever = scene.tracked_point() - scene.patella.center_of_mass
-        centre, turn = states.position + states.orientation.rotate(lever), states.orientation
-        if motion.femur is not None:
-            times = motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float)
-            femur = motion.femur.frames(times)
-            centre = femur.to_local(centre)
-            turn = Quaternion.from_rotation(femur.rotation).conjugate() * turn
-        columns += [centre.x, centre.y, centre.z] if POSITION in channels else []
-        columns += [turn.w, turn.x, turn.y, turn.z] if ORIENTATION in channels else []
-    forces = [c for c in channels if c not in (POSITION, ORIENTATION)]
-    if forces:
-        seen = observe(scene, Trajectory(states, None, start, jnp.zeros(()))).effects
-        columns += [seen[name]["force" if "force" in seen[name] else "tension"] for name in forces]
-    return jnp.stack(columns, axis=-1)
 
 
 @eqx.filter_jit
@@ -132,9 +128,7 @@ def _pulled(
 
     def pulled(t: Array, guess: Pose, pull: Array) -> Array:
         variant = applied(places, scene, t)
-        start = starting_equilibrium(variant, guess)
-        states = trajectory(variant, substeps=substeps, start=start).states
-        return jnp.sum(pull * _columns(variant, states, start, channels))
+        return jnp.sum(pull * _predicted(variant, guess, substeps, channels)[0])
 
     return jax.vmap(jax.grad(pulled))(theta, guesses, pulls)
 

@@ -17,6 +17,7 @@ from pftwin.dynamics.packing import map_rows
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.status import status_of_all, status_of_frame
 from pftwin.dynamics.trajectory import Trajectory, watched
+from pftwin.effects.base import Instant
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 
@@ -98,6 +99,15 @@ def observe_on_the_way(
     return found, status_of_all(status, start, energies, step, snaps), start
 
 
+def placed(scene: Scene, state: State, guide: Guide) -> tuple[Instant, Pose, Vec3]:
+    """The instant that effects take, the patella's frame in the femur's, and the tracked point there [m]."""
+    now, turn = guide.instant(state.patella(), 0.0), state.orientation
+    origin = now.femur.to_local(state.position - turn.rotate(scene.patella.center_of_mass))
+    femur_to_world = Quaternion.identity() if guide.femur is None else Quaternion.from_rotation(guide.femur.rotation)
+    relative = femur_to_world.conjugate() * turn
+    return now, Pose(origin, relative), origin + relative.rotate(scene.tracked_point())
+
+
 def _look(scene: Scene, integrator: str) -> tuple[Callable[[State, Guide, Scalar], Frame], Guide]:
     """What shows a frame, from the state, the guided bodies and the step; and those bodies at all frames."""
     system, chosen = scene.system(), integrator_named(integrator)
@@ -105,19 +115,12 @@ def _look(scene: Scene, integrator: str) -> tuple[Callable[[State, Guide, Scalar
     times = scene.motion.start_time + scene.motion.frame_interval * jnp.arange(scene.motion.n_frames).astype(float)
 
     def look(state: State, guide: Guide, step: Scalar) -> Frame:
-        now = guide.instant(state.patella(), 0.0)
+        now, patella, center = placed(scene, state, guide)
         reports = {e.name: e.report(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
         seen = {name: shown for name, (shown, _) in reports.items()}
         stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}
-        turn = state.orientation
-        femur_to_world = (
-            Quaternion.identity() if guide.femur is None else Quaternion.from_rotation(guide.femur.rotation)
-        )
-        origin = now.femur.to_local(state.position - turn.rotate(scene.patella.center_of_mass))
-        relative = femur_to_world.conjugate() * turn
-        center = origin + relative.rotate(scene.tracked_point())
         status = status_of_frame(scene, seen, state, step, chosen.unsettled(state))
         kinetic = system.kinetic_energy(state) if chosen.inertia else jnp.zeros_like(step)
-        return Frame(Pose(origin, relative), center, seen, kinetic, stored, status)
+        return Frame(patella, center, seen, kinetic, stored, status)
 
     return look, Guide.sample(scene.motion, times)

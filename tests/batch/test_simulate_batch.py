@@ -173,7 +173,7 @@ def test_refusals(call, words):
     ],
 )
 def test_outcomes_that_cannot_be_kept_are_refused_before_anything_runs(outcome, words, monkeypatch):
-    monkeypatch.setattr("pftwin.batch.simulate_batch.all_members", None)
+    monkeypatch.setattr("pftwin.batch.plan.all_members", None)
     with pytest.raises(InputError, match=words):
         simulate_batch(Variants(small(), bent, rows_of(1)), dt=DT, devices=1, outcome=outcome)
 

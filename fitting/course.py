@@ -58,10 +58,10 @@ class Course(NamedTuple):
 class Glimpse(NamedTuple):
     """What a course is made of, of a frame or of all (leading axis n)."""
 
-    center: Vec3
-    orientation: Quaternion
-    force: tuple[Array, Array]
-    point: tuple[Array, Array]
+    center: Vec3  # of the button, femur frame [m]
+    orientation: Quaternion  # of the patella in the femur
+    force: tuple[Array, Array]  # on the medial and the lateral facet [N]
+    point: tuple[Array, Array]  # (3,) or (n, 3) of contact on each, femur frame [m]; NaN where nothing touches
 
     @staticmethod
     def of(scene: Scene, seen: Frame | Observation) -> Glimpse:

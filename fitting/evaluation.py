@@ -44,7 +44,6 @@ _ROUGH = 5e-4  # error of a search's motion that is too much, rms [m]
 _REMEMBERED = 4  # batches with derivatives
 _CLOUD = 96  # equilibria from the nearest of which a search begins
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # on the rig errors of 0.03 mm and of 0.01 mm [s]
-DEFAULT = "linear_implicit"  # the integrator of fits
 _SEED = 20240418  # of the cloud, the same for every fit
 
 
@@ -85,7 +84,7 @@ def _predicted(
                 found.append(report["force" if "force" in report else "tension"])
         return jnp.stack(found)
 
-    values = watched(scene, columns, integrator=DEFAULT, substeps=substeps, start=start)[0]
+    values = watched(scene, columns, substeps=substeps, start=start)[0]
     pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
     return values, pose, start.converged()
 

@@ -61,8 +61,9 @@ def moved(task: Task, row: Any, start: Solution) -> dict[str, Any]:
     else:  # which may look at anything
         whole = observe(scene, trajectory(scene, **options))
         seen, status, own = _Kept.of(scene, whole), whole.status, task.outcome(scene, whole)
-    if not isinstance(own, dict):
-        raise InputError(f"gives {type(own).__name__}", where="outcome", expected="a dictionary of numbers or arrays")
+        if not isinstance(own, dict):
+            kind = type(own).__name__
+            raise InputError(f"gives {kind}", where="outcome", expected="a dictionary of numbers or arrays")
     return {
         "sensible": sensible(scene),
         "status_frames": jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS]),

@@ -85,7 +85,7 @@ def course_of(scene: Scene, seen: Glimpse, status: Array, groove: Groove) -> Cou
     chart = contact.surface.chart
     u, v = chart.foot(chart.to_frame(seen.center))
     return Course(
-        motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float),
+        motion.frame_times(),
         knee_flexion(scene),
         v - jnp.interp(u, groove.u, groove.v),
         patellar_angles(seen.orientation).tilt,
@@ -99,8 +99,7 @@ def course_of(scene: Scene, seen: Glimpse, status: Array, groove: Groove) -> Cou
 def knee_flexion(scene: Scene) -> Array:
     """Of the tibia in the femur at the recorded frames, (n,) [rad]."""
     motion = scene.motion
-    times = motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float)
-    femur, tibia = motion.frames(times)
+    femur, tibia = motion.frames(motion.frame_times())
     q = Quaternion.from_rotation(tibia.rotation)
     if femur is not None:
         q = Quaternion.from_rotation(femur.rotation).conjugate() * q

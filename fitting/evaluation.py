@@ -66,8 +66,7 @@ def _predicted(
     """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
     start = starting_equilibrium(scene, guess)
     motion, effects = scene.motion, scene.system().effects
-    times = motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float)
-    guides = Guide.sample(motion, times)
+    guides = Guide.sample(motion, motion.frame_times())
 
     def columns(state: State, _: Ledger | None, index: Scalar) -> Array:
         now, patella, center = placed(scene, state, jax.tree.map(lambda a: a[index], guides))

@@ -213,6 +213,10 @@ class KneeMotion(eqx.Module):
         """Times of the recorded frames (n,) [s], float64 on the host."""
         return self.start_time + self.frame_interval * np.arange(self.n_frames)
 
+    def frame_times(self) -> Array:
+        """`times` for a program, in its float type: start and interval may be traced."""
+        return self.start_time + self.frame_interval * jnp.arange(self.n_frames).astype(float)
+
     def frames(self, times: ArrayLike) -> tuple[Frame | None, Frame]:
         """Frames of femur (None if it is the world) and tibia at times of any shape [s]."""
         return None if self.femur is None else self.femur.frames(times), self.tibia.frames(times)

@@ -112,7 +112,7 @@ def _look(scene: Scene, integrator: str) -> tuple[Callable[[State, Guide, Scalar
     """What shows a frame, from the state, the guided bodies and the step; and those bodies at all frames."""
     system, chosen = scene.system(), integrator_named(integrator)
     # Clear of the frames' rounding: the last frame is asked for itself.
-    times = scene.motion.start_time + scene.motion.frame_interval * jnp.arange(scene.motion.n_frames).astype(float)
+    times = scene.motion.frame_times()
 
     def look(state: State, guide: Guide, step: Scalar) -> Frame:
         now, patella, center = placed(scene, state, guide)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.trajectory import trajectory
 from pftwin.scene import Scene
@@ -28,5 +26,4 @@ def tracked_path(
     motion = scene.motion
     if motion.femur is None:
         return center
-    times = motion.start_time + motion.frame_interval * jnp.arange(motion.n_frames).astype(float)
-    return motion.femur.frames(times).to_local(center)
+    return motion.femur.frames(motion.frame_times()).to_local(center)

@@ -133,7 +133,7 @@ def _integrate(scene: Scene) -> tuple[State, Any, Scalar]:
 
     system = scene.system()
     start = solve_equilibrium(system, first_guide(scene), scene.center_of_mass_pose())
-    times = scene.motion.start_time + scene.motion.frame_interval * jnp.arange(scene.motion.n_frames).astype(float)
+    times = scene.motion.frame_times()
     zero = Vec3(*(jnp.zeros_like(start.residual) for _ in range(3)))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_derivative),  # pyright: ignore[reportArgumentType]

@@ -1,8 +1,4 @@
-"""What many parameter vectors predict, in one compiled call; with derivatives by every parameter if wanted.
-
-Predictions only: which measurements they are compared with, and how, is decided on the host (`fitting.objective`), so
-one program serves every objective, and every method and phase of a fit. The number of steps between two frames is a
-variable of the program, not part of it.
+"""What many parameter vectors predict, in compiled calls of one size; with derivatives by every parameter if wanted.
 
 A prediction is a pure function of the parameters: searches for equilibrium start from the nearest of a fixed cloud of
 equilibria, never from the last iterate's. So a fit that is resumed sees what it would have seen.
@@ -10,30 +6,24 @@ equilibria, never from the last iterate's. So a fit that is resumed sees what it
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from numpy.typing import NDArray
 
-from fitting.channels import ORIENTATION, POSITION, columns_of, widths
-from fitting.parameters import Parameters, applied
-from fitting.places import Place
-from pftwin.batches import batched
-from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.observe import placed
-from pftwin.dynamics.state import Guide, State
-from pftwin.dynamics.trajectory import starting_equilibrium, substeps_for, watched
+from fitting import programs
+from fitting.channels import POSITION, columns_of, widths
+from fitting.parameters import Parameters
+from pftwin.batch.devices import Devices, chosen_devices, idle_cores
+from pftwin.dynamics.trajectory import substeps_for
 from pftwin.scene import Scene
-from pftwin.spatial import Pose, Scalar
+from pftwin.spatial import Pose
 
 CHUNK = 32  # variants evaluated at once by default
 _WITH_SLOPES = 16  # the same with derivatives
@@ -60,77 +50,6 @@ class Prediction(NamedTuple):
     usable: NDArray[np.bool_]
 
 
-def _predicted(
-    scene: Scene, guess: Pose, substeps: int | Scalar, channels: tuple[str, ...]
-) -> tuple[Array, Pose, Array]:
-    """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
-    start = starting_equilibrium(scene, guess)
-    motion, effects = scene.motion, scene.system().effects
-    guides = Guide.sample(motion, motion.frame_times())
-
-    def columns(state: State, _: Ledger | None, index: Scalar) -> Array:
-        now, patella, center = placed(scene, state, jax.tree.map(lambda a: a[index], guides))
-        turn = patella.orientation
-        found: list[Scalar] = []
-        for channel in channels:
-            if channel == POSITION:
-                found += [center.x, center.y, center.z]
-            elif channel == ORIENTATION:
-                found += [turn.w, turn.x, turn.y, turn.z]
-            else:
-                k = next(i for i, e in enumerate(effects) if e.name == channel)
-                report = effects[k].report(now, state.memories[k])[0]
-                found.append(report["force" if "force" in report else "tension"])
-        return jnp.stack(found)
-
-    values = watched(scene, columns, substeps=substeps, start=start)[0]
-    pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
-    return values, pose, start.converged()
-
-
-@eqx.filter_jit
-def _plain(
-    scene: Scene, theta: Array, guesses: Pose, substeps: Array, places: tuple[Place, ...], channels: tuple[str, ...]
-) -> Any:
-    return batched(lambda t, g: _predicted(applied(places, scene, t), g, substeps, channels))(theta, guesses)
-
-
-@eqx.filter_jit
-def _with_slopes(
-    scene: Scene, theta: Array, guesses: Pose, substeps: Array, places: tuple[Place, ...], channels: tuple[str, ...]
-) -> Any:
-    """As `_plain`, and the derivatives (p, N, n, c). Columns outside, variants inside: the fastest order in memory."""
-
-    def batch(thetas: Array) -> Any:
-        out = batched(lambda t, g: _predicted(applied(places, scene, t), g, substeps, channels))(thetas, guesses)
-        return out[0], out[1:]
-
-    def push(direction: Array) -> Any:
-        return jax.jvp(batch, (theta,), (jnp.broadcast_to(direction, theta.shape),))
-
-    (values, rest), (slopes, _) = jax.vmap(push, out_axes=(None, 0))(jnp.eye(len(places), dtype=theta.dtype))
-    return (values, *rest), slopes
-
-
-@eqx.filter_jit
-def _pulled(
-    scene: Scene,
-    theta: Array,
-    guesses: Pose,
-    substeps: int,
-    pulls: Array,
-    places: tuple[Place, ...],
-    channels: tuple[str, ...],
-) -> Array:
-    """Gradients (N, p) of sum(pull * prediction) by reverse mode, for pulls (N, n, c); the steps' number is fixed."""
-
-    def pulled(t: Array, guess: Pose, pull: Array) -> Array:
-        variant = applied(places, scene, t)
-        return jnp.sum(pull * _predicted(variant, guess, substeps, channels)[0])
-
-    return jax.vmap(jax.grad(pulled))(theta, guesses, pulls)
-
-
 @dataclass(eq=False)
 class Evaluator:
     """Predictions of one scene's variants.
@@ -143,6 +62,10 @@ class Evaluator:
         pull_chunk: the same for gradients by reverse mode.
         computed: channels that the program computes, `channels` among them, which are picked out of its answer;
             evaluators that differ in nothing but `channels` share one program. By default `channels` alone.
+        devices: over which each call's variants are laid, as `pftwin.simulate_batch` has them.
+
+    Raises:
+        InputError: no such devices.
     """
 
     scene: Scene
@@ -151,8 +74,13 @@ class Evaluator:
     chunk: int = CHUNK
     pull_chunk: int = 8
     computed: tuple[str, ...] | None = None
+    devices: Devices = "all"
 
     def __post_init__(self) -> None:
+        found = chosen_devices(self.devices)
+        self._count, self._threads = len(found), idle_cores(found) if self.devices == "all" else 1
+        mesh = programs.mesh_of(found)
+        self._program = programs.Program(self.parameters.places, self.computed or self.channels, mesh)
         self._plain_scene = self.scene.unnamed()
         self._with_plain = True
         self._recent: list[tuple[NDArray[np.float64], int, Prediction]] = []
@@ -161,8 +89,8 @@ class Evaluator:
         """Sets the batch: the largest number of plain values that will be asked for at once; None: none will be."""
         self._with_plain = widest is not None
         if widest is not None:
-            parts = max(-(-widest // _WIDEST), _PARTS if widest >= _PARTS * _FEWEST else 1)
-            self.chunk = -(-widest // parts)
+            threads = _PARTS if self._count == 1 and widest >= _PARTS * _FEWEST else 1
+            self.chunk = -(-widest // max(-(-widest // (_WIDEST * self._count)), threads))
 
     @cached_property
     def coarse(self) -> int:
@@ -222,37 +150,40 @@ class Evaluator:
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         prediction = self.values(theta, substeps)
         pulls = pull(np.where(prediction.usable[:, None, None], prediction.values, 0.0))
-        chunk, parts = self.pull_chunk, []
-        for i in range(0, len(theta), chunk):
-            part = theta[i : i + chunk]
-            more = chunk - len(part)
-            full, cotangents = (
-                np.concatenate([a, np.repeat(a[:1], more, axis=0)]) for a in (part, pulls[i : i + chunk])
-            )
-            args = (self._plain_scene, jnp.asarray(full, dtype=float), self.guesses(full), substeps)
-            found = _pulled(*args, jnp.asarray(cotangents, dtype=float), self.parameters.places, self.channels)
-            parts.append(np.asarray(found)[: len(part)])
+        program = self._program._replace(channels=self.channels)
+        width, parts = self._wide(self.pull_chunk), []
+        for i in range(0, len(theta), width):
+            part = slice(i, i + width)
+            full, cotangents = (_filled(a[part], width) for a in (theta, pulls))
+            numbers = jnp.asarray(full, dtype=float), self.guesses(full), jnp.asarray(cotangents, dtype=float)
+            found = programs.pulled(program, self._plain_scene, substeps, *numbers)
+            parts.append(np.asarray(found)[: len(theta[part])])
         return prediction, np.concatenate(parts)
 
     @property
     def slope_chunk(self) -> int:
-        """Variants in one call with derivatives."""
+        """Variants in one call with derivatives: by the parameters alone, for methods ask for as many as it takes."""
         return max(1, min(_WITH_SLOPES, COLUMNS // len(self.parameters)))
+
+    def _wide(self, chunk: int) -> int:
+        """Variants of a call, the same number on every device."""
+        return -(-chunk // self._count) * self._count
 
     def _in_chunks(self, theta: NDArray[np.float64], substeps: int, chunk: int, *, slopes: bool) -> Prediction:
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         self._cloud  # noqa: B018 (before threads ask for it)
+        width = self._wide(chunk)
 
         def one(part: NDArray[np.float64]) -> list[Any]:
-            full = np.concatenate([part, np.repeat(part[:1], chunk - len(part), axis=0)])
+            full = _filled(part, width)
             out = self._run(full, self.guesses(full), substeps, slopes)
             return [None if a is None else a[: len(part)] for a in out[:3]]
 
-        pieces = [theta[i : i + chunk] for i in range(0, len(theta), chunk)]
-        if len(pieces) == 1:
-            parts = [one(pieces[0])]
+        pieces = [theta[i : i + width] for i in range(0, len(theta), width)]
+        if len(pieces) == 1 or self._threads == 1:
+            parts = list(map(one, pieces))
         else:  # XLA runs a loop of small operations on one core; the second takes another piece
-            with ThreadPoolExecutor(min(len(pieces), os.cpu_count() or 1)) as pool:
+            with ThreadPoolExecutor(min(len(pieces), self._threads)) as pool:
                 parts = list(pool.map(one, pieces))
         values, slope, found = (None if a[0] is None else np.concatenate(a) for a in zip(*parts, strict=True))
         assert values is not None
@@ -272,12 +203,11 @@ class Evaluator:
 
     def _run(self, theta: NDArray, guesses: Pose, substeps: int, slopes: bool) -> tuple[Any, Any, Any, Any]:
         """Values (N, n, c), slopes (N, n, c, p) or None, whether in equilibrium at the start (N,), starting poses."""
-        args = (self._plain_scene, jnp.asarray(theta, dtype=float), guesses, jnp.asarray(substeps))
-        computed = self.computed or self.channels
+        args = (self._program, self._plain_scene, jnp.asarray(substeps), jnp.asarray(theta, dtype=float), guesses)
         if slopes:
-            (values, poses, found), columns = _with_slopes(*args, self.parameters.places, computed)
+            (values, poses, found), columns = programs.with_slopes(*args)
             return np.asarray(values), np.moveaxis(np.asarray(columns), 0, -1), np.asarray(found), poses
-        values, poses, found = _plain(*args, self.parameters.places, computed)
+        values, poses, found = programs.plain(*args)
         return np.asarray(values), None, np.asarray(found), poses
 
     def guesses(self, theta: NDArray[np.float64]) -> Pose:
@@ -292,15 +222,14 @@ class Evaluator:
     def _cloud(self) -> tuple[NDArray[np.float64], Pose]:
         """Equilibria all over the bounds: shares of the range (m, p) and poses (m,). The nominal one always belongs."""
         slopes = not self._with_plain
-        chunk = self.slope_chunk if slopes else self.chunk
+        width = self._wide(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
         members = self.parameters.spread(_CLOUD, np.random.default_rng(_SEED))
         members = np.concatenate([self.parameters.nominal[None], members])
         where, poses, guess = np.zeros((0, len(self.parameters))), [], start
-        for i in range(0, len(members), chunk):
-            part = members[i : i + chunk]
-            part = np.concatenate([part, np.repeat(part[:1], chunk - len(part), axis=0)])
-            _, _, found, pose = self._run(part, _picked(guess, np.zeros(chunk, int)), 0, slopes)
+        for i in range(0, len(members), width):
+            part = _filled(members[i : i + width], width)
+            _, _, found, pose = self._run(part, _picked(guess, np.zeros(width, int)), 0, slopes)
             pose = jax.tree.map(np.asarray, pose)
             if not poses:  # the nominal one: if even that was not found, the scene's start has to do
                 guess = jax.tree.map(lambda a: a[:1], pose) if found[0] else start
@@ -309,6 +238,11 @@ class Evaluator:
             where = np.concatenate([where, self._share(part[keep])])
             poses.append(jax.tree.map(lambda a, keep=keep: a[keep], pose))
         return where, jax.tree.map(lambda *a: np.concatenate(a), *poses)
+
+
+def _filled(rows: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """(width, ...): what is missing is the first row again."""
+    return np.concatenate([rows, np.repeat(rows[:1], width - len(rows), axis=0)])
 
 
 def _picked(poses: Pose, which: NDArray[np.intp]) -> Pose:

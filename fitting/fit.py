@@ -17,6 +17,7 @@ from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, free_parameters
 from fitting.problem import Problem, Request
 from fitting.uncertainty import uncertainty
+from pftwin.batch.devices import Devices
 from pftwin.errors import InputError, PftwinError
 from pftwin.measured import Measured
 from pftwin.output import check_place
@@ -59,6 +60,7 @@ def fit_tendons(
     checkpoint: str | Path | None = None,
     resume: bool = False,
     computed: Sequence[str] | None = None,
+    devices: Devices = "all",
     **options: Any,
 ) -> Estimate:
     """Parameters of a scene from measurements of its motion, and how sure they are.
@@ -87,6 +89,8 @@ def fit_tendons(
         computed: channels that the compiled program computes, those compared among them; by default no others. Fits
             that compare different channels share one program where they compute the same; so does `plan_experiment`
             with fits that compute `fitting.channels_of(scene)`.
+        devices: over which trial parameters are laid, as `pftwin.simulate_batch` has them. The course of a fit is the
+            same for any number, to rounding.
         options: of the method: `starts` (least squares), `generations`, `population`, `populations` (genetic and
             evosax), `iterations` (gradient).
 
@@ -95,7 +99,7 @@ def fit_tendons(
 
     Raises:
         InputError: what cannot give a right answer: see `free_parameters` and `Objective.of`; a parameter to which
-            nothing that was measured reacts; all starts failing; a checkpoint of another problem.
+            nothing that was measured reacts; all starts failing; a checkpoint of another problem; no such devices.
     """
     check(scene)
     if method not in METHODS:
@@ -109,7 +113,7 @@ def fit_tendons(
     if objective == "paper" and priors:
         raise InputError("the paper's objective has no noise to weigh priors against", where="priors")
     target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
-    problem = Problem.of(scene, parameters, target, _computed(scene, target, computed))
+    problem = Problem.of(scene, parameters, target, _computed(scene, target, computed), devices)
     search = _method(method, problem, seed, options)
     problem.evaluator.prepare(search.widest)
     began = time.perf_counter()

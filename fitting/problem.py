@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fitting.evaluation import Evaluator, Prediction
 from fitting.objective import Objective
 from fitting.parameters import Parameters
+from pftwin.batch.devices import Devices
 from pftwin.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -46,12 +47,15 @@ class Problem:
 
     @staticmethod
     def of(
-        scene: Scene, parameters: Parameters, objective: Objective, computed: tuple[str, ...] | None = None
+        scene: Scene,
+        parameters: Parameters,
+        objective: Objective,
+        computed: tuple[str, ...] | None = None,
+        devices: Devices = "all",
     ) -> Problem:
-        """With its own evaluator, which computes these channels."""
-        return Problem(
-            scene, parameters, objective, Evaluator(scene, parameters, objective.channels, computed=computed)
-        )
+        """With its own evaluator, which computes these channels on these devices."""
+        evaluator = Evaluator(scene, parameters, objective.channels, computed=computed, devices=devices)
+        return Problem(scene, parameters, objective, evaluator)
 
     def answer(self, request: Request) -> Answer:
         """The objective, what is known beforehand included."""

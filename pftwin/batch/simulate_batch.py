@@ -112,7 +112,7 @@ def simulate_batch(
         return _whole(plan, progress)
     from pftwin.batch.in_parts import InParts
 
-    return InParts(plan, Path(parts), _unit(total, piece, chunk), share, progress).all()
+    return InParts(plan, Path(parts), unit_for(total, piece, chunk), share, progress).all()
 
 
 def _whole(plan: Plan, progress: Callable[[int, int], None] | None) -> Dataset:
@@ -126,7 +126,7 @@ def _whole(plan: Plan, progress: Callable[[int, int], None] | None) -> Dataset:
     return dataset(plan.groups, found, plan.values, plan.settings)
 
 
-def _unit(total: int, piece: int, chunk: int | None) -> int:
+def unit_for(total: int, piece: int, chunk: int | None = None) -> int:
     """Members of a part: by the batch alone, so that any number of processes and devices can go on with it.
 
     Whole pieces; so many members that writing a file is little beside computing them, and not many files.

@@ -19,7 +19,8 @@ from pftwin.errors import PftwinError
 if TYPE_CHECKING:
     from pftwin.benchmarks.row import Row
 
-APART = ("start", "meshes", "growth", "batches", "processes", "accelerator")  # that need no step of a chosen accuracy
+# Topics that need no step of a chosen accuracy.
+APART = ("start", "meshes", "growth", "batches", "processes", "scaling", "accelerator")
 TOPICS = ("accuracy", "one run", "equilibrium", "batch", "forward", "reverse", *APART)
 ON_ONE_CORE = ("batch", "forward", "reverse")
 LEVELS = {"0.01": 1e-5, "0.05": 5e-5}  # rms error: as the rows name it in mm, and in metres
@@ -76,6 +77,11 @@ def measure_topics(
         from pftwin.benchmarks import processes
 
         rows += processes.rows(quick)
+    if "scaling" in chosen:
+        say("measuring scaling ...")
+        from pftwin.benchmarks import scaling
+
+        rows += scaling.rows(quick)
     if "accelerator" in chosen:
         say("measuring an accelerator ...")
         from pftwin.benchmarks.accelerator import PRECISIONS

@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 
-HERE = Path(__file__).resolve()
 COUNT = 130  # two pieces, the second hardly begun
-
-
-def elsewhere(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """A process that finds the tests' small scene, and keeps compiled programs where they do."""
-    path = os.pathsep.join([*map(str, HERE.parents[:3]), os.environ.get("PYTHONPATH", "")])
-    command, environment = [sys.executable, *arguments], {**os.environ, "PYTHONPATH": path}
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=900, env=environment)
 
 
 def bent(scene: Any, row: Any) -> Any:

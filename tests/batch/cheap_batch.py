@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from batch_checks import HERE, bent, bits, rows_of
+from batch_checks import bent, bits, rows_of
+from elsewhere import surroundings
 from small_scene import small_scene
 
 import pftwin
@@ -107,8 +108,7 @@ def run_together(
 
     A pipe that nobody reads would hold one up, and through it the others.
     """
-    path = os.pathsep.join([*map(str, HERE.parents[:3]), os.environ.get("PYTHONPATH", "")])
-    common = {**os.environ, "PYTHONPATH": path, "JAX_PLATFORMS": "cpu"}
+    common = {**surroundings(), "JAX_PLATFORMS": "cpu"}
     processes = [
         subprocess.Popen(
             [sys.executable, *command],

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import jax
 import pytest
-from batch_checks import elsewhere
+from elsewhere import elsewhere
 
 from pftwin.benchmarks import accelerator
 

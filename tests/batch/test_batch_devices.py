@@ -7,7 +7,7 @@ from pathlib import Path
 
 import jax
 import pytest
-from batch_checks import elsewhere
+from elsewhere import elsewhere
 
 CHECKS = Path(__file__).with_name("batch_checks.py")
 ROUNDING = 1e-9  # as a share: one device and several have programs of their own, by which a contact force is rounded

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 import pytest
-from batch_checks import elsewhere
+from elsewhere import elsewhere
 
 MORE = 8_640  # members
 BYTES = 500  # of a member: its row, summary and status, and copies of them

@@ -17,7 +17,7 @@ from pftwin.batch import batch_key
 from pftwin.batch.member import Task
 from pftwin.batch.parts import missing_parts, read_parts
 from pftwin.batch.processes import Processes
-from pftwin.batch.simulate_batch import _unit
+from pftwin.batch.simulate_batch import unit_for
 from pftwin.errors import InputError, OutputError, PftwinError, PftwinWarning
 
 
@@ -194,7 +194,7 @@ def test_scenes_of_several_structures_come_back_in_their_order(cheap, tmp_path):
     ],
 )
 def test_parts_are_neither_many_nor_small(total, piece, members, files):
-    assert _unit(total, piece, None) == members
+    assert unit_for(total, piece) == members
     assert -(-total // members) == files
 
 

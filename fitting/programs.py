@@ -1,0 +1,141 @@
+"""The compiled programs of a fit: what many parameter vectors predict, without and with derivatives.
+
+Predictions only: which measurements they are compared with, and how, is decided on the host (`fitting.objective`), so
+one program serves every objective, and every method and phase of a fit. The number of steps between two frames is a
+variable of the program, not part of it. Over several devices the variants are laid side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array
+
+from fitting.channels import ORIENTATION, POSITION
+from fitting.parameters import applied
+from fitting.places import Place
+from pftwin.batches import batched
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.observe import placed
+from pftwin.dynamics.state import Guide, State
+from pftwin.dynamics.trajectory import starting_equilibrium, watched
+from pftwin.scene import Scene
+from pftwin.spatial import Pose, Scalar
+
+AXIS = "variant"
+_SHARED, _SPLIT, _COLUMNS = PartitionSpec(), PartitionSpec(AXIS), PartitionSpec(None, AXIS)
+
+
+def _laid(
+    mesh: Mesh | None, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = _SPLIT
+) -> Any:
+    """function(shared, *each), where the leading axes of `each` are laid over the mesh's devices; None: not laid."""
+    if mesh is None:
+        return function(shared, *each)
+    arrays, fixed = eqx.partition(shared, eqx.is_array)
+    own = jax.shard_map(
+        lambda a, *rows: function(eqx.combine(a, fixed), *rows),
+        mesh=mesh,
+        in_specs=(_SHARED, *[_SPLIT] * len(each)),
+        out_specs=out,
+        check_vma=False,  # what the loops carry differs from device to device, which nobody has to prove here
+    )
+    return own(arrays, *each)
+
+
+def _predicted(
+    scene: Scene, guess: Pose, substeps: int | Scalar, channels: tuple[str, ...]
+) -> tuple[Array, Pose, Array]:
+    """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
+    start = starting_equilibrium(scene, guess)
+    motion, effects = scene.motion, scene.system().effects
+    guides = Guide.sample(motion, motion.frame_times())
+
+    def columns(state: State, _: Ledger | None, index: Scalar) -> Array:
+        now, patella, center = placed(scene, state, jax.tree.map(lambda a: a[index], guides))
+        turn = patella.orientation
+        found: list[Scalar] = []
+        for channel in channels:
+            if channel == POSITION:
+                found += [center.x, center.y, center.z]
+            elif channel == ORIENTATION:
+                found += [turn.w, turn.x, turn.y, turn.z]
+            else:
+                k = next(i for i, e in enumerate(effects) if e.name == channel)
+                report = effects[k].report(now, state.memories[k])[0]
+                found.append(report["force" if "force" in report else "tension"])
+        return jnp.stack(found)
+
+    values = watched(scene, columns, substeps=substeps, start=start)[0]
+    pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
+    return values, pose, start.converged()
+
+
+class Program(NamedTuple):
+    """What is computed, and on what: it decides the compiled programs.
+
+    places: of the parameters, in their order.
+    channels: what is predicted.
+    mesh: devices over which the variants are laid; None: JAX's default device.
+    """
+
+    places: tuple[Place, ...]
+    channels: tuple[str, ...]
+    mesh: Mesh | None
+
+    def predicted(self, scene: Scene, theta: Array, guess: Pose, substeps: int | Scalar) -> tuple[Array, Pose, Array]:
+        """Of one variant."""
+        return _predicted(applied(self.places, scene, theta), guess, substeps, self.channels)
+
+
+@eqx.filter_jit
+def plain(program: Program, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
+    """Values (N, n, c), starting poses, and whether those are equilibria (N,), of parameters (N, p)."""
+
+    def batch(shared: tuple[Scene, Array], thetas: Array, near: Pose) -> Any:
+        return batched(lambda t, g: program.predicted(shared[0], t, g, shared[1]))(thetas, near)
+
+    return _laid(program.mesh, batch, (scene, substeps), (theta, guesses))
+
+
+@eqx.filter_jit
+def with_slopes(program: Program, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
+    """As `plain`, and the derivatives (p, N, n, c). Columns outside, variants inside: the fastest order in memory."""
+
+    def pushed(shared: tuple[Scene, Array], thetas: Array, near: Pose) -> Any:
+        def batch(some: Array) -> Any:
+            out = batched(lambda t, g: program.predicted(shared[0], t, g, shared[1]))(some, near)
+            return out[0], out[1:]
+
+        def push(direction: Array) -> Any:
+            return jax.jvp(batch, (thetas,), (jnp.broadcast_to(direction, thetas.shape),))
+
+        directions = jnp.eye(len(program.places), dtype=thetas.dtype)
+        (values, rest), (slopes, _) = jax.vmap(push, out_axes=(None, 0))(directions)
+        return (values, *rest), slopes
+
+    return _laid(program.mesh, pushed, (scene, substeps), (theta, guesses), (_SPLIT, _COLUMNS))
+
+
+@eqx.filter_jit
+def pulled(program: Program, scene: Scene, substeps: int, theta: Array, guesses: Pose, pulls: Array) -> Array:
+    """Gradients (N, p) of sum(pull * prediction) by reverse mode, for pulls (N, n, c); the steps' number is fixed."""
+
+    def loss(theta: Array, shared: Scene, guess: Pose, pull: Array) -> Array:
+        return jnp.sum(pull * program.predicted(shared, theta, guess, substeps)[0])
+
+    def batch(shared: Scene, *rows: Any) -> Array:
+        return jax.vmap(lambda t, guess, pull: jax.grad(loss)(t, shared, guess, pull))(*rows)
+
+    return _laid(program.mesh, batch, scene, (theta, guesses, pulls))
+
+
+def mesh_of(devices: tuple[Any, ...]) -> Mesh | None:
+    """How variants are laid over these devices; None for JAX's default device alone."""
+    return None if devices == (jax.local_devices()[0],) else Mesh(np.array(devices), (AXIS,))

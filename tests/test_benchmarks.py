@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pftwin.benchmarks import accuracy
+from pftwin.benchmarks import accuracy, extrapolation
 from pftwin.benchmarks.__main__ import app
 from pftwin.benchmarks.clock import Times, measure
 from pftwin.benchmarks.report import from_json, markdown, to_json
 from pftwin.benchmarks.row import Row
+from pftwin.errors import InputError
 
 RUNNER = CliRunner()
 MACHINE = {"cpu": "some", "cores": 2, "dtype": "float64", "jax": "0", "date": "2026-01-01T00:00"}
@@ -67,3 +68,57 @@ def test_a_quick_run_of_one_topic(tmp_path):
     assert answer.exit_code == 0, answer.output
     rows = json.loads(out.read_text())["rows"]
     assert all(row["value"] > 0 for row in rows)
+
+
+COSTS = extrapolation.Costs(10.0, call=0.1, steps=1e-3, host=1e-5, written=(0.04, 5e-6), read=(0.01, 4e-6))
+
+
+def test_one_device_spends_its_time_on_steps():
+    share = extrapolation.share_of(COSTS, 120_000, 1, 1)
+    assert share.largest == "steps"
+    assert share.steps == pytest.approx(120.0)
+    assert share.host == pytest.approx(1.2)
+    assert share.start == pytest.approx(10.1)
+    assert share.written == pytest.approx(63 * 0.04 + 0.6)
+    assert share.read == pytest.approx(63 * 0.01 + 0.48)
+
+
+def test_more_processes_share_out_steps_and_no_reading():
+    alone, many = (extrapolation.share_of(COSTS, 10_000_000, n, 32) for n in (1, 256))
+    assert many.read == alone.read
+    assert many.start == alone.start
+    for name in ("steps", "host", "written"):  # the slowest has at most a part more than its share
+        assert getattr(alone, name) / 256 < getattr(many, name) < 1.5 * getattr(alone, name) / 256
+    assert many.largest == "read"
+
+
+def test_a_process_has_whole_parts_and_a_device_whole_pieces():
+    """Two parts on three processes take as long as on two; a device beyond the pieces gains nothing."""
+    two, three = (extrapolation.share_of(COSTS, 3_840, n, 1) for n in (2, 3))
+    assert two.steps == three.steps == pytest.approx(1.92)
+    assert extrapolation.share_of(COSTS, 1_920, 1, 16).steps == pytest.approx(0.12)
+    assert extrapolation.share_of(COSTS, 1_920, 1, 64).steps == pytest.approx(0.12)
+
+
+def test_constants_are_taken_from_the_rows():
+    def of_size(count: int, devices: int = 1) -> Row:
+        programs = 1e-3 * count / devices
+        details = {"devices": devices, "members": count, "outside_s": 0.1 + 1e-5 * count, "programs_s": programs}
+        return Row("scaling", f"{count} variants, {devices} devices: time per variant", 1.0, "ms", details=details)
+
+    rows = [*map(of_size, (16, 1_000, 100)), of_size(10**6, 2), Row("scaling", "start, programs kept", 10, "s")]
+    for part in (1_000, 3_000):
+        for what, ms in (("written", 40 + 5e-3 * part), ("read", 10 + 3e-3 * part), ("joined", 1e-3 * part)):
+            rows.append(Row("scaling", f"a part of {part:,} variants: {what}", ms, "ms", details={"part": part}))
+    found = extrapolation.costs_of(rows)
+    assert found.call == pytest.approx(0.10016)
+    for name in ("start", "steps", "host", "written", "read"):
+        assert getattr(found, name) == pytest.approx(getattr(COSTS, name)), name
+    assert extrapolation.serial_fraction(found) == pytest.approx(0.01 / 1.01)
+    text = extrapolation.markdown(found)
+    assert "| **serial fraction** of one process | **0.99 %** |" in text
+    assert "| 1,000,000 | 4 x 32 |" in text
+    with pytest.raises(InputError, match="no parts of two sizes"):
+        extrapolation.costs_of(rows[:5])
+    with pytest.raises(InputError, match="no row"):
+        extrapolation.costs_of(rows[:4])

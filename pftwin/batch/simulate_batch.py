@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 _PIECES = 8  # of each device in a chunk, by default
-_LEAST, _FEW, _MOST = 1920, 64, 64  # members of a part; parts of a batch; pieces of a part
+_LEAST, _FEW, _MOST = 1920, 64, 256  # members of a part; parts of a batch; pieces of a part
 _MOST_FRAMES = 300_000  # of all members, up to which trajectories are kept without being asked for: 30 MB
 
 

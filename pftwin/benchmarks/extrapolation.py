@@ -18,23 +18,23 @@ from typing import NamedTuple
 from pftwin.batch.simulate_batch import unit_for
 from pftwin.batches import PIECE
 from pftwin.benchmarks.row import Row
-from pftwin.benchmarks.scaling import PART, TOPIC
+from pftwin.benchmarks.scaling import TOPIC
 from pftwin.errors import InputError
 
 MEMBERS = (100_000, 1_000_000, 10_000_000)
-CLUSTERS = ((1, 2), (1, 32), (4, 32), (16, 32), (64, 32), (256, 32))  # processes, devices of each
+_ROWS = "the rows of --only scaling"
+CLUSTERS = ((1, 2), (1, 32), (4, 32), (16, 32), (64, 32))  # processes, devices of each
 
 
 class Costs(NamedTuple):
-    """Seconds; of a variant where nothing else is said."""
+    """Seconds."""
 
     start: float  # of a process
     call: float  # of a batch, however small
-    steps: float  # on one device
+    steps: float  # of a variant on a device beside another
     host: float  # what the host does for it, in its own process
-    written: float  # of a part of PART variants
-    read: float  # of such a part
-    joined: float
+    written: tuple[float, float]  # a part, and besides for each of its variants
+    read: tuple[float, float]  # the same, joined with the others
 
 
 class Share(NamedTuple):
@@ -64,26 +64,34 @@ def costs_of(rows: Sequence[Row]) -> Costs:
         InputError: rows are missing.
     """
     mine = {row.what: row for row in rows if row.topic == TOPIC}
-    alone = [r.details for r in mine.values() if r.details.get("devices") == 1 and "members" in r.details]
+    alone, pair = ([r.details for r in mine.values() if r.details.get("devices") == n] for n in (1, 2))
 
     def value(what: str) -> float:
         found = [row.value for name, row in mine.items() if name.endswith(what)]
         if not found:
-            raise InputError(f"no row '... {what}'", where="figures", expected="the rows of --only scaling")
+            raise InputError(f"no row '... {what}'", where="figures", expected=_ROWS)
         return found[0]
 
-    if len(alone) < 2:
-        raise InputError("no batches on one device", where="figures", expected="the rows of --only scaling")
+    def line(*what: str) -> tuple[float, float]:
+        parts = sorted({r.details["part"] for r in mine.values() if "part" in r.details})
+        if len(parts) < 2:
+            raise InputError("no parts of two sizes", where="figures", expected=_ROWS)
+        few, many = (sum(1e-3 * value(f"{n:,} variants: {w}") for w in what) for n in (parts[0], parts[-1]))
+        slope = max(0.0, (many - few) / (parts[-1] - parts[0]))
+        return few - slope * parts[0], slope
+
+    if len(alone) < 2 or not pair:
+        raise InputError("no batches on one device, or on two", where="figures", expected=_ROWS)
     few, many = (max(alone, key=lambda d, s=sign: s * d["members"]) for sign in (-1, 1))
+    busy = max(pair, key=lambda d: d["members"])  # both cores compute, and share what a processor has but once
     host = (many["outside_s"] - few["outside_s"]) / (many["members"] - few["members"])
     return Costs(
         start=value("programs kept"),
         call=few["outside_s"],
-        steps=many["programs_s"] / many["members"],
+        steps=2 * busy["programs_s"] / busy["members"],
         host=max(host, 0.0),
-        written=1e-3 * value(": written"),
-        read=1e-3 * value(": read"),
-        joined=1e-6 * value("joined: time per variant"),
+        written=line("written"),
+        read=line("read", "joined"),
     )
 
 
@@ -91,15 +99,15 @@ def share_of(costs: Costs, members: int, processes: int, devices: int) -> Share:
     """Of so many processes, each with so many devices."""
     unit = unit_for(members, PIECE)
     units = math.ceil(members / unit)
-    own = min(members, math.ceil(units / processes) * unit)
+    own_units = math.ceil(units / processes)
+    own = min(members, own_units * unit)
     rounds = math.ceil(own / (PIECE * devices))
-    as_parts = unit / PART  # a part's cost goes with what it holds
     return Share(
         start=costs.start + costs.call,
         steps=rounds * PIECE * costs.steps,
         host=own * costs.host,
-        written=own / unit * as_parts * costs.written,
-        read=units * as_parts * costs.read + members * costs.joined,
+        written=own_units * costs.written[0] + own * costs.written[1],
+        read=units * costs.read[0] + members * costs.read[1],
     )
 
 
@@ -114,11 +122,10 @@ def markdown(costs: Costs) -> str:
     named = {
         "start of a process, programs kept": f"{costs.start:.1f} s",
         "a call, besides its variants": f"{1e3 * costs.call:.0f} ms",
-        "a variant's steps, on a device": f"{1e3 * costs.steps:.2f} ms",
+        "a variant's steps, on a device beside another": f"{1e3 * costs.steps:.2f} ms",
         "a variant on its process's host": f"{1e6 * costs.host:.1f} us",
-        f"a part of {PART:,} variants, written": f"{1e3 * costs.written:.0f} ms",
-        f"a part of {PART:,} variants, read": f"{1e3 * costs.read:.1f} ms",
-        "joining, a variant": f"{1e6 * costs.joined:.2f} us",
+        "writing a part, and besides for each of its variants": _both(costs.written),
+        "reading and joining it, and for each of its variants": _both(costs.read),
         "**serial fraction** of one process": f"**{100 * serial_fraction(costs):.2f} %**",
     }
     lines += [f"| {what} | {text} |" for what, text in named.items()]
@@ -133,6 +140,10 @@ def markdown(costs: Costs) -> str:
                 f"| {members:,} | {processes} x {devices} | {share.whole:,.0f} s | {100 * used:.0f} % | {most} |"
             )
     return "\n".join(lines)
+
+
+def _both(cost: tuple[float, float]) -> str:
+    return f"{1e3 * cost[0]:.1f} ms, {1e6 * cost[1]:.1f} us"
 
 
 def main(name: str) -> None:

@@ -33,13 +33,15 @@ class Team:
     Args:
         count: how many.
         members: of the batch.
+        cache: folder in which compiled programs are kept; None: nowhere.
     """
 
-    def __init__(self, count: int, members: int) -> None:
+    def __init__(self, count: int, members: int, cache: str | None = None) -> None:
         with socket.socket() as found:
             found.bind(("127.0.0.1", 0))
             port = found.getsockname()[1]
-        told = [{"index": i, "count": count, "port": port, "members": members} for i in range(count)]
+        common = {"count": count, "port": port, "members": members, "cache": cache}
+        told = [{"index": i, **common} for i in range(count)]
         self._processes = [
             subprocess.Popen(
                 [sys.executable, "-m", "pftwin.benchmarks.processes", json.dumps(one)],
@@ -115,7 +117,7 @@ def rows(quick: bool) -> list[Row]:
     ]
 
 
-def member(index: int, count: int, port: int, members: int) -> None:
+def member(index: int, count: int, port: int, members: int, cache: str | None) -> None:
     """A process of a team: `python -m pftwin.benchmarks.processes TOLD`."""
     if hasattr(os, "sched_setaffinity"):
         there = sorted(os.sched_getaffinity(0))
@@ -124,7 +126,7 @@ def member(index: int, count: int, port: int, members: int) -> None:
 
     import pftwin
 
-    pftwin.configure(cpu_devices=1)
+    pftwin.configure(cpu_devices=1, cache_dir=cache)
     if count > 1:
         jax.distributed.initialize(f"127.0.0.1:{port}", count, index)
     batch = pftwin.Variants(pftwin.rig.case(2, contact="P5"), transferred, amounts(members))

@@ -25,14 +25,13 @@ from pftwin.benchmarks.row import Row
 SIZES, QUICK_SIZES = (1, 16, 128, 1_024, 10_000, 100_000), (16, 1_024)
 MANY = (8, 32)  # devices, more than there are cores
 MANY_SIZE, QUICK_MANY_SIZE = 7_680, 960  # members laid over them
-PART = 1_920  # members of a part
+PART, LARGE_PART = 1_920, 7_680  # members of parts that are written and read
 PARTS = 20
 TOPIC = "scaling"
 
 
 def rows(quick: bool) -> list[Row]:
     """Of processes that are started one after the other."""
-    from pftwin.benchmarks.processes import Team
     from pftwin.benchmarks.topics import in_a_process
 
     def apart(**task: Any) -> list[Row]:
@@ -43,21 +42,29 @@ def rows(quick: bool) -> list[Row]:
         found += apart(devices=devices, sizes=sizes)
     for devices in (2, *MANY):
         found += apart(devices=devices, sizes=(many,))
-    found += apart(devices=1, sizes=())
-    starts = []
-    for _ in range(2):  # the first compiles, or finds what was kept
+    for part in (PART, LARGE_PART):
+        found += apart(devices=1, part=part)
+    with tempfile.TemporaryDirectory(prefix="pftwin-benchmark-") as cache:
+        starts = [_start(cache) for _ in range(3)]  # the first compiles
+    compiling = starts[0][0]
+    first, again = (statistics.median(s[i] for s in starts[1:]) for i in (0, 1))
+    note = f"{first:.1f} s to a part of {PART:,} variants in a new process, {compiling:.0f} s where it has to compile"
+    details = {"first_s": first, "again_s": again, "starts": starts}
+    return [*found, Row(TOPIC, "start of a process, programs kept", first - again, "s", note=note, details=details)]
+
+
+def _start(cache: str) -> tuple[float, float]:
+    """Seconds from nothing to a part in a new process, and to another one there; with a folder of kept programs."""
+    from pftwin.benchmarks.processes import Team
+
+    with tempfile.TemporaryDirectory(prefix="pftwin-benchmark-") as folder:
         began = time.perf_counter()
-        team = Team(1, PART)
+        team = Team(1, PART, cache)
         try:
-            team.seconds("-")
-            first = time.perf_counter() - began
-            starts.append((first, team.seconds("-")[0]))
+            team.seconds(str(Path(folder) / "first"))
+            return time.perf_counter() - began, team.seconds(str(Path(folder) / "again"))[0]
         finally:
             team.leave()
-    first, again = starts[-1]
-    details = {"first_s": first, "again_s": again, "compiling_s": starts[0][0]}
-    note = f"{first:.1f} s to {PART:,} variants in a new process, {again:.2f} s there again"
-    return [*found, Row(TOPIC, "start of a process, programs kept", first - again, "s", note=note, details=details)]
 
 
 @contextmanager
@@ -94,7 +101,7 @@ def of_sizes(devices: int, sizes: tuple[int, ...]) -> list[Row]:
 
     for count in sizes:
         study(min(count, 1_920))  # compiles
-        warm = [study(count) for _ in range(3 if count < 50_000 else 1)]
+        warm = [study(count) for _ in range(3)]
         seconds, programs = (statistics.median(w[i] for w in warm) for i in (0, 1))
         outside = statistics.median(all_of_it - inside for all_of_it, inside in warm)
         details = {"devices": devices, "members": count, "seconds": seconds, "programs_s": programs}
@@ -105,35 +112,29 @@ def of_sizes(devices: int, sizes: tuple[int, ...]) -> list[Row]:
     return found
 
 
-def of_parts() -> list[Row]:
-    """Writing parts, reading them back, and joining them."""
+def of_parts(size: int) -> list[Row]:
+    """Writing parts of so many members, reading them back, and joining them."""
     import pftwin
     from pftwin.batch.part_files import Index, read_part, write_part
     from pftwin.batch.parts import joined
 
     scene = pftwin.rig.case(2, contact="P5")
-    members = pftwin.simulate_batch(pftwin.Variants(scene, transferred, amounts(PART)), devices=1, **SETTINGS)
-    index = Index("0" * 64, {}, [PART] * PARTS)
-    there: dict[int, Any] = {0: members}
-
-    def read(folder: Path, unit: int) -> None:
-        there[unit] = read_part(folder, unit, index, like=members)
-
+    members = pftwin.simulate_batch(pftwin.Variants(scene, transferred, amounts(size)), devices=1, **SETTINGS)
+    index, there = Index("0" * 64, {}, [size] * PARTS), []
     with tempfile.TemporaryDirectory(prefix="pftwin-benchmark-") as name:
         folder = Path(name)
         written = [_seconds(lambda u=u: write_part(folder, u, index.key, members)) for u in range(PARTS)]
-        taken = [_seconds(lambda u=u: read(folder, u)) for u in range(PARTS)]
-        size = sum(p.stat().st_size for p in folder.iterdir()) / (PARTS * PART)
-    together = [_seconds(lambda: joined(list(there.values()))) for _ in range(5)]
-    held = members.nbytes / PART
-    return [
-        Row(TOPIC, f"a part of {PART:,} variants: written", 1e3 * statistics.median(written), "ms",
-            note=f"{size:.0f} bytes a variant on the disk", details={"seconds": written, "bytes": size}),
-        Row(TOPIC, f"a part of {PART:,} variants: read", 1e3 * statistics.median(taken), "ms",
-            note=f"{held:.0f} bytes a variant in memory", details={"seconds": taken, "bytes": held}),
-        Row(TOPIC, f"{PARTS} parts joined: time per variant", 1e6 * statistics.median(together) / (PARTS * PART), "us",
-            details={"seconds": together}),
-    ]  # fmt: skip
+        taken = [_seconds(lambda u=u: there.append(read_part(folder, u, index, like=members))) for u in range(PARTS)]
+        on_disk = sum(p.stat().st_size for p in folder.iterdir()) / (PARTS * size)
+    together = [_seconds(lambda: joined(there)) for _ in range(5)]
+    note, found = f"{on_disk:.0f} bytes a variant on the disk, {members.nbytes / size:.0f} in memory", []
+    for what, all_of_them, parts in (("written", written, 1), ("read", taken, 1), ("joined", together, PARTS)):
+        seconds = statistics.median(all_of_them) / parts
+        details = {"part": size, "seconds": seconds, "all": all_of_them}
+        found.append(
+            Row(TOPIC, f"a part of {size:,} variants: {what}", 1e3 * seconds, "ms", note=note, details=details)
+        )
+    return found
 
 
 def _seconds(call: Callable[[], Any]) -> float:
@@ -147,7 +148,7 @@ def work(task: dict[str, Any], target: Path) -> None:
     import pftwin
 
     pftwin.configure(cpu_devices=task["devices"])
-    found = of_sizes(task["devices"], tuple(task["sizes"])) if task["sizes"] else of_parts()
+    found = of_parts(task["part"]) if "part" in task else of_sizes(task["devices"], tuple(task["sizes"]))
     target.write_text(json.dumps([row.to_json() for row in found]), encoding="utf-8")
 
 

@@ -30,7 +30,9 @@ class Run:
     """A process of the program, with a piece of Python before it that makes it pause somewhere."""
 
     def __init__(self, before: str, *arguments: object, cwd: Path) -> None:
-        code = f"import sys, time\nfrom pathlib import Path\n{before}\nfrom pftwin.cli import main\nmain()"
+        # Programs in the background may have been started with Ctrl-C ignored, and hand that down.
+        heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
+        code = f"import sys, time\nfrom pathlib import Path\n{heard}\n{before}\nfrom pftwin.cli import main\nmain()"
         cache = os.environ.get("PFTWIN_TEST_CACHE", str(ROOT / ".jax_cache"))  # what other tests have compiled
         more = {"PYTHONPATH": str(ROOT), "PFTWIN_CACHE": cache, "NO_COLOR": "1", "COLUMNS": "160"}
         env = {**os.environ, **more}

@@ -17,7 +17,7 @@ COLOUR = re.compile(r"\x1b\[[0-9;]*\b(?:3[0-7]|9[0-7]|38;)[0-9;]*m")
 
 
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    program = [sys.executable, "-c", "from pftwin.cli import main; main()", *arguments]
+    program = [sys.executable, "-m", "pftwin", *arguments]
     kept = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "FORCE_COLOR", "TERM")}
     env = {**kept, "PYTHONPATH": str(ROOT), "COLUMNS": "80", **environment}
     return subprocess.run(program, capture_output=True, text=True, env=env, check=False)

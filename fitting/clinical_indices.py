@@ -4,9 +4,9 @@ Where a landmark is not part of a scene the index is None with a reason; nothing
 
 TT-TG             Goutallier et al. 1978; Dejour et al. 1994, KSSTA 2:19; on MR images Schoettle
                   et al. 2006, Knee 13:26. It falls as the knee bends: Dietrich et al. 2014, KSSTA 22:214
-Q-angle           Brattstroem 1964, Acta Orthop Scand 35 (Suppl 68)
+Q-angle           Brattström 1964, Acta Orthop Scand 35 (Suppl 68)
 Caton-Deschamps   Caton et al. 1982, Rev Chir Orthop 68:317
-sulcus angle      Brattstroem 1964; Merchant et al. 1974, J Bone Joint Surg Am 56:1391
+sulcus angle      Brattström 1964; Merchant et al. 1974, J Bone Joint Surg Am 56:1391
 inclination       Carrillon et al. 2000 (lateral trochlear inclination)
 
 Where this differs from radiology: distances and inclinations refer to the femur's medial-lateral axis, not to the

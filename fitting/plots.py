@@ -163,7 +163,8 @@ class EstimatePlots:
 
 def fitted_to(e: Estimate) -> str:
     """What was fitted to what; synthetic measurements are called so."""
-    return f"{e.scene_name}, fitted to {'synthetic measurements' if e.synthetic else e.source}"
+    what = "synthetic measurements" if e.synthetic else e.source
+    return f"{e.scene_name}, fitted to {what} ({', '.join(e.channels)})"
 
 
 def _correlations(ax: Axes, e: Estimate) -> None:
@@ -176,7 +177,7 @@ def _correlations(ax: Axes, e: Estimate) -> None:
             colour = "white" if abs(e.correlation[i, j]) > 0.6 else "black"
             words = f"{e.correlation[i, j]:.2f}".replace("-", "\N{MINUS SIGN}")
             ax.text(j, i, words, ha="center", va="center", color=colour)
-    ax.figure.colorbar(picture, ax=ax, label="correlation [-]", shrink=0.8, ticks=[-1, -0.5, 0, 0.5, 1])
+    ax.figure.colorbar(picture, ax=ax, shrink=0.8, ticks=[-1, -0.5, 0, 0.5, 1])
     ax.set_title("Correlation of the parameters' errors")
 
 

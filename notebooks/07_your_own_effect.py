@@ -20,7 +20,7 @@
 #
 # 1. a new one in twenty lines: a brace that presses the patella medially once it has moved too far laterally;
 # 2. three checks that tell whether it is right: the force is what the energy loses, the budget closes, the scene
-#    without it stays what it was to the last bit;
+#    without it stays what it was;
 # 3. its derivatives, for nothing: by how much a stiffer brace holds the patella back, against finite differences;
 # 4. a batch: sixty braces side by side in one program, as a map of what stiffness and play do.
 #

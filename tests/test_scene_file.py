@@ -253,7 +253,7 @@ def _resting(scene: Scene) -> Patella:
 def test_axes_of_the_wrong_side_are_refused(toy: Path) -> None:
     axes = '\n[axes]\ntibia = ["+x", "-y", "+z"]\n'
     assert "[axes] tibia: ['+x', '-y', '+z'] are the axes of a left knee" in refused(toy, LIGHT + axes)
-    assert 'expected: three axes with signs, as in ["+y", "+z", "-x"]' in refused(toy, LIGHT + axes.replace("-y", "x"))
+    assert 'expected: three axes with signs, as in ["+y", "+z", "+x"]' in refused(toy, LIGHT + axes.replace("-y", "x"))
 
 
 def test_a_scene_in_other_axes_is_the_same_scene(toy: Path) -> None:

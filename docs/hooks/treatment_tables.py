@@ -12,9 +12,9 @@ from fitting.treatments import KINDS
 PAGE = "treatments.md"
 _INDICES = {
     "tt_tg": ("TT-TG [mm]", "tuberosity to groove, medial-lateral (Goutallier et al. 1978; Dejour et al. 1994)"),
-    "q_angle": ("Q-angle [deg]", "between the quadriceps' line of pull and the patellar tendon (Brattstroem 1964)"),
+    "q_angle": ("Q-angle [deg]", "between the quadriceps' line of pull and the patellar tendon (Brattström 1964)"),
     "caton_deschamps": ("Caton-Deschamps", "patellar height (Caton et al. 1982)"),
-    "sulcus_angle": ("sulcus angle [deg]", "between the facets (Brattstroem 1964; Merchant et al. 1974)"),
+    "sulcus_angle": ("sulcus angle [deg]", "between the facets (Brattström 1964; Merchant et al. 1974)"),
     "lateral_trochlear_inclination": ("lateral inclination [deg]", "of the lateral facet (Carrillon et al. 2000)"),
 }
 

@@ -117,11 +117,11 @@ def recommended(rows: Sequence[Row], levels: Sequence[float] = LEVELS) -> list[A
 def advice_markdown(rows: Sequence[Row]) -> str:
     """The recommendations."""
     lines = [
-        "| error, rms | one run | x real time | error, max | 64 side by side | x real time |",
-        "|---|---|---|---|---|---|",
+        "| error, rms | one run | x real time | error, max | contact force, rms | 64 side by side | x real time |",
+        "|---|---|---|---|---|---|---|",
     ]
     for level, one, many in recommended(rows):
-        alone = ("none measured", "-", "-") if one is None else (described(one), short(one.real_time), _mm(one))
+        alone = ("none measured", *"---") if one is None else (described(one), short(one.real_time), *_errors(one))
         beside = ("-", "-") if many is None else (described(many), short(many.real_time_batch))
         lines.append(f"| {level:g} mm | {' | '.join((*alone, *beside))} |")
     return "\n".join(lines) + "\n"
@@ -161,8 +161,9 @@ def described(row: Row) -> str:
     return f"{row.contact}, {row.integrator}, {row.step_ms:g} ms{single}"
 
 
-def _mm(row: Row) -> str:
-    return f"{short(row.position_max_mm)} mm"
+def _errors(row: Row) -> tuple[str, str]:
+    """Largest of the position, rms of the contact's force."""
+    return f"{short(row.position_max_mm)} mm", f"{short(row.force_rms_n)} N"
 
 
 def short(value: float) -> str:

@@ -135,7 +135,8 @@ def markdown(costs: Costs) -> str:
         for processes, devices in CLUSTERS:
             share = share_of(costs, members, processes, devices)
             used = members * costs.steps / (share.whole * processes * devices)
-            most = f"{share.largest}, {getattr(share, share.largest):.3g} s"
+            seconds = getattr(share, share.largest)
+            most = f"{share.largest}, {seconds:,.0f} s" if seconds >= 100 else f"{share.largest}, {seconds:.3g} s"
             lines.append(
                 f"| {members:,} | {processes} x {devices} | {share.whole:,.0f} s | {100 * used:.0f} % | {most} |"
             )

@@ -146,11 +146,12 @@ def _advice(rows: list[Row]) -> Table:
     from pftwin.demo import narrow_table
 
     table = narrow_table("Recommended: the fastest that was measured within an error")
-    for name in ("error, rms", "", "setting", "x real time"):
+    for name in ("error, rms", "", "setting", "x real time", "force, N"):
         table.add_column(name, no_wrap=True)
     for level, one, many in recommended(rows):
         for i, (kind, row) in enumerate((("one run", one), ("64 runs", many))):
             speed = None if row is None else (row.real_time, row.real_time_batch)[i]
-            cells = ("none measured", "-") if row is None or speed is None else (described(row), short(speed))
+            missing = row is None or speed is None
+            cells = ("none measured", "-", "-") if missing else (described(row), short(speed), short(row.force_rms_n))
             table.add_row("" if i else f"{level:g} mm", kind, *cells)
     return table

@@ -83,15 +83,13 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
         f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}. Made by "
         f"`pftwin hard-cases` with `--json`, piece by piece, and then `--from` and `--markdown`, in {minutes:.0f}"
         f" minutes with compiling, other work going on: {m['cpu']}, {m['cores']} cores, jax {m['jax']}.",
-        "## What was run, and when\n" + _NOT_RUN,
-        _table(runs(pieces)),
+        "## What fails, and why",
+        _table(reasons(cells, "fail")) if found["fail"] else "Nothing.",
+        "\n".join(f"- **{name}**: {UNMENDED[name]}" for name in _failing(cells) if name in UNMENDED),
         "## By contact, integrator and float type",
         _table(summary(cells)),
         "## By case\nOver all kinds of contact and float types.",
         _table(by_case(cells)),
-        "## What fails, and why",
-        _table(reasons(cells, "fail")) if found["fail"] else "Nothing.",
-        "\n".join(f"- **{name}**: {UNMENDED[name]}" for name in _failing(cells) if name in UNMENDED),
         "## What is refused\nIn words, before anything is computed, or by flags of the frames that say so.",
         _table(reasons(cells, "refused")),
         "### Limits of kinds of contact\nA run that goes beyond them says so by its flags, and is refused.",
@@ -100,6 +98,8 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
         _table(outcomes(cells)),
         "## The cases",
         *(f"### {t[0].upper()}{t[1:]}\n" + _list(c for c in cases if c.topic == t) for t in topics),
+        "## What was run, and when\n" + _NOT_RUN,
+        _table(runs(pieces)),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -107,7 +107,9 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
 _INTRODUCTION = """# Hard cases
 
 Scenes that have broken simulators of contact before (`pftwin.hard_cases`), with the kinds of contact, integrators and
-float types of the table below, and no others. All scenes are made up. **Pass**: everything is finite; flags of the
+float types of the tables below, and no others ([what was run](#what-was-run-and-when)). All scenes are made up.
+
+**Pass**: everything is finite; flags of the
 frames are right (contact and depth by an exhaustive search that shares no code with the simulator's); the quaternion
 has length 1; energy less the work of guided bodies never rises; no indentation stores more than there was; there is no
 force at a distance and no missed contact; a symmetric scene stays symmetric. Where the table says that everything was

@@ -29,7 +29,7 @@ def _three_axes(value: list[str]) -> list[str]:
         or sorted(a[-1:] for a in value) != ["x", "y", "z"]
         or any(a[:-1] not in ("", "+", "-") for a in value)
     ):
-        raise problem(f"found {value}", expected='three axes with signs, as in ["+y", "+z", "-x"]')
+        raise problem(f"found {value}", expected='three axes with signs, as in ["+y", "+z", "+x"]')
     return value
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -43,19 +44,22 @@ def _on_devices(function: Callable[..., Any], mesh: Mesh, shared: Any, counts: A
     traced = [isinstance(a, jax.Array) for a in arrays]
 
     def of_one_device(numbers: list[Array], counts: Array, rows: Any) -> Any:
-        rest = iter(numbers)
-        whole = jax.tree.unflatten(structure, [next(rest) if t else a for t, a in zip(traced, arrays, strict=True)])
-
-        def piece(i: Array) -> Any:
-            some = jax.tree.map(lambda a: jax.lax.dynamic_index_in_dim(a, i, keepdims=False), rows)
+        @partial(jax.jit, inline=True)  # asked for shapes and then for the answer, it is traced once
+        def piece(numbers: list[Array], some: Any) -> Any:
+            rest = iter(numbers)
+            whole = jax.tree.unflatten(structure, [next(rest) if t else a for t, a in zip(traced, arrays, strict=True)])
             return jax.vmap(lambda row: function(whole, *row))(some)
 
+        def rows_of(i: Array) -> Any:
+            return jax.tree.map(lambda a: jax.lax.dynamic_index_in_dim(a, i, keepdims=False), rows)
+
         pieces = jax.tree.leaves(rows)[0].shape[0]
-        shapes = jax.eval_shape(piece, jnp.zeros((), int))
+        shapes = jax.eval_shape(lambda i: piece(numbers, rows_of(i)), jnp.zeros((), int))
         empty = jax.tree.map(lambda a: jnp.zeros((pieces, *a.shape), a.dtype), shapes)
 
         def put(i: Array, out: Any) -> Any:
-            return jax.tree.map(lambda o, a: jax.lax.dynamic_update_index_in_dim(o, a, i, 0), out, piece(i))
+            found = piece(numbers, rows_of(i))
+            return jax.tree.map(lambda o, a: jax.lax.dynamic_update_index_in_dim(o, a, i, 0), out, found)
 
         return jax.lax.fori_loop(0, counts[0], put, empty)
 

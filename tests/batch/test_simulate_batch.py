@@ -190,6 +190,22 @@ def test_every_member_has_a_place(n, chunk):
     assert sum(c.counts.sum() for c in chunks) == -(-n // PIECE)
 
 
+def test_a_function_is_traced_once():
+    """Tracing is most of what the start of a process takes once its programs are kept."""
+    traced = []
+
+    def doubled(factor, row):
+        traced.append(row.shape)
+        return {"double": factor * row}
+
+    spread = Spread(tuple(jax.devices()[:1]), FEW, 2 * FEW)
+    rows = np.arange(FEW + 3.0)
+    (chunk,) = spread.chunks(len(rows))
+    found = spread.run(doubled, spread.shared(jnp.asarray(2.0)), chunk, spread.placed((rows,), chunk))
+    np.testing.assert_array_equal(spread.taken(found, chunk)["double"], 2 * rows)
+    assert traced == [()]
+
+
 def test_pieces_are_of_few_sizes():
     assert {piece_for(n, "cpu") for n in range(1, 2000)} == {FEW, PIECE}
     assert {piece_for(n, "gpu") for n in (1, 100, 10**6)} == {16, 128, 2048}

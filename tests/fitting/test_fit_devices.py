@@ -20,21 +20,25 @@ from pftwin.errors import InputError
 from pftwin.measured import Measured
 
 
-def test_variants_that_are_laid_out_give_the_same():
-    """Over one device: what `shard_map` makes of the programs, derivatives and all."""
+@pytest.mark.parametrize("program", ["plain", pytest.param("with_slopes", marks=pytest.mark.slow)])
+def test_variants_that_are_laid_out_give_the_same(program):
+    """Over one device: what `shard_map` makes of the programs."""
     scene = small_scene(6)
     p = fitting.free_parameters(scene, SPRINGS)
     theta = jnp.asarray(p.nominal * np.linspace(0.95, 1.05, 3)[:, None])
     guesses = jax.tree.map(lambda a: jnp.broadcast_to(a, (3,)), scene.start)
     alone = programs.Program(p.places, ("position", "quadriceps"), None)
     laid = alone._replace(mesh=Mesh(np.array(jax.local_devices()[:1]), (programs.AXIS,)))
-    both = [programs.with_slopes(one, scene.unnamed(), jnp.asarray(2), theta, guesses) for one in (alone, laid)]
-    for a, b in zip(*map(jax.tree.leaves, both), strict=True):
+    run = getattr(programs, program)
+    both = [jax.tree.leaves(run(one, scene.unnamed(), jnp.asarray(2), theta, guesses)) for one in (alone, laid)]
+    for a, b in zip(*both, strict=True):
         assert a.shape == b.shape
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
-    slopes = both[0][1]
-    assert slopes.shape == (4, 3, 6, 4)
-    assert np.abs(slopes).max(axis=(1, 2, 3)).min() > 0
+    assert both[0][0].shape == (3, 6, 4)
+    if program == "with_slopes":
+        slopes = both[0][-1]
+        assert slopes.shape == (4, 3, 6, 4)
+        assert np.abs(slopes).max(axis=(1, 2, 3)).min() > 0
 
 
 def test_a_device_that_is_not_there_is_refused():

@@ -150,8 +150,8 @@ def _advice(rows: list[Row]) -> Table:
         table.add_column(name, no_wrap=True)
     for level, one, many in recommended(rows):
         for i, (kind, row) in enumerate((("one run", one), ("64 runs", many))):
-            speed = None if row is None else (row.real_time, row.real_time_batch)[i]
-            missing = row is None or speed is None
-            cells = ("none measured", "-", "-") if missing else (described(row), short(speed), short(row.force_rms_n))
+            cells = ("none measured", "-", "-")
+            if row is not None:
+                cells = described(row), short((row.real_time, row.real_time_batch)[i]), short(row.force_rms_n)
             table.add_row("" if i else f"{level:g} mm", kind, *cells)
     return table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -122,3 +123,15 @@ def test_constants_are_taken_from_the_rows():
         extrapolation.costs_of(rows[:5])
     with pytest.raises(InputError, match="no row"):
         extrapolation.costs_of(rows[:4])
+
+
+def test_the_kept_figures_make_the_page(tmp_path):
+    root = Path(__file__).resolve().parents[1]
+    newest = max((root / "docs" / "benchmarks").glob("scaling-*.json"))
+    answer = RUNNER.invoke(extrapolation.app, [str(newest)])
+    assert answer.exit_code == 0, answer.output
+    for table in answer.output.strip().split("\n\n"):
+        assert table in (root / "docs" / "scaling.md").read_text(encoding="utf-8")
+    answer = RUNNER.invoke(extrapolation.app, [str(tmp_path / "none.json")])
+    assert answer.exit_code == 2
+    assert "cannot be read" in answer.output

@@ -10,16 +10,17 @@ system as fast as its disk, nobody else there: so these are bounds from below, a
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+import typer
 
 from pftwin.batch.simulate_batch import unit_for
 from pftwin.batches import PIECE
 from pftwin.benchmarks.row import Row
 from pftwin.benchmarks.scaling import TOPIC
-from pftwin.errors import InputError
+from pftwin.errors import InputError, PftwinError
 
 MEMBERS = (100_000, 1_000_000, 10_000_000)
 _ROWS = "the rows of --only scaling"
@@ -147,12 +148,23 @@ def _both(cost: tuple[float, float]) -> str:
     return f"{1e3 * cost[0]:.1f} ms, {1e6 * cost[1]:.1f} us"
 
 
-def main(name: str) -> None:
-    """Prints the tables of a file of figures."""
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def main(file: Annotated[Path, typer.Argument(help="What `--only scaling --out FILE` wrote.")]) -> None:
+    """The tables of docs/scaling.md, from a file of figures.
+
+    Example: python -m pftwin.benchmarks.extrapolation scaling.json
+    """
     from pftwin.benchmarks.report import from_json
 
-    print(markdown(costs_of(from_json(Path(name))[0])))
+    try:
+        typer.echo(markdown(costs_of(from_json(file)[0])))
+    except PftwinError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(2) from None
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    app()

@@ -63,7 +63,7 @@ class Residuals(eqx.Module):
         path = tracked_path(scene, substeps=self.substeps, start=starting_equilibrium(scene, guess)).array()
         off = self.present * (path - self.measured)
         count = jnp.sum(self.present)
-        size = jnp.sqrt(jnp.sum(off**2, axis=0) / count + 1e-14)
+        size = jnp.sqrt(jnp.sum(off**2, axis=0, keepdims=True) / count + 1e-14)
         return (off / jnp.sqrt(count * size)).ravel()
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fitting import programs
 from fitting.channels import POSITION, columns_of, widths
 from fitting.parameters import Parameters
-from pftwin.batch.devices import Devices, chosen_devices, idle_cores
+from pftwin.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.trajectory import substeps_for
 from pftwin.scene import Scene
 from pftwin.spatial import Pose
@@ -78,7 +78,7 @@ class Evaluator:
 
     def __post_init__(self) -> None:
         found = chosen_devices(self.devices)
-        self._count, self._threads = len(found), idle_cores(found) if self.devices == "all" else 1
+        self._count, self._threads = len(found), feeding_threads(self.devices)
         mesh = programs.mesh_of(found)
         self._program = programs.Program(self.parameters.places, self.computed or self.channels, mesh)
         self._plain_scene = self.scene.unnamed()

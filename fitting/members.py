@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fitting.course import Glimpse, Groove, course_of
 from fitting.outcomes import measure
 from fitting.treatments import Treatment
-from pftwin.batch.devices import Devices, chosen_devices, idle_cores
+from pftwin.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.batch.member import FLAGS, sensible
 from pftwin.batch.spread import Chunk, Spread
 from pftwin.batches import good_sizes
@@ -175,4 +175,4 @@ def _in_chunks(
     def computed(some: Chunk) -> Members:
         return Members(*spread.taken(spread.run(_one, shared, some, spread.placed(rows, some)), some))
 
-    return spread.over(computed, n, idle_cores(chosen) if devices == "all" else 1, progress)
+    return spread.over(computed, n, feeding_threads(devices), progress)

@@ -20,6 +20,7 @@ from jaxtyping import Array
 from fitting.channels import ORIENTATION, POSITION
 from fitting.parameters import applied
 from fitting.places import Place
+from pftwin.batch.laid import AXIS, SPLIT, laid
 from pftwin.batches import batched
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import placed
@@ -28,25 +29,12 @@ from pftwin.dynamics.trajectory import starting_equilibrium, watched
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Scalar
 
-AXIS = "variant"
-_SHARED, _SPLIT, _COLUMNS = PartitionSpec(), PartitionSpec(AXIS), PartitionSpec(None, AXIS)
+_COLUMNS = PartitionSpec(None, AXIS)
 
 
-def _laid(
-    mesh: Mesh | None, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = _SPLIT
-) -> Any:
-    """function(shared, *each), where the leading axes of `each` are laid over the mesh's devices; None: not laid."""
-    if mesh is None:
-        return function(shared, *each)
-    arrays, fixed = eqx.partition(shared, eqx.is_array)
-    own = jax.shard_map(
-        lambda a, *rows: function(eqx.combine(a, fixed), *rows),
-        mesh=mesh,
-        in_specs=(_SHARED, *[_SPLIT] * len(each)),
-        out_specs=out,
-        check_vma=False,  # what the loops carry differs from device to device, which nobody has to prove here
-    )
-    return own(arrays, *each)
+def _laid(mesh: Mesh | None, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
+    """function(shared, *each), laid over the mesh's devices; None: JAX's default one."""
+    return function(shared, *each) if mesh is None else laid(mesh, function, shared, each, out)
 
 
 def _predicted(
@@ -120,7 +108,7 @@ def with_slopes(program: Program, scene: Scene, substeps: Array, theta: Array, g
         (values, rest), (slopes, _) = jax.vmap(push, out_axes=(None, 0))(directions)
         return (values, *rest), slopes
 
-    return _laid(program.mesh, pushed, (scene, substeps), (theta, guesses), (_SPLIT, _COLUMNS))
+    return _laid(program.mesh, pushed, (scene, substeps), (theta, guesses), (SPLIT, _COLUMNS))
 
 
 @eqx.filter_jit

@@ -13,17 +13,16 @@
 # ---
 
 # %% [markdown]
-# # Hard cases, and only the effects that a scene calls for
+# # Hard cases, and what the statuses mean
 #
 # A number that comes out of a simulation is worth what is known of its reliability. You will get:
 #
 # 1. six scenes that break simulators of contact, run and drawn: a slow touch, a bounce, a saddle, a dislocation
 #    across the edge of the surface, steps that are too long, and input that is refused;
 # 2. the words in which pftwin says how far a run is to be trusted, all of them, from the code;
-# 3. a slice of the matrix that judges such scenes by what must hold of every run;
-# 4. for a knee of the virtual rig, what each effect costs (`explain`) and what it is worth (`audit`).
+# 3. a slice of the matrix that judges such scenes by what must hold of every run.
 #
-# All scenes here are made up, and the rig's motion is **synthetic**: this is about the method, not about a patient.
+# All scenes here are made up: this is about the method, not about a patient.
 # Statements about figures are followed by an `assert`, which stops the notebook should one become wrong; times are
 # shown but never checked.
 
@@ -38,10 +37,6 @@ from matplotlib.figure import Figure
 
 import pftwin
 from pftwin import hard_cases
-from pftwin.audit.audit import audit
-from pftwin.audit.explain import explain
-from pftwin.audit.figure import audit_figure
-from pftwin.audit.report import audit_sheet, explanation_sheet
 from pftwin.hard_cases import table as tables
 from pftwin.plots import COLOURS, STYLE
 from pftwin.runtime import default_cache_dir
@@ -380,74 +375,5 @@ assert outcome["contact_hard", "symplectic_euler"] == "refused"
 assert all(outcome[name, "linear_implicit"] == "pass" for name in NAMES if name not in refusals)
 
 # %% [markdown]
-# ## What a scene calls for
-#
-# A model can have too little in it, and too much. Case 2 of the virtual rig (synthetic) has weight, two tendons,
-# contact and a drag on the patella; it dislocates. `explain` says what each of them **costs**: how many equations it
-# adds to a step and what share of a step's time goes with it, whether it is stiff, and the energy that it moved.
-
-# %%
-knee = pftwin.rig.case(2, contact="P5")
-explained = explain(knee)
-Markdown(explanation_sheet(explained).markdown())
-
-# %%
-work = sum(part.work for part in explained.parts if part.of is None)
-print(f"works add up to {1e3 * work:.2f} mJ, kinetic energy changed by {1e3 * explained.kinetic_change:.2f} mJ")
-assert abs(explained.energy_gap) < 1e-3  # [J] of some 3 J moved
-assert [part.name for part in explained.parts if part.stiff] == ["contact"]
-assert max(explained.parts, key=lambda part: part.equations).name == "contact"
-
-# %% [markdown]
-# Only the contact is stiff: an explicit method would have to take steps of less than a tenth of a millisecond because
-# of it alone. Its search for the nearest points is also most of the work.
-#
-# `audit` says what an effect is **worth**: it runs the scene without it, or with one that it lacks, and compares.
-# Some rows are chosen here, to save time; `audit(knee)` or `pftwin audit --case 2` makes all of them
-# ([docs/audit.md](../docs/audit.md)).
-
-# %%
-ROWS = (
-    "damping",
-    "tendons' damping",
-    "friction",
-    "patella inertia x 2",
-    "patella inertia x 1/2",
-    "steps half as long",
-)
-weighed = audit(knee, only=ROWS)
-Markdown(audit_sheet(weighed).markdown())
-
-# %% [markdown]
-# The bars: how far the button's path moves (bar: rms over the motion; thin line: to the largest), how much the
-# contact force changes, and the time that the change takes. Note the logarithmic axes. The dashed line is the
-# tolerance below which an effect could go. The grey bar is the yardstick: what a step half as long changes. Bars
-# shorter than it say nothing.
-
-# %%
-audit_figure(weighed, "Case 2 of the virtual rig (synthetic): what each effect is worth")
-
-# %% [markdown]
-# Friction, which the scene does not have, would move the path by 4 mm rms, more than any other row here: so this
-# scene's figures hold for a joint that slides freely. The drag is worth a centimetre where the patella dislocates. A
-# patella twice as heavy to accelerate moves it by about a millimetre: the knee moves slowly, and inertia matters
-# little.
-
-# %%
-worth = {row.name: row for row in weighed.rows}
-largest = {name: 1e3 * row.changes.center_max for name, row in worth.items()}
-print({name: round(value, 3) for name, value in largest.items()}, "mm at most")
-assert set(worth) == set(ROWS)
-yardstick = largest.pop("steps half as long")
-assert yardstick < 0.1 < min(largest.values())  # steps are short enough, and every one of these matters
-typical = {name: 1e3 * row.changes.center_rms for name, row in worth.items()}
-assert max(typical, key=typical.get) == "friction"
-assert 3 < typical["friction"] < 6
-assert 8 < largest["damping"] < 16
-assert largest["patella inertia x 2"] < 2
-assert "dislocation" in weighed.tracking
-
-# %% [markdown]
-# **In short.** Read the status before the figures; take a method that fits the question (impacts want short steps);
-# leave out what the audit says is worth less than your tolerance, and put in what it says is worth more. `pftwin
-# explain scene.toml` and `pftwin audit scene.toml --out audit` do it for a knee of your own.
+# **In short.** Read the status before the figures, and take a method that fits the question: impacts want short steps.
+# What may be left out of a scene, and what should be put in: [what effects are worth](08_what_effects_are_worth.ipynb).

@@ -68,13 +68,13 @@ def chosen_devices(devices: Devices = "all") -> tuple[Any, ...]:
     )
 
 
-def idle_cores(devices: Sequence[Any]) -> int:
-    """How many threads may feed these devices: as many as there are cores where JAX takes the whole CPU for one.
+def feeding_threads(devices: Devices) -> int:
+    """How many threads may feed the devices that are meant: all cores where "all" is a CPU that JAX takes for one.
 
     Of several processes each has one: nobody knows here which cores are whose.
     """
-    alone = len(devices) == 1 and devices[0].platform == "cpu" and len(jax.local_devices(backend="cpu")) == 1
-    return cores() if alone and jax.process_count() == 1 else 1
+    whole = isinstance(devices, str) and [d.platform for d in chosen_devices(devices)] == ["cpu"]
+    return cores() if whole and jax.process_count() == 1 else 1
 
 
 def _check_own(devices: Sequence[Any]) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from pftwin.batch.devices import Devices, chosen_devices, idle_cores
+from pftwin.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.batch.member import Outcome, Task
 from pftwin.batch.outcomes import check_outcomes
 from pftwin.batch.plan import Plan
@@ -97,7 +97,7 @@ def simulate_batch(
     total = sum(len(g.places) for g in groups)
     piece = piece_for(total, found_devices[0].platform)
     spread = Spread(found_devices, piece, chunk or _PIECES * piece * len(found_devices))
-    threads = idle_cores(found_devices) if devices == "all" else 1
+    threads = feeding_threads(devices)
     substeps = [_substeps(group, name, dt, tolerance) for group in groups]
     tasks = [
         Task(g.scene, g.change, jnp.asarray(n), name, bool(energy_budget), courses, outcome)

@@ -18,16 +18,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh, NamedSharding
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from pftwin.batch.laid import AXIS, SHARED, SPLIT, laid
 from pftwin.batches import PIECE
 
 FEW = 16  # members of a piece where there are few
 _ACCELERATED = 2048  # members of a piece on an accelerator, whose lanes are thousands
-_AXIS = "batch"
-_SHARED, _SPLIT = PartitionSpec(), PartitionSpec(_AXIS)
 
 
 def piece_for(n: int, platform: str) -> int:
@@ -40,35 +39,28 @@ def piece_for(n: int, platform: str) -> int:
 @eqx.filter_jit
 def _on_devices(function: Callable[..., Any], mesh: Mesh, shared: Any, counts: Array, each: Any) -> Any:
     """function(shared, *row) for the rows of each, (devices * pieces, members, ...); `counts` pieces of each device."""
-    arrays, structure = jax.tree.flatten(shared)
-    traced = [isinstance(a, jax.Array) for a in arrays]
 
-    def of_one_device(numbers: list[Array], counts: Array, rows: Any) -> Any:
+    def of_one_device(shared: Any, counts: Array, rows: Any) -> Any:
+        arrays, fixed = eqx.partition(shared, eqx.is_array)
+
         @partial(jax.jit, inline=True)  # asked for shapes and then for the answer, it is traced once
-        def piece(numbers: list[Array], some: Any) -> Any:
-            rest = iter(numbers)
-            whole = jax.tree.unflatten(structure, [next(rest) if t else a for t, a in zip(traced, arrays, strict=True)])
-            return jax.vmap(lambda row: function(whole, *row))(some)
+        def piece(arrays: Any, some: Any) -> Any:
+            return jax.vmap(lambda row: function(eqx.combine(arrays, fixed), *row))(some)
 
         def rows_of(i: Array) -> Any:
             return jax.tree.map(lambda a: jax.lax.dynamic_index_in_dim(a, i, keepdims=False), rows)
 
         pieces = jax.tree.leaves(rows)[0].shape[0]
-        shapes = jax.eval_shape(lambda i: piece(numbers, rows_of(i)), jnp.zeros((), int))
+        shapes = jax.eval_shape(lambda i: piece(arrays, rows_of(i)), jnp.zeros((), int))
         empty = jax.tree.map(lambda a: jnp.zeros((pieces, *a.shape), a.dtype), shapes)
 
         def put(i: Array, out: Any) -> Any:
-            found = piece(numbers, rows_of(i))
+            found = piece(arrays, rows_of(i))
             return jax.tree.map(lambda o, a: jax.lax.dynamic_update_index_in_dim(o, a, i, 0), out, found)
 
         return jax.lax.fori_loop(0, counts[0], put, empty)
 
-    numbers = [a for a, t in zip(arrays, traced, strict=True) if t]
-    # What the loops carry differs from device to device, which nobody has to prove here.
-    laid = jax.shard_map(
-        of_one_device, mesh=mesh, in_specs=(_SHARED, _SPLIT, _SPLIT), out_specs=_SPLIT, check_vma=False
-    )
-    return laid(numbers, counts, each)
+    return laid(mesh, of_one_device, shared, (counts, each))
 
 
 class Chunk(NamedTuple):
@@ -90,7 +82,7 @@ class Spread:
     """
 
     def __init__(self, devices: tuple[Any, ...], piece: int, chunk: int) -> None:
-        self._mesh = Mesh(np.array(devices), (_AXIS,))
+        self._mesh = Mesh(np.array(devices), (AXIS,))
         self.devices, self.piece = len(devices), piece
         self._pieces = max(1, chunk // (piece * len(devices)))
 
@@ -114,12 +106,12 @@ class Spread:
 
     def shared(self, tree: Any) -> Any:
         """What all members share, on every device."""
-        place = NamedSharding(self._mesh, _SHARED)
+        place = NamedSharding(self._mesh, SHARED)
         return jax.tree.map(lambda a: jax.device_put(a, place) if _is_array(a) else a, tree)
 
     def placed(self, each: Any, chunk: Chunk) -> Any:
         """A chunk's rows of arrays (n, ...), each on its device."""
-        place = NamedSharding(self._mesh, _SPLIT)
+        place = NamedSharding(self._mesh, SPLIT)
         return jax.tree.map(lambda a: jax.device_put(np.asarray(a)[chunk.rows], place), each)
 
     def run(self, function: Callable[..., Any], shared: Any, chunk: Chunk, each: Any) -> Any:
@@ -131,7 +123,7 @@ class Spread:
             chunk: from `chunks`.
             each: a tuple of trees, from `placed` or of `run`'s answers.
         """
-        counts = jax.device_put(chunk.counts, NamedSharding(self._mesh, _SPLIT))
+        counts = jax.device_put(chunk.counts, NamedSharding(self._mesh, SPLIT))
         return _on_devices(function, self._mesh, shared, counts, each)
 
     def taken(self, out: Any, chunk: Chunk) -> Any:

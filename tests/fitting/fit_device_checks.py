@@ -23,7 +23,7 @@ def main(cache: str) -> None:
 
     scene = small_scene(12)
     truth = pftwin.simulate(scene, dt=1 / 600).center
-    seen = Measured(scene.motion.frame_times(), truth * 1.001)
+    seen = Measured(scene.motion.times, truth * 1.001)
 
     def found(method: str, devices: int) -> dict:
         free, options = ("K1", "L2"), METHODS[method]

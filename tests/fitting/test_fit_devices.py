@@ -16,6 +16,7 @@ from small_scene import small_scene
 
 import fitting
 from fitting import programs
+from pftwin.batch.laid import AXIS
 from pftwin.errors import InputError
 from pftwin.measured import Measured
 
@@ -28,7 +29,7 @@ def test_variants_that_are_laid_out_give_the_same(program):
     theta = jnp.asarray(p.nominal * np.linspace(0.95, 1.05, 3)[:, None])
     guesses = jax.tree.map(lambda a: jnp.broadcast_to(a, (3,)), scene.start)
     alone = programs.Program(p.places, ("position", "quadriceps"), None)
-    laid = alone._replace(mesh=Mesh(np.array(jax.local_devices()[:1]), (programs.AXIS,)))
+    laid = alone._replace(mesh=Mesh(np.array(jax.local_devices()[:1]), (AXIS,)))
     run = getattr(programs, program)
     both = [jax.tree.leaves(run(one, scene.unnamed(), jnp.asarray(2), theta, guesses)) for one in (alone, laid)]
     for a, b in zip(*both, strict=True):
@@ -43,7 +44,7 @@ def test_variants_that_are_laid_out_give_the_same(program):
 
 def test_a_device_that_is_not_there_is_refused():
     scene = small_scene(6)
-    measured = Measured(scene.motion.frame_times(), np.zeros((6, 3)))
+    measured = Measured(scene.motion.times, np.zeros((6, 3)))
     with pytest.raises(InputError, match="devices: found 99, where JAX has"):
         fitting.fit_tendons(scene, measured, devices=99)
 

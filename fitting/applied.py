@@ -27,7 +27,7 @@ class Applied:
         import jax.numpy as jnp
 
         from fitting.parameters import applied
-        from fitting.places import find
+        from pftwin.scene_parameters import find
 
         places = tuple(find(scene, name)[0] for name in self.names)
         return applied(places, scene, jnp.asarray(self.values, dtype=float) if theta is None else theta)

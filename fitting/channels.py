@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tendon import Tendon
 from pftwin.scene import Scene
+from pftwin.scene_parameters import numbered_elements
 
 POSITION, ORIENTATION = "position", "orientation"
 
@@ -15,8 +14,8 @@ POSITION, ORIENTATION = "position", "orientation"
 def channels_of(scene: Scene) -> tuple[str, ...]:
     """Everything that could be measured: poses, and the forces of contact, tendons and ligaments."""
     contact = scene.contact
-    forces = [e.name for e in scene.effects if isinstance(e, Tendon | StrandGroup)]
-    return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *forces)
+    tensions = [element.name for element in numbered_elements(scene)]
+    return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *tensions)
 
 
 def widths(channels: tuple[str, ...]) -> tuple[int, ...]:

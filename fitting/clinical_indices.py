@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.clinical_values import ClinicalIndices, Index, Landmarks
-from fitting.course import knee_flexion
-from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, contact_of, elastic
+from fitting.course import groove_surface, knee_flexion
+from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, line_element
 from fitting.trochlear_section import Section, section
-from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 from pftwin.spatial import Vec3
@@ -76,7 +75,7 @@ def clinical_indices(
 
 def _section(scene: Scene, level: float) -> tuple[Section | None, str]:
     try:
-        return section(contact_of(scene, "clinical_indices").surface, level), ""
+        return section(groove_surface(scene), level), ""
     except InputError as error:
         return None, error.problem
 
@@ -103,7 +102,8 @@ def _tt_tg(scene: Scene, cut: Section | None, missing: str, flexion: float | Non
 def _tuberosity(scene: Scene, tendon: str, frame: int) -> Floats | str:
     """The patellar tendon's origin (of strands: their middle) in the femur's frame, (3,); or why it is not known."""
     try:
-        origin = _middle(elastic(scene, tendon, "clinical_indices", body="tibia").origin)
+        element = line_element(scene, tendon, "clinical_indices", body="tibia")
+        origin = _middle(element.origin_at(scene.motion.times[frame]))
     except InputError as error:
         return error.problem
     femur, tibia = scene.motion.frames(scene.motion.times[frame])
@@ -116,10 +116,14 @@ def _q_angle(scene: Scene, known: Landmarks, tendon: str, quadriceps: str) -> In
     if known.asis is not None:
         above, line = np.asarray(known.asis, dtype=np.float64), "from the anterior superior iliac spine"
     else:
-        pull = next((e for e in scene.effects if e.name == quadriceps), None)
-        if not isinstance(pull, Tendon) or pull.body != "femur":
+        pulls = [e.line_element() for e in scene.effects if e.name == quadriceps]
+        pull = pulls[0] if pulls else None
+        if pull is None or pull.line_ends[1] != "femur":
             return Index(None, "deg", "neither the iliac spine nor a quadriceps tendon from the femur is in the scene")
-        above, line = _middle(pull.origin), "along the quadriceps' line of pull: the iliac spine is not in the scene"
+        above, line = (
+            _middle(pull.origin_at(scene.motion.start_time)),
+            "along the quadriceps' line of pull: the iliac spine is not in the scene",
+        )
     below = _tuberosity(scene, tendon, 0)
     if isinstance(below, str):
         return Index(None, "deg", below)

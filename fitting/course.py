@@ -13,7 +13,26 @@ from pftwin.errors import InputError
 from pftwin.rotations import patellar_angles, tibiofemoral_angles
 from pftwin.scene import Scene
 from pftwin.spatial import Quaternion, Vec3
+from pftwin.surfaces.closest import Surface
 from pftwin.tracking import DISLOCATED, RE_ENGAGED, groove_line
+
+
+def groove_surface(scene: Scene) -> Surface:
+    """The surface that tells where a scene's groove is.
+
+    Raises:
+        InputError: a scene without contact between button and trochlea, or with meshes alone.
+    """
+    if scene.surface is None:
+        found = "no contact between a button and a trochlea"
+        if scene.contact is not None:
+            found = f"the meshes of {scene.contact.name!r} do not tell where the groove is"
+        raise InputError(
+            found,
+            where=scene.name or "outcomes",
+            expected="a contact with a smooth surface, or a stand-in for one: outcomes count from its groove",
+        )
+    return scene.surface
 
 
 class Groove(NamedTuple):
@@ -29,15 +48,10 @@ class Groove(NamedTuple):
         Raises:
             InputError: a scene without contact between button and trochlea.
         """
-        if scene.contact is None:
-            raise InputError(
-                "no contact between a button and a trochlea",
-                where=scene.name or "outcomes",
-                expected="a sphere contact: outcomes are counted from its groove",
-            )
-        line = groove_line(scene.contact.surface)
+        surface = groove_surface(scene)
+        line = groove_line(surface)
         if line is None:
-            middle = float(getattr(scene.contact.surface, "center", (0.0, 0.0))[1])
+            middle = float(getattr(surface, "center", (0.0, 0.0))[1])
             return Groove(jnp.asarray([-1.0, 1.0]), jnp.asarray([middle, middle]))
         return Groove(jnp.asarray(line.u, dtype=float), jnp.asarray(line.v, dtype=float))
 
@@ -80,9 +94,7 @@ def course(scene: Scene, seen: Observation, groove: Groove) -> Course:
 
 def course_of(scene: Scene, seen: Glimpse, status: Array, groove: Groove) -> Course:
     """What outcomes need of glimpses of all frames, and their status (n,). Pure."""
-    contact, motion = scene.contact, scene.motion
-    assert contact is not None
-    chart = contact.surface.chart
+    motion, chart = scene.motion, groove_surface(scene).chart
     u, v = chart.foot(chart.to_frame(seen.center))
     return Course(
         motion.frame_times(),

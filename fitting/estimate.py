@@ -113,7 +113,7 @@ class Estimate:
         """How sure it is, in plain words."""
         from types import SimpleNamespace
 
-        from fitting.places import Place
+        from pftwin.scene_parameters import Place
 
         places = tuple(Place("", (_field(n),), None, "value") for n in self.names)
         named: Any = SimpleNamespace(names=self.names, places=places, lower=self.lower, upper=self.upper)

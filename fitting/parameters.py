@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fitting.places import Place, find
 from pftwin.errors import InputError
 from pftwin.scene import Scene
+from pftwin.scene_parameters import Place, find
 from pftwin.spatial import Scalar
 
 Bounds = float | Mapping[str, float | tuple[float, float]]
@@ -187,7 +187,7 @@ def _parameter(
     prior = priors.get(own, priors.get(name))
     if prior is not None and not (len(prior) == 2 and np.isfinite(prior).all() and prior[1] > 0):
         raise InputError(f"{own}: found {prior!r}", where="priors", expected="a mean and a positive standard deviation")
-    return Parameter(own, place, nominal, lower, upper, prior, place.unit)
+    return Parameter(own, place, nominal, lower, upper, prior, place.unit(scene))
 
 
 def _limits(name: str, nominal: float, given: Any) -> tuple[float, float]:

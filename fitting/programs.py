@@ -19,7 +19,6 @@ from jaxtyping import Array
 
 from fitting.channels import ORIENTATION, POSITION
 from fitting.parameters import applied
-from fitting.places import Place
 from pftwin.batch.laid import AXIS, SPLIT, laid
 from pftwin.batches import batched
 from pftwin.dynamics.ledger import Ledger
@@ -27,6 +26,7 @@ from pftwin.dynamics.observe import placed
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.trajectory import starting_equilibrium, watched
 from pftwin.scene import Scene
+from pftwin.scene_parameters import Place
 from pftwin.spatial import Pose, Scalar
 
 _COLUMNS = PartitionSpec(None, AXIS)

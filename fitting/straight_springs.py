@@ -7,12 +7,12 @@ the measurements with the plant's own K and L0: the line nearest to the plant's 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pftwin.effects.tendon import Tendon
+from pftwin.effects.strings import ElasticLine
 from pftwin.errors import InputError
 
 QUADRICEPS, PATELLAR_TENDON = "quadriceps", "patellar_tendon"
@@ -61,7 +61,7 @@ def stretch_under(force: ArrayLike, stiffness: float, slack_length: float) -> Fl
 class Pull(NamedTuple):
     """What was recorded of a spring."""
 
-    spring: Tendon  # as the twin has it, with the nominal parameters
+    spring: ElasticLine  # as the twin has it, with the nominal parameters
     lengths: Floats  # between the attachments where the twin has them (n,) [m]
     forces: Floats  # without the damper's share (n,) [N]
 
@@ -80,8 +80,7 @@ def recorded_pulls(case: int) -> dict[str, Pull]:
     bodies = {"femur": recorded.femur, "tibia": recorded.tibia}
     pulls = {}
     for name, forces in ((QUADRICEPS, measured.femoral_spring_force), (PATELLAR_TENDON, measured.tibial_spring_force)):
-        spring = scene.effects[scene.index(name)]
-        assert isinstance(spring, Tendon)
+        spring: Any = scene.effect(name)  # the rig's own, which has a damper
         body = bodies[spring.body]
         origin = body.positions + body.matrices() @ np.asarray(spring.origin.array())
         insertion = patella.positions + patella.matrices() @ np.asarray(spring.insertion.array())

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pftwin.runtime import configure
     from pftwin.scene import Scene
     from pftwin.scene_file import load_scene
+    from pftwin.scene_file.registry import register_effect
 
     __version__: str
 
@@ -44,6 +45,7 @@ _HOME = {
     "configure": "runtime",
     "equilibrium": "dynamics.simulate",
     "load_scene": "scene_file",
+    "register_effect": "scene_file.registry",
     "simulate": "dynamics.simulate",
     "simulate_batch": "batch.simulate_batch",
     "validate": "metrics",
@@ -67,6 +69,7 @@ __all__ = [
     "load_scene",
     "mocap",
     "plots",
+    "register_effect",
     "rig",
     "simulate",
     "simulate_batch",

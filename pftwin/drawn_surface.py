@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pftwin.spatial import Vec3
 from pftwin.surfaces.closest import Surface
@@ -15,11 +15,6 @@ STEP = 1.5e-3  # of a continuation, which is all but flat [m]
 MARGIN = 4e-3  # how far past the outermost contact point a surface is continued [m]
 ROUNDING = 1e-9  # vertices that are nearer are one [m]
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]  # vertices (n, 3) [m], triangles (m, 3)
-
-
-def triangles_of(contact: Any) -> tuple[Mesh | None, Mesh | None]:
-    """The femur's mesh (femur frame) and the button's (its own frame), where the contact has them."""
-    return _first_of(contact, ("femur", "mesh", "facets")), _first_of(contact, ("patella", "button"))
 
 
 def has_rectangle(surface: Any) -> bool:
@@ -47,23 +42,9 @@ def continuation(surface: Surface, points: NDArray[np.float64]) -> Mesh | None:
     return _sampled(surface, *lines, outside=True) if grown else None
 
 
-def _first_of(contact: Any, names: tuple[str, ...]) -> Mesh | None:
-    found = (_rows(getattr(contact, name, None)) for name in names)
-    return next((_indexed(rows) for rows in found if rows is not None), None)
-
-
-def _rows(part: Any) -> NDArray[np.float64] | None:
-    """Triangles (places, 9) of whatever holds a mesh: itself, its tree, or its facets."""
-    for holder in (part, getattr(part, "tree", None), getattr(part, "facets", None)):
-        for name in ("triangles", "corners"):
-            rows = getattr(holder, name, None)
-            if rows is not None and getattr(rows, "ndim", 0) == 2 and rows.shape[1] == 9:
-                return np.asarray(rows, dtype=np.float64)
-    return None
-
-
-def _indexed(rows: NDArray[np.float64]) -> Mesh:
-    """From corners (places, 9): empty places of a tree, which hold copies, drop out."""
+def indexed(corners: ArrayLike) -> Mesh:
+    """Vertices and triangles from corners (places, 9): empty places of a tree, which hold copies, drop out."""
+    rows = np.asarray(corners, dtype=np.float64)
     keys, which = np.unique(np.round(rows.reshape(-1, 3) / ROUNDING).astype(np.int64), axis=0, return_inverse=True)
     faces = which.reshape(-1, 3)
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)

@@ -105,7 +105,7 @@ class Result:
         """
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
-        contact = scene.button
+        contact = scene.contact
         work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
         stored = {name: _double(energy) for name, energy in seen.potential_energy.items()}
         return cls(
@@ -281,9 +281,9 @@ def _continuous(q: Floats) -> Floats:
 
 
 def _groups(scene: Scene) -> dict[str, int]:
-    """Effects whose parameters have a leading axis of like elements, told by their insertions."""
-    insertions = {e.name: getattr(e, "insertion", None) for e in scene.effects}
-    return {n: p.x.shape[0] for n, p in insertions.items() if isinstance(p, Vec3) and np.ndim(p.x) == 1}
+    """Groups of line elements, and how many lines each has."""
+    lines = [line for e in scene.effects if (line := e.line_element()) is not None]
+    return {line.name: line.count for line in lines if line.count is not None}
 
 
 def _knee_angles(motion: KneeMotion) -> TibiofemoralAngles:

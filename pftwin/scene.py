@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
@@ -13,13 +12,15 @@ from jax.core import Tracer
 
 from pftwin.dynamics.state import System
 from pftwin.effects.base import Effect
-from pftwin.effects.sphere_contact import SphereContact
 from pftwin.errors import InputError
 from pftwin.motion import KneeMotion
+from pftwin.quantities import bounded_leaves, declarations, quantity
+from pftwin.scene_parameters import get_value, with_value
 from pftwin.spatial import Pose, Scalar, Vec3
 from pftwin.surfaces.closest import Surface
 
 if TYPE_CHECKING:
+    from pftwin.effects.contact import Contact
     from pftwin.measured import Measured
 
 E = TypeVar("E", bound=Effect)
@@ -28,9 +29,9 @@ E = TypeVar("E", bound=Effect)
 class PatellaBody(eqx.Module):
     """The patella as a rigid body. Points of the patella are given in the patella's frame."""
 
-    mass: Scalar  # [kg]
-    inertia: Vec3  # principal moments about the centre of mass, along the patella's axes [kg m^2]
-    center_of_mass: Vec3  # patella frame [m]
+    mass: Scalar = eqx.field(metadata=quantity("kg", positive=True))
+    inertia: Vec3 = eqx.field(metadata=quantity("kg m^2", positive=True))  # principal, about the centre of mass
+    center_of_mass: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
 
 
 class Scene(eqx.Module):
@@ -83,24 +84,34 @@ class Scene(eqx.Module):
         return dataclasses.replace(self, name="", synthetic=False, measured=None)
 
     @property
-    def contact(self) -> SphereContact | None:
-        """The first contact of a sphere with a smooth surface; None where there is none."""
-        return next((e for e in self.effects if isinstance(e, SphereContact)), None)
-
-    @property
-    def button(self) -> Effect | None:
-        """The first effect with a point that results follow: the button's contact, whatever its geometry."""
-        return next((e for e in self.effects if e.followed() is not None), None)
+    def contact(self) -> Contact | None:
+        """The contact between button and femur that results follow, whatever its geometry; None where there is none."""
+        return next((role for e in self.effects if (role := e.contact_role()) is not None), None)
 
     @property
     def surface(self) -> Surface | None:
         """The surface of the contact, or its smooth stand-in; None where there is none."""
-        return getattr(self.button, "surface", None)
+        return None if self.contact is None else self.contact.groove_surface()
 
     def tracked_point(self) -> Vec3:
         """The point of the patella whose path results show: the button's centre, else the patella's origin."""
-        followed = None if self.button is None else self.button.followed()
-        return Vec3.zero() if followed is None else followed
+        return Vec3.zero() if self.contact is None else self.contact.followed()
+
+    def get(self, name: str) -> Any:
+        """A number, an array or a vector of the scene by its name: "K1", "quadriceps.stiffness", "patella.mass".
+
+        Raises:
+            InputError: no such number, with the nearest name that there is.
+        """
+        return get_value(self, name)
+
+    def set(self, name: str, value: Any) -> Scene:
+        """The scene with another value under a name, in SI units. Pure: jit, vmap and derivatives apply.
+
+        Raises:
+            InputError: no such number; a value of another shape.
+        """
+        return with_value(self, name, value)
 
     def system(self) -> System:
         """The equations' view of the scene: points counted from the centre of mass."""
@@ -110,36 +121,6 @@ class Scene(eqx.Module):
     def center_of_mass_pose(self) -> Pose:
         """The start pose of the centre of mass."""
         return Pose(self.start.apply(self.patella.center_of_mass), self.start.orientation)
-
-
-_POSITIVE = {
-    "mass",
-    "inertia",
-    "stiffness",
-    "slack_length",
-    "radius",
-    "contact_stiffness",
-    "restitution",
-    "toe_strain",
-    "half_size",
-    "relaxation_time",
-    "slip_speed",
-    "effective_radius",
-}
-_NOT_NEGATIVE = {
-    "coefficient",
-    "damping",
-    "damping_time",
-    "dissipation",
-    "maxwell_stiffness",
-    "translational",
-    "rotational",
-    "tension",
-}
-LIMITS = {  # beyond which a law has no sense: bounces that grow, a stiffness without bound where contact begins
-    "restitution": (0.0, 1.0, "at most 1"),
-    "hertz_exponent": (1.0, np.inf, "at least 1"),
-}
 
 
 def check(scene: Scene) -> None:
@@ -155,52 +136,23 @@ def check(scene: Scene) -> None:
             raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
     leaves, structure = jax.tree.flatten(scene)
     values = [np.ones(0) if isinstance(a, Tracer) else np.asarray(a, dtype=float).ravel() for a in leaves]
-    positive, not_negative, bounded = limited(structure)
     # All at once, for this is done before every run; what is wrong is looked for where something is.
-    finite = np.isfinite(np.concatenate([*values, np.ones(1)])).all()
-    smallest, least = (
-        np.concatenate([*(values[i] for i in which), np.ones(1)]).min() for which in (positive, not_negative)
-    )
-    outside = any(not _within(values[i], *LIMITS[name][:2]) for i, name in bounded)
-    if outside or not (finite and smallest > 0 and least >= 0):
+    fine = bool(np.isfinite(np.concatenate([*values, np.ones(1)])).all())
+    for declared, which in bounded_leaves(structure):
+        fine = fine and declared.offender(np.concatenate([values[i] for i in which])) is None
+    if not fine:
         _refuse(scene)
-
-
-@lru_cache(maxsize=64)
-def limited(structure: Any) -> tuple[tuple[int, ...], tuple[int, ...], tuple[tuple[int, str], ...]]:
-    """Which leaves of a scene of this structure must be positive, which not negative, and which are in `LIMITS`."""
-    numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
-    fields = [({_part(p) for p in path}, i) for path, i in jax.tree_util.tree_leaves_with_path(numbered)]
-    positive, not_negative = (tuple(i for parts, i in fields if parts & limit) for limit in (_POSITIVE, _NOT_NEGATIVE))
-    bounded = tuple((i, name) for parts, i in fields for name in LIMITS if name in parts)
-    return positive, not_negative, bounded
-
-
-def _within(values: np.ndarray, low: float, high: float) -> bool:
-    return bool(np.all((values >= low) & (values <= high)))
 
 
 def _refuse(scene: Scene) -> None:
     """Names the first parameter that is wrong."""
-    for path, leaf in jax.tree_util.tree_leaves_with_path(scene):
+    for path, leaf, declared in declarations(scene):
         if isinstance(leaf, Tracer):
             continue
-        values, parts = np.asarray(leaf, dtype=float), [_part(p) for p in path]
-        if parts[0] == "effects":
-            parts = [scene.effects[path[1].idx].name, *parts[2:]]
-        field = ".".join(str(p) for p in parts)
+        values = np.asarray(leaf, dtype=float)
+        parts = [scene.effects[int(path[1])].name, *path[2:]] if path[0] == "effects" else path
+        where = f"{scene.name}: {'.'.join(parts)}"
         if not np.all(np.isfinite(values)):
-            raise InputError("not a finite number", where=f"{scene.name}: {field}")
-        worst = float(values.min(initial=np.inf))
-        if _POSITIVE & set(parts) and not worst > 0:
-            raise InputError(f"found {worst:g}", where=f"{scene.name}: {field}", expected="a positive number")
-        if _NOT_NEGATIVE & set(parts) and worst < 0:
-            raise InputError(f"found {worst:g}", where=f"{scene.name}: {field}", expected="zero or a positive number")
-        for name, (low, high, words) in LIMITS.items():
-            if name in parts and not _within(values, low, high):
-                found = float(values.max() if high < np.inf else worst)
-                raise InputError(f"found {found:g}", where=f"{scene.name}: {field}", expected=words)
-
-
-def _part(key: object) -> object:
-    return getattr(key, "name", getattr(key, "idx", getattr(key, "key", key)))
+            raise InputError("not a finite number", where=where)
+        if declared is not None and (worst := declared.offender(values)) is not None:
+            raise InputError(f"found {worst:g}", where=where, expected=declared.expected)

@@ -17,9 +17,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.effects.base import Effect
 from pftwin.motion import KneeMotion
 from pftwin.motion_on_host import seen_from_femur
 from pftwin.scene import Scene
@@ -41,25 +44,25 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
     """
     from xarray import Dataset
 
-    from pftwin.drawn_surface import continuation, fitted_surface, has_rectangle, triangles_of
+    from pftwin.drawn_surface import continuation, fitted_surface, has_rectangle, indexed
 
     variables: Variables = {}
-    contact = scene.button
+    contact = scene.contact
     if contact is not None:
-        femur, button = triangles_of(contact)
+        femur, button = contact.femur_triangles(), contact.button_triangles()
         if femur is not None:
-            variables |= _mesh("femur", femur, "femur", "the contact's mesh")
+            variables |= _mesh("femur", indexed(femur), "femur", "the contact's mesh")
         elif scene.surface is not None and has_rectangle(scene.surface):
             variables |= _mesh("surface", fitted_surface(scene.surface), "femur", "the contact's smooth surface")
             beyond = continuation(scene.surface, _points((effects or {}).get(contact.name, {})))
             if beyond is not None:
                 variables |= _mesh("continuation", beyond, "femur", "the smooth surface beyond its rectangle")
-        followed = contact.followed()
-        center = np.zeros(3) if followed is None else _rows(followed)
+        center = _rows(contact.followed())
         if button is not None:
-            variables |= _mesh("button", (button[0] + center, button[1]), "patella", "the button's mesh")
-        elif hasattr(contact, "radius"):
-            radius = np.asarray(getattr(contact, "radius"), dtype=np.float64)  # noqa: B009
+            vertices, faces = indexed(button)
+            variables |= _mesh("button", (vertices + center, faces), "patella", "the button's mesh")
+        else:
+            radius = np.asarray(contact.button_radius(), dtype=np.float64)
             variables["button_center"] = (("axis",), center, _about("m", "centre of the button's sphere", "patella"))
             variables["button_radius"] = ((), radius, _about("m", "radius of the button's sphere", "patella"))
     for effect in scene.effects:
@@ -68,16 +71,19 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
     return Dataset(variables, {"axis": (("axis",), ["x", "y", "z"], axes)})
 
 
-def _lines(effect: Any, motion: KneeMotion) -> Variables:
+def _lines(effect: Effect, motion: KneeMotion) -> Variables:
     """Ends of an effect's lines of force; nothing of an effect that has none."""
-    insertion, origin = getattr(effect, "insertion", None), getattr(effect, "origin", None)
-    if not isinstance(insertion, Vec3) or not isinstance(origin, Vec3):
+    element = effect.line_element()
+    if element is None:
         return {}
     name, words = effect.name, effect.name.replace("_", " ")
+    insertion, body = element.line_ends
     ends, line = np.atleast_2d(_rows(insertion)), f"{effect.name}_line"
-    start, body = _rows(origin), effect.body
-    moves = hasattr(effect, "at")  # a pull whose origins move on their body: sampled in its own time
-    start = _moving(effect, motion.times) if moves else np.broadcast_to(start, ends.shape)
+    start = _rows(jax.vmap(element.origin_at)(jnp.asarray(motion.times, float)))
+    if np.ptp(start, axis=0).max() == 0:  # origins that do not move on their body
+        start = start[0]
+    moves = start.ndim > np.ndim(_rows(insertion))
+    start = start.reshape((len(motion.times), *ends.shape) if moves else ends.shape)
     if body == "ground":  # seen from a femur that moves, so does what is fixed to the ground
         start, body = seen_from_femur(motion, start), "femur"
     dimensions = (line, "axis") if start.ndim == 2 else ("time", line, "axis")
@@ -85,15 +91,6 @@ def _lines(effect: Any, motion: KneeMotion) -> Variables:
         f"{name}_insertion": ((line, "axis"), ends, _about("m", f"{words}: insertion", "patella")),
         f"{name}_origin": (dimensions, start, _about("m", f"{words}: origin", body)),
     }
-
-
-def _moving(effect: Any, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Origins (n, lines, 3) of a prescribed pull at times (n,), interpolated as the pull does."""
-    samples = _rows(effect.origin)
-    at = np.clip((times - effect.start_time) / effect.interval, 0, len(samples) - 1)
-    low = np.minimum(at.astype(int), max(len(samples) - 2, 0))
-    share = (at - low)[:, None, None]
-    return (1 - share) * samples[low] + share * samples[np.minimum(low + 1, len(samples) - 1)]
 
 
 def _points(report: dict[str, NDArray[Any]]) -> NDArray[np.float64]:

@@ -98,8 +98,7 @@ def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
     from pftwin.effects.gravity import Gravity
     from pftwin.effects.tendon import Tendon
 
-    contact = scene.contact
-    assert contact is not None
+    contact: Any = scene.contact
     assert isinstance(contact.law, Flores)
     law = contact.law
     values = {

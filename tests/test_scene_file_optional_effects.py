@@ -14,7 +14,7 @@ from toy_scene_files import LIGHT, SCENE, changed, load, refused, same
 
 import pftwin
 from pftwin.effects.friction import Friction
-from pftwin.effects.rough_contact import RoughSphereContact, with_friction
+from pftwin.effects.rough_contact import RoughSphereContact
 from pftwin.effects.rough_mesh_contact import RoughMeshSphereContact, RoughMeshVolumeContact
 from pftwin.effects.toe_tendon import ToeTendon
 from pftwin.effects.viscoelastic_tendon import ViscoelasticTendon
@@ -50,7 +50,7 @@ def test_friction_is_refused_where_there_is_no_sphere(toy: Path) -> None:
     assert "friction: unknown field" in refused(toy, foundation(more=FRICTION))
     layers, friction = load(toy, foundation()).effects[-1], Friction(np.asarray(0.1), np.asarray(1e-3))
     with pytest.raises(pftwin.InputError, match=r"friction for 'elastic_foundation' \(ElasticFoundation\); expected"):
-        with_friction(layers, friction)
+        layers.with_friction(friction)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_a_parameter_that_went_wrong_later_is_named() -> None:
     scene = knee(5)
     plain = scene.contact
     assert plain is not None
-    rough = with_friction(plain, Friction(np.asarray(-0.1), np.asarray(1e-3)))
+    rough = plain.with_friction(Friction(np.asarray(-0.1), np.asarray(1e-3)))
     with pytest.raises(pftwin.InputError, match=r"contact\.friction\.coefficient: found -0\.1; expected: zero or"):
         pftwin.simulate(scene.with_effect(rough))
     rough = eqx.tree_at(lambda c: (c.friction.coefficient, c.friction.slip_speed), rough, (0.1, 0.0))

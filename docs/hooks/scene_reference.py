@@ -77,7 +77,7 @@ def tables() -> dict[type[Section], list[str]]:
             for inner in sections_of(annotation):
                 visit(inner, f"{path}.{name}" if path else name)
 
-    visit(loading.SceneFile, "")
+    visit(loading.scene_file_model(), "")
     return found
 
 
@@ -99,7 +99,7 @@ def _fields(model: type[Section]) -> Iterator[tuple[str, Any]]:
 def _table(model: type[Section], paths: list[str], *, alone: bool) -> str:
     """A heading, what the table is, and a row for each of its fields."""
     parts = [_title(model, paths[0], alone=alone)]
-    if model is not loading.SceneFile:
+    if model is not loading.scene_file_model():
         parts.append(" ".join((model.__doc__ or "").split()))
     if len(paths) > 1:
         parts.append("Also: " + ", ".join(f"`[{p}]`" for p in paths[1:]) + ".")

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from pftwin.effects.base import Effect
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tendon import Tendon
+from pftwin.effects.contact import Contact
+from pftwin.effects.strings import ElasticLine, Strung
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 from pftwin.spatial import Scalar, Vec3
+from pftwin.surfaces.closest import Surface
 
 Amount = Scalar | float
-Elastic = Tendon | StrandGroup
 
 PATELLAR_TENDON, QUADRICEPS, MPFL = "patellar_tendon", "quadriceps", "mpfl"
 LATERAL = ("lpfl", "lateral_retinaculum")  # names that lateral strands go by
 
 
-def elastic(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> Elastic:
-    """The tendon or strands of that name.
+def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> Strung:
+    """The tendon, strands or muscle of that name.
 
     Args:
         scene: to look in.
@@ -27,8 +25,8 @@ def elastic(scene: Scene, names: str | tuple[str, ...], treatment: str, body: st
         body: on which it must begin.
 
     Raises:
-        InputError: no such effect; it pulls with a prescribed tension or on another body; the message names what the
-            scene has.
+        InputError: no such effect; it is no line of force, or begins on another body; the message names what the scene
+            has.
     """
     wanted = (names,) if isinstance(names, str) else names
     found = next((e for name in wanted for e in scene.effects if e.name == name), None)
@@ -39,18 +37,36 @@ def elastic(scene: Scene, names: str | tuple[str, ...], treatment: str, body: st
             where=where,
             remedy="name the part as the scene does",
         )
-    if not isinstance(found, Tendon | StrandGroup):
+    element = found.line_element()
+    if element is None:
         raise InputError(
-            f"{found.name!r} is a {type(found).__name__}, which has no length or origin to change",
+            f"{found.name!r} is a {type(found).__name__}, which is no line of force",
             where=where,
             expected="a tendon or strands",
         )
-    if body is not None and found.body != body:
-        raise InputError(f"{found.name!r} begins on the {found.body}", where=where, expected=f"on the {body}")
-    return found
+    starts_on = element.line_ends[1]
+    if body is not None and starts_on != body:
+        raise InputError(f"{found.name!r} begins on the {starts_on}", where=where, expected=f"on the {body}")
+    return element
 
 
-def contact_of(scene: Scene, treatment: str) -> SphereContact:
+def elastic(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> ElasticLine:
+    """As `line_element`, of one that has a stiffness and a slack length.
+
+    Raises:
+        InputError: also one whose tension is prescribed.
+    """
+    element = line_element(scene, names, treatment, body)
+    if not element.elastic:
+        raise InputError(
+            f"{element.name!r} pulls with a prescribed tension, which no length or stiffness changes",
+            where=f"{treatment} of {scene.name or 'the scene'}",
+            expected="a tendon or strands",
+        )
+    return element  # type: ignore[return-value]
+
+
+def contact_of(scene: Scene, treatment: str) -> Contact:
     """The contact between button and trochlea.
 
     Raises:
@@ -61,9 +77,26 @@ def contact_of(scene: Scene, treatment: str) -> SphereContact:
         raise InputError(
             f"no contact between a button and a trochlea; {_all(scene)}",
             where=f"{treatment} of {scene.name or 'the scene'}",
-            expected="a sphere contact",
+            expected="a contact",
         )
     return contact
+
+
+def fitted_surface(scene: Scene, treatment: str) -> Surface:
+    """The smooth surface that the button touches.
+
+    Raises:
+        InputError: the scene has no contact, or the button touches a mesh.
+    """
+    contact = contact_of(scene, treatment)
+    surface = contact.fitted_surface()
+    if surface is None:
+        raise InputError(
+            f"{contact.name!r} is a contact with the femur's mesh, and this treatment changes a fitted surface",
+            where=f"{treatment} of {scene.name or 'the scene'}",
+            expected='a contact with a surface fitted to the mesh, such as "P5" or "spline"',
+        )
+    return surface
 
 
 def toward(medial: Amount, distal: Amount, anterior: Amount) -> Vec3:
@@ -72,10 +105,10 @@ def toward(medial: Amount, distal: Amount, anterior: Amount) -> Vec3:
 
 
 def _pulling(scene: Scene) -> str:
-    names = [e.name for e in scene.effects if isinstance(e, Tendon | StrandGroup)]
+    names = [e.name for e in scene.effects if e.line_element() is not None]
     return f"the scene has {', '.join(repr(n) for n in names)}" if names else "the scene has no tendon and no strands"
 
 
 def _all(scene: Scene) -> str:
-    names: list[str] = [e.name for e in scene.effects if isinstance(e, Effect)]
+    names = [e.name for e in scene.effects]
     return f"the scene has {', '.join(repr(n) for n in names)}" if names else "the scene has no effects"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import equinox as eqx
-
 from fitting.treatments.parts import LATERAL, MPFL, Amount, contact_of, elastic, toward
 from pftwin.scene import Scene
 
@@ -22,8 +20,7 @@ def button_position(
         InputError: a scene without a button.
     """
     contact = contact_of(scene, "button_position")
-    centre = contact.center + toward(medialisation, distalisation, anteriorisation)
-    return scene.with_effect(eqx.tree_at(lambda c: c.center, contact, centre))
+    return scene.with_effect(contact.with_button_moved(toward(medialisation, distalisation, anteriorisation)))
 
 
 def lateral_release(scene: Scene, release: Amount = 0.0, *, strands: str | tuple[str, ...] = LATERAL) -> Scene:
@@ -33,8 +30,7 @@ def lateral_release(scene: Scene, release: Amount = 0.0, *, strands: str | tuple
         InputError: the scene has no strands of that name.
     """
     found = elastic(scene, strands, "lateral_release")
-    left = found.stiffness * (1 - (1 - _LEFT) * release)
-    return scene.with_effect(eqx.tree_at(lambda s: s.stiffness, found, left))
+    return scene.with_effect(found.stiffened(1 - (1 - _LEFT) * release))
 
 
 def mpfl_graft(
@@ -60,9 +56,5 @@ def mpfl_graft(
         InputError: the scene has no such strands on the femur.
     """
     found = elastic(scene, strands, "mpfl_graft", body="femur")
-    graft = (
-        found.stiffness * (1 + stiffening),
-        found.slack_length - shortening,
-        found.origin + toward(0.0, -proximalisation, anteriorisation),
-    )
-    return scene.with_effect(eqx.tree_at(lambda s: (s.stiffness, s.slack_length, s.origin), found, graft))
+    moved = found.with_origin_moved(toward(0.0, -proximalisation, anteriorisation))
+    return scene.with_effect(moved.stiffened(1 + stiffening).lengthened(-shortening))

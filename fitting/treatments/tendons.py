@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import equinox as eqx
-
-from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, Amount, elastic, toward
+from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, Amount, elastic, line_element, toward
 from pftwin.scene import Scene
 
 
@@ -31,9 +29,8 @@ def tibial_tuberosity_transfer(
     Raises:
         InputError: no such tendon on the tibia.
     """
-    found = elastic(scene, tendon, "tibial_tuberosity_transfer", body="tibia")
-    moved = found.origin + toward(medialisation, distalisation, anteriorisation)
-    return scene.with_effect(eqx.tree_at(lambda t: t.origin, found, moved))
+    found = line_element(scene, tendon, "tibial_tuberosity_transfer", body="tibia")
+    return scene.with_effect(found.with_origin_moved(toward(medialisation, distalisation, anteriorisation)))
 
 
 def patellar_tendon_length_change(scene: Scene, lengthening: Amount = 0.0, *, tendon: str = PATELLAR_TENDON) -> Scene:
@@ -57,5 +54,4 @@ def quadriceps_lengthening(scene: Scene, lengthening: Amount = 0.0, *, tendon: s
 
 
 def _lengthened(scene: Scene, lengthening: Amount, tendon: str, treatment: str, body: str | None) -> Scene:
-    found = elastic(scene, tendon, treatment, body=body)
-    return scene.with_effect(eqx.tree_at(lambda t: t.slack_length, found, found.slack_length + lengthening))
+    return scene.with_effect(elastic(scene, tendon, treatment, body=body).lengthened(lengthening))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -9,10 +11,11 @@ from jax.core import Tracer
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from fitting.treatments.parts import Amount, contact_of, toward
+from fitting.treatments.parts import Amount, contact_of, fitted_surface, toward
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 from pftwin.spatial import Quaternion, Rotation, Vec3
+from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.patch import PolynomialPatch, exponents
 from pftwin.tracking import groove_line
 
@@ -64,7 +67,7 @@ def patch_of(scene: Scene, treatment: str) -> PolynomialPatch:
     Raises:
         InputError: no contact, or a surface of another kind.
     """
-    surface = contact_of(scene, treatment).surface
+    surface = fitted_surface(scene, treatment)
     if not isinstance(surface, PolynomialPatch):
         raise InputError(
             f"the trochlea is a {type(surface).__name__}", where=treatment, expected="a polynomial patch (P4, P5, ...)"
@@ -113,7 +116,7 @@ def femoral_component_rotation(
     Raises:
         InputError: a scene without a trochlea.
     """
-    chart = contact_of(scene, "femoral_component_rotation").surface.chart
+    chart = fitted_surface(scene, "femoral_component_rotation").chart
     zero = 0.0 * chart.origin.x
     turn = Quaternion.from_rotation_vector(Vec3(zero - external_rotation, zero - flexion, zero + varus)).rotation()
     axes = Rotation(*(turn.apply(e) for e in (chart.axes.ex, chart.axes.ey, chart.axes.ez)))
@@ -128,15 +131,15 @@ def femoral_component_translation(
     Raises:
         InputError: a scene without a trochlea.
     """
-    chart = contact_of(scene, "femoral_component_translation").surface.chart
+    chart = fitted_surface(scene, "femoral_component_translation").chart
     return _with_chart(scene, chart.origin + toward(medialisation, distalisation, anteriorisation), chart.axes)
 
 
-def _with_surface(scene: Scene, surface: PolynomialPatch) -> Scene:
-    return scene.with_effect(eqx.tree_at(lambda c: c.surface, contact_of(scene, "treatment"), surface))
+def _with_surface(scene: Scene, surface: Surface) -> Scene:
+    return scene.with_effect(contact_of(scene, "treatment").with_fitted_surface(surface))
 
 
 def _with_chart(scene: Scene, origin: Vec3, axes: Rotation) -> Scene:
-    contact = contact_of(scene, "treatment")
-    moved = eqx.tree_at(lambda c: (c.surface.chart.origin, c.surface.chart.axes), contact, (origin, axes))
-    return scene.with_effect(moved)
+    contact, surface = contact_of(scene, "treatment"), fitted_surface(scene, "treatment")
+    moved: Any = eqx.tree_at(lambda s: (s.chart.origin, s.chart.axes), surface, (origin, axes))
+    return scene.with_effect(contact.with_fitted_surface(moved))

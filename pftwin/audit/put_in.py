@@ -9,7 +9,6 @@ from pftwin.audit.variant import NotApplicable, Variant
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.effects.friction import Friction, WithFriction
 from pftwin.effects.gravity import Gravity
-from pftwin.effects.rough_contact import with_friction
 from pftwin.effects.strands import StrandGroup
 from pftwin.effects.tendon import Tendon
 from pftwin.effects.toe_tendon import ToeTendon
@@ -35,13 +34,13 @@ def put_in(scene: Scene, integrator: str) -> list[Variant | NotApplicable]:
 def _friction(scene: Scene) -> Variant | NotApplicable | None:
     if any(isinstance(e, WithFriction) for e in scene.effects):
         return None
-    if scene.button is None:
+    if scene.contact is None:
         return NotApplicable("friction", "put in", "nothing touches")
     try:
-        rough = with_friction(scene.button, Friction(number(FRICTION), number(SLIP_SPEED)))
+        rough = scene.contact.with_friction(Friction(number(FRICTION), number(SLIP_SPEED)))
     except InputError as error:
         return NotApplicable("friction", "put in", str(error))
-    sentence = f"Coulomb, coefficient {FRICTION:g}, slip speed {1e3 * SLIP_SPEED:g} mm/s, in {scene.button.name}"
+    sentence = f"Coulomb, coefficient {FRICTION:g}, slip speed {1e3 * SLIP_SPEED:g} mm/s, in {scene.contact.name}"
     return Variant("friction", "put in", sentence, scene.with_effect(rough))
 
 

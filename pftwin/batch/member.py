@@ -16,8 +16,9 @@ from pftwin.dynamics.relaxation import THROWN, relax
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.errors import InputError
+from pftwin.quantities import bounded_leaves
 from pftwin.rotations import patellar_angles
-from pftwin.scene import LIMITS, Scene, limited
+from pftwin.scene import Scene
 from pftwin.spatial import Pose, Scalar, Vec3
 
 FLAGS = tuple(flag for flag in Status if flag)
@@ -84,8 +85,8 @@ class _Kept(NamedTuple):
     @staticmethod
     def of(scene: Scene, seen: Frame | Observation) -> _Kept:
         """Of what is seen."""
-        button = scene.button
-        return _Kept(seen.patella, seen.center, None if button is None else seen.effects[button.name]["force"])
+        contact = scene.contact
+        return _Kept(seen.patella, seen.center, None if contact is None else seen.effects[contact.name]["force"])
 
     def summary(self) -> dict[str, Scalar]:
         """Of the whole motion."""
@@ -121,11 +122,7 @@ def _rows(v: Vec3) -> Array:
 def sensible(scene: Scene) -> Array:
     """What `pftwin.scene.check` asks for, of a scene that is traced."""
     leaves, structure = jax.tree.flatten(scene)
-    positive, not_negative, within = limited(structure)
     good = [jnp.all(jnp.isfinite(a)) for a in leaves if eqx.is_inexact_array(a)]
-    good += [jnp.all(jnp.asarray(leaves[i]) > 0) for i in positive]
-    good += [jnp.all(jnp.asarray(leaves[i]) >= 0) for i in not_negative]
-    for i, name in within:
-        low, high, _ = LIMITS[name]
-        good.append(jnp.all((jnp.asarray(leaves[i]) >= low) & (jnp.asarray(leaves[i]) <= high)))
+    for quantity, which in bounded_leaves(structure):
+        good += [jnp.all(quantity.holds(jnp.asarray(leaves[i]))) for i in which]
     return jnp.stack(good).all()

@@ -65,7 +65,7 @@ def forward(scene: Scene, steps: dict[str, int], counts: dict[str, tuple[int, ..
 def reverse(scene: Scene, steps: dict[str, int]) -> list[Row]:
     """The gradient of one scalar of the path with respect to all of the patch's coefficients."""
     near = started_nearby(scene)
-    patch = near.contact.surface if near.contact is not None else None
+    patch = near.surface
     assert isinstance(patch, PolynomialPatch)
     coefficients = jnp.asarray(patch.coefficients)
     out = []

@@ -85,7 +85,7 @@ def _trouble(found: Imported) -> str | None:
             scene = load_scene_file(found.scene).scene
         except InputError as error:
             return str(error)
-    return None if scene.button is not None else f"{found.scene}: a scene without contact"
+    return None if scene.contact is not None else f"{found.scene}: a scene without contact"
 
 
 def _facts(found: Imported) -> dict[str, Any]:

@@ -148,5 +148,5 @@ def _contact(scene: Scene) -> str | None:
     """What the button touches by: the patch's name, or the method of meshes."""
     from pftwin.surfaces.spline_or_polynomial import name_of
 
-    method = getattr(scene.button, "method", None)
-    return method if method is not None or scene.surface is None else name_of(scene.surface)
+    method = "" if scene.contact is None else scene.contact.method
+    return method or (None if scene.surface is None else name_of(scene.surface))

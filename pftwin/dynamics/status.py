@@ -138,15 +138,17 @@ def status_of_frame(
     for effect in scene.effects:
         report = seen[effect.name]
         flags = flags | reservations(report)
-        conditions = []
-        if effect.followed() is not None:  # a button, whatever it is on
-            conditions.append((report["force"] <= 0, Status.NO_CONTACT))
+        contact = effect.contact_role()
+        if contact is None:
+            continue
+        radius = contact.button_radius()
+        conditions = [
+            (report["force"] <= 0, Status.NO_CONTACT),
+            (step * state.velocity.norm() > FARTHEST * radius, Status.STEP_TOO_LONG),
+        ]
         if "indentation_medial" in report:
-            radius = getattr(effect, "radius", None)
-            if radius is not None:
-                deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
-                conditions.append((deepest > DEEPEST * radius, Status.DEEP_INDENTATION))
-                conditions.append((step * state.velocity.norm() > FARTHEST * radius, Status.STEP_TOO_LONG))
+            deepest = jnp.fmax(report["indentation_medial"], report["indentation_lateral"])
+            conditions.append((deepest > DEEPEST * radius, Status.DEEP_INDENTATION))
         for condition, flag in conditions:
             flags = flags | jnp.where(condition, int(flag), 0)
     finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())

@@ -7,14 +7,19 @@ all an implicit step needs to know. Integrators know loads, never effects.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.motion import Frame
+from pftwin.quantities import Quantity, declarations
 from pftwin.spatial import Quaternion, Rotation, Scalar, Twist, Vec3, Wrench
+
+if TYPE_CHECKING:
+    from pftwin.effects.contact import Contact
+    from pftwin.effects.strings import Strung
 
 
 class Ground:
@@ -223,9 +228,17 @@ class Effect(eqx.Module):
         """What `observe` shows, and the energy stored; for effects that find both at once to override."""
         return self.observe(now, memory), self.load(now, memory)[0].energy
 
-    def followed(self) -> Vec3 | None:
-        """The point of the patella whose path results should show, if the effect has one: a button's middle [m]."""
+    def line_element(self) -> Strung | None:
+        """The effect as a line of force that pulls at the patella; None for all others."""
         return None
+
+    def contact_role(self) -> Contact | None:
+        """The effect as the contact between button and femur that results follow; None for all others."""
+        return None
+
+    def quantities(self) -> dict[str, Quantity]:
+        """What is declared of its numbers: unit, bounds and short name, by the names of fields, dotted below them."""
+        return {".".join(d.path): d.quantity for d in declarations(self) if d.quantity is not None}
 
     def about(self, center_of_mass: Vec3) -> Effect:
         """The same effect with patella points counted from the centre of mass, ready for the inner loop."""

@@ -20,6 +20,7 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, safe_sqrt
 
 
@@ -51,8 +52,8 @@ class ContactLaw(eqx.Module):
     and 2 then compile to a product or a square root.
     """
 
-    contact_stiffness: Scalar  # k [N/m^p]
-    hertz_exponent: Scalar | float = eqx.field(default=1.5, kw_only=True)  # p
+    contact_stiffness: Scalar = eqx.field(metadata=quantity("N/m^p", positive=True))  # k
+    hertz_exponent: Scalar | float = eqx.field(default=1.5, kw_only=True, metadata=quantity("", at_least=1.0))  # p
     remembers_approach: ClassVar[bool] = False
 
     @abstractmethod
@@ -89,7 +90,7 @@ class Hertz(ContactLaw):
 class HuntCrossley(ContactLaw):
     """F = k d^p (1 + 3/2 alpha dd/dt), with alpha in s/m (restitution about 1 - alpha v0 for slow impacts)."""
 
-    dissipation: Scalar  # alpha [s/m]
+    dissipation: Scalar = eqx.field(metadata=quantity("s/m", at_least=0))  # alpha
 
     def damping_factor(self, approach_speed: Scalar | None) -> Scalar:
         """3/2 alpha."""
@@ -99,8 +100,11 @@ class HuntCrossley(ContactLaw):
 class Flores(ContactLaw):
     """F = k d^p (1 + 8 (1 - e) / (5 e) (dd/dt) / v0), v0 the approach speed when contact began, at least the floor."""
 
-    restitution: Scalar  # e in (0, 1]
-    approach_speed_floor: Scalar | float = eqx.field(default=0.01, kw_only=True)  # [m/s]
+    # e: above 1 bounces would grow
+    restitution: Scalar = eqx.field(metadata=quantity("", positive=True, at_most=1.0))
+    approach_speed_floor: Scalar | float = eqx.field(
+        default=0.01, kw_only=True, metadata=quantity("m/s", positive=True)
+    )
     remembers_approach: ClassVar[bool] = True
 
     def damping_factor(self, approach_speed: Scalar | None) -> Scalar:

@@ -7,14 +7,15 @@ from typing import Any
 import equinox as eqx
 
 from pftwin.effects.base import Drag, Effect, Ground, Instant, Load
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar
 
 
 class LinearDamping(Effect):
     """F = -c_t v, M = -c_r w, with v and w the patella's velocity and angular velocity relative to `body`."""
 
-    translational: Scalar  # c_t [N s/m]
-    rotational: Scalar  # c_r [N m s/rad]
+    translational: Scalar = eqx.field(metadata=quantity("N s/m", at_least=0))  # c_t
+    rotational: Scalar = eqx.field(metadata=quantity("N m s/rad", at_least=0))  # c_r
     body: str = eqx.field(static=True, default="femur")
     name: str = eqx.field(static=True, kw_only=True, default="damping")
 

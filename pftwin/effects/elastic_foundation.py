@@ -8,27 +8,27 @@ are found: `pftwin.surfaces.depths`.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.effects.base import Bed, Effect, Ground, Instant, Load, Observable
+from pftwin.effects.base import Bed, Ground, Instant, Load, Observable
+from pftwin.effects.contact import FACETS, FORCE, Contact
 from pftwin.effects.foundation_law import FoundationLaw
 from pftwin.effects.foundation_sums import Bedded, Pressures, sums
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.behind import behind
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.depth_search import centroid
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
 from pftwin.surfaces.depths import DEEPEST
-from pftwin.surfaces.triangle import Triangle
-
-FACETS = ("medial", "lateral")
+from pftwin.surfaces.triangle import Triangle, half_extent
 
 
-class ElasticFoundation(Effect):
+class ElasticFoundation(Contact):
     """Two meshes with a layered elastic foundation between them.
 
     A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. All together are
@@ -38,16 +38,13 @@ class ElasticFoundation(Effect):
     femur: PressedSurface  # in the femur's frame
     button: PressingSurface
     law: FoundationLaw
-    origin: Vec3  # of the button's mesh, patella frame, axes parallel [m]
-    damping_time: Scalar | float = 0.0  # c [s]
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the button's mesh, axes parallel
+    damping_time: Scalar | float = eqx.field(default=0.0, metadata=quantity("s", at_least=0))  # c
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
-    name: str = eqx.field(static=True, kw_only=True, default="contact")
     method: ClassVar[str] = "foundation"
     observables: ClassVar[dict[str, Observable]] = {
+        **FORCE,
         "force": Observable("N", "size of the contact force"),
-        "force_x": Observable("N", "contact force on the patella, femur x"),
-        "force_y": Observable("N", "contact force on the patella, femur y"),
-        "force_z": Observable("N", "contact force on the patella, femur z"),
         "area": Observable("m^2", "contact area"),
         "mean_pressure": Observable("Pa", "mean pressure over the contact area"),
         "max_pressure": Observable("Pa", "maximum pressure"),
@@ -55,6 +52,8 @@ class ElasticFoundation(Effect):
         "indentation": Observable("m", "depth of the deepest triangle"),
         "force_medial": Observable("N", "size of the force on the medial facet"),
         "force_lateral": Observable("N", "size of the force on the lateral facet"),
+        "point_medial": Observable("m", "centre of pressure on the medial facet, femur frame"),
+        "point_lateral": Observable("m", "centre of pressure on the lateral facet, femur frame"),
         "too_deep": Observable("1", "whether a triangle is deeper than any joint bears, or than is looked for"),
     }
 
@@ -94,7 +93,8 @@ class ElasticFoundation(Effect):
         at = self.pressed(now)
         forces, p = sums(at)
         push = Vec3.from_array(jnp.sum(p.facets, axis=0))
-        some = p.borne > 0
+        borne = jnp.sum(p.borne)
+        some = borne > 0
         too_deep = (p.deepest > DEEPEST) | self._swallowed(at, p)
         report = {
             "force": push.norm(),
@@ -102,14 +102,16 @@ class ElasticFoundation(Effect):
             "force_y": push.y,
             "force_z": push.z,
             "area": p.area,
-            "mean_pressure": jnp.where(some, p.borne / jnp.where(some, p.area, 1.0), 0.0),
+            "mean_pressure": jnp.where(some, borne / jnp.where(some, p.area, 1.0), 0.0),
             "max_pressure": p.most,
-            "center_of_pressure": jnp.where(some, p.moment / jnp.where(some, p.borne, 1.0), jnp.nan),
+            "center_of_pressure": jnp.where(some, jnp.sum(p.moment, axis=0) / jnp.where(some, borne, 1.0), jnp.nan),
             "indentation": jnp.where(p.deepest > 0, p.deepest, jnp.nan),
             "too_deep": too_deep.astype(p.deepest.dtype),
         }
-        for share, facet in zip(p.facets, FACETS, strict=True):  # a mesh of one facet calls it medial
-            report[f"force_{facet}"] = Vec3.from_array(share).norm()
+        for k, facet in enumerate(FACETS):  # a mesh of one facet calls it medial
+            loaded = p.borne[k] > 0
+            report[f"force_{facet}"] = Vec3.from_array(p.facets[k]).norm()
+            report[f"point_{facet}"] = jnp.where(loaded, p.moment[k] / jnp.where(loaded, p.borne[k], 1.0), jnp.nan)
         return report, forces.energy
 
     def _swallowed(self, at: Bedded, found: Pressures) -> Array:
@@ -121,6 +123,26 @@ class ElasticFoundation(Effect):
     def followed(self) -> Vec3:
         """The origin of the button's mesh: the middle of a sphere."""
         return self.origin
+
+    def button_radius(self) -> Scalar:
+        """Half the largest extent of the button's mesh."""
+        return half_extent(self.button.corners)
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.origin, self, self.origin + by)
+
+    def groove_surface(self) -> Surface | None:
+        """The stand-in."""
+        return self.surface
+
+    def femur_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.femur.corners
+
+    def button_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.button.corners
 
     def about(self, center_of_mass: Vec3) -> ElasticFoundation:
         """The button's frame counted from the centre of mass."""

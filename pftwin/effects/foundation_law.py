@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from pftwin.errors import InputError
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar
 
 SQUEEZED = 0.95  # of both thicknesses: deeper, the logarithmic law goes on along its tangent, lest it be infinite
@@ -34,9 +35,9 @@ _CONVERGED = 1e4  # roundings: the last step squares what is left of the error
 class Layer(eqx.Module):
     """An elastic layer on a rigid backing."""
 
-    modulus: Scalar  # E [Pa]
-    poisson: Scalar  # nu, below 0.5 [-]
-    thickness: Scalar  # h [m]
+    modulus: Scalar = eqx.field(metadata=quantity("Pa", positive=True))  # E
+    poisson: Scalar = eqx.field(metadata=quantity("", at_least=0))  # nu, below 0.5
+    thickness: Scalar = eqx.field(metadata=quantity("m", positive=True))  # h
 
     def confined_modulus(self) -> Scalar:
         """K [Pa]: stress over strain where the layer cannot expand sideways."""

@@ -53,8 +53,8 @@ class Pressures(NamedTuple):
     """Sums and extremes over the triangles in contact; pressures without damping."""
 
     area: Array  # () [m^2]
-    borne: Array  # () pressure times area [N]
-    moment: Array  # (3,) the same times the place, femur frame [N m]
+    borne: Array  # (2,) pressure times area on each facet [N]
+    moment: Array  # (2, 3) the same times the place, femur frame [N m]
     facets: Array  # (2, 3) force of those on each facet, femur axes [N]
     most: Array  # () largest pressure [Pa]
     deepest: Array  # () largest depth [m]
@@ -117,7 +117,7 @@ def _nothing(at: Bedded) -> Sums:
         return jnp.zeros(shape, at.position.x.dtype)
 
     forces = Forces(zeros(6), zeros(6), zeros(6, 6), zeros(), zeros())
-    return forces, Pressures(zeros(), zeros(), zeros(3), zeros(2, 3), zeros(), zeros())
+    return forces, Pressures(zeros(), zeros(2), zeros(2, 3), zeros(2, 3), zeros(), zeros())
 
 
 def _together(one: Sums, other: Sums) -> Sums:
@@ -146,11 +146,13 @@ def _piece(at: Bedded, found: Found, start: Array) -> Sums:
     borne = d.area * p.pressure
     push = p.force[None, :] * d.normal.array().T
     facet = jnp.zeros_like(d.triangle) if d.facet is None else d.facet
+    on = jnp.stack([facet == k for k in range(2)])  # (2, triangles)
+    borne_on = jnp.where(on, borne, 0.0)
     pressures = Pressures(
         area=jnp.sum(jnp.where(touching, d.area, 0.0)),
-        borne=jnp.sum(borne),
-        moment=borne @ d.point.array(),
-        facets=jnp.stack([jnp.sum(jnp.where((facet == k)[None, :], push, 0.0), axis=1) for k in range(2)]),
+        borne=jnp.sum(borne_on, axis=1),
+        moment=borne_on @ d.point.array(),
+        facets=jnp.sum(jnp.where(on[:, None, :], push, 0.0), axis=2),
         most=jnp.max(p.pressure),
         deepest=jnp.max(jnp.where(touching, d.depth, 0.0)),
     )

@@ -17,23 +17,23 @@ friction is a step late.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.effects.contact import FACETS, Contact
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Twist, Vec3, safe_sqrt
-
-_FACETS = ("medial", "lateral")
 
 
 class Friction(eqx.Module):
     """A pair of surfaces."""
 
-    coefficient: Scalar  # mu [-]
-    slip_speed: Scalar  # v_s, up to which contacts creep rather than slide [m/s]
+    coefficient: Scalar = eqx.field(metadata=quantity("", at_least=0))  # mu
+    slip_speed: Scalar = eqx.field(metadata=quantity("m/s", positive=True))  # v_s: below it contacts creep
 
 
 class LastPush(NamedTuple):
@@ -68,7 +68,7 @@ class Sliding(NamedTuple):
     grip: Scalar  # friction over normal force [-]
 
 
-class WithFriction(Effect):
+class WithFriction(Contact):
     """What a contact of a sphere becomes with friction: every normal force is joined by a tangential one.
 
     For classes that derive from this and from a contact, `frictionless`, with `center` and `radius`, whose normal
@@ -76,7 +76,6 @@ class WithFriction(Effect):
     """
 
     friction: Friction = eqx.field(kw_only=True)
-    name: str = eqx.field(static=True, kw_only=True, default="contact")
     frictionless: ClassVar[type[Effect]]
     tangential: ClassVar[dict[str, Observable]] = {
         "friction_medial": Observable("N", "friction at the medial contact"),
@@ -84,6 +83,16 @@ class WithFriction(Effect):
         "slip_speed_medial": Observable("m/s", "sliding speed at the medial contact"),
         "slip_speed_lateral": Observable("m/s", "sliding speed at the lateral contact"),
     }
+
+    @classmethod
+    def of(cls, contact: Effect, friction: Friction) -> Self:
+        """A contact of the kind `frictionless` with friction."""
+        fields = {f.name: getattr(contact, f.name) for f in dataclasses.fields(contact)}
+        return cls(**fields, friction=friction)
+
+    def with_friction(self, friction: Friction) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda c: c.friction, self, friction)
 
     def alone(self) -> Effect:
         """The contact without friction."""
@@ -142,11 +151,11 @@ class WithFriction(Effect):
         local = now.femur.local_direction(force)
         for axis in "xyz":
             report[f"force_{axis}"] = report[f"force_{axis}"] + getattr(local, axis)
-        for facet, s in zip(_FACETS, slidings, strict=False):
+        for facet, s in zip(FACETS, slidings, strict=False):
             normal = report[f"force_{facet}"]  # as reported: a single contact belongs to one facet
             report[f"friction_{facet}"] = s.grip * normal
             report[f"slip_speed_{facet}"] = jnp.where(normal > 0, s.speed, jnp.nan)
-        for facet in _FACETS[len(slidings) :]:
+        for facet in FACETS[len(slidings) :]:
             report |= {f"friction_{facet}": 0 * local.x, f"slip_speed_{facet}": jnp.nan * local.x}
         return report
 

@@ -7,14 +7,15 @@ from typing import Any, ClassVar
 import equinox as eqx
 
 from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3, Wrench
 
 
 class Gravity(Effect):
     """A uniform field: F = m g at the centre of mass; energy -m g . x from the world's origin."""
 
-    mass: Scalar  # of the patella [kg]
-    acceleration: Vec3  # world [m/s^2]
+    mass: Scalar = eqx.field(metadata=quantity("kg", positive=True))  # of the patella
+    acceleration: Vec3 = eqx.field(metadata=quantity("m/s^2", frame="world"))
     name: str = eqx.field(static=True, kw_only=True, default="gravity")
     observables: ClassVar[dict[str, Observable]] = {"weight": Observable("N", "weight of the patella")}
 

@@ -7,38 +7,39 @@ the size that the law gives to the largest indentation.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.effects.base import Instant, Load, Observable
+from pftwin.effects.contact import Contact as FemoralContact
 from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
+from pftwin.quantities import quantity
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.surfaces.behind import Behind, behind
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.contact_mesh import ContactMesh
 from pftwin.surfaces.contour import Contact, Contacts, MeshPair, mesh_pair
-from pftwin.surfaces.triangle import Triangle
+from pftwin.surfaces.triangle import Triangle, half_extent
 
 Memory = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
 _NAMES = ("medial", "lateral")
 WIDE = 4  # times twice the largest triangle: a contour around more than that holds corners
 
 
-class MeshContact(Effect):
+class MeshContact(FemoralContact):
     """A mesh fixed in the patella against a mesh fixed in the femur."""
 
     femur: ContactMesh
     patella: ContactMesh
     law: ContactLaw
-    origin: Vec3  # of the patella's mesh, patella frame [m]; its axes are the patella's
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the patella's mesh; axes are the patella's
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     meshes: MeshPair | None = None  # laid out for the inner loop by `about`
-    name: str = eqx.field(static=True, kw_only=True, default="contact")
     method: ClassVar[str] = "contours"
     jumps: ClassVar[bool] = True  # where a corner or a triangle joins a contour
     observables: ClassVar[dict[str, Observable]] = {
@@ -146,6 +147,26 @@ class MeshContact(Effect):
     def followed(self) -> Vec3:
         """The origin of the patella's mesh: the middle of a button's sphere."""
         return self.origin
+
+    def button_radius(self) -> Scalar:
+        """Half the largest extent of the patella's mesh."""
+        return half_extent(self.patella.tree.triangles)
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.origin, self, self.origin + by)
+
+    def groove_surface(self) -> Surface | None:
+        """The stand-in."""
+        return self.surface
+
+    def femur_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.femur.tree.triangles
+
+    def button_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.patella.tree.triangles
 
     def about(self, center_of_mass: Vec3) -> MeshContact:
         """Origin counted from the centre of mass; the meshes laid out for searches."""

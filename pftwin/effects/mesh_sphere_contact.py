@@ -6,19 +6,25 @@ its nearest points anew, by a tree (`pftwin.surfaces.bvh`).
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from pftwin.effects.base import Effect, Instant, Load, Observable, applied_at
+from pftwin.effects.base import Instant, Load, Observable, applied_at
+from pftwin.effects.contact import Contact
 from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.facets import APART, MERGED
 from pftwin.surfaces.mesh_facets import FacetPoint, MeshFacets
+
+if TYPE_CHECKING:
+    from pftwin.effects.friction import Friction
 
 _NAMES = {1: ("medial",), 2: ("medial", "lateral")}  # a mesh of one facet calls it medial
 
@@ -34,15 +40,14 @@ class MeshTouch(NamedTuple):
     push: ContactPush
 
 
-class MeshSphereContact(Effect):
+class MeshSphereContact(Contact):
     """A sphere fixed in the patella against a mesh fixed in the femur."""
 
     facets: MeshFacets
     law: ContactLaw
-    center: Vec3  # of the sphere, patella frame [m]
-    radius: Scalar  # [m]
+    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the sphere
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
-    name: str = eqx.field(static=True, kw_only=True, default="contact")
     method: ClassVar[str] = "nearest"
     observables: ClassVar[dict[str, Observable]] = {
         **SphereContact.observables,
@@ -102,6 +107,28 @@ class MeshSphereContact(Effect):
     def followed(self) -> Vec3:
         """The sphere's centre."""
         return self.center
+
+    def button_radius(self) -> Scalar:
+        """The sphere's."""
+        return self.radius
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.center, self, self.center + by)
+
+    def groove_surface(self) -> Surface | None:
+        """The stand-in."""
+        return self.surface
+
+    def femur_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.facets.triangles
+
+    def with_friction(self, friction: Friction) -> Contact:
+        """See `Contact`."""
+        from pftwin.effects.rough_mesh_contact import RoughMeshSphereContact
+
+        return RoughMeshSphereContact.of(self, friction)
 
     def about(self, center_of_mass: Vec3) -> MeshSphereContact:
         """Sphere centre counted from the centre of mass."""

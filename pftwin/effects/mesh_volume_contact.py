@@ -21,20 +21,26 @@ a number that is at least 4 wherever the border crosses a single contact and ten
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.effects.base import Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.effects.contact import Contact
 from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import ContactPush, pushed
 from pftwin.effects.sphere_contact import SphereContact
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.closest import Surface
 from pftwin.surfaces.overlap import Overlap, overlap
 from pftwin.surfaces.patch_mesh import PatchMesh
 from pftwin.surfaces.sphere_patch import sphere_patch
+
+if TYPE_CHECKING:
+    from pftwin.effects.friction import Friction
 
 _FACETS = ("medial", "lateral")
 
@@ -50,16 +56,15 @@ class VolumeTouch(NamedTuple):
     speeds: Memory
 
 
-class MeshVolumeContact(Effect):
+class MeshVolumeContact(Contact):
     """A sphere fixed in the patella against a mesh fixed in the femur, by their overlap's volume."""
 
     mesh: PatchMesh
     law: ContactLaw
-    center: Vec3  # of the sphere, patella frame [m]
-    radius: Scalar  # [m]
-    effective_radius: Scalar  # r, to which the law's stiffness belongs [m]
+    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the sphere
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
+    effective_radius: Scalar = eqx.field(metadata=quantity("m", positive=True))  # r, that of the law's stiffness
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
-    name: str = eqx.field(static=True, kw_only=True, default="contact")
     method: ClassVar[str] = "volume"
     observables: ClassVar[dict[str, Observable]] = {
         **SphereContact.observables,
@@ -122,6 +127,28 @@ class MeshVolumeContact(Effect):
     def followed(self) -> Vec3:
         """The sphere's centre."""
         return self.center
+
+    def button_radius(self) -> Scalar:
+        """The sphere's."""
+        return self.radius
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.center, self, self.center + by)
+
+    def groove_surface(self) -> Surface | None:
+        """The stand-in."""
+        return self.surface
+
+    def femur_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.mesh.facets.triangles
+
+    def with_friction(self, friction: Friction) -> Contact:
+        """See `Contact`."""
+        from pftwin.effects.rough_mesh_contact import RoughMeshVolumeContact
+
+        return RoughMeshVolumeContact.of(self, friction)
 
     def about(self, center_of_mass: Vec3) -> MeshVolumeContact:
         """Sphere centre counted from the centre of mass; the mesh made ready for many looks."""

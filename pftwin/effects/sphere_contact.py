@@ -6,18 +6,23 @@ contacts are found: `pftwin.surfaces.facets`.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.effects.base import Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.effects.contact import FORCE, Contact
 from pftwin.effects.contact_law import ContactLaw
 from pftwin.effects.push import pushed
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3
 from pftwin.surfaces.closest import ClosestPoint, Surface
 from pftwin.surfaces.facets import MERGED, Place, follow_facets
+
+if TYPE_CHECKING:
+    from pftwin.effects.friction import Friction
 
 SEARCH_STEPS = 10  # steps that find the contacts from nothing
 
@@ -40,25 +45,17 @@ class Touch(NamedTuple):
     energy: Scalar
 
 
-class SphereContact(Effect):
+class SphereContact(Contact):
     """A sphere fixed in the patella against a surface fixed in the femur."""
 
     surface: Surface
     law: ContactLaw
-    center: Vec3  # of the sphere, patella frame [m]
-    radius: Scalar  # [m]
-    name: str = eqx.field(static=True, kw_only=True, default="contact")
+    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the sphere
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
     observables: ClassVar[dict[str, Observable]] = {
-        "force": Observable("N", "total normal contact force, sum over the facets"),
-        "force_medial": Observable("N", "normal force on the medial contact"),
-        "force_lateral": Observable("N", "normal force on the lateral contact"),
-        "force_x": Observable("N", "contact force on the patella, femur x"),
-        "force_y": Observable("N", "contact force on the patella, femur y"),
-        "force_z": Observable("N", "contact force on the patella, femur z"),
+        **FORCE,
         "indentation_medial": Observable("m", "indentation at the medial contact"),
         "indentation_lateral": Observable("m", "indentation at the lateral contact"),
-        "point_medial": Observable("m", "medial contact point, femur frame"),
-        "point_lateral": Observable("m", "lateral contact point, femur frame"),
         "off_patch": Observable("m", "how far beyond the fitted patch a loaded contact lies"),
     }
 
@@ -148,6 +145,32 @@ class SphereContact(Effect):
     def followed(self) -> Vec3:
         """The sphere's centre."""
         return self.center
+
+    def button_radius(self) -> Scalar:
+        """The sphere's."""
+        return self.radius
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.center, self, self.center + by)
+
+    def groove_surface(self) -> Surface:
+        """The surface itself."""
+        return self.surface
+
+    def fitted_surface(self) -> Surface:
+        """The surface itself."""
+        return self.surface
+
+    def with_fitted_surface(self, surface: Surface) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.surface, self, surface)
+
+    def with_friction(self, friction: Friction) -> Contact:
+        """See `Contact`."""
+        from pftwin.effects.rough_contact import RoughSphereContact
+
+        return RoughSphereContact.of(self, friction)
 
     def about(self, center_of_mass: Vec3) -> SphereContact:
         """Sphere centre counted from the centre of mass; the patch's coefficients one array each."""

@@ -8,12 +8,13 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.effects.base import Instant, Load, Observable
-from pftwin.effects.strings import Strung
+from pftwin.effects.strings import ElasticLine
 from pftwin.effects.toe_region import toe_region
-from pftwin.spatial import Scalar, Vec3
+from pftwin.quantities import quantity
+from pftwin.spatial import Scalar, Vec3, safe_sqrt
 
 
-class StrandGroup(Strung):
+class StrandGroup(ElasticLine):
     r"""Strands that stiffen over a toe region, then are linear, and never push.
 
     With strain e = (L - L0) / L0 and reference strain e1: F = k e^2 / (4 e1) for 0 < e < 2 e1, F = k (e - e1) beyond,
@@ -21,12 +22,12 @@ class StrandGroup(Strung):
     Source: Blankevoort & Huiskes 1991, J Biomech Eng 113:263 (their 2 e1 is the `toe_strain` here).
     """
 
-    stiffness: Scalar  # k [N per unit strain]
-    slack_length: Scalar  # L0 [m]
-    toe_strain: Scalar  # end of the toe region, 2 e1 [-]
-    damping_time: Scalar  # c [s]
-    insertion: Vec3
-    origin: Vec3
+    stiffness: Scalar = eqx.field(metadata=quantity("N per unit strain", positive=True, alias="K"))  # k
+    slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True, alias="L"))  # L0
+    toe_strain: Scalar = eqx.field(metadata=quantity("", positive=True))  # end of the toe region, 2 e1
+    damping_time: Scalar = eqx.field(metadata=quantity("s", at_least=0))  # c
+    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
     observables: ClassVar[dict[str, Observable]] = {"tension": Observable("N", "sum of the strands' tensions")}
 
@@ -43,6 +44,15 @@ class StrandGroup(Strung):
         tension, slope, viscous = (jnp.where(taut, a, 0.0) for a in (tension, slope, viscous))
         stored = self.stiffness * self.slack_length * toe.energy
         return Load(stiff=(line.term(tension, elastic, slope, viscous),), energy=jnp.sum(stored)), memory
+
+    def held_tension(self, length: Scalar) -> Scalar:
+        """See `ElasticLine`."""
+        return self.stiffness * toe_region(length / self.slack_length - 1, self.toe_strain).force
+
+    def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
+        """See `ElasticLine`: the law solved for the strain in its toe region and beyond."""
+        f, toe = tension / self.stiffness, self.toe_strain
+        return length / (1 + jnp.where(f < 0.5 * toe, safe_sqrt(2 * toe * f), f + 0.5 * toe))
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Total tension."""

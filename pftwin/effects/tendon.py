@@ -8,22 +8,23 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.effects.base import Instant, Load, Observable
-from pftwin.effects.strings import Strung
+from pftwin.effects.strings import ElasticLine
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3
 
 
-class Tendon(Strung):
+class Tendon(ElasticLine):
     r"""A spring-damper between the patella and a guided body; it pulls or hangs slack.
 
     F = K (L - L0) + c dL/dt, never negative, and nothing where L <= L0. A leading axis on every leaf makes a group.
     Source: Michaud et al. 2024, eq. 1 (there c = 0.01 s * K; the sign of the damping term is that of its mechanics).
     """
 
-    stiffness: Scalar  # K [N/m]
-    slack_length: Scalar  # L0 [m]
-    damping: Scalar  # c [N s/m]
-    insertion: Vec3  # on the patella, patella frame [m]
-    origin: Vec3  # on the guided body, its frame [m]
+    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # K
+    slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True, alias="L"))  # L0
+    damping: Scalar = eqx.field(metadata=quantity("N s/m", at_least=0))  # c
+    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
     observables: ClassVar[dict[str, Observable]] = {
         "tension": Observable("N", "tension"),
@@ -42,6 +43,14 @@ class Tendon(Strung):
         elastic = self.stiffness * stretched
         stored = 0.5 * jnp.sum(self.stiffness * jnp.square(stretched))
         return Load(stiff=(line.term(tension, elastic, k, c),), energy=stored), memory
+
+    def held_tension(self, length: Scalar) -> Scalar:
+        """See `ElasticLine`: of the spring, negative where it would hang slack."""
+        return self.stiffness * (length - self.slack_length)
+
+    def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
+        """See `ElasticLine`."""
+        return length - tension / self.stiffness
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Tension and length."""

@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.effects.base import Instant, Load, Observable
-from pftwin.effects.strings import Line, PatellaEnd, line_of_force
+from pftwin.effects.strings import Strung
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3
 
 
-class PrescribedTension(PatellaEnd):
+class PrescribedTension(Strung):
     """Lines that pull with tensions given over time, from origins that may move on their body (wrapping muscles).
 
     `tension` has shape (n_samples, n_lines), `origin` the same per coordinate, `insertion` (n_lines,). Between samples
@@ -21,9 +22,9 @@ class PrescribedTension(PatellaEnd):
     has no potential: `energy` is 0 and its work counts as the body's.
     """
 
-    tension: Scalar  # [N]
-    origin: Vec3  # on the guided body, its frame [m]
-    insertion: Vec3  # on the patella, patella frame [m]
+    tension: Scalar = eqx.field(metadata=quantity("N", at_least=0))
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
+    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
     start_time: float = eqx.field(static=True)
     interval: float = eqx.field(static=True)  # [s]
     body: str = eqx.field(static=True)
@@ -41,14 +42,26 @@ class PrescribedTension(PatellaEnd):
 
         return jax.tree.map(sample, (self.tension, self.origin))
 
-    def line(self, now: Instant) -> tuple[Scalar, Line]:
-        """Tensions, and where the lines run."""
-        tension, origin = self.at(now.time)
-        return tension, line_of_force(now, self.insertion, self.body, origin)
+    @property
+    def line_ends(self) -> tuple[Vec3, str]:
+        """See `Strung`."""
+        return self.insertion, self.body
+
+    def origin_at(self, time: Scalar | float) -> Vec3:
+        """Where the lines leave their body at an instant [m]."""
+        return self.at(time)[1]
+
+    def with_origin_moved(self, by: Vec3) -> PrescribedTension:
+        """See `Strung`."""
+        return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
+
+    def about(self, center_of_mass: Vec3) -> PrescribedTension:
+        """Insertions counted from the centre of mass."""
+        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """The pulls; their slopes are zero, so nothing of them is stiff."""
-        tension, line = self.line(now)
+        tension, line = self.at(now.time)[0], self.line(now)
         zero = jnp.zeros_like(tension)
         term = line.term(tension, tension, zero, zero)
         return Load(wrench=term.wrench()), memory

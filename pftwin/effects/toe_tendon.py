@@ -8,12 +8,13 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.effects.base import Instant, Load, Observable
-from pftwin.effects.strings import Strung
+from pftwin.effects.strings import ElasticLine
 from pftwin.effects.toe_region import toe_region
-from pftwin.spatial import Scalar, Vec3
+from pftwin.quantities import quantity
+from pftwin.spatial import Scalar, Vec3, safe_sqrt
 
 
-class ToeTendon(Strung):
+class ToeTendon(ElasticLine):
     r"""A tendon that stiffens over a toe region, then is linear, and never pushes.
 
     With stretch s = L - L0 and the toe's end t = toe strain * L0: F = K s^2 / (2 t) for 0 < s < t, F = K (s - t / 2)
@@ -21,12 +22,12 @@ class ToeTendon(Strung):
     every leaf makes a group. Source: Blankevoort & Huiskes 1991, J Biomech Eng 113:263, there by strain.
     """
 
-    stiffness: Scalar  # K, of the linear region [N/m]
-    slack_length: Scalar  # L0 [m]
-    toe_strain: Scalar  # end of the toe region, t / L0 [-]
-    damping: Scalar  # c [N s/m]
-    insertion: Vec3  # on the patella, patella frame [m]
-    origin: Vec3  # on the guided body, its frame [m]
+    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # K, of the linear region
+    slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True, alias="L"))  # L0
+    toe_strain: Scalar = eqx.field(metadata=quantity("", positive=True))  # end of the toe region, t / L0
+    damping: Scalar = eqx.field(metadata=quantity("N s/m", at_least=0))  # c
+    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
     observables: ClassVar[dict[str, Observable]] = {
         "tension": Observable("N", "tension"),
@@ -44,6 +45,17 @@ class ToeTendon(Strung):
         taut = (stretch > 0) & (pull > 0)
         tension, k, c = (jnp.where(taut, a, 0.0) for a in (pull, self.stiffness * toe.slope, self.damping))
         return Load(stiff=(line.term(tension, elastic, k, c),), energy=jnp.sum(self.stiffness * toe.energy)), memory
+
+    def held_tension(self, length: Scalar) -> Scalar:
+        """See `ElasticLine`."""
+        return self.stiffness * toe_region(length - self.slack_length, self.toe_strain * self.slack_length).force
+
+    def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
+        """See `ElasticLine`: the law solved for L0 in its toe region and beyond."""
+        f, toe = tension / self.stiffness, self.toe_strain
+        linear = (length - f) / (1 + 0.5 * toe)
+        in_toe = length + toe * f - safe_sqrt(toe * f * (2 * length + toe * f))
+        return jnp.where(f < 0.5 * toe * linear, in_toe, linear)
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Tension and length."""

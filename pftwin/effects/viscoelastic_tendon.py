@@ -9,11 +9,12 @@ import jax.numpy as jnp
 
 from pftwin.effects.base import Instant, Load, Observable
 from pftwin.effects.standard_linear_solid import RELAXED, Pull, StandardLinearSolid
-from pftwin.effects.strings import Line, Strung
+from pftwin.effects.strings import ElasticLine, Line
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3
 
 
-class ViscoelasticTendon(Strung):
+class ViscoelasticTendon(ElasticLine):
     r"""A tendon that is a standard linear solid; it pulls or hangs slack.
 
     F = K s + K1 (s - e), de/dt = (s - e) / tau, with s = L - L0, never negative. A tendon that is stretched at once and
@@ -22,12 +23,12 @@ class ViscoelasticTendon(Strung):
     sources: `pftwin.effects.standard_linear_solid`.
     """
 
-    stiffness: Scalar  # K, when relaxed [N/m]
-    maxwell_stiffness: Scalar  # K1, what it is stiffer by when pulled at once [N/m]
-    relaxation_time: Scalar  # tau [s]
-    slack_length: Scalar  # L0 [m]
-    insertion: Vec3  # on the patella, patella frame [m]
-    origin: Vec3  # on the guided body, its frame [m]
+    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # K, when relaxed
+    maxwell_stiffness: Scalar = eqx.field(metadata=quantity("N/m", at_least=0))  # K1, more when pulled at once
+    relaxation_time: Scalar = eqx.field(metadata=quantity("s", positive=True))  # tau
+    slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True, alias="L"))  # L0
+    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
     observables: ClassVar[dict[str, Observable]] = {
         "tension": Observable("N", "tension"),
@@ -69,6 +70,14 @@ class ViscoelasticTendon(Strung):
         # The tension is all elastic: what the dashpot loses does not depend on how fast the ends move apart.
         term = line.term(pull.tension, pull.tension, pull.stiffness, jnp.zeros_like(pull.tension))
         return Load(stiff=(term,), energy=jnp.sum(pull.energy), heat=jnp.sum(pull.heat))
+
+    def held_tension(self, length: Scalar) -> Scalar:
+        """See `ElasticLine`: of the spring, negative where it would hang slack."""
+        return self.stiffness * (length - self.slack_length)
+
+    def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
+        """See `ElasticLine`."""
+        return length - tension / self.stiffness
 
     def observe(self, now: Instant, memory: Scalar) -> dict[str, Scalar]:
         """Tension, length and the dashpot's stretch."""

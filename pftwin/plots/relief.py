@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.drawn_surface import has_rectangle, triangles_of
+from pftwin.drawn_surface import has_rectangle, indexed
 from pftwin.errors import InputError
 from pftwin.spatial import Rotation, Vec3
 from pftwin.surfaces.charts import CylindricalChart, PlaneChart
@@ -62,8 +62,9 @@ def relief(result: Result, *paths: Floats) -> Relief:
     Raises:
         InputError: a scene without contact between a button and a trochlea.
     """
-    contact = result.scene.button
-    mesh = None if contact is None else triangles_of(contact)[0]
+    contact = result.scene.contact
+    femur = None if contact is None else contact.femur_triangles()
+    mesh = None if femur is None else indexed(femur)
     surface = result.surface
     if surface is None and mesh is None:
         raise InputError(

@@ -92,9 +92,9 @@ def plant_scene(case: int) -> Scene:
     return Scene(patella_body(), tuple(scattered), motion, start, f"plant, case {case}", synthetic=True)
 
 
-def _as_built(effect: Effect, random: np.random.Generator) -> Effect:
+def _as_built(effect: Any, random: np.random.Generator) -> Effect:
     """The effect as it is in the workshop rather than on paper."""
-    if isinstance(effect, Tendon):
+    if effect.line_element() is not None:
         off = [vector(tuple(random.normal(0.0, MISPLACED, 3))) for _ in range(2)]
         return StiffeningTendon(
             effect.stiffness,
@@ -105,7 +105,7 @@ def _as_built(effect: Effect, random: np.random.Generator) -> Effect:
             effect.body,
             name=effect.name,
         )
-    if isinstance(effect, LinearDamping):
+    if effect.name == "damping":
         return LinearDamping(1.1 * effect.translational, 0.9 * effect.rotational, body=effect.body)
     return effect
 

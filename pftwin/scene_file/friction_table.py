@@ -10,7 +10,7 @@ from pftwin.leaves import number
 from pftwin.scene_file.section import NotNegative, Positive, Section
 
 if TYPE_CHECKING:
-    from pftwin.effects.base import Effect
+    from pftwin.effects.contact import Contact
 
 
 class FrictionSection(Section):
@@ -21,9 +21,8 @@ class FrictionSection(Section):
         default=1e-3, description="speed up to which contacts creep rather than slide [m/s]"
     )
 
-    def added(self, contact: Effect) -> Effect:
+    def added(self, contact: Contact) -> Contact:
         """The contact with it."""
         from pftwin.effects.friction import Friction
-        from pftwin.effects.rough_contact import with_friction
 
-        return with_friction(contact, Friction(number(self.coefficient), number(self.slip_speed_m_per_s)))
+        return contact.with_friction(Friction(number(self.coefficient), number(self.slip_speed_m_per_s)))

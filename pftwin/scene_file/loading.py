@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,10 +16,11 @@ from pftwin.kept.values import kept
 from pftwin.scene import Scene, check
 from pftwin.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
 from pftwin.scene_file.document import Document
+from pftwin.scene_file.effect_tables import EffectSection
 from pftwin.scene_file.host_pose import HostPose
 from pftwin.scene_file.measured_table import MeasuredSection
 from pftwin.scene_file.problems import scene_error
-from pftwin.scene_file.registry import EFFECTS
+from pftwin.scene_file.registry import effect_tables
 from pftwin.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
 from pftwin.scene_file.segments import MotionSection, PoseSection, Recording
 from pftwin.scene_file.setting import Setting
@@ -53,14 +55,21 @@ class SceneSection(Section):
     )
 
 
-_EFFECT_FIELDS: Any = {
-    section.kind: (
-        Annotated[list[section], ONE_OR_MANY],
-        Field(default_factory=list, description=f"table, or several: {(section.__doc__ or '').splitlines()[0]}"),
-    )
-    for section in EFFECTS
-}
-SceneFile = create_model("SceneFile", __base__=SceneSection, **_EFFECT_FIELDS)
+def scene_file_model() -> type[SceneSection]:
+    """The whole file, with the tables of all effects that there are."""
+    return _model(effect_tables())
+
+
+@lru_cache(maxsize=8)
+def _model(tables: tuple[type[EffectSection], ...]) -> type[SceneSection]:
+    fields: Any = {
+        table.kind: (
+            Annotated[list[table], ONE_OR_MANY],
+            Field(default_factory=list, description=f"table, or several: {(table.__doc__ or '').splitlines()[0]}"),
+        )
+        for table in tables
+    }
+    return create_model("SceneFile", __base__=SceneSection, **fields)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,11 +108,14 @@ def load_scene_file(
     """As `load_scene`, with the measurements that the file names and with notes for the user."""
     float_type = str(canonicalize_dtype(float))
     files = Document.read(path, allow_outside=allow_outside).files()
-    return kept(_loaded, os.fspath(path), contact, float_type, allow_outside, files=files)
+    others = tuple(table.kind for table in effect_tables())
+    return kept(_loaded, os.fspath(path), contact, float_type, allow_outside, others, files=files)
 
 
-def _loaded(path: str, contact: str | None, float_type: str, allow_outside: bool) -> LoadedScene:
-    """The scene with leaves of this float type, which is JAX's default one."""
+def _loaded(
+    path: str, contact: str | None, float_type: str, allow_outside: bool, tables: tuple[str, ...]
+) -> LoadedScene:
+    """The scene with leaves of this float type, JAX's default one; kept by these and the kinds of tables there are."""
     document = Document.read(path, allow_outside=allow_outside)
     file = _validated(document)
     side = Side.read(file.side == "left", file.axes, document)
@@ -115,7 +127,7 @@ def _loaded(path: str, contact: str | None, float_type: str, allow_outside: bool
     setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, beside, contact, notes=notes)
     effects = tuple(
         table.build(setting, (section.kind, i))
-        for section in EFFECTS
+        for section in effect_tables()
         for i, table in enumerate(getattr(file, section.kind))
     )
     if not effects:
@@ -128,7 +140,7 @@ def _loaded(path: str, contact: str | None, float_type: str, allow_outside: bool
     with document.naming():
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
-    button = None if scene.button is None else setting.buttons.get(scene.button.name)
+    button = None if scene.contact is None else setting.buttons.get(scene.contact.name)
     return LoadedScene(replace(scene, measured=measured), button, tuple(notes), document.path)
 
 
@@ -144,7 +156,7 @@ def _validated(document: Document) -> Any:
         )
     reading = Reading()
     try:
-        return SceneFile.model_validate(document.data, context=reading)
+        return scene_file_model().model_validate(document.data, context=reading)
     except ValidationError as error:
         raise scene_error(error, document, reading) from None
     finally:

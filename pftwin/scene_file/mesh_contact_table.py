@@ -24,7 +24,7 @@ from pftwin.scene_file.setting import Setting
 from pftwin.scene_file.surface_table import SurfaceSection
 
 if TYPE_CHECKING:
-    from pftwin.effects.base import Effect
+    from pftwin.effects.contact import Contact
     from pftwin.surfaces.closest import Surface
     from pftwin.surfaces.patch_mesh import PatchMesh
 
@@ -62,7 +62,7 @@ class MeshContactSection(EffectSection):
             raise problem('friction with method = "contours"', expected='method = "volume" or "nearest": a sphere')
         return self
 
-    def build(self, setting: Setting, at: At) -> Effect:
+    def build(self, setting: Setting, at: At) -> Contact:
         """The effect."""
         refuse_patch(setting, at)
         surface = None if self.surface is None else self.surface.build(setting, (*at, "surface"))
@@ -81,14 +81,14 @@ class MeshContactSection(EffectSection):
             contact = build(femur, sphere, surface)
             return contact if self.friction is None else self.friction.added(contact)
 
-    def _contours(self, femur: FemurMesh, button: ButtonMesh, surface: Surface | None) -> Effect:
+    def _contours(self, femur: FemurMesh, button: ButtonMesh, surface: Surface | None) -> Contact:
         from pftwin.effects.mesh_contact import MeshContact
         from pftwin.surfaces.contact_mesh import contact_mesh
 
         meshes = contact_mesh(femur.mesh, femur.lateral), contact_mesh(button.mesh)
         return MeshContact(*meshes, self.law.build(), vector(button.origin), surface=surface, name=self.label)
 
-    def _nearest(self, femur: FemurMesh, button: ButtonSphere, surface: Surface | None) -> Effect:
+    def _nearest(self, femur: FemurMesh, button: ButtonSphere, surface: Surface | None) -> Contact:
         from pftwin.effects.mesh_sphere_contact import MeshSphereContact
         from pftwin.surfaces.mesh_facets import mesh_facets
 
@@ -96,7 +96,7 @@ class MeshContactSection(EffectSection):
         facets = mesh_facets(femur.mesh, femur.lateral)
         return MeshSphereContact(facets, self.law.build(), *place, surface=surface, name=self.label)
 
-    def _volume(self, femur: FemurMesh, button: ButtonSphere, surface: Surface | None) -> Effect:
+    def _volume(self, femur: FemurMesh, button: ButtonSphere, surface: Surface | None) -> Contact:
         from pftwin.effects.mesh_volume_contact import MeshVolumeContact
         from pftwin.surfaces.patch_mesh import patch_mesh
 

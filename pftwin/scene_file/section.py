@@ -90,7 +90,8 @@ def _one_or_many(value: Any, info: ValidationInfo) -> Any:
     return _wrapped(value, info)
 
 
-def _number_or_numbers(value: Any, info: ValidationInfo) -> Any:
+def one_number_or_many(value: Any, info: ValidationInfo) -> Any:
+    """A list as it is, a single value as a list of one."""
     return value if isinstance(value, list) else _wrapped(value, info)
 
 
@@ -119,7 +120,7 @@ LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in"]
 FileName = Annotated[str, Field(min_length=1)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 # Groups: one value for all members, or a list with one for each.
-Positives = Annotated[list[Positive], Field(min_length=1), BeforeValidator(_number_or_numbers)]
-NotNegatives = Annotated[list[NotNegative], Field(min_length=1), BeforeValidator(_number_or_numbers)]
+Positives = Annotated[list[Positive], Field(min_length=1), BeforeValidator(one_number_or_many)]
+NotNegatives = Annotated[list[NotNegative], Field(min_length=1), BeforeValidator(one_number_or_many)]
 Points = Annotated[list[Point], Field(min_length=1), BeforeValidator(_point_or_points)]
 ONE_OR_MANY = BeforeValidator(_one_or_many)  # [table] or [[table]]

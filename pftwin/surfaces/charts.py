@@ -12,6 +12,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
+from pftwin.quantities import quantity
 from pftwin.spatial import Rotation, Scalar, Vec3
 
 WIDEST = 0.5  # angle about a cylinder's axis within which a tangent still says where the surface goes [rad]
@@ -45,7 +46,7 @@ class Separation(NamedTuple):
 class PlaneChart(eqx.Module):
     """Heights over a plane, as in the paper (section 2.4.2): (u, v, height) are x, y, z of the chart's frame."""
 
-    origin: Vec3  # in the femur frame [m]
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="femur"))
     axes: Rotation  # chart frame to femur frame; z points out of the bone
 
     def to_frame(self, p: Vec3) -> Vec3:
@@ -112,9 +113,9 @@ class CylindricalChart(eqx.Module):
     u = radius * atan2(x, z), v = y, height = distance from the axis.
     """
 
-    origin: Vec3
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="femur"))
     axes: Rotation
-    radius: Scalar  # makes the angle a length [m]
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))  # makes the angle a length
 
     def to_frame(self, p: Vec3) -> Vec3:
         """Cartesian coordinates in the chart's frame of a point given in the femur's."""

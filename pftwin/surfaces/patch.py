@@ -14,6 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar
 from pftwin.surfaces.charts import Chart, Jet
 from pftwin.surfaces.closest import Profile
@@ -28,9 +29,9 @@ class PolynomialPatch(eqx.Module):
     """height = sum of c_ij a^i b^j, with a = (u - u0) / half_u, b = (v - v0) / half_v and |a|, |b| <= 1."""
 
     chart: Chart
-    coefficients: Array | tuple[Scalar, ...]  # (n,) [m]
-    center: tuple[Scalar, Scalar]  # (u0, v0) [m]
-    half_size: tuple[Scalar, Scalar]  # (half_u, half_v) [m]
+    coefficients: Array | tuple[Scalar, ...] = eqx.field(metadata=quantity("m"))  # (n,)
+    center: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m"))  # (u0, v0)
+    half_size: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m", positive=True))  # (half_u, half_v)
     degree: int = eqx.field(static=True)
     smooth: ClassVar[bool] = True
 

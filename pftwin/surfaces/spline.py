@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array
 
+from pftwin.quantities import quantity
 from pftwin.spatial import Scalar
 from pftwin.surfaces.charts import Chart, Jet
 from pftwin.surfaces.closest import Profile
@@ -48,9 +49,9 @@ class SplinePatch(eqx.Module):
     """
 
     chart: Chart
-    coefficients: Array  # (n_u + 3, n_v + 3) for n_u x n_v cells [m]
-    center: tuple[Scalar, Scalar]  # (u0, v0) [m]
-    half_size: tuple[Scalar, Scalar]  # (half_u, half_v) [m]
+    coefficients: Array = eqx.field(metadata=quantity("m"))  # (n_u + 3, n_v + 3) for n_u x n_v cells
+    center: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m"))  # (u0, v0)
+    half_size: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m", positive=True))  # (half_u, half_v)
     loop: Loop | None = None  # once it has been made
     smooth: ClassVar[bool] = False  # third derivatives jump from cell to cell
 

@@ -79,3 +79,9 @@ def _on_edge(start: Vec3, way: Vec3, arm: Vec3, p: Vec3, edge: int) -> tuple[Vec
 
 def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
     return v.x, v.y, v.z
+
+
+def half_extent(corners: Array) -> Scalar:
+    """Half the largest extent along an axis of triangles given by their corners (n, 9) [m]."""
+    points = corners.reshape(-1, 3)
+    return 0.5 * jnp.max(jnp.max(points, axis=0) - jnp.min(points, axis=0))

@@ -15,7 +15,6 @@ from pftwin.audit.parts import parts
 from pftwin.dynamics.trajectory import start_before_search, starting_state
 from pftwin.effects.contact_law import Flores
 from pftwin.effects.friction import Friction
-from pftwin.effects.rough_contact import with_friction
 from pftwin.effects.strands import StrandGroup
 from pftwin.effects.toe_tendon import ToeTendon
 from pftwin.effects.viscoelastic_tendon import ViscoelasticTendon
@@ -84,7 +83,7 @@ def _step(s: Scene, step: jax.Array):
 
 
 def test_friction_that_has_gone_leaves_no_equation():
-    rough = scene().with_effect(with_friction(scene().effect("contact"), Friction(J(0.1), J(1e-3))))
+    rough = scene().with_effect(scene().effect("contact").with_friction(Friction(J(0.1), J(1e-3))))
     smooth, whole = parts(rough)[-1], equations(rough)
     assert smooth.name == "contact: friction"
     assert equations(smooth.without) == equations(scene()) < whole

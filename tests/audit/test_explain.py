@@ -18,7 +18,6 @@ from pftwin.audit.stiffness import rates
 from pftwin.dynamics.simulate import settle
 from pftwin.effects.damping import LinearDamping
 from pftwin.effects.friction import Friction
-from pftwin.effects.rough_contact import with_friction
 from pftwin.scene import Scene
 
 FRAMES = 21
@@ -26,7 +25,7 @@ FRAMES = 21
 
 def rough() -> Scene:
     smooth = knee(FRAMES)
-    return smooth.with_effect(with_friction(smooth.effect("contact"), Friction(J(0.1), J(5e-3))))
+    return smooth.with_effect(smooth.effect("contact").with_friction(Friction(J(0.1), J(5e-3))))
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,6 @@ from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import first_guide, starting_state, trajectory
 from pftwin.effects.friction import Friction
-from pftwin.effects.rough_contact import with_friction
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 
@@ -119,7 +118,7 @@ def between_springs(stiffness: float = K):
 def test_with_friction_too(held):
     """Friction goes by what normal forces really came to, whatever velocity a step looked ahead with."""
     scene = held[0]
-    rough = scene.with_effect(with_friction(scene.effects[3], Friction(J(0.1), J(1e-3))))
+    rough = scene.with_effect(scene.effects[3].with_friction(Friction(J(0.1), J(1e-3))))
     start = settled(rough)
     fine = np.asarray(path(rough, start, J(100), "newmark"))
     errors = {n: np.sqrt(np.mean((np.asarray(path(rough, start, J(10), n)) - fine) ** 2)) for n in NAMES[:2]}

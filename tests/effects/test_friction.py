@@ -36,7 +36,7 @@ from pftwin.effects.base import Ground
 from pftwin.effects.contact_law import ContactLaw, Flores, Hertz
 from pftwin.effects.friction import Friction, WithFriction, tangents
 from pftwin.effects.gravity import Gravity
-from pftwin.effects.rough_contact import RoughSphereContact, with_friction
+from pftwin.effects.rough_contact import RoughSphereContact
 from pftwin.motion import Frame
 from pftwin.spatial import Vec3
 
@@ -47,7 +47,7 @@ DEEP = (MASS * G / 2e8) ** (2 / 3)  # where the weight is borne
 
 def rough(mu=MU, creep=CREEP, law: ContactLaw | None = None, surface=None) -> RoughSphereContact:
     plain = contact(Hertz(J(2e8)) if law is None else law, surface)
-    made = with_friction(plain, Friction(J(mu), J(creep)))
+    made = plain.with_friction(Friction(J(mu), J(creep)))
     assert isinstance(made, RoughSphereContact)
     return made
 
@@ -244,7 +244,7 @@ def rough_knee(mu=0.1, creep=2e-3):
     scene = knee(21)
     plain = scene.contact
     assert plain is not None
-    return scene, scene.with_effect(with_friction(plain, Friction(J(mu), J(creep))))
+    return scene, scene.with_effect(plain.with_friction(Friction(J(mu), J(creep))))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ from pftwin.effects.friction import Friction
 from pftwin.effects.gravity import Gravity
 from pftwin.effects.mesh_sphere_contact import MeshSphereContact
 from pftwin.effects.mesh_volume_contact import MeshVolumeContact
-from pftwin.effects.rough_contact import with_friction
 from pftwin.effects.rough_mesh_contact import RoughMeshSphereContact, RoughMeshVolumeContact
 from pftwin.surfaces.mesh import SurfaceMesh
 from pftwin.surfaces.mesh_facets import mesh_facets
@@ -40,7 +39,7 @@ def rough(kind: str, flank: float = 0.0):
         plain: Any = MeshSphereContact(mesh_facets(mesh, lateral), *sphere)
     else:
         plain = MeshVolumeContact(patch_mesh(mesh, RADIUS, lateral), *sphere, J(RADIUS))
-    return with_friction(plain, Friction(J(MU), J(CREEP)))
+    return plain.with_friction(Friction(J(MU), J(CREEP)))
 
 
 def test_every_contact_becomes_its_rough_kind_and_back():
@@ -48,7 +47,7 @@ def test_every_contact_becomes_its_rough_kind_and_back():
         made = rough(kind)
         assert type(made) is wanted
         assert type(made.alone()) is wanted.frictionless  # type: ignore[attr-defined]
-        again = with_friction(made, Friction(J(0.5), J(CREEP)))
+        again = made.with_friction(Friction(J(0.5), J(CREEP)))
         assert type(again) is wanted
         assert float(again.friction.coefficient) == 0.5  # type: ignore[attr-defined]
 

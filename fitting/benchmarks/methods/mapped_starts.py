@@ -19,12 +19,12 @@ from jaxtyping import Array
 from fitting.benchmarks.methods.meter import Meter
 from fitting.method import lenient
 from fitting.parameters import applied
-from fitting.places import Place
 from fitting.problem import Problem
 from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.errors import MissingExtraError
 from pftwin.scene import Scene
+from pftwin.scene_parameters import Place
 from pftwin.spatial import Pose
 
 STARTS = 32  # as many as `fitting.least_squares` has

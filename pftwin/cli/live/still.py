@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.drawn_surface import continuation, has_rectangle, triangles_of
+from pftwin.drawn_surface import continuation, has_rectangle
 from pftwin.scene import Scene
 from pftwin.scene_geometry import geometry
 from pftwin.spatial import Vec3
@@ -33,8 +33,8 @@ class Still:
 
     def geometry(self, scene: Scene) -> Dataset:
         """The dataset of a treated scene: the still parts, and its own lines of force."""
-        button = scene.button
-        lines = geometry(scene if button is None else scene.without(button.name))
+        contact = scene.contact
+        lines = geometry(scene if contact is None else scene.without(contact.name))
         return self._bodies.assign(lines.data_vars)
 
     def continued(self, points: NDArray[np.float64]) -> Shape | None:
@@ -71,8 +71,8 @@ def _along(chart: Any, points: NDArray[np.float64]) -> tuple[NDArray[np.float64]
 
 def _beyond(scene: Scene) -> _Beyond | None:
     surface: Any = scene.surface
-    contact = scene.button
-    if surface is None or contact is None or triangles_of(contact)[0] is not None or not has_rectangle(surface):
+    contact = scene.contact
+    if surface is None or contact is None or contact.femur_triangles() is not None or not has_rectangle(surface):
         return None
     edges = [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
     most = MOST_ANGLE * float(getattr(surface.chart, "radius", np.inf))  # as far as a cylinder's chart goes

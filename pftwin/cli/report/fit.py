@@ -43,7 +43,7 @@ def doubts(e: Estimate, scene: Scene | None) -> list[str]:
     """Where the scene's numbers are not those that the fit began from: it may be another scene of the same name."""
     if scene is None:
         return []
-    from fitting.places import find
+    from pftwin.scene_parameters import find
 
     here = [float(find(scene, name)[0].read(scene)) for name in e.names]
     off = [n for n, x, began in zip(e.names, here, e.nominal, strict=True) if abs(x - began) > 1e-6 * abs(began)]
@@ -71,7 +71,7 @@ def meaning(scene: Scene | None, name: str) -> str:
     """A parameter in words; its name where the scene is not known."""
     if scene is None:
         return name
-    from fitting.places import find
+    from pftwin.scene_parameters import find
 
     found = find(scene, name)[0]
     return found.name.replace("_", " ").replace(".", ", ", 1)

@@ -174,7 +174,7 @@ def test_a_smooth_surface_tells_results_where_the_groove_is(toy: Path) -> None:
     for table, text in (("mesh_contact", SCENES["nearest"]), ("elastic_foundation", SCENES["foundation"])):
         scene = load(toy, f"{text}\n[{table}.surface]\n{stand_in}")
         assert isinstance(scene.surface, SplinePatch)
-        assert scene.button is the(scene)
+        assert scene.contact is the(scene)
 
 
 def test_kept_scenes_are_read_anew_where_a_mesh_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ _CHECKED = {  # validators that narrow a value further
     section._direction: "direction, 3 numbers",
     side._three_axes: 'axes, as in `["+y", "+z", "+x"]`',
 }
-_WRAPS = (section._number_or_numbers, section._point_or_points)  # which take one value in place of a list
+_WRAPS = (section.one_number_or_many, section._point_or_points)  # which take one value in place of a list
 Link = Callable[[type[Section]], str]
 
 

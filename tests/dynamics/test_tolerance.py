@@ -26,7 +26,7 @@ EACH, REFERENCE = 50, 256  # variants of each case; steps between two frames, of
 
 def varied(scene: Scene, factors: jax.Array) -> Scene:
     """With other springs, contact stiffness and mass."""
-    button = scene.button
+    button = scene.contact
     stiffer = eqx.tree_at(lambda e: e.law.contact_stiffness, button, button.law.contact_stiffness * factors[4])
     scene = with_springs(scene, factors[:4]).with_effect(stiffer)
     body = scene.patella

@@ -245,7 +245,7 @@ def test_what_a_scene_lacks_is_named(case):
         "femur",
         name="quadriceps",
     )
-    with pytest.raises(InputError, match="PrescribedTension, which has no length"):
+    with pytest.raises(InputError, match="prescribed tension, which no length or stiffness changes"):
         Treatment.of("quadriceps_lengthening", lengthening=0.01)(case.without("quadriceps").with_effect(pull))
 
 

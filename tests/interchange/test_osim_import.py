@@ -78,7 +78,7 @@ def test_the_patella_its_weight_and_its_start(knee):
 
 
 def test_contact_meshes_become_an_elastic_foundation(knee):
-    contact = knee[0].scene.button
+    contact = knee[0].scene.contact
     assert isinstance(contact, ElasticFoundation)
     written = knee[2] / "scene" / "geometry"
     from pftwin.surfaces.mesh import load_mesh

@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
         found = pftwin.simulate_batch(
             pftwin.Variants(scene, transferred, amounts(given.members)),
             dt=5e-3,
-            integrator="linear_implicit_bdf2",
+            integrator=pftwin.BDF2(),
             trajectories=False,
             parts=given.parts,
             share=given.share,

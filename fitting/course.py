@@ -9,8 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.dynamics.observe import Frame, Observation
+from pftwin.dynamics.trajectory import knee_angles
 from pftwin.errors import InputError
-from pftwin.rotations import patellar_angles, tibiofemoral_angles
+from pftwin.rotations import patellar_angles
 from pftwin.scene import Scene
 from pftwin.spatial import Quaternion, Vec3
 from pftwin.surfaces.closest import Surface
@@ -110,12 +111,7 @@ def course_of(scene: Scene, seen: Glimpse, status: Array, groove: Groove) -> Cou
 
 def knee_flexion(scene: Scene) -> Array:
     """Of the tibia in the femur at the recorded frames, (n,) [rad]."""
-    motion = scene.motion
-    femur, tibia = motion.frames(motion.frame_times())
-    q = Quaternion.from_rotation(tibia.rotation)
-    if femur is not None:
-        q = Quaternion.from_rotation(femur.rotation).conjugate() * q
-    return tibiofemoral_angles(q).flexion
+    return knee_angles(scene).flexion
 
 
 def dislocated(offset: Array, threshold: float = DISLOCATED) -> Array:

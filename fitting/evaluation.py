@@ -21,7 +21,7 @@ from fitting import programs
 from fitting.channels import POSITION, columns_of, widths
 from fitting.parameters import Parameters
 from pftwin.batch.devices import Devices, chosen_devices, feeding_threads
-from pftwin.dynamics.trajectory import substeps_for
+from pftwin.dynamics.frame_states import substeps_for
 from pftwin.scene import Scene
 from pftwin.spatial import Pose
 

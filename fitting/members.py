@@ -22,9 +22,9 @@ from pftwin.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.batch.member import FLAGS, sensible
 from pftwin.batch.spread import Chunk, Spread
 from pftwin.batches import good_sizes
+from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.observe import observe_on_the_way
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.scene import Scene
 from pftwin.spatial import Pose
 

@@ -13,7 +13,7 @@ from fitting.members import Members, Recipe, run
 from fitting.treatments import Treatment
 from fitting.variants import Batch, batches
 from pftwin.batch.devices import Devices, chosen_devices
-from pftwin.dynamics.trajectory import substeps_for
+from pftwin.dynamics.frame_states import substeps_for
 from pftwin.errors import InputError
 from pftwin.scene import Scene, check
 from pftwin.tracking import DISLOCATED

@@ -21,10 +21,10 @@ from fitting.channels import ORIENTATION, POSITION
 from fitting.parameters import applied
 from pftwin.batch.laid import AXIS, SPLIT, laid
 from pftwin.batches import batched
+from pftwin.dynamics.frame_states import starting_equilibrium, watched
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import placed
 from pftwin.dynamics.state import Guide, State
-from pftwin.dynamics.trajectory import starting_equilibrium, watched
 from pftwin.scene import Scene
 from pftwin.scene_parameters import Place
 from pftwin.spatial import Pose, Scalar

@@ -25,8 +25,8 @@ from fitting.outcomes import MEASURES, measure
 from fitting.predicting import Fitted
 from fitting.treatments import Treatment
 from pftwin.batches import batched
+from pftwin.dynamics.frame_states import frame_states, substeps_for
 from pftwin.dynamics.observe import observe
-from pftwin.dynamics.trajectory import substeps_for, trajectory
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 
@@ -47,7 +47,7 @@ def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array
     def found(x: Array) -> Any:
         def one(theta: Array) -> Any:
             scene = recipe.made(fixed.at[jnp.asarray(places)].set(x), theta)
-            seen = observe(scene, trajectory(scene, substeps=recipe.substeps))
+            seen = observe(scene, frame_states(scene, substeps=recipe.substeps))
             return measure(course(scene, seen, recipe.groove), recipe.threshold)
 
         return batched(one)(thetas)

@@ -38,11 +38,11 @@ import matplotlib as mpl
 import numpy as np
 from IPython.display import Markdown
 from matplotlib.figure import Figure
+from pftwin.dynamics.tracked_path import tracked_path
 
 import pftwin
 from fitting.treatments import tibial_tuberosity_transfer
 from pftwin.batches import batched
-from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.plots import COLOURS, STYLE, against_flexion
 from pftwin.runtime import default_cache_dir
 
@@ -134,7 +134,7 @@ Markdown(frame.iloc[::120].to_html(float_format="{:.2f}".format))
 def lateral(medialisation: jax.Array) -> jax.Array:
     """The button's most lateral place in the femur [mm], by the tuberosity's transfer [mm]."""
     moved = tibial_tuberosity_transfer(scene, medialisation=1e-3 * medialisation)
-    return 1e3 * tracked_path(moved, integrator="linear_implicit_bdf2", substeps=4).y.max()
+    return 1e3 * tracked_path(moved, integrator=pftwin.BDF2(), substeps=4).y.max()
 
 
 value, slope = jax.jit(lambda x: jax.jvp(lateral, (x,), (jnp.ones(()),)))(jnp.asarray(16.0))

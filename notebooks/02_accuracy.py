@@ -289,6 +289,6 @@ print(f"the steps' error is {100 * share:.1f} % of the distance from the (synthe
 assert share < 0.1
 
 # %% [markdown]
-# **In short.** For most work `simulate(scene, tolerance="0.05 mm")`. For a reference `integrator="newmark"` with
+# **In short.** For most work `simulate(scene, tolerance="0.05 mm")`. For a reference `integrator=pftwin.Newmark()` with
 # `dt=1e-4`. For thousands of variants the fastest row of the table that you can afford. `pftwin accuracy scene.toml`
 # does the same study on a knee of your own.

@@ -37,12 +37,12 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from pftwin.dynamics.tracked_path import tracked_path
 
 import pftwin
 from pftwin.batches import batched
+from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.observe import observe
-from pftwin.dynamics.tracked_path import tracked_path
-from pftwin.dynamics.trajectory import trajectory
 from pftwin.effects.base import Effect, Instant, Load, Observable, Patella, StiffTerm
 from pftwin.motion import Frame
 from pftwin.plots import COLOURS, STYLE
@@ -178,7 +178,7 @@ assert "brace" not in runs["as it is"].energies.stored
 def most_lateral(parameters: jax.Array) -> jax.Array:
     """Of the button's centre over the motion [m], by stiffness [kN/m] and play [mm]."""
     fitted = scene.with_effect(Brace(1e3 * parameters[0], 1e-3 * parameters[1]))
-    return tracked_path(fitted, integrator="linear_implicit_bdf2", substeps=4).y.max()
+    return tracked_path(fitted, integrator=pftwin.BDF2(), substeps=4).y.max()
 
 
 worn = jnp.asarray([2.0, 5.0])
@@ -208,7 +208,7 @@ grid = jnp.asarray([(k, y) for k in stiffnesses for y in plays])
 def outcome(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The button's most lateral place [m], and the brace's largest push [N]."""
     fitted = scene.with_effect(Brace(parameters[0], parameters[1]))
-    path = trajectory(fitted, integrator="linear_implicit_bdf2", substeps=4)
+    path = frame_states(fitted, integrator=pftwin.BDF2(), substeps=4)
     seen = observe(fitted, path)
     return seen.center.y.max(), seen.effects["brace"]["push"].max()
 

@@ -18,8 +18,19 @@ if TYPE_CHECKING:
     from pftwin import effects, interchange, mocap, plots, rig, surfaces, viewer
     from pftwin.batch.simulate_batch import simulate_batch
     from pftwin.batch.variants import Variants
+    from pftwin.dynamics.integrators import (
+        ALI3P,
+        BDF2,
+        Diffrax,
+        Integrator,
+        LinearImplicit,
+        Newmark,
+        QuasiStatic,
+        SymplecticEuler,
+    )
     from pftwin.dynamics.simulate import equilibrium, simulate
     from pftwin.dynamics.status import Status
+    from pftwin.dynamics.trajectory import Trajectory, trajectory
     from pftwin.errors import InputError, OutputError, PftwinError
     from pftwin.measured import Measured
     from pftwin.metrics import validate
@@ -35,7 +46,16 @@ imported_at = time()  # [s] since the epoch: source that is newer is not what th
 
 _HOME = {
     "InputError": "errors",
+    "ALI3P": "dynamics.integrators",
+    "BDF2": "dynamics.integrators",
+    "Diffrax": "dynamics.integrators",
+    "Integrator": "dynamics.integrators",
+    "LinearImplicit": "dynamics.integrators",
     "Measured": "measured",
+    "Newmark": "dynamics.integrators",
+    "QuasiStatic": "dynamics.integrators",
+    "SymplecticEuler": "dynamics.integrators",
+    "Trajectory": "dynamics.trajectory",
     "OutputError": "errors",
     "PftwinError": "errors",
     "Result": "result",
@@ -48,18 +68,28 @@ _HOME = {
     "register_effect": "scene_file.registry",
     "simulate": "dynamics.simulate",
     "simulate_batch": "batch.simulate_batch",
+    "trajectory": "dynamics.trajectory",
     "validate": "metrics",
 }
 _PACKAGES = ("effects", "interchange", "mocap", "plots", "rig", "surfaces", "viewer")
 
 __all__ = [
+    "ALI3P",
+    "BDF2",
+    "Diffrax",
     "InputError",
+    "Integrator",
+    "LinearImplicit",
     "Measured",
+    "Newmark",
     "OutputError",
     "PftwinError",
+    "QuasiStatic",
     "Result",
     "Scene",
     "Status",
+    "SymplecticEuler",
+    "Trajectory",
     "Variants",
     "__version__",
     "configure",
@@ -74,6 +104,7 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "surfaces",
+    "trajectory",
     "validate",
     "viewer",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -56,7 +57,7 @@ class Energies:
         return self.total - self.total[0] - self.work + self.heat
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """The patella's motion and forces at the recorded frames. All arrays have the frames' axis, n, in front."""
 
@@ -151,6 +152,37 @@ class Result:
         return self.center[:, 1]
 
     @property
+    def contact_force(self) -> Floats:
+        """On the patella, femur axes (n, 3) [N]; zero in a scene without a contact."""
+        return np.stack([self._of_contact(f"force_{axis}") for axis in "xyz"], axis=1)
+
+    @property
+    def contact_force_medial(self) -> Floats:
+        """Size of the normal force on the medial facet (n,) [N]; zero in a scene without a contact."""
+        return self._of_contact("force_medial")
+
+    @property
+    def contact_force_lateral(self) -> Floats:
+        """Size of the normal force on the lateral facet (n,) [N]; zero in a scene without a contact."""
+        return self._of_contact("force_lateral")
+
+    def _of_contact(self, name: str) -> Floats:
+        return np.zeros(self.times.size) if self.contact is None else self.effects[self.contact][name]
+
+    @property
+    def tensions(self) -> dict[str, Floats]:
+        """Of tendons, strands and muscles, by name (n,) [N]; of a group the sum."""
+        lines = {e.name for e in self.scene.effects if e.line_element() is not None}
+        found = {n: self.effects[n]["tension"] for n in lines if "tension" in self.effects[n]}
+        return {n: t.reshape(self.times.size, -1).sum(axis=1) for n, t in found.items()}
+
+    @property
+    def lengths(self) -> dict[str, Floats]:
+        """Of tendons that report it, by name, (n,) or (n, lines) [m]."""
+        lines = {e.name for e in self.scene.effects if e.line_element() is not None}
+        return {n: self.effects[n]["length"] for n in lines if "length" in self.effects[n]}
+
+    @property
     def status(self) -> Status:
         """All flags that any frame has."""
         return Status(int(np.bitwise_or.reduce(self.flags, initial=0)))
@@ -196,8 +228,22 @@ class Result:
             return None
         return tracking.follow(self.times, self.groove[1], self.knee.flexion, threshold=threshold)
 
+    def __repr__(self) -> str:
+        return f"Result({self._facts()[0]})\n  " + "\n  ".join(self._facts()[1:])
+
+    def _repr_html_(self) -> str:
+        """A small table, for notebooks."""
+        head, *facts = self._facts()
+        rows = (fact.partition(": ") for fact in facts)
+        cells = "".join(f"<tr><td>{escape(a)}</td><td>{escape(b)}</td></tr>" for a, _, b in rows)
+        return f"<table><caption>{escape(head)}</caption>{cells}</table>"
+
     def summary(self) -> str:
         """The main facts in a few lines."""
+        return "\n".join(self._facts())
+
+    def _facts(self) -> list[str]:
+        """One a line; but for the first, what it is about comes before a colon."""
         counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
         marks = [f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n] or ["all frames clean"]
         outcome = self.dislocations()
@@ -213,7 +259,7 @@ class Result:
             lines.append(f"largest constraint drift: {self.constraint_drift:.2g} m")
         if np.isfinite(self.real_time_factor):
             lines.append(f"{self.real_time_factor:.3g} x real time")
-        return "\n".join(lines)
+        return lines
 
     def to_dataset(self) -> Dataset:
         """Everything as an xarray Dataset, with unit and long name on every variable."""

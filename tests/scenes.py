@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State, System
-from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.effects.base import Effect, Ground, Instant, Patella
 from pftwin.effects.contact_law import ContactLaw, Flores
 from pftwin.effects.gravity import Gravity
@@ -116,22 +117,22 @@ def look(position=(0, 0, 0), velocity=(0, 0, 0), orientation: Quaternion | None 
     return Instant(patella, Ground(), Frame.world(), time, step)
 
 
-def march(sys: System, state: State, duration: float, count: int, integrator: str = "linear_implicit") -> State:
+def march(sys: System, state: State, duration: float, count: int, integrator: Integrator = LinearImplicit()) -> State:
     """The state after `count` equal steps over `duration`; one program serves all steps and counts."""
     return _march(sys, state, J(duration / count), J(int(count)), integrator)
 
 
 @eqx.filter_jit
-def _march(sys: System, state: State, step: jax.Array, count: jax.Array, integrator: str) -> State:
-    chosen = integrator_named(integrator)
+def _march(sys: System, state: State, step: jax.Array, count: jax.Array, integrator: Integrator) -> State:
+    chosen = integrator
     state = chosen.begin(sys, state, still_guide(), step)
     return jax.lax.fori_loop(0, count, lambda _, s: chosen.advance(sys, s, still_guide_at, step, None)[0], state)
 
 
 @eqx.filter_jit
-def record(sys: System, state: State, step, count: int, integrator: str = "linear_implicit"):
+def record(sys: System, state: State, step, count: int, integrator: Integrator = LinearImplicit()):
     """States and energy ledger after each of `count` steps."""
-    chosen, zero = integrator_named(integrator), jnp.zeros(())
+    chosen, zero = integrator, jnp.zeros(())
     state = chosen.begin(sys, state, still_guide(), step)
 
     def one(carry, _):
@@ -141,7 +142,7 @@ def record(sys: System, state: State, step, count: int, integrator: str = "linea
     return jax.lax.scan(one, (state, Ledger(zero, zero)), None, length=count)[1]
 
 
-def oscillator_errors(counts, integrator: str) -> tuple[list[float], float]:
+def oscillator_errors(counts, integrator: Integrator) -> tuple[list[float], float]:
     """A mass on a damped tendon, let go above its rest: x = x0 exp(-zeta w t) (cos(...) + ...). Errors of x, and x0."""
     k, c, slack, x0, t = 200.0, 1.2, 0.05, 0.004, 0.35
     hanging = system(gravity(), tendon(k, slack, c))
@@ -215,8 +216,8 @@ def settled(scene: Scene) -> Solution:
 
 @eqx.filter_jit
 def run(scene: Scene, start: Solution, substeps: int = 10):
-    """Trajectory with its ledger, and what it shows, from a known start."""
-    path = trajectory(scene, substeps=substeps, start=start, ledger=True)
+    """FrameStates with its ledger, and what it shows, from a known start."""
+    path = frame_states(scene, substeps=substeps, start=start, ledger=True)
     return path, observe(scene, path)
 
 

@@ -26,7 +26,7 @@ from toy_scene_files import (
 )
 
 import pftwin
-from pftwin.dynamics.trajectory import first_guide
+from pftwin.dynamics.frame_states import first_guide
 from pftwin.effects.base import Patella
 from pftwin.effects.contact_law import Flores
 from pftwin.effects.tendon import Tendon

@@ -13,9 +13,9 @@ from jaxtyping import Array
 
 from pftwin.batches import batched
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.observe import Observation, observe
-from pftwin.dynamics.tracked_path import tracked_path
-from pftwin.dynamics.trajectory import trajectory
+from pftwin.dynamics.frame_states import frame_states
+from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.observe import Observation, observe, tracked_center
 from pftwin.scene import Scene
 
 VARIANTS = 64
@@ -37,14 +37,16 @@ class Programs(NamedTuple):
 
 def programs(scene: Scene, integrator: str) -> Programs:
     """Those of a scene and an integrator."""
+    chosen = integrator_from_text(integrator)
     arrays, fixed = eqx.partition(scene.unnamed(), eqx.is_array)
 
     def run(a: Any, start: Solution, substeps: Array) -> Observation:
         whole = eqx.combine(a, fixed)
-        return observe(whole, trajectory(whole, integrator=integrator, substeps=substeps, start=start))
+        return observe(whole, frame_states(whole, integrator=chosen, substeps=substeps, start=start))
 
     def tracked(whole: Scene, start: Solution, substeps: Array) -> Array:
-        return tracked_path(whole, integrator=integrator, substeps=substeps, start=start).array()
+        states = frame_states(whole, integrator=chosen, substeps=substeps, start=start).states
+        return tracked_center(whole, states).array()
 
     def path(a: Any, start: Solution, substeps: Array) -> Array:
         return tracked(eqx.combine(a, fixed), start, substeps)

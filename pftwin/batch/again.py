@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from pftwin.batch.member import FLAGS, Task, moved, settled, settled_after_relaxing
 from pftwin.batch.spread import Chunk, Spread
-from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit, Newmark
 from pftwin.dynamics.status import Status
 from pftwin.errors import InputError
 
@@ -19,7 +20,7 @@ from pftwin.errors import InputError
 BAD = (Status.STEP_TOO_LONG, Status.NOT_FINITE, Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM)
 WAYS = ("no", "relaxed_start", "smaller_step", "other_integrator", "in_vain")  # `recomputed` counts along these
 SMALLER = 4  # times as many steps
-_OTHERS = ("newmark", "linear_implicit")
+_OTHERS: tuple[Integrator, ...] = (Newmark(), LinearImplicit())
 Found = dict[str, Any]
 
 
@@ -74,17 +75,17 @@ def with_care(spread: Spread, task: Task, rows: Any, found: Found) -> NDArray[np
     return done
 
 
-def _other(task: Task) -> str | None:
+def _other(task: Task) -> Integrator | None:
     """An integrator of another kind for the same motion; None where there is none."""
-    if not integrator_named(task.integrator).inertia:
+    if not task.integrator.inertia:
         return None
-    for name in _OTHERS:
-        if name != task.integrator.partition(":")[0]:
+    for other in _OTHERS:
+        if other.name != task.integrator.name:
             try:
-                integrator_named(name).fits(task.scene.effects)
+                other.refuse_unfit(task.scene.effects)
             except InputError:  # it has no answer for an effect of this scene
                 continue
-            return name
+            return other
     return None
 
 

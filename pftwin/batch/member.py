@@ -11,10 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
+from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import Frame, Observation, observe, observe_on_the_way
 from pftwin.dynamics.relaxation import THROWN, relax
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.errors import InputError
 from pftwin.quantities import bounded_leaves
 from pftwin.rotations import patellar_angles
@@ -31,7 +32,7 @@ class Task(NamedTuple):
     scene: Scene
     change: Callable[[Scene, Any], Scene]
     substeps: Array
-    integrator: str
+    integrator: Integrator
     energy: bool
     courses: bool
     outcome: Outcome | None
@@ -60,7 +61,7 @@ def moved(task: Task, row: Any, start: Solution) -> dict[str, Any]:
     if task.outcome is None:
         seen, status, _ = observe_on_the_way(scene, lambda frame: _Kept.of(scene, frame), **options)
     else:  # which may look at anything
-        whole = observe(scene, trajectory(scene, **options))
+        whole = observe(scene, frame_states(scene, **options))
         seen, status, own = _Kept.of(scene, whole), whole.status, task.outcome(scene, whole)
         if not isinstance(own, dict):
             kind = type(own).__name__

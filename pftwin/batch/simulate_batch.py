@@ -16,9 +16,11 @@ from pftwin.batch.outcomes import check_outcomes
 from pftwin.batch.plan import Plan
 from pftwin.batch.spread import Spread, piece_for
 from pftwin.batch.variants import Group, Variants, groups_of
-from pftwin.dynamics.integrators import integrator_named
-from pftwin.dynamics.simulate import ECONOMICAL, simulate
-from pftwin.dynamics.trajectory import substeps_for
+from pftwin.dynamics.frame_states import substeps_for
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import BDF2, LinearImplicit
+from pftwin.dynamics.simulate import simulate
+from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 
@@ -35,7 +37,7 @@ def simulate_batch(
     *,
     devices: Devices = "all",
     chunk: int | None = None,
-    integrator: str | None = None,
+    integrator: Integrator | None = None,
     dt: float | None = None,
     tolerance: str | float | None = None,
     outcome: Outcome | None = None,
@@ -90,22 +92,22 @@ def simulate_batch(
         raise InputError("found both dt and tolerance", where="simulate_batch", expected="one of them")
     _check_share(parts, share)
     groups = groups_of(scenes)
-    name = integrator or ("linear_implicit" if tolerance is None else ECONOMICAL)
+    chosen = checked_integrator(integrator or (LinearImplicit() if tolerance is None else BDF2()), "simulate_batch")
     for group in groups:
-        integrator_named(name).fits(group.scene.effects)
+        chosen.refuse_unfit(group.scene.effects)
     courses = _with_courses(groups, trajectories)
     total = sum(len(g.places) for g in groups)
     piece = piece_for(total, found_devices[0].platform)
     spread = Spread(found_devices, piece, chunk or _PIECES * piece * len(found_devices))
     threads = feeding_threads(devices)
-    substeps = [_substeps(group, name, dt, tolerance) for group in groups]
+    substeps = [_substeps(group, chosen, dt, tolerance) for group in groups]
     tasks = [
-        Task(g.scene, g.change, jnp.asarray(n), name, bool(energy_budget), courses, outcome)
+        Task(g.scene, g.change, jnp.asarray(n), chosen, bool(energy_budget), courses, outcome)
         for g, n in zip(groups, substeps, strict=True)
     ]
     check_outcomes(tasks, [g.rows for g in groups])
     dt_s = max(float(g.scene.motion.frame_interval) / n for g, n in zip(groups, substeps, strict=True))
-    settings = {"integrator": name, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
+    settings = {"integrator": chosen.text, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
     values = scenes.values if isinstance(scenes, Variants) else None
     plan = Plan(groups, tasks, values, settings, care, spread, threads)
     if parts is None:
@@ -156,7 +158,7 @@ def _check_share(parts: Any, share: Any) -> None:
         raise InputError(f"{processes} JAX processes share by themselves", where="share", remedy="leave it out")
 
 
-def _substeps(group: Group, integrator: str, dt: float | None, tolerance: str | float | None) -> int:
+def _substeps(group: Group, integrator: Integrator, dt: float | None, tolerance: str | float | None) -> int:
     if tolerance is None:
         return substeps_for(group.scene.motion.frame_interval, 1e-3 if dt is None else dt)
     first = simulate(group.scene, integrator=integrator, tolerance=tolerance)

@@ -24,9 +24,9 @@ from pftwin.batch.member import Task, moved, settled
 from pftwin.batch.spread import Spread, piece_for
 from pftwin.benchmarks.batches import SETTINGS, amounts, transferred
 from pftwin.benchmarks.row import Row
+from pftwin.dynamics.frame_states import frame_states, starting_state, substeps_for
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.state import Guide
-from pftwin.dynamics.trajectory import starting_state, substeps_for, trajectory
 from pftwin.scene import Scene
 
 SIZES, QUICK_SIZES = (1, 16, 128, 1_024, 10_000, 100_000, 1_000_000), (1, 16)
@@ -81,7 +81,7 @@ def _task(scene: Scene) -> Task:
 
 def _stepped(task: Task, row: Any, start: Any) -> Any:
     """The motion alone, of which nothing is looked at but where it ends."""
-    path = trajectory(
+    path = frame_states(
         task.change(task.scene, row), integrator=task.integrator, substeps=task.substeps, start=start, ledger=False
     )
     return path.states.position.x[-1]

@@ -7,8 +7,8 @@ import numpy as np
 
 from pftwin.benchmarks.problem import compiled
 from pftwin.benchmarks.row import Row
+from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.tracked_path import tracked_path
-from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.scene import Scene
 
 SUBSTEPS = (50, 20, 10, 8, 6, 5, 4, 3, 2, 1)  # of 10 ms frames: from 0.2 to 10 ms

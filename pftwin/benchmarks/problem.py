@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.dynamics.trajectory import starting_equilibrium
+from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.effects.tendon import Tendon
 from pftwin.scene import Scene
 

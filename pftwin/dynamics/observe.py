@@ -11,12 +11,13 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.frame_states import FrameStates, watched
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import map_rows
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.status import status_of_all, status_of_frame
-from pftwin.dynamics.trajectory import Trajectory, watched
 from pftwin.effects.base import Instant
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
@@ -45,16 +46,16 @@ class Frame(NamedTuple):
     status: Array  # () int, but for what only the whole motion tells
 
 
-def observe(scene: Scene, path: Trajectory) -> Observation:
+def observe(scene: Scene, path: FrameStates) -> Observation:
     """Looks at every recorded frame. Pure: jit and vmap apply."""
-    chosen = integrator_named(path.integrator)
+    chosen = path.integrator
     look, guides = _look(scene, path.integrator)
     # A loop, which is the same program as one frame's and so is compiled as quickly.
     seen = map_rows(lambda at: look(at[0], at[1], path.step), (path.states, guides))
     energies = None
     if path.ledger is not None:
         energies = seen.kinetic_energy, seen.potential_energy, path.ledger.work
-    flags = status_of_all(seen.status, path.start, energies, path.step, chosen.snaps(path.states))
+    flags = status_of_all(seen.status, path.start, energies, path.step, chosen.diagnostics(path.states).snaps)
     return Observation(
         seen.patella,
         seen.center,
@@ -62,7 +63,7 @@ def observe(scene: Scene, path: Trajectory) -> Observation:
         seen.kinetic_energy,
         seen.potential_energy,
         flags,
-        chosen.drift(path.states),
+        chosen.diagnostics(path.states).drift,
     )
 
 
@@ -70,7 +71,7 @@ def observe_on_the_way(
     scene: Scene,
     kept: Callable[[Frame], Any],
     *,
-    integrator: str = "linear_implicit",
+    integrator: Integrator = LinearImplicit(),
     substeps: int | Scalar = 10,
     start: Solution | None = None,
     ledger: bool = False,
@@ -78,20 +79,20 @@ def observe_on_the_way(
     """Simulates, and keeps a part of what `observe` would show. Pure: jit and vmap apply; half a batch's time is saved.
 
     Args:
-        scene: as in `trajectory`, and so the options.
+        scene: as in `frame_states`, and so the options.
         kept: from a frame to what is wanted of it, a tree of arrays.
 
     Returns:
         What is kept (n_frames, ...), the status (n_frames,), and the equilibrium at the start.
     """
-    chosen = integrator_named(integrator)
+    chosen = integrator
     look, guides = _look(scene, integrator)
     step = scene.motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
 
     def at(state: State, books: Ledger | None, index: Scalar) -> tuple[Any, Array, Any, Any]:
         seen = look(state, jax.tree.map(lambda a: a[index], guides), step)
         energies = None if books is None else (seen.kinetic_energy, seen.potential_energy, books.work)
-        return kept(seen), seen.status, energies, chosen.snaps(state)
+        return kept(seen), seen.status, energies, chosen.diagnostics(state).snaps
 
     (found, status, energies, snaps), start, step = watched(
         scene, at, integrator=integrator, substeps=substeps, start=start, ledger=ledger
@@ -108,9 +109,19 @@ def placed(scene: Scene, state: State, guide: Guide) -> tuple[Instant, Pose, Vec
     return now, Pose(origin, relative), origin + relative.rotate(scene.tracked_point())
 
 
-def _look(scene: Scene, integrator: str) -> tuple[Callable[[State, Guide, Scalar], Frame], Guide]:
+def tracked_center(scene: Scene, states: State) -> Vec3:
+    """The button's centre (without a contact: the patella's origin) in the femur's frame, at the recorded frames [m].
+
+    What a path alone needs: none of the rest that `observe` shows is computed.
+    """
+    center = states.position + states.orientation.rotate(scene.tracked_point() - scene.patella.center_of_mass)
+    femur = scene.motion.femur
+    return center if femur is None else femur.frames(scene.motion.frame_times()).to_local(center)
+
+
+def _look(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], Frame], Guide]:
     """What shows a frame, from the state, the guided bodies and the step; and those bodies at all frames."""
-    system, chosen = scene.system(), integrator_named(integrator)
+    system = scene.system()
     # Clear of the frames' rounding: the last frame is asked for itself.
     times = scene.motion.frame_times()
 
@@ -119,7 +130,7 @@ def _look(scene: Scene, integrator: str) -> tuple[Callable[[State, Guide, Scalar
         reports = {e.name: e.report(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
         seen = {name: shown for name, (shown, _) in reports.items()}
         stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}
-        status = status_of_frame(scene, seen, state, step, chosen.unsettled(state))
+        status = status_of_frame(scene, seen, state, step, chosen.diagnostics(state).residual)
         kinetic = system.kinetic_energy(state) if chosen.inertia else jnp.zeros_like(step)
         return Frame(patella, center, seen, kinetic, stored, status)
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.dynamics.linear_implicit import linear_implicit
+from pftwin.dynamics.integrators.linear_implicit import LinearImplicit
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.dynamics.static_load import LEVER
 from pftwin.effects.damping import LinearDamping
@@ -35,7 +35,11 @@ def relax(system: System, guide: Guide, pose: Pose) -> Pose:
     damped = _damped(system)
     state = damped.start(pose, guide)
     step = jnp.asarray(STEP, dtype=pose.position.x.dtype)
-    state = jax.lax.fori_loop(0, STEPS, lambda _, s: linear_implicit(damped, s, lambda _: guide, step)[0], state)
+
+    def one_step(_: Scalar, state: State) -> State:
+        return LinearImplicit().advance(damped, state, lambda _: guide, step)[0]
+
+    state = jax.lax.fori_loop(0, STEPS, one_step, state)
     return Pose(state.position, state.orientation)
 
 
@@ -61,7 +65,7 @@ def come_to_rest(system: System, state: State, guide: Guide, moves: Scalar) -> S
     at_rest = eqx.tree_at(lambda s: (s.velocity, s.spin, s.memories), state, (zero, zero, memories))
 
     def one_step(now: tuple[State, Scalar, Scalar]) -> tuple[State, Scalar, Scalar]:
-        after, _ = linear_implicit(damped, now[0], lambda _: guide, step)
+        after, _ = LinearImplicit().advance(damped, now[0], lambda _: guide, step)
         faster = (after.velocity - now[0].velocity).norm() + LEVER * (after.spin - now[0].spin).norm()
         speed = after.velocity.norm() + LEVER * after.spin.norm() + faster
         return after, now[1] + 1, (speed > QUIET) | (now[1] < AWAY)

@@ -7,24 +7,28 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array
 
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
-from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.frame_states import (
+    first_guide,
+    frame_states,
+    start_before_search,
+    starting_equilibrium,
+    substeps_for,
+)
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import BDF2, LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax, thrown
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Path, coarsest, settings_of, tolerance_in_metres
-from pftwin.dynamics.trajectory import (
-    first_guide,
-    start_before_search,
-    starting_equilibrium,
-    substeps_for,
-    trajectory,
-)
+from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.errors import InputError
 from pftwin.kept.environment import settings as jax_settings
 from pftwin.kept.program import Program, Timed
@@ -49,9 +53,9 @@ def _relaxed(scene: Scene) -> Pose:
 
 @Program
 def _run(
-    scene: Scene, start: Solution, integrator: str, substeps: int | Array, energy: bool
+    scene: Scene, start: Solution, integrator: Integrator, substeps: int | Array, energy: bool
 ) -> tuple[Observation, Ledger | None]:
-    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy)
+    path = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy)
     return observe(scene, path), path.ledger
 
 
@@ -79,7 +83,7 @@ def _converged(solution: Solution) -> bool:
     return bool(np.asarray(solution.residual) < tolerance_on_host(solution))
 
 
-def _compiled_side_by_side(scene: Scene, integrator: str, substeps: int, energy: bool) -> float:
+def _compiled_side_by_side(scene: Scene, integrator: Integrator, substeps: int, energy: bool) -> float:
     """Where both programs have to be compiled, does it on two cores at once; the seconds that it took."""
     began = time.perf_counter()
     if _solve.at_hand(scene):
@@ -99,7 +103,7 @@ def _compiled_side_by_side(scene: Scene, integrator: str, substeps: int, energy:
 def simulate(
     scene: Scene,
     *,
-    integrator: str | None = None,
+    integrator: Integrator | None = None,
     dt: float | None = None,
     tolerance: str | float | None = None,
     energy_budget: bool = True,
@@ -108,54 +112,71 @@ def simulate(
 
     Args:
         scene: what is there.
-        integrator: "linear_implicit" (default); "linear_implicit_bdf2", of second order at the same cost (default with
-            a tolerance); "newmark", iterated, with options as in "newmark:rho=0.8"; "quasi_static", without inertia;
-            "ali3p", the paper's formulation in natural coordinates; "symplectic_euler", explicit;
-            "diffrax:Tsit5" and the like.
+        integrator: `pftwin.LinearImplicit()` (default); `BDF2()`, of second order at the same cost (default with a
+            tolerance); `Newmark()`, iterated, with options as in `Newmark(rho=0.8)`; `QuasiStatic()`, without inertia;
+            `ALI3P()`, the paper's formulation in natural coordinates; `SymplecticEuler()`, explicit;
+            `Diffrax("Tsit5")` and the like.
         dt: longest step [s], 1e-3 by default; the step used is the largest that divides the interval between frames.
         tolerance: instead of `dt`, how far off the path may be, such as "0.05 mm": see `pftwin.dynamics.tolerance`. The
             result's settings say which step was chosen and what error is left by estimate.
         energy_budget: keep account of work and heat at every step.
 
     Raises:
-        InputError: a parameter of the scene, the step or the integrator that cannot give a right answer.
+        InputError: a parameter of the scene, the step or the integrator that cannot give a right answer; a scene that
+            is traced, by jit, grad or vmap.
     """
+    refuse_traced(scene, "simulate", "trajectory")
     check(scene)
     if tolerance is not None:
         if dt is not None:
             raise InputError("found both dt and tolerance", where="simulate", expected="one of them")
-        return _within(scene, tolerance_in_metres(tolerance), integrator or ECONOMICAL, bool(energy_budget))
-    name = integrator or "linear_implicit"
-    integrator_named(name).fits(scene.effects)
+        return _within(scene, tolerance_in_metres(tolerance), integrator or BDF2(), bool(energy_budget))
+    chosen = checked_integrator(integrator or LinearImplicit(), "simulate")
+    chosen.refuse_unfit(scene.effects)
     substeps = substeps_for(scene.motion.frame_interval, 1e-3 if dt is None else dt)
     plain = scene.unnamed()
-    ahead = _compiled_side_by_side(plain, name, substeps, bool(energy_budget))
+    ahead = _compiled_side_by_side(plain, chosen, substeps, bool(energy_budget))
     start, relaxed = settle(plain)
-    ran = _run.timed(plain, start.answer, name, substeps, bool(energy_budget))
-    return _result(scene, start, relaxed, ran, ahead, {"integrator": name, **_step(scene, substeps)})
+    ran = _run.timed(plain, start.answer, chosen, substeps, bool(energy_budget))
+    return _result(scene, start, relaxed, ran, ahead, {"integrator": chosen.text, **_step(scene, substeps)})
 
 
-ECONOMICAL = "linear_implicit_bdf2"  # least work for an error between 0.3 and 0.0001 mm: docs/accuracy.md
+def refuse_traced(scene: Scene, verb: str, pure: str) -> None:
+    """Refuses a scene within a transformation, before anything is compiled.
+
+    Raises:
+        InputError: some number of the scene is traced.
+    """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
+        raise InputError(
+            "a scene inside jit, grad, vmap or another transformation of JAX",
+            where=verb,
+            expected="a scene of plain numbers",
+            remedy=f"pftwin.{pure}(scene), which is pure",
+        )
 
 
-def _within(scene: Scene, tolerance: float, name: str, energy: bool) -> Result:
-    """With the longest steps that hold a tolerance; one program serves all of them."""
-    chosen = integrator_named(name)
-    chosen.fits(scene.effects)
+def _within(scene: Scene, tolerance: float, integrator: Integrator, energy: bool) -> Result:
+    """With the longest steps that hold a tolerance; one program serves all of them.
+
+    By default those of BDF2: least work for an error between 0.3 and 0.0001 mm (docs/accuracy.md).
+    """
+    chosen = checked_integrator(integrator, "simulate")
+    chosen.refuse_unfit(scene.effects)
     plain = scene.unnamed()
     start, relaxed = settle(plain)
     spent = 0.0
 
     def run(n: int) -> tuple[Timed, Path, bool]:
         nonlocal spent
-        ran = _run.timed(plain, start.answer, name, jnp.asarray(n), energy)
+        ran = _run.timed(plain, start.answer, chosen, jnp.asarray(n), energy)
         spent += ran.preparation
         seen: Observation = ran.answer[0]
         center, turn = (np.stack([np.asarray(a, float) for a in leaves], axis=-1) for leaves in _leaves(seen))
         return ran, Path(center, turn), not (np.asarray(seen.status) & int(Status.STEP_TOO_LONG)).any()
 
     choice = coarsest(run, chosen.order, tolerance)
-    settings = {"integrator": name, **_step(scene, choice.substeps), **settings_of(choice, tolerance)}
+    settings = {"integrator": chosen.text, **_step(scene, choice.substeps), **settings_of(choice, tolerance)}
     return _result(scene, start, relaxed, choice.run._replace(preparation=spent), 0.0, settings)
 
 
@@ -192,6 +213,7 @@ def equilibrium(scene: Scene) -> EquilibriumReport:
     """
     from pftwin.equilibrium_report import EquilibriumReport
 
+    refuse_traced(scene, "equilibrium", "trajectory")
     check(scene)
     solution, relaxed = settle(scene.unnamed())
     return EquilibriumReport.build(scene, solution.answer, relaxed)

@@ -120,7 +120,7 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
 
 
 def status_of_frame(
-    scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar, unsettled: Scalar | None
+    scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar, residual: Scalar | None
 ) -> Array:
     """What a frame tells by itself: () int, bits of `Status`.
 
@@ -129,11 +129,11 @@ def status_of_frame(
         seen: their reports, by name.
         state: of the patella.
         step: [s].
-        unsettled: what is left of the step's equations, where the integrator tells.
+        residual: what is left of the step's equations, where the integrator tells.
     """
     too_long = step * state.spin.norm() > MOST_TURN
-    if unsettled is not None:
-        too_long = too_long | (unsettled > 0)
+    if residual is not None:
+        too_long = too_long | (residual > 0)
     flags = jnp.where(too_long, int(Status.STEP_TOO_LONG), 0)
     for effect in scene.effects:
         report = seen[effect.name]

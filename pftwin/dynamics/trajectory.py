@@ -1,216 +1,175 @@
-"""From a scene to the patella's path: one pure function, to be jitted, vmapped and differentiated."""
+"""`trajectory`: the patella's motion and forces as a pure function of a scene, to be jitted, mapped and differentiated.
+
+path = pftwin.trajectory(scene, integrator=pftwin.BDF2(), dt=5e-3)
+jax.grad(lambda s: pftwin.trajectory(s).contact_force.norm().max())(scene)
+jax.vmap(lambda k: pftwin.trajectory(scene.set("quadriceps.stiffness", k)).shift.max())(stiffnesses)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.dynamics.equilibrium import Solution, solve_equilibrium, unsolved
-from pftwin.dynamics.integrators import integrator_named
-from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.packing import Layout
-from pftwin.dynamics.state import Guide, State, System
+from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.frame_states import frame_states, starting_equilibrium, substeps_for
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.observe import observe
 from pftwin.errors import InputError
+from pftwin.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
 from pftwin.scene import Scene
-from pftwin.spatial import Pose, Scalar
+from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
 
-Carry = tuple[State, Ledger | None]
+DEFAULT_STEP = 1e-3  # [s]
 
 
 class Trajectory(eqx.Module):
-    """The patella at the recorded frames (leading axis n_frames)."""
+    """A motion at the recorded frames: arrays with the frames' axis, n, in front. `units` has the unit of each field.
 
-    states: State
-    ledger: Ledger | None
-    start: Solution  # the equilibrium it started from
-    step: Scalar  # [s]
-    integrator: str = eqx.field(static=True, default="linear_implicit")  # which knows what the states carry
-
-
-def substeps_for(interval: float, dt: float) -> int:
-    """How many equal steps, none longer than dt, make up the interval between two frames.
-
-    Raises:
-        InputError: a step that is not a positive number.
+    Places and forces are in the femur's frame: x proximal, y lateral, z anterior.
     """
-    if not dt > 0:
-        raise InputError(f"found {dt!r}", where="dt", expected="a positive number of seconds")
-    return max(1, -int(-(interval / dt - 1e-9) // 1))
 
+    times: Scalar  # (n,)
+    center: Vec3  # of the button's sphere; in a scene without contact the patella's origin
+    patella: Pose  # the patella's frame in the femur's
+    knee: TibiofemoralAngles  # of the tibia in the femur
+    effects: dict[str, dict[str, Array]]  # all that effects report, by effect and observable
+    contact_force: Vec3  # on the patella; zero without a contact
+    contact_force_medial: Scalar  # size on each facet; zero without a contact
+    contact_force_lateral: Scalar
+    tensions: dict[str, Array]  # of tendons, strands and muscles, by name; of a group the sum
+    lengths: dict[str, Array]  # of those that report it
+    kinetic_energy: Scalar
+    stored_energy: dict[str, Scalar]  # by effect
+    work: Scalar | None  # put in by guided bodies and known pulls since the start; None where no account was kept
+    heat: Scalar | None  # taken out by damping since the start
+    flags: Array  # (n,) int, bits of `pftwin.Status`: 0 is a frame that may be trusted
+    start_residual: Scalar  # () of the equilibrium at the start
+    units: ClassVar[dict[str, str]] = {
+        "times": "s",
+        "center": "m",
+        "position": "m",
+        "angles": "rad",
+        "knee": "rad",
+        "shift": "m",
+        "contact_force": "N",
+        "contact_force_medial": "N",
+        "contact_force_lateral": "N",
+        "tensions": "N",
+        "lengths": "m",
+        "kinetic_energy": "J",
+        "stored_energy": "J",
+        "work": "J",
+        "heat": "J",
+        "start_residual": "N",
+    }
 
-def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
-    """The equilibrium at the first frame, from the scene's own start pose or another pose of the patella's frame."""
-    pose = scene.center_of_mass_pose() if guess is None else _of_center(scene, guess)
-    return solve_equilibrium(scene.system(), first_guide(scene), pose)
+    @property
+    def position(self) -> Vec3:
+        """The patella's origin (n,)."""
+        return self.patella.position
 
+    @property
+    def angles(self) -> PatellarAngles:
+        """Flexion, rotation (internal positive) and tilt (lateral positive) of the patella in the femur, (n,)."""
+        return patellar_angles(self.patella.orientation)
 
-def start_before_search(scene: Scene) -> Solution:
-    """Of the same structure as `starting_equilibrium`'s answer, at no cost."""
-    return unsolved(scene.system(), first_guide(scene), scene.center_of_mass_pose())
-
-
-def _of_center(scene: Scene, pose: Pose) -> Pose:
-    return Pose(pose.apply(scene.patella.center_of_mass), pose.orientation)
-
-
-def first_guide(scene: Scene) -> Guide:
-    """The guided bodies at the first frame, standing still."""
-    return Guide.sample(scene.motion, jnp.asarray(scene.motion.start_time, dtype=float)).slowed(0.0)
-
-
-def starting_state(scene: Scene, start: Solution) -> State:
-    """At rest on the femur: one that moves at the first frame already carries the patella along, not runs into it."""
-    state = scene.system().at_rest(start.pose, start.memories)
-    if scene.motion.femur is None:
-        return state
-    femur = scene.motion.femur.frames(jnp.asarray(scene.motion.start_time, dtype=float))
-    motion = femur.velocity_at(state.position), state.orientation.unrotate(femur.angular_velocity)
-    return eqx.tree_at(lambda s: (s.velocity, s.spin), state, motion)
-
-
-def _parts(now: Carry) -> tuple[Any, Any]:
-    """What is stored of a frame, as two rows: a batch of which poses alone are asked for never makes the other."""
-    state, books = now
-    return (state.position, state.orientation), (state.velocity, state.spin, state.memories, state.carried, books)
-
-
-def _whole(pose: Any, rest: Any) -> Carry:
-    """The inverse of `_parts`."""
-    return State(*pose, *rest[:4]), rest[4]
+    @property
+    def shift(self) -> Scalar:
+        """Medial-lateral place of the button's centre, lateral positive (n,)."""
+        return self.center.y
 
 
 def trajectory(
     scene: Scene,
     *,
-    integrator: str = "linear_implicit",
-    substeps: int | Scalar = 10,
+    integrator: Integrator | None = None,
+    dt: float = DEFAULT_STEP,
     start: Solution | None = None,
-    ledger: bool = False,
+    energy_budget: bool = False,
 ) -> Trajectory:
-    """The patella's path through the recorded frames, from static equilibrium.
+    """The patella's motion and forces through the recorded frames, from static equilibrium. Pure.
+
+    `jax.jit`, `vmap`, `jvp`, `grad` and the like apply to every number of the scene. Where none is traced the program
+    is compiled once for scenes of one structure. Unlike `pftwin.simulate` it does not check the scene, nor try harder
+    where the search for the equilibrium fails: see `flags`.
 
     Args:
-        scene: any leaf of it may be traced.
-        integrator: a name, with options: see `pftwin.dynamics.integrators`.
-        substeps: steps between two recorded frames. A traced number is not part of the program, but there is no reverse
-            mode by it; 0 stays in the equilibrium.
-        start: an equilibrium to start from; by default it is solved for.
-        ledger: whether to keep the energy ledger.
+        scene: any number of it may be traced.
+        integrator: `pftwin.LinearImplicit()` by default; see `pftwin.Integrator`.
+        dt: longest step [s]; the step used is the largest that divides the interval between frames.
+        start: an equilibrium to start from; by default it is solved for, and derivatives go through it.
+        energy_budget: keep account of work and heat at every step.
 
     Raises:
-        InputError: no such integrator, or an effect that it has no answer for.
-
-    Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
+        InputError: a step that is not positive, something that is no integrator, or an effect that the integrator has
+            no answer for.
     """
-    run = _run(scene, integrator, substeps, start, ledger)
-
-    def one_frame(now: Carry, index: Scalar) -> tuple[Carry, tuple[Array, Array]]:
-        now = run.next_frame(now, index)
-        return now, run.rows_of(now)
-
-    _, rows = jax.lax.scan(one_frame, run.carry, jnp.arange(scene.motion.n_frames - 1))
-    later = run.whole(rows)
-    states, books = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), run.carry, later)
-    return Trajectory(states, books, run.start, run.step, integrator)
+    chosen = LinearImplicit() if integrator is None else checked_integrator(integrator, "trajectory")
+    substeps = substeps_for(scene.motion.frame_interval, dt)
+    return _computed(scene.unnamed(), start, chosen, substeps, energy_budget)
 
 
-def watched(
-    scene: Scene,
-    look: Callable[[State, Ledger | None, Scalar], Any],
-    *,
-    integrator: str = "linear_implicit",
-    substeps: int | Scalar = 10,
-    start: Solution | None = None,
-    ledger: bool = False,
-) -> tuple[Any, Solution, Scalar]:
-    """What a look shows of every recorded frame, taken while the motion goes on: no states are kept.
+def checked_integrator(given: object, where: str) -> Integrator:
+    """What was given, if it is an integrator.
 
-    A batch stores a tenth as much so, and takes half the time, where looks are short. The rest is as in `trajectory`.
-
-    Args:
-        look: a pure function of the state, the ledger and the frame's number, to a tree of arrays.
-
-    Returns:
-        What it shows (n_frames, ...), the equilibrium at the start, and the step [s].
+    Raises:
+        InputError: something else; for a name that the command line would take, the object is named.
     """
-    run, n = _run(scene, integrator, substeps, start, ledger), scene.motion.n_frames
-    layout = Layout.of(look, *run.carry, jnp.zeros((), int))
+    if isinstance(given, Integrator):
+        return given
+    remedy = None
+    if isinstance(given, str):
+        from pftwin.dynamics.integrators import integrator_from_text
 
-    def one_frame(now: Carry, index: Scalar) -> tuple[Carry, Array]:
-        # One look in the program, before the step; the last step leads nowhere.
-        return run.next_frame(now, jnp.minimum(index, n - 2)), layout.row(look(*now, index))
-
-    _, rows = jax.lax.scan(one_frame, run.carry, jnp.arange(n))
-    return layout.unpacked(rows), run.start, run.step
-
-
-class _Run(NamedTuple):
-    """A motion that is ready to go on from frame to frame."""
-
-    carry: Carry
-    start: Solution
-    step: Scalar
-    next_frame: Callable[[Carry, Scalar], Carry]  # from a frame and its number
-    rows_of: Callable[[Carry], tuple[Array, Array]]  # what is stored of a frame
-    whole: Callable[[tuple[Array, Array]], Carry]  # and back, from rows of all frames
+        remedy = f"pftwin.{integrator_from_text(given)!r}"
+    expected = "an integrator, such as pftwin.BDF2()"
+    raise InputError(f"found {given!r}", where=f"{where}: integrator", expected=expected, remedy=remedy)
 
 
-def _run(scene: Scene, integrator: str, substeps: int | Scalar, start: Solution | None, ledger: bool) -> _Run:
-    chosen = integrator_named(integrator)
-    chosen.fits(scene.effects)
-    system = scene.system()
-    if start is None:
-        start = starting_equilibrium(scene)
-    motion = scene.motion
-    step = motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
-    first = Guide.sample(motion, jnp.asarray(motion.start_time, dtype=float))
-    state = chosen.begin(system, starting_state(scene, start), first, step)
-    carry: Carry = (state, Ledger(jnp.zeros_like(step), jnp.zeros_like(step)) if ledger else None)
-
-    @partial(jax.checkpoint, prevent_cse=False)
-    def from_rows(pose: Array, rest: Array, index: Scalar) -> Carry:
-        now = jax.tree.map(lambda a: a[0], whole((pose[None], rest[None])))
-        piece = motion.between_frames(index)
-        began = motion.start_time + motion.frame_interval * index.astype(float)
-
-        @partial(jax.checkpoint, prevent_cse=False)
-        def one_step(k: Scalar, now: Carry) -> Carry:
-            def guide_at(part: float | Scalar) -> Guide:
-                return Guide.sample(piece, began + step * (jnp.asarray(k).astype(float) + part))
-
-            after, books = chosen.advance(system, now[0], guide_at, step, now[1])
-            return chosen.at_worst(after, now[0]), books
-
-        return jax.lax.fori_loop(0, substeps, one_step, (chosen.settled(now[0]), now[1]))
-
-    def next_frame(now: Carry, index: Scalar) -> Carry:
-        return from_rows(*rows_of(now), index)
-
-    def rows_of(now: Carry) -> tuple[Array, Array]:
-        pose, rest = _parts(now)
-        return poses.row(pose), others.row(rest)
-
-    def whole(rows: tuple[Array, Array]) -> Carry:
-        return _whole(poses.unpacked(rows[0]), others.unpacked(rows[1]))
-
-    poses, others = (Layout.of(lambda i=i: _parts(carry)[i]) for i in (0, 1))
-    return _Run(carry, start, step, next_frame, rows_of, whole)
+@eqx.filter_jit
+def _computed(
+    scene: Scene, start: Solution | None, integrator: Integrator, substeps: int, energy_budget: bool
+) -> Trajectory:
+    start = starting_equilibrium(scene) if start is None else start
+    states = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy_budget)
+    seen = observe(scene, states)
+    times, contact = scene.motion.frame_times(), scene.contact
+    nothing = jnp.zeros_like(seen.center.x)
+    report = {} if contact is None else seen.effects[contact.name]
+    lines = [e.name for e in scene.effects if e.line_element() is not None]
+    return Trajectory(
+        times=times,
+        center=seen.center,
+        patella=seen.patella,
+        knee=knee_angles(scene),
+        effects=seen.effects,
+        contact_force=Vec3(*(report.get(f"force_{axis}", nothing) for axis in "xyz")),
+        contact_force_medial=report.get("force_medial", nothing),
+        contact_force_lateral=report.get("force_lateral", nothing),
+        tensions={n: _summed(seen.effects[n]["tension"]) for n in lines if "tension" in seen.effects[n]},
+        lengths={n: seen.effects[n]["length"] for n in lines if "length" in seen.effects[n]},
+        kinetic_energy=seen.kinetic_energy,
+        stored_energy=seen.potential_energy,
+        work=None if states.ledger is None else states.ledger.work,
+        heat=None if states.ledger is None else states.ledger.heat,
+        flags=seen.status,
+        start_residual=start.residual,
+    )
 
 
-__all__ = [
-    "System",
-    "Trajectory",
-    "first_guide",
-    "start_before_search",
-    "starting_equilibrium",
-    "starting_state",
-    "substeps_for",
-    "trajectory",
-    "watched",
-]
+def _summed(tension: Array) -> Array:
+    """(n,) from (n,) or (n, lines)."""
+    return tension.reshape(len(tension), -1).sum(axis=1)
+
+
+def knee_angles(scene: Scene) -> TibiofemoralAngles:
+    """Of the tibia in the femur at the recorded frames, (n,) [rad]. Pure."""
+    femur, tibia = scene.motion.frames(scene.motion.frame_times())
+    turn = Quaternion.from_rotation(tibia.rotation)
+    if femur is not None:
+        turn = Quaternion.from_rotation(femur.rotation).conjugate() * turn
+    return tibiofemoral_angles(turn)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.dynamics.trajectory import substeps_for
+from pftwin.dynamics.frame_states import substeps_for
 from pftwin.errors import InputError
 from pftwin.hard_cases.case import Case
 from pftwin.hard_cases.contacts import contact_on

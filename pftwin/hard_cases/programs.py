@@ -16,12 +16,12 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.state import State
 from pftwin.dynamics.static_load import still
-from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.effects.base import Effect
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.hard_cases.nearest import depth_everywhere
@@ -119,7 +119,7 @@ def relaxed(scene: Scene) -> Pose:
 def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: str) -> Run:
     """A simulation with its ledger, and all that is looked at."""
     changed = varied(scene, p)
-    path = trajectory(changed, integrator=integrator, substeps=substeps, start=start, ledger=True)
+    path = frame_states(changed, integrator=integrator, substeps=substeps, start=start, ledger=True)
     assert path.ledger is not None
     return Run(path.states, observe(changed, path), path.ledger)
 
@@ -134,7 +134,7 @@ def slopes(scene: Scene, start: Solution, substeps: Array, integrator: str) -> A
     """(n, 7, 4): derivatives of the frames' poses by `PARAMETERS`, from a start that stays."""
 
     def path(p: Array) -> Array:
-        return poses(trajectory(varied(scene, p), integrator=integrator, substeps=substeps, start=start).states)
+        return poses(frame_states(varied(scene, p), integrator=integrator, substeps=substeps, start=start).states)
 
     return _columns(path)
 

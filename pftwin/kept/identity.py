@@ -6,6 +6,7 @@ apart is refused, and then nothing is kept.
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import hashlib
 import sys
@@ -86,6 +87,9 @@ def value_text(value: Any) -> str:
         return f"dict {{{', '.join(f'{value_text(k)}: {value_text(v)}' for k, v in value.items())}}}"
     if kind in (set, frozenset):
         return f"{kind.__name__} {{{', '.join(sorted(value_text(v) for v in value))}}}"
+    if dataclasses.is_dataclass(kind) and root(kind.__module__) == "pftwin":
+        fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(kind)}
+        return f"{type_text(kind)} {value_text(fields)}"
     if root(kind.__module__) == "equinox" and repr(value) == "Missing":  # a static field without a value
         return "Missing"
     raise CannotKeepError(f"no text for a {kind.__module__}.{kind.__qualname__}")

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.dynamics.equilibrium import solve_equilibrium
+from pftwin.dynamics.frame_states import FrameStates, first_guide
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State, System, gyroscopic
-from pftwin.dynamics.trajectory import Trajectory, first_guide
 from pftwin.effects.base import Effect, Instant, Load, applied_at
 from pftwin.effects.contact_law import HuntCrossley
 from pftwin.effects.damping import LinearDamping
@@ -158,7 +158,7 @@ def run_plant(case: int) -> tuple[Scene, dict[str, NDArray], int]:
     """The truth of a case at the rig's frames: patella pose in the femur, three forces; and the steps taken."""
     scene = plant_scene(case)
     states, start, steps = _integrate(scene)
-    seen = eqx.filter_jit(observe)(scene, Trajectory(states, None, start, jnp.zeros(())))
+    seen = eqx.filter_jit(observe)(scene, FrameStates(states, None, start, jnp.zeros(())))
     truth = {
         "position": seen.patella.position.array(),
         "quaternion": seen.patella.orientation.array(),

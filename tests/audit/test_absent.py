@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scenes import knee, settled, tendon
 
-from pftwin.dynamics.trajectory import trajectory
+from pftwin.dynamics.frame_states import frame_states
 from pftwin.effects.base import Effect, Load
 
 ANALYTIC = """
@@ -22,9 +22,9 @@ import sys
 import equinox as eqx
 from scenes import knee
 from pftwin.dynamics.observe import observe
-from pftwin.dynamics.trajectory import trajectory
+from pftwin.dynamics.frame_states import frame_states
 scene = knee(5)
-eqx.filter_eval_shape(lambda s: observe(s, trajectory(s, substeps=2)), scene)
+eqx.filter_eval_shape(lambda s: observe(s, frame_states(s, substeps=2)), scene)
 print([m for m in sys.modules if m.startswith("pftwin") and any(w in m for w in (WORDS))])
 """
 
@@ -47,7 +47,7 @@ def test_a_scene_without_meshes_imports_no_search_and_no_effect_that_it_lacks():
 def run(scene, start) -> list[np.ndarray]:
     """Through a program traced for this call alone."""
     arrays, fixed = eqx.partition(scene, eqx.is_array)
-    states = jax.jit(lambda a, s: trajectory(eqx.combine(a, fixed), substeps=2, start=s).states)(arrays, start)
+    states = jax.jit(lambda a, s: frame_states(eqx.combine(a, fixed), substeps=2, start=s).states)(arrays, start)
     return [np.asarray(a) for a in jax.tree.leaves(states)]
 
 
@@ -81,7 +81,7 @@ def test_a_member_of_a_batch_is_what_it_is_beside_others():
 
     def path(softer):
         changed = eqx.tree_at(lambda s: s.effects[2].stiffness, scene, softer)
-        return trajectory(changed, substeps=2, start=start).states.position
+        return frame_states(changed, substeps=2, start=start).states.position
 
     batch = jax.jit(jax.vmap(path))
     k = scene.effects[2].stiffness

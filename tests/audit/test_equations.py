@@ -12,7 +12,7 @@ from scenes import J, contact, gravity, knee, tendon, trochlea
 
 from pftwin.audit.equations import _count, _used, equations
 from pftwin.audit.parts import parts
-from pftwin.dynamics.trajectory import start_before_search, starting_state
+from pftwin.dynamics.frame_states import start_before_search, starting_state
 from pftwin.effects.contact_law import Flores
 from pftwin.effects.friction import Friction
 from pftwin.effects.strands import StrandGroup

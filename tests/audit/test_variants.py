@@ -13,7 +13,7 @@ from pftwin.audit.femur_inertia import without_femur_inertia
 from pftwin.audit.left_out import left_out
 from pftwin.audit.put_in import put_in
 from pftwin.audit.variant import NotApplicable, Variant
-from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
+from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.effects.gravity import Gravity
 from pftwin.effects.strands import StrandGroup
 from pftwin.mocap.poses import PoseSeries
@@ -140,7 +140,7 @@ def femur_series(acceleration: float) -> PoseSeries:
 @eqx.filter_jit
 def in_femur(scene: Scene) -> jax.Array:
     """The patella's path there (n, 3), from the equilibrium."""
-    positions = trajectory(scene, substeps=4, start=starting_equilibrium(scene)).states.position
+    positions = frame_states(scene, substeps=4, start=starting_equilibrium(scene)).states.position
     motion = scene.motion
     if motion.femur is None:
         return positions.array()

@@ -17,6 +17,7 @@ from pftwin import Variants, simulate_batch
 from pftwin.batch import again
 from pftwin.batch.spread import FEW, Spread, piece_for
 from pftwin.batches import PIECE
+from pftwin.dynamics.integrators import SymplecticEuler
 from pftwin.errors import InputError
 
 FRAMES, DT, COUNT = 6, 5e-3, 5
@@ -93,7 +94,7 @@ def test_a_bad_member_is_done_again_and_its_mates_stay_as_they_were():
 
     def by_explicit_steps(care):
         many = Variants(small_scene(12), bent, rows)
-        return simulate_batch(many, dt=1.25e-4, devices=1, integrator="symplectic_euler", care=care)
+        return simulate_batch(many, dt=1.25e-4, devices=1, integrator=SymplecticEuler(), care=care)
 
     before, after = by_explicit_steps(False), by_explicit_steps(True)
     bad = sum(int(f) for f in again.BAD)
@@ -109,8 +110,8 @@ def test_a_bad_member_is_done_again_and_its_mates_stay_as_they_were():
 def test_too_long_a_step_is_shortened():
     """At 10 ms the step is too long for a stiff tendon's patella; a quarter of it is not."""
     rows = rows_of(COUNT)
-    rough = simulate_batch(Variants(small(), bent, rows), dt=1e-2, devices=1, care=False, integrator="symplectic_euler")
-    found = simulate_batch(Variants(small(), bent, rows), dt=1e-2, devices=1, integrator="symplectic_euler")
+    rough = simulate_batch(Variants(small(), bent, rows), dt=1e-2, devices=1, care=False, integrator=SymplecticEuler())
+    found = simulate_batch(Variants(small(), bent, rows), dt=1e-2, devices=1, integrator=SymplecticEuler())
     bad = sum(int(f) for f in again.BAD)
     assert (rough["status"].values & bad).all()
     assert not (found["status"].values & bad).any()

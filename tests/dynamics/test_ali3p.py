@@ -31,19 +31,21 @@ from scipy.spatial.transform import Rotation
 from toy_mesh_scenes import CONTOURS
 from toy_scene_files import load
 
-from pftwin.dynamics import ali3p_newton
-from pftwin.dynamics.ali3p_bodies import driven
-from pftwin.dynamics.natural_coordinates import (
+from pftwin.dynamics.ali3p import newton as ali3p_newton
+from pftwin.dynamics.ali3p.bodies import driven
+from pftwin.dynamics.ali3p.natural_coordinates import (
     LENGTH,
     constraints,
     jacobian,
     rates_wanted,
     second_rates_wanted,
 )
+from pftwin.dynamics.frame_states import frame_states
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import ALI3P, Newmark
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import trajectory
 from pftwin.effects.contact_law import Flores
 from pftwin.effects.viscoelastic_tendon import ViscoelasticTendon
 from pftwin.mocap.poses import PoseSeries
@@ -54,9 +56,9 @@ FRAMES = 11
 
 
 @eqx.filter_jit
-def moved(scene: Scene, start, substeps, integrator: str = "ali3p"):
+def moved(scene: Scene, start, substeps, integrator: Integrator = ALI3P()):
     """States at the frames, and what they show."""
-    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start)
+    path = frame_states(scene, integrator=integrator, substeps=substeps, start=start)
     return path.states, observe(scene, path)
 
 
@@ -134,7 +136,7 @@ def test_velocities_and_accelerations_are_projected(states, followed):
 def test_the_same_motion_as_in_independent_coordinates(held):
     """Differences from `newmark` shrink with the square of the step."""
     counts = (5, 10, 20, 40)
-    one, two = (np.stack([moved(*held, J(n), i)[0].position.array() for n in counts]) for i in ("ali3p", "newmark"))
+    one, two = (np.stack([moved(*held, J(n), i)[0].position.array() for n in counts]) for i in (ALI3P(), Newmark()))
     apart = 1e3 * np.abs(one - two).max((1, 2))
     assert apart[1] < 1e-3  # mm, at 1 ms
     assert apart[1] < 0.5 * 1e3 * np.abs(two[1] - two[3]).max()  # less than what both are off by
@@ -212,7 +214,7 @@ def test_memories_of_effects_come_along(fixed):
     )
     scene = scene.with_effect(slow)
     start = settled(scene)
-    one, two = (moved(scene, start, J(10), i) for i in ("ali3p", "newmark"))
+    one, two = (moved(scene, start, J(10), i) for i in (ALI3P(), Newmark()))
     assert 1e3 * np.abs(one[0].position.array() - two[0].position.array()).max() < 2e-4
     stretch = one[1].effects[t.name]["dashpot_stretch"]
     np.testing.assert_allclose(stretch, two[1].effects[t.name]["dashpot_stretch"], atol=1e-7)
@@ -232,14 +234,14 @@ def test_on_meshes(toy: Path):
     scene = load(toy, CONTOURS)
     scene = replace(scene, motion=replace(scene.motion, n_frames=6))
     start = settled(scene)
-    (one, seen), (two, _) = (moved(scene, start, J(10), i) for i in ("ali3p", "newmark"))
+    (one, seen), (two, _) = (moved(scene, start, J(10), i) for i in (ALI3P(), Newmark()))
     assert not np.asarray(seen.status).any()
     assert float(one.carried.drift.max()) < 1e-15
     assert 1e3 * np.abs(one.position.array() - two.position.array()).max() < 2e-4
     assert np.asarray(seen.effects["mesh_contact"]["force"]).min() > 1
 
 
-def thrown_heights(theta, integrator: str = "ali3p"):
+def thrown_heights(theta, integrator: Integrator = ALI3P()):
     """A button thrown on a plate, held by a tendon [mm]; by the contact's stiffness, the tendon's, and the start."""
     held_back = tendon(20 * (1 + theta[1]), 0.05, 0.5), contact(Flores(1e6 * (1 + theta[0]), J(0.8)))
     falling = system(gravity(), *held_back)
@@ -283,7 +285,7 @@ def test_derivatives_by_the_guided_motion(fixed):
 
         cubics, stiffness = where(scene)
         changed = eqx.tree_at(where, scene, [cubics.at[2, :, 0].add(1e-2 * theta[0]), stiffness * (1 + theta[1])])
-        states = trajectory(changed, integrator="ali3p", substeps=4, start=start).states
+        states = frame_states(changed, integrator=ALI3P(), substeps=4, start=start).states
         return jnp.concatenate([1e3 * states.position.array()[-1], states.carried.multipliers[-1, 1, 6:9]])
 
     value = jax.jit(shown, compiler_options=OPTIMISED)
@@ -310,13 +312,13 @@ def test_a_step_that_is_not_solved_says_so():
     top = system(inertia=(2e-5, 5e-5, 6e-5))
     states, _ = record(top, state_at(top, (0, 0, 0), spin=(30.0, 90.0, 10.0)), J(5e-2), 40, "ali3p")
     assert np.isfinite(states.orientation.array()).all()
-    assert (np.asarray(states.carried.unsettled) > 0).any()
+    assert (np.asarray(states.carried.residual) > 0).any()
 
 
 @pytest.mark.slow
 def test_a_frame_whose_steps_are_not_solved_has_the_status(fixed, monkeypatch):
     monkeypatch.setattr(ali3p_newton, "MOST_ITERATIONS", 1)
-    cut_off = eqx.filter_jit(lambda s, a: observe(s, trajectory(s, integrator="ali3p", substeps=1, start=a)))
+    cut_off = eqx.filter_jit(lambda s, a: observe(s, frame_states(s, integrator=ALI3P(), substeps=1, start=a)))
     seen = cut_off(*fixed)
     assert (np.asarray(seen.status) & int(Status.STEP_TOO_LONG)).any()
     assert np.isfinite(seen.center.array()).all()

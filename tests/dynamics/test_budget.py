@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenes import J, knee, order_of, settled
 
-from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide
 from pftwin.scene import Scene
@@ -21,7 +21,7 @@ COUNTS = (200, 400, 800, 1600)
 @eqx.filter_jit
 def journey(scene: Scene, start, count, integrator: str):
     """Final position [mm], energies at start and end, and the ledger, after `count` (traced) steps."""
-    sys, advance = scene.system(), integrator_named(integrator).advance
+    sys, advance = scene.system(), integrator_from_text(integrator).advance
     step = DURATION / count
 
     def guide_at(t):

@@ -22,8 +22,8 @@ from scenes import (
     vec,
 )  # fmt: skip
 
+from pftwin.dynamics.frame_states import FrameStates, frame_states
 from pftwin.dynamics.observe import observe
-from pftwin.dynamics.trajectory import Trajectory, trajectory
 from pftwin.effects.contact_law import Flores
 from pftwin.mocap.poses import PoseSeries
 from pftwin.motion import KneeMotion
@@ -69,10 +69,10 @@ def with_parameters(theta: jax.Array) -> Scene:
 
 
 @eqx.filter_jit
-def path_of(theta: jax.Array) -> Trajectory:
+def path_of(theta: jax.Array) -> FrameStates:
     """The motion; the last parameter raises its start [mm]."""
     start = eqx.tree_at(lambda s: s.pose.position.z, START, START.pose.position.z + 1e-3 * theta[-1])
-    return trajectory(with_parameters(theta), substeps=SUBSTEPS, start=start)
+    return frame_states(with_parameters(theta), substeps=SUBSTEPS, start=start)
 
 
 def positions(theta: jax.Array) -> jax.Array:
@@ -150,7 +150,7 @@ def test_single_precision_is_finite_and_close():
     double = 1e3 * np.asarray(run(scene, start)[0].states.position.array())
     with jax.enable_x64(False):
         small = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32) if eqx.is_inexact_array(a) else a, (scene, start))
-        states = eqx.filter_jit(lambda scene, start: trajectory(scene, start=start).states)(*small)
+        states = eqx.filter_jit(lambda scene, start: frame_states(scene, start=start).states)(*small)
         assert {a.dtype for a in jax.tree.leaves(states)} == {np.dtype(np.float32)}
         single = 1e3 * np.asarray(states.position.array(), np.float64)
     assert np.all(np.isfinite(single))

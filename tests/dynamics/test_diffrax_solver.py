@@ -22,11 +22,10 @@ from scenes import (
     tendon,
 )
 
-from pftwin.dynamics import diffrax_solver
-from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.frame_states import frame_states
+from pftwin.dynamics.integrators import Diffrax, Newmark, diffrax_solver, integrator_from_text
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import trajectory
 from pftwin.errors import InputError
 
 J = jnp.asarray
@@ -44,7 +43,7 @@ def test_declared_orders_in_steps_of_constant_length(solver):
 
     exact = end("Dopri8", 1000)
     errors = [np.linalg.norm(end(solver, n) - exact) for n in (80, 160)]
-    assert order_of(errors)[-1] == pytest.approx(integrator_named(f"diffrax:{solver}").order, abs=0.2)
+    assert order_of(errors)[-1] == pytest.approx(integrator_from_text(f"diffrax:{solver}").order, abs=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -55,18 +54,18 @@ def held():
 
 @eqx.filter_jit
 def looked_at(scene, start, substeps, integrator):
-    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=True)
+    path = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=True)
     return path, observe(scene, path)
 
 
 def test_it_comes_to_newmarks_motion_and_closes_the_budget(held):
     """Sliding on two facets: Runge-Kutta of order five and Newmark's method agree to 1e-4 mm."""
     scene, start = held
-    path, seen = looked_at(scene, start, J(10), "diffrax:Tsit5")
-    other, _ = looked_at(scene, start, J(250), "newmark")
+    path, seen = looked_at(scene, start, J(10), Diffrax("Tsit5"))
+    other, _ = looked_at(scene, start, J(250), Newmark())
     apart = path.states.position.array() - other.states.position.array()
     assert 1e3 * float(jnp.abs(apart).max()) < 1e-4
-    assert not np.asarray(path.states.carried.unsettled).any()
+    assert not np.asarray(path.states.carried.residual).any()
     whole = seen.kinetic_energy + sum(seen.potential_energy.values())
     left = whole[-1] - whole[0] - path.ledger.work[-1] + path.ledger.heat[-1]
     assert float(path.ledger.heat[-1]) > 1e-6
@@ -79,7 +78,7 @@ def test_derivatives_forward_and_reverse():
 
     def height(k, adjoint):
         hanging = system(gravity(), tendon(k, 0.05, 0.5))
-        chosen, step = integrator_named(f"diffrax:Tsit5:adaptive=0,adjoint={adjoint}"), J(2e-2)
+        chosen, step = integrator_from_text(f"diffrax:Tsit5:adaptive=0,adjoint={adjoint}"), J(2e-2)
         state = chosen.begin(hanging, start, still_guide(), step)
         return chosen.advance(hanging, state, still_guide_at, step, None)[0].position.z
 
@@ -98,7 +97,7 @@ def test_derivatives_forward_and_reverse():
 def test_a_solver_that_gives_up_says_so(held, monkeypatch):
     scene, start = held
     monkeypatch.setattr(diffrax_solver, "MOST_STEPS", 2)
-    stuck = eqx.filter_jit(lambda s: observe(s, trajectory(s, integrator="diffrax:Tsit5", substeps=1, start=start)))
+    stuck = eqx.filter_jit(lambda s: observe(s, frame_states(s, integrator=Diffrax("Tsit5"), substeps=1, start=start)))
     assert (np.asarray(stuck(scene).status) & int(Status.STEP_TOO_LONG)).any()
 
 
@@ -116,4 +115,4 @@ def test_a_solver_that_gives_up_says_so(held, monkeypatch):
 )
 def test_names_and_options_that_cannot_be(name, words):
     with pytest.raises(InputError, match=words):
-        integrator_named(name)
+        integrator_from_text(name)

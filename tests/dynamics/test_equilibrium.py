@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scenes import J, contact, flat_patch, knee, run, settled, starting_as_it_is, vec
 
-from pftwin.dynamics.linear_implicit import linear_implicit
+from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
+from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import first_guide, starting_equilibrium, trajectory
 from pftwin.effects.contact_law import Hertz
 from pftwin.effects.damping import LinearDamping
 from pftwin.spatial import Pose, Quaternion
@@ -24,7 +24,9 @@ def long_damped(scene):
     damped = scene.with_effect(LinearDamping(J(3.0), J(1e-3), body="ground"))
     sys, guide = damped.system(), first_guide(damped)
     state = sys.start(damped.center_of_mass_pose(), guide)
-    return jax.lax.fori_loop(0, 10_000, lambda _, s: linear_implicit(sys, s, lambda _: guide, J(1e-3))[0], state)
+    return jax.lax.fori_loop(
+        0, 10_000, lambda _, s: LinearImplicit().advance(sys, s, lambda _: guide, J(1e-3))[0], state
+    )
 
 
 def test_equilibrium_is_where_damped_motion_ends():
@@ -131,7 +133,7 @@ def test_a_step_too_large_is_not_finite_and_says_so():
     stiff = stiff.with_effect(contact(Hertz(J(1e12)), flat_patch()))
 
     def look(scene, start):
-        path = trajectory(scene, start=start, substeps=1, integrator="symplectic_euler")
+        path = frame_states(scene, start=start, substeps=1, integrator=SymplecticEuler())
         return observe(scene, path).status
 
     status = np.asarray(eqx.filter_jit(look)(stiff, starting_as_it_is(stiff)))

@@ -21,9 +21,9 @@ from scenes import (
 )
 from scipy.special import ellipk
 
-from pftwin.dynamics import linear_implicit, symplectic_euler
+from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 
-INTEGRATORS = pytest.mark.parametrize("integrator", ["linear_implicit", "symplectic_euler"])
+INTEGRATORS = pytest.mark.parametrize("integrator", [LinearImplicit(), SymplecticEuler()], ids=lambda i: i.text)
 STEPS = (800, 1600, 3200, 6400)
 
 
@@ -44,7 +44,7 @@ def test_damped_oscillator_on_a_tendon(integrator):
     errors, x0 = oscillator_errors(STEPS, integrator)
     assert errors[0] < 0.05 * x0
     np.testing.assert_allclose(order_of(errors), 1, atol=0.1)
-    declared = {"linear_implicit": linear_implicit, "symplectic_euler": symplectic_euler}[integrator].ORDER
+    declared = integrator.order
     assert round(float(order_of(errors)[-1])) == declared
 
 

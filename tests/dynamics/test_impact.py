@@ -9,13 +9,14 @@ import pytest
 from scenes import MASS, RADIUS, G, J, contact, energies, gravity, march, order_of, record, state_at, system
 from scipy.integrate import solve_ivp
 
+from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.effects.contact_law import Flores, Hertz, HuntCrossley
 
 K, V0 = 2e8, 0.2
 FLORES = "flores"
 
 
-def impact(law, v0: float, duration: float, steps: int, height: float = 1e-5, integrator="linear_implicit"):
+def impact(law, v0: float, duration: float, steps: int, height: float = 1e-5, integrator=LinearImplicit()):
     """The velocity with which a button thrown down from `height` above touch comes back."""
     sys = system(contact(law))
     start = state_at(sys, (0, 0, RADIUS + height), (0, 0, -v0))
@@ -37,7 +38,7 @@ def restitution_by_scipy(factor, v0: float = V0) -> float:
     return -out.y[1, -1] / v0
 
 
-@pytest.mark.parametrize("integrator", ["linear_implicit", "symplectic_euler"])
+@pytest.mark.parametrize("integrator", [LinearImplicit(), SymplecticEuler()], ids=lambda i: i.text)
 def test_hertz_impact_has_its_depth_duration_and_bounce(integrator):
     """d_max = (5 m v0^2 / 4 k)^(2/5), T = 2.9432 d_max / v0 (Johnson 1985, sec. 11.4)."""
     sys = system(contact(Hertz(J(K))))
@@ -74,7 +75,7 @@ def test_slow_touch_loses_what_the_floor_says():
     assert out / v0 == pytest.approx(restitution_by_scipy(8 * 0.4 / (5 * 0.6 * 0.01), v0), abs=5e-3)
 
 
-@pytest.mark.parametrize("integrator", ["linear_implicit", "symplectic_euler"])
+@pytest.mark.parametrize("integrator", [LinearImplicit(), SymplecticEuler()], ids=lambda i: i.text)
 def test_an_impact_converges_with_the_first_order(integrator):
     """Depth and rate shortly after the deepest point, against scipy."""
     factor, t = 8 * 0.4 / (5 * 0.6 * V0), 5e-4

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from scenes import J, knee, settled
 
+from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.implicit_derivative import changed_by, solution_changes, tangent_of
-from pftwin.dynamics.trajectory import trajectory
+from pftwin.dynamics.integrators import Newmark
 
 FRAMES = 41
 
@@ -53,7 +54,7 @@ def places(theta, held, substeps) -> jax.Array:
     changed = eqx.tree_at(
         lambda s: [w(s) for w in where], scene, [w(scene) * (1 + theta[i]) for i, w in enumerate(where)]
     )
-    found = trajectory(changed, integrator="newmark", substeps=substeps, start=start)
+    found = frame_states(changed, integrator=Newmark(), substeps=substeps, start=start)
     return found.states.position.array()
 
 

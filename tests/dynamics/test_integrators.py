@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -23,11 +24,10 @@ from scenes import (
     tendon,
 )
 
-from pftwin.dynamics import newmark
-from pftwin.dynamics.integrators import Told, integrator_named
+from pftwin.dynamics.frame_states import first_guide, frame_states, starting_state
+from pftwin.dynamics.integrators import Diagnostics, Newmark, integrator_from_text, newmark
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import first_guide, starting_state, trajectory
 from pftwin.effects.friction import Friction
 from pftwin.errors import InputError
 from pftwin.scene import Scene
@@ -47,14 +47,14 @@ def _in_contact(names):
 
 
 IN_CONTACT = _in_contact(NAMES)
-SECOND_IN_CONTACT = _in_contact([n for n in NAMES if integrator_named(n).order == 2])
+SECOND_IN_CONTACT = _in_contact([n for n in NAMES if integrator_from_text(n).order == 2])
 COUNTS = (100, 200, 400, 800)
 
 
 @EACH
 def test_order_on_a_damped_oscillator(integrator):
-    errors, _ = oscillator_errors(COUNTS, integrator)
-    assert order_of(errors)[-1] == pytest.approx(integrator_named(integrator).order, abs=0.2)
+    errors, _ = oscillator_errors(COUNTS, integrator_from_text(integrator))
+    assert order_of(errors)[-1] == pytest.approx(integrator_from_text(integrator).order, abs=0.2)
 
 
 @EACH
@@ -63,16 +63,17 @@ def test_order_on_a_tumbling_top(integrator):
     inertia = np.array([2e-5, 5e-5, 8e-5])
     top = system(inertia=inertia)
     start = state_at(top, (0, 0, 0), spin=(0.3, 12.0, 0.2))
-    ends = [march(top, start, 0.3, n, integrator) for n in (*(2 * n for n in COUNTS), 25600)]
+    ends = [march(top, start, 0.3, n, integrator_from_text(integrator)) for n in (*(2 * n for n in COUNTS), 25600)]
     turns = [np.asarray(e.orientation.rotation().array()) for e in ends]
     errors = [np.linalg.norm(turn - turns[-1]) for turn in turns[:-1]]
-    assert order_of(errors)[-1] == pytest.approx(integrator_named(integrator).order, abs=0.25)
+    assert order_of(errors)[-1] == pytest.approx(integrator_from_text(integrator).order, abs=0.25)
 
 
 @eqx.filter_jit
 def path(scene: Scene, start, substeps, integrator: str):
     """Positions [mm] at the frames."""
-    return 1e3 * trajectory(scene, integrator=integrator, substeps=substeps, start=start).states.position.array()
+    chosen = integrator_from_text(integrator)
+    return 1e3 * frame_states(scene, integrator=chosen, substeps=substeps, start=start).states.position.array()
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def test_order_on_two_facets(integrator, held, fine):
     explicit = integrator == "symplectic_euler"  # unstable where the others have long arrived
     counts = (80, 160, 320, 640) if explicit else (5, 10, 20, 40)
     errors = [np.sqrt(np.mean((np.asarray(path(*held, J(n), integrator)) - fine) ** 2)) for n in counts]
-    order = integrator_named(integrator).order
+    order = integrator_from_text(integrator).order
     assert errors[-1] < (2e-3 if order == 1 else 2e-4)  # mm
     assert order_of(errors).mean() == pytest.approx(order, abs=0.35)
 
@@ -162,7 +163,8 @@ def slopes(held):
 
     def total(factor, integrator):
         soft = eqx.tree_at(lambda s: s.effects[1].stiffness, scene, scene.effects[1].stiffness * (1 + factor))
-        return jnp.sum(trajectory(soft, integrator=integrator, substeps=4, start=start).states.position.array()[-1])
+        chosen = integrator_from_text(integrator)
+        return jnp.sum(frame_states(soft, integrator=chosen, substeps=4, start=start).states.position.array()[-1])
 
     def compiled(function):
         return jax.jit(function, compiler_options=OPTIMISED)  # unoptimised, the reverse mode takes minutes to compile
@@ -192,9 +194,11 @@ def test_the_energy_budget_closes_with_the_second_order(integrator, held):
     """What is left over of work, heat and energy shrinks with the square of the step, or is rounding."""
     scene, start = held
 
+    chosen = integrator_from_text(integrator)
+
     @eqx.filter_jit
     def gap(substeps):
-        seen = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=True)
+        seen = frame_states(scene, integrator=chosen, substeps=substeps, start=start, ledger=True)
         energies = observe(scene, seen)
         whole = energies.kinetic_energy + sum(energies.potential_energy.values())
         return whole[-1] - whole[0] - seen.ledger.work[-1] + seen.ledger.heat[-1], seen.ledger.work[-1]
@@ -208,7 +212,11 @@ def test_the_energy_budget_closes_with_the_second_order(integrator, held):
 def test_a_step_whose_equations_are_not_solved_says_so(held, monkeypatch):
     scene, start = held
     monkeypatch.setattr(newmark, "MOST_ITERATIONS", 1)
-    cut_off = eqx.filter_jit(lambda s: observe(s, trajectory(s, integrator="newmark", substeps=1, start=start)).status)
+
+    def flags(s: Scene):
+        return observe(s, frame_states(s, integrator=Newmark(), substeps=1, start=start)).status
+
+    cut_off = eqx.filter_jit(flags)
     assert (np.asarray(cut_off(scene)) & int(Status.STEP_TOO_LONG)).any()
 
 
@@ -217,23 +225,24 @@ def test_what_an_integrator_carries_it_knows(held):
     scene, start = held
     state, guide = starting_state(scene, start), first_guide(scene)
     for name in (*NAMES, "quasi_static", "diffrax:Tsit5"):
-        chosen = integrator_named(name)
+        chosen = integrator_from_text(name)
         carried = chosen.begin(scene.system(), state, guide, J(1e-3)).carried
-        fields = set(getattr(carried, "_fields", ())) & set(Told._fields)
-        assert {n for n, field in chosen.told._asdict().items() if field is not None} == fields
+        fields = set(getattr(carried, "_fields", ())) & set(Diagnostics._fields)
+        told = chosen.diagnostics(replace(state, carried=carried))
+        assert {n for n, value in told._asdict().items() if value is not None} == fields
         assert chosen.inertia is (name != "quasi_static")
 
 
 def test_a_frame_tells_of_the_worst_of_its_steps(held):
     scene, start = held
-    chosen, guide = integrator_named("newmark"), first_guide(scene)
+    chosen, guide = integrator_from_text("newmark"), first_guide(scene)
     state = chosen.begin(scene.system(), starting_state(scene, start), guide, J(1e-3))
-    bad = eqx.tree_at(lambda s: s.carried.unsettled, state, J(0.3))
-    assert float(chosen.unsettled(chosen.at_worst(state, bad))) == 0.3
-    assert float(chosen.unsettled(chosen.settled(bad))) == 0
-    alone = integrator_named("linear_implicit")
-    assert alone.settled(state) is state
-    assert alone.unsettled(state) is None
+    bad = eqx.tree_at(lambda s: s.carried.residual, state, J(0.3))
+    assert float(chosen.diagnostics(chosen.with_worst_residual(state, bad)).residual) == 0.3
+    assert float(chosen.diagnostics(chosen.with_residual_cleared(bad)).residual) == 0
+    alone = integrator_from_text("linear_implicit")
+    assert alone.with_residual_cleared(state) is state
+    assert alone.diagnostics(state).residual is None
 
 
 @pytest.mark.parametrize(
@@ -254,5 +263,5 @@ def test_a_frame_tells_of_the_worst_of_its_steps(held):
 )
 def test_names_and_options_that_cannot_be(name, words):
     with pytest.raises(InputError, match=words):
-        integrator_named(name)
-    assert integrator_named("newmark:gamma=0.6").order == 1
+        integrator_from_text(name)
+    assert integrator_from_text("newmark:gamma=0.6").order == 1

@@ -15,7 +15,7 @@ from toy_mesh_scenes import BALL, CONTOURS, foundation
 from toy_scene_files import load
 
 from pftwin.dynamics import equilibrium
-from pftwin.dynamics.trajectory import starting_equilibrium
+from pftwin.dynamics.frame_states import starting_equilibrium
 
 
 @pytest.mark.slow

@@ -10,9 +10,10 @@ import pytest
 from scenes import knee, settled
 from small_scene import small_scene
 
+from pftwin.dynamics.frame_states import frame_states
+from pftwin.dynamics.integrators import QuasiStatic
 from pftwin.dynamics.observe import observe, observe_on_the_way
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import trajectory
 
 
 def kept(seen):
@@ -24,7 +25,7 @@ def both(scene, start, **options):
 
     @eqx.filter_jit
     def afterwards(scene):
-        seen = observe(scene, trajectory(scene, start=start, **options))
+        seen = observe(scene, frame_states(scene, start=start, **options))
         return kept(seen), seen.status
 
     @eqx.filter_jit
@@ -72,5 +73,5 @@ def test_what_explicit_steps_beyond_their_limit_do_is_told_alike():
 def test_what_an_integrator_carries_is_told_alike():
     """Without inertia: snaps and what is unsettled, of a knee whose femur moves."""
     scene = knee(16)
-    afterwards, on_the_way = both(scene, settled(scene), substeps=jnp.asarray(2), integrator="quasi_static")
+    afterwards, on_the_way = both(scene, settled(scene), substeps=jnp.asarray(2), integrator=QuasiStatic())
     assert same(afterwards, on_the_way)

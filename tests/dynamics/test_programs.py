@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenes import J, contact, flat_patch, knee, starting_as_it_is
 
-from pftwin.dynamics.trajectory import first_guide, trajectory
+from pftwin.dynamics.frame_states import first_guide, frame_states
 from pftwin.effects.contact_law import Flores, Hertz
 from pftwin.effects.damping import LinearDamping
 from pftwin.mocap.poses import PoseSeries
@@ -35,7 +35,7 @@ def program(scene: Scene):
 
     def move(arrays):
         scene = eqx.combine(arrays, static)
-        return trajectory(scene, start=starting_as_it_is(scene)).states.position
+        return frame_states(scene, start=starting_as_it_is(scene)).states.position
 
     return jax.make_jaxpr(move)(arrays).jaxpr
 

@@ -25,11 +25,11 @@ from scenes import (
     tendon,
 )
 
-from pftwin.dynamics import quasi_static_newton
-from pftwin.dynamics.integrators import integrator_named
+from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
+from pftwin.dynamics.integrators import Newmark, QuasiStatic
 from pftwin.dynamics.observe import observe
+from pftwin.dynamics.quasi_static import newton as quasi_static_newton
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.contact_law import Hertz
 from pftwin.errors import InputError
 from pftwin.mocap.poses import PoseSeries
@@ -42,8 +42,8 @@ J = jnp.asarray
 
 
 @eqx.filter_jit
-def path(scene, start, substeps=1, integrator="quasi_static", ledger=False):
-    found = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=ledger)
+def path(scene, start, substeps=1, integrator=QuasiStatic(), ledger=False):
+    found = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=ledger)
     return found, observe(scene, found)
 
 
@@ -62,7 +62,7 @@ def test_a_dashpot_gives_way_with_the_second_order():
     errors = [
         abs(float(march(sprung, start, t, n, "quasi_static").position.z) - rest - exact) for n in (20, 40, 80, 160)
     ]
-    assert np.log2(errors[-2] / errors[-1]) == pytest.approx(integrator_named("quasi_static").order, abs=0.2)
+    assert np.log2(errors[-2] / errors[-1]) == pytest.approx(QuasiStatic().order, abs=0.2)
     assert errors[-1] < 1e-4 * x0
 
 
@@ -82,7 +82,7 @@ def test_dynamics_come_to_it_with_the_mass(held):
         light = eqx.tree_at(
             lambda s: (s.patella.mass, s.patella.inertia), scene, (share * body.mass, share * body.inertia)
         )
-        moving = places(path(light, start, J(160), "newmark"))
+        moving = places(path(light, start, J(160), Newmark()))
         apart.append(np.sqrt(np.mean((still - moving) ** 2)))
     assert 1e-3 < apart[0] < 0.05 * np.ptp(still, axis=0).max()
     assert apart[0] / apart[1] == pytest.approx(2, rel=0.25)
@@ -234,7 +234,7 @@ def test_members_of_a_batch_snap_on_their_own(over_the_ridge):
     def both(stiffness):
         def one(k):
             soft = eqx.tree_at(lambda s: s.effects[1].stiffness, scene, k)
-            found = trajectory(soft, integrator="quasi_static", substeps=J(STEPS), start=starting_equilibrium(soft))
+            found = frame_states(soft, integrator=QuasiStatic(), substeps=J(STEPS), start=starting_equilibrium(soft))
             return observed(found)
 
         return jax.vmap(one)(stiffness)
@@ -257,7 +257,7 @@ def derivatives(over_the_ridge, by_energy):
 
     def aside(k):
         soft = eqx.tree_at(lambda s: s.effects[1].stiffness, scene, k)
-        found = trajectory(soft, integrator="quasi_static", substeps=1, start=start)
+        found = frame_states(soft, integrator=QuasiStatic(), substeps=1, start=start)
         return found.states.position.y[frames]
 
     return aside, np.asarray(jax.jit(jax.jacfwd(aside))(J(PULL)))
@@ -286,7 +286,7 @@ def test_reverse_mode_agrees_with_forward_mode(derivatives):
 def test_what_is_not_balanced_says_so(held, monkeypatch):
     monkeypatch.setattr(quasi_static_newton, "MOST_ITERATIONS", 1)
     scene, start = held
-    seen = eqx.filter_jit(lambda s: observe(s, trajectory(s, integrator="quasi_static", substeps=1, start=start)))
+    seen = eqx.filter_jit(lambda s: observe(s, frame_states(s, integrator=QuasiStatic(), substeps=1, start=start)))
     status = np.asarray(seen(scene).status)
     assert (status & int(Status.STEP_TOO_LONG)).any()
     assert np.isfinite(np.asarray(seen(scene).center.x)).all()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scenes import march, state_at, system
 
-from pftwin.dynamics.quasi_static_stability import NEUTRAL, stable
+from pftwin.dynamics.quasi_static.stability import NEUTRAL, stable
 from pftwin.effects.base import Effect, Instant, Load
 from pftwin.effects.damping import LinearDamping
 from pftwin.spatial import Scalar, Vec3, Wrench

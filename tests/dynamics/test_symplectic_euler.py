@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scenes import J, state_at, still_guide, system, vec
 
-from pftwin.dynamics.integrators import integrator_named
-from pftwin.dynamics.symplectic_euler import LIMIT, _stiffest
+from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrators.symplectic_euler import LIMIT, _stiffest
 from pftwin.effects.base import Load, StiffTerm
 from pftwin.effects.tendon import Tendon
 from pftwin.spatial import Vec3
@@ -59,7 +59,7 @@ def test_a_spring_is_told_where_its_oscillation_begins_to_grow(share, told):
     stiffness = 4e3
     sys = system(Tendon(J(stiffness), J(0.05), J(0.0), vec(0, 0, 0), vec(0, 0, 0.1), body="ground", name="tendon"))
     step = J(share * np.sqrt(LIMIT * MASS / stiffness))
-    method = integrator_named("symplectic_euler")
+    method = integrator_from_text("symplectic_euler")
     state = method.begin(sys, state_at(sys, (0, 0, 0.049)), still_guide(), step)
     after, _ = method.advance(sys, state, lambda _: still_guide(), step, None)
     before, now = method.unsettled(state), method.unsettled(after)

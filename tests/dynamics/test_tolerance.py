@@ -12,10 +12,10 @@ from scenes import OPTIMISED, knee
 from pftwin import rig
 from pftwin.batches import batched
 from pftwin.benchmarks.problem import with_springs
-from pftwin.dynamics.integrators import integrator_named
-from pftwin.dynamics.simulate import ECONOMICAL, simulate
+from pftwin.dynamics.frame_states import frame_states
+from pftwin.dynamics.integrators import BDF2, LinearImplicit, Newmark
+from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.tolerance import Path, coarsest, distance, tolerance_in_metres
-from pftwin.dynamics.trajectory import trajectory
 from pftwin.errors import InputError, PftwinWarning
 from pftwin.result_files import load_dataset
 from pftwin.scene import Scene
@@ -35,7 +35,7 @@ def varied(scene: Scene, factors: jax.Array) -> Scene:
 
 
 def one(scene: Scene, integrator: str, substeps) -> tuple[jax.Array, jax.Array]:
-    states = trajectory(scene, integrator=integrator, substeps=substeps).states
+    states = frame_states(scene, integrator=integrator, substeps=substeps).states
     center = states.position + states.orientation.rotate(scene.tracked_point() - scene.patella.center_of_mass)
     return center.array(), states.orientation.array()
 
@@ -54,7 +54,7 @@ class Scenes:
 
         def all_paths(arrays, factors, substeps):
             scene = eqx.combine(arrays, rest)
-            return batched(lambda f: one(varied(scene, f), ECONOMICAL, substeps))(factors)
+            return batched(lambda f: one(varied(scene, f), BDF2(), substeps))(factors)
 
         self.compiled = jax.jit(all_paths, compiler_options=OPTIMISED)
         self.known: dict[int, list[Path]] = {}
@@ -79,7 +79,7 @@ def scenes() -> Scenes:
 @pytest.mark.filterwarnings("ignore::pftwin.errors.PftwinWarning")
 def test_the_estimate_bounds_the_error(tolerance, scenes):
     """Of 200 varied scenes 95 in 100, with a factor of 2 allowed; and what was promised is kept as often."""
-    order = integrator_named(ECONOMICAL).order
+    order = BDF2().order
     bounded, kept, steps = [], [], []
     for i, fine in enumerate(scenes.paths(REFERENCE)):
         choice = coarsest(lambda n, i=i: (n, scenes.paths(n)[i], True), order, tolerance)
@@ -104,10 +104,10 @@ def small():
 def test_it_is_the_run_with_the_step_that_it_names(small):
     found = simulate(small, tolerance="0.01 mm")
     settings = found.settings
-    assert settings["integrator"] == ECONOMICAL
+    assert settings["integrator"] == BDF2().text
     assert settings["tolerance_held"]
     assert settings["estimated_error_m"] <= settings["tolerance_m"] == pytest.approx(1e-5)
-    again = simulate(small, integrator=ECONOMICAL, dt=settings["dt_s"])
+    again = simulate(small, integrator=BDF2(), dt=settings["dt_s"])
     np.testing.assert_allclose(found.center, again.center, atol=1e-12)
     assert found.energies.work == pytest.approx(again.energies.work, abs=1e-9)
     closer = simulate(small, tolerance=1e-7)
@@ -120,7 +120,7 @@ def test_it_is_the_run_with_the_step_that_it_names(small):
 def test_the_error_is_what_it_says(small):
     """Against a path of steps two hundred times as short."""
     found = simulate(small, tolerance="0.01 mm")
-    fine = simulate(small, integrator="newmark", dt=5e-5)
+    fine = simulate(small, integrator=Newmark(), dt=5e-5)
     error = distance(Path(found.center, found.quaternion), Path(fine.center, fine.quaternion))
     assert 0.01 * found.settings["estimated_error_m"] < error < 2 * found.settings["estimated_error_m"]
 
@@ -128,7 +128,7 @@ def test_the_error_is_what_it_says(small):
 @pytest.mark.slow
 def test_what_cannot_be_held_is_said_and_still_handed_out(small, tmp_path):
     with pytest.warns(PftwinWarning, match="not met with 128 steps"):
-        found = simulate(small, tolerance="1e-12 mm", integrator="linear_implicit")
+        found = simulate(small, tolerance="1e-12 mm", integrator=LinearImplicit())
     assert not found.settings["tolerance_held"]
     assert found.settings["substeps"] == 128
     found.save(tmp_path / "found.nc")

@@ -11,9 +11,9 @@ from pressed_button import ARM, DOME, MASS, disc, pressed
 from scenes import J, run, starting_as_it_is
 from scipy.optimize import brentq
 
+from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.simulate import equilibrium, simulate
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.foundation_law import LogarithmicFoundation
 from pftwin.scene import Scene
 from pftwin.surfaces.mesh import SurfaceMesh
@@ -121,7 +121,7 @@ def softened(scene: Scene, modulus) -> Scene:
 
 def end(scene: Scene, modulus) -> jax.Array:
     """Where the patella is in the last frame [m]."""
-    path = trajectory(softened(scene, modulus), substeps=J(10), start=starting_equilibrium(softened(scene, modulus)))
+    path = frame_states(softened(scene, modulus), substeps=J(10), start=starting_equilibrium(softened(scene, modulus)))
     states = path.states
     return (states.position - states.orientation.rotate(scene.patella.center_of_mass)).array()[-1]
 
@@ -159,7 +159,7 @@ def test_the_end_follows_a_layers_modulus(short):
 def test_the_reverse_mode_agrees_with_the_forward(short):
     def last(m):
         state = starting_equilibrium(short)
-        path = trajectory(softened(short, m), substeps=10, start=jax.lax.stop_gradient(state))
+        path = frame_states(softened(short, m), substeps=10, start=jax.lax.stop_gradient(state))
         return path.states.position.z[-1]
 
     backward = jax.jit(jax.grad(last))(J(MODULUS))

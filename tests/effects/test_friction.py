@@ -29,9 +29,9 @@ from scenes import (
     vec,
 )
 
-from pftwin.dynamics.linear_implicit import linear_implicit
+from pftwin.dynamics.frame_states import frame_states
+from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.dynamics.state import Guide
-from pftwin.dynamics.trajectory import trajectory
 from pftwin.effects.base import Ground
 from pftwin.effects.contact_law import ContactLaw, Flores, Hertz
 from pftwin.effects.friction import Friction, WithFriction, tangents
@@ -126,7 +126,7 @@ def test_it_never_turns_a_block_round_nor_keeps_it_going(step):
     assert speed[-1] < 1e-6
 
 
-@pytest.mark.parametrize("integrator", ["linear_implicit", "symplectic_euler"])
+@pytest.mark.parametrize("integrator", [LinearImplicit(), SymplecticEuler()], ids=lambda i: i.text)
 @pytest.mark.slow
 def test_heat_is_all_that_is_lost(integrator):
     sys = slope(0.0, creep=0.02)  # a damper that the explicit step can take
@@ -212,7 +212,7 @@ def test_a_carpet_takes_a_block_along():
         def one(i, s):
             at = Vec3(belt * 1e-3 * (i + 1).astype(float), J(0.0), J(0.0))
             femur = Frame(at, Frame.world().rotation, vec(belt, 0, 0), zero)
-            return linear_implicit(sys, s, lambda _: Guide(femur, Frame.world(), J(0.0)), J(1e-3))[0]
+            return LinearImplicit().advance(sys, s, lambda _: Guide(femur, Frame.world(), J(0.0)), J(1e-3))[0]
 
         return jax.lax.fori_loop(0, n, one, state)
 
@@ -259,9 +259,9 @@ def test_a_knee_rests_where_it_would_without_friction(starts):
 
 
 @eqx.filter_jit
-def path_of(scene, start, substeps, integrator="linear_implicit"):
+def path_of(scene, start, substeps, integrator=LinearImplicit()):
     """The centre of mass [mm], and the ledger's heat."""
-    path = trajectory(scene, integrator=integrator, substeps=substeps, start=start, ledger=True)
+    path = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=True)
     assert path.ledger is not None
     return 1e3 * path.states.position.array(), path.ledger.heat
 

@@ -11,9 +11,9 @@ import pytest
 from height_meshes import plate
 from scenes import J, about
 
+from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.effects.base import Ground, Instant, Patella
 from pftwin.effects.contact_law import Flores, Hertz
 from pftwin.effects.mesh_contact import MeshContact
@@ -108,7 +108,7 @@ def test_the_rig_on_fine_meshes_moves_as_on_the_spline(cut):
     @eqx.filter_jit
     def run(scene):
         start = starting_equilibrium(scene)
-        path = trajectory(scene, substeps=10, start=start)
+        path = frame_states(scene, substeps=10, start=start)
         return observe(scene, path)
 
     on_mesh, smooth = (run(s) for s in cut)

@@ -12,9 +12,9 @@ import pytest
 from height_meshes import grid, lateral, level
 from scenes import RADIUS, J, gravity, knee, look, march, run, settled, state_at, system, trochlea, vec
 
+from pftwin.dynamics.frame_states import first_guide
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import first_guide
 from pftwin.effects.base import Load, Patella
 from pftwin.effects.contact_law import Flores, Hertz
 from pftwin.effects.mesh_sphere_contact import MeshSphereContact

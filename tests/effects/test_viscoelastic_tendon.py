@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scenes import J, energies, knee, look, march, order_of, record, scalar, settled, state_at, system, vec
 
-from pftwin.dynamics.trajectory import trajectory
+from pftwin.dynamics.frame_states import frame_states
+from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.effects.damping import LinearDamping
 from pftwin.effects.gravity import Gravity
 from pftwin.effects.standard_linear_solid import RELAXED, StandardLinearSolid
@@ -148,7 +149,7 @@ def bobbing(mass: float = 0.12):
     return sys, state_at(sys, (0, 0, TOP - SLACK - 0.0045))
 
 
-@pytest.mark.parametrize("integrator", ["linear_implicit", "symplectic_euler"])
+@pytest.mark.parametrize("integrator", [LinearImplicit(), SymplecticEuler()], ids=lambda i: i.text)
 def test_a_swinging_weight_closes_its_energy_budget(integrator):
     sys, start = bobbing()
     gaps = []
@@ -163,7 +164,7 @@ def test_a_swinging_weight_closes_its_energy_budget(integrator):
     assert np.all(order_of(np.abs(gaps)) > 0.8)
 
 
-@pytest.mark.parametrize("integrator", ["linear_implicit", "symplectic_euler"])
+@pytest.mark.parametrize("integrator", [LinearImplicit(), SymplecticEuler()], ids=lambda i: i.text)
 def test_its_motion_converges_with_the_first_order(integrator):
     sys, start = bobbing()
     at = [float(march(sys, start, 0.15, n, integrator).position.z) for n in (800, 1600, 3200, 6400, 204800)]
@@ -228,7 +229,7 @@ def test_a_motion_starts_with_the_branch_relaxed():
     one, two = settled(plain), settled(viscous)
     assert bool(two.converged())
     np.testing.assert_allclose(one.pose.position.array(), two.pose.position.array(), atol=1e-9)
-    states = eqx.filter_jit(trajectory)(viscous, start=two).states
+    states = eqx.filter_jit(frame_states)(viscous, start=two).states
     lengths = np.asarray(states.memories[2])
     assert lengths[0] == RELAXED
     assert np.all(lengths[1:] > 0)

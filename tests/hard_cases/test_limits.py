@@ -12,8 +12,9 @@ import pytest
 import pftwin
 from pftwin.audit.put_in import put_in
 from pftwin.audit.variant import NotApplicable
+from pftwin.dynamics.frame_states import frame_states
+from pftwin.dynamics.integrators import QuasiStatic
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.trajectory import trajectory
 from pftwin.errors import InputError
 from pftwin.hard_cases import CONTACTS, case_named
 from pftwin.hard_cases.batch import batches
@@ -69,9 +70,9 @@ def test_contours_without_inertia_are_refused_in_words_before_anything_is_comput
     scene = jax.tree.map(lambda a: a[0], scene)
     for how in ({}, {"tolerance": "0.1 mm"}):
         with pytest.raises(InputError, match=r"jump from triangle to triangle in: contact.*by volume, or of a patch"):
-            pftwin.simulate(scene, integrator="quasi_static", **how)
+            pftwin.simulate(scene, integrator=QuasiStatic(), **how)
     with pytest.raises(InputError, match="no inertia"):
-        trajectory(scene, integrator="quasi_static")
+        frame_states(scene, integrator=QuasiStatic())
     (left_out,) = [v for v in put_in(scene, "newmark") if v.name == "patella inertia"]
     assert isinstance(left_out, NotApplicable)
     assert "jump" in left_out.reason

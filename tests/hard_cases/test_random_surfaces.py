@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.hard_cases.batch import built, member, stacked
 from pftwin.hard_cases.case import Case
 from pftwin.hard_cases.invariants import CHECKS
@@ -35,7 +36,7 @@ def test_invariants_hold_on_any_surface(coefficients, stiffness, mass):
     scenes, none = stacked([built(case, "P5").unnamed()]), jnp.zeros((1, 4))
     start = compiled(rest, True)(scenes, none).equilibrium
     hypothesis.assume(float(start.residual[0]) < 1e-6)
-    forward = compiled(run, True, integrator="linear_implicit")(scenes, start, jnp.array([10]), none)
+    forward = compiled(run, True, integrator=LinearImplicit())(scenes, start, jnp.array([10]), none)
     depth = np.asarray(compiled(depths, True)(scenes, forward.seen.center))[0]
     look = Look(case, knee, "P5", member(jax.device_get(forward), 0), TOLERANCES["float64"], 1e-3, depth)
     assert not [words for check in CHECKS if (words := check(look)) is not None]

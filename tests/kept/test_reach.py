@@ -9,8 +9,8 @@ import pytest
 
 import pftwin
 from pftwin.dynamics import equilibrium, integrators, trajectory
+from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.simulate import simulate
-from pftwin.dynamics.trajectory import starting_equilibrium
 from pftwin.effects.gravity import Gravity
 from pftwin.kept import reach as module
 from pftwin.kept.identity import CannotKeepError
@@ -46,7 +46,7 @@ def test_a_replaced_method_is_refused(monkeypatch):
 
 
 def test_everything_that_simulate_reaches_is_known():
-    assert "pftwin.dynamics.linear_implicit.linear_implicit" in reach(simulate)
+    assert "pftwin.dynamics.integrators.linear_implicit.linear_implicit" in reach(simulate)
 
 
 def test_source_that_is_newer_than_the_process_is_refused(monkeypatch):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pftwin import rig
+from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.simulate import simulate
-from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
 from pftwin.errors import InputError
 from pftwin.metrics import validate
 from pftwin.mocap import read_trc
@@ -46,7 +46,7 @@ def test_long_steps_keep_every_neighbour_in_the_groove(substeps):
     factors = jnp.asarray(np.random.default_rng(1).uniform(0.9, 1.1, (96, 4)))
 
     def centres(f):
-        states = trajectory(_with_springs(scene, f), substeps=substeps).states
+        states = frame_states(_with_springs(scene, f), substeps=substeps).states
         return states.position.array()
 
     path = np.asarray(eqx.filter_jit(eqx.filter_vmap(centres))(factors))

@@ -12,7 +12,7 @@ import pytest
 
 from pftwin import rig
 from pftwin.benchmarks.problem import started_nearby, variants, with_springs
-from pftwin.dynamics.trajectory import trajectory
+from pftwin.dynamics.frame_states import frame_states
 from pftwin.leaves import number
 from pftwin.surfaces.implant import rig_implant
 
@@ -27,7 +27,7 @@ def cut(scene):
 @eqx.filter_jit
 def path_of(scene):
     """(frames, 3) of the patella's centre of mass [m]."""
-    return trajectory(scene, substeps=SUBSTEPS).states.position.array()
+    return frame_states(scene, substeps=SUBSTEPS).states.position.array()
 
 
 def with_coefficients(scene, coefficients):

@@ -15,13 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from pftwin.dynamics.tracked_path import tracked_path
 
 from fitting.benchmarks.methods.meter import Meter
 from fitting.method import lenient
 from fitting.parameters import applied
 from fitting.problem import Problem
-from pftwin.dynamics.tracked_path import tracked_path
-from pftwin.dynamics.trajectory import starting_equilibrium
+from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.errors import MissingExtraError
 from pftwin.scene import Scene
 from pftwin.scene_parameters import Place

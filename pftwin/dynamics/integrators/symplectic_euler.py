@@ -8,58 +8,68 @@ of a parameter grow by powers of ten within a frame. So the step itself tells.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
+from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, advance, gyroscopic
 from pftwin.effects.base import Load
 from pftwin.spatial import Scalar, Vec3
 
-ORDER = 1
 LIMIT = 4.0  # of (h^2 k + 2 h c) / m
 
 
-class Carried(NamedTuple):
-    """What a step tells."""
+class EulerStep(NamedTuple):
+    """What symplectic Euler carries: what its last step tells."""
 
-    unsettled: Scalar  # by how much the step is beyond the limit of stability, as a share of it; else 0
-
-
-def begin(system: System, state: State, guide: Guide, step: Scalar) -> State:
-    """The state with what the integrator tells: nothing yet."""
-    return eqx.tree_at(lambda s: s.carried, state, Carried(jnp.zeros_like(state.position.x)), is_leaf=_is_none)
+    residual: Scalar  # by how much the step is beyond the limit of stability, as a share of it; else 0
 
 
-def _is_none(x: object) -> bool:
-    return x is None
+@dataclass(frozen=True)
+class SymplecticEuler(Integrator):
+    """Explicit, of order one: see above."""
 
+    name: ClassVar[str] = "symplectic_euler"
 
-def symplectic_euler(
-    system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
-) -> tuple[State, Ledger | None]:
-    """The state one step later, and the energy ledger where one is kept."""
-    with jax.named_scope("loads"):
-        loads, memories = system.loads(guide_at(0.0).instant(state.patella(), step), state.memories)
-    velocity, spin = state.velocity, state.spin
-    moment = gyroscopic(system.inertia, spin)
-    for load in loads:
-        w = load.total()
-        velocity = velocity + (step / system.mass) * w.force
-        moment = moment + w.moment
-    i = system.inertia
-    spin = spin + step * Vec3(moment.x / i.x, moment.y / i.y, moment.z / i.z)
-    after = advance(state, velocity, spin, step, memories)
-    beyond = jnp.maximum(_stiffest(system, loads, step) / LIMIT - 1, 0.0)
-    after = eqx.tree_at(lambda s: s.carried, after, Carried(beyond), is_leaf=_is_none)
-    if ledger is not None:
-        applied = [term.force for load in loads for term in load.stiff]
-        ledger = ledger.entered(state, after, loads, applied, 0.0, step)
-    return after, ledger
+    @property
+    def order(self) -> int:
+        """1."""
+        return 1
+
+    def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
+        """The state with what the integrator tells: nothing yet."""
+        return carrying(state, EulerStep(jnp.zeros_like(state.position.x)))
+
+    def diagnostics(self, state: State) -> Diagnostics:
+        """By how much the step is beyond the limit of stability."""
+        return Diagnostics(residual=state.carried.residual)
+
+    def advance(
+        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
+    ) -> tuple[State, Ledger | None]:
+        """See `Integrator`."""
+        with jax.named_scope("loads"):
+            loads, memories = system.loads(guide_at(0.0).instant(state.patella(), step), state.memories)
+        velocity, spin = state.velocity, state.spin
+        moment = gyroscopic(system.inertia, spin)
+        for load in loads:
+            w = load.total()
+            velocity = velocity + (step / system.mass) * w.force
+            moment = moment + w.moment
+        i = system.inertia
+        spin = spin + step * Vec3(moment.x / i.x, moment.y / i.y, moment.z / i.z)
+        after = advance(state, velocity, spin, step, memories)
+        beyond = jnp.maximum(_stiffest(system, loads, step) / LIMIT - 1, 0.0)
+        after = carrying(after, EulerStep(beyond))
+        if ledger is not None:
+            applied = [term.force for load in loads for term in load.stiff]
+            ledger = ledger.entered(state, after, loads, applied, 0.0, step)
+        return after, ledger
 
 
 def _stiffest(system: System, loads: list[Load], step: Scalar) -> Scalar:

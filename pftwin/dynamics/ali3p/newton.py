@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.dynamics.ali3p_bodies import Bodies, masses
-from pftwin.dynamics.ali3p_projection import constrained, solved, with_penalty
-from pftwin.dynamics.natural_coordinates import LENGTH, Driven, constraints, directions, jacobian
+from pftwin.dynamics.ali3p.bodies import Bodies, masses
+from pftwin.dynamics.ali3p.natural_coordinates import LENGTH, Driven, constraints, directions, jacobian
+from pftwin.dynamics.ali3p.projection import constrained, solved, with_penalty
 from pftwin.effects.base import Load
 from pftwin.leaves import all_changes
 from pftwin.spatial import Scalar
@@ -96,7 +96,7 @@ def _solved_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     only, to which no J^T lambda has a component: B^T of the first equation is six equations for them.
     """
     (given,) = primals
-    second_rate, multipliers, unsettled = solved_step(given)
+    second_rate, multipliers, left = solved_step(given)
     place, _ = given.motion(second_rate)
     h = given.bodies.step
     moving, still = eqx.partition(given, eqx.is_inexact_array)
@@ -121,4 +121,4 @@ def _solved_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     change = (per_metre * known).at[0].add(per_metre * (basis @ steps))
     mass = jnp.broadcast_to(jnp.diag(masses(given.bodies.system)), (len(place), 12, 12))
     holding = constrained(mass, jacobian(place, given.to), given.scale(), -left, jnp.zeros_like(left))[1]
-    return (second_rate, multipliers, unsettled), (change, holding, jnp.zeros_like(unsettled))
+    return (second_rate, multipliers, left), (change, holding, jnp.zeros_like(left))

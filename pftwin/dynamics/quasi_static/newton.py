@@ -16,8 +16,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.dynamics.equilibrium import REACH, tolerance_of
-from pftwin.dynamics.quasi_static_branch import Branch, Six, norm
-from pftwin.dynamics.quasi_static_stability import stable
+from pftwin.dynamics.quasi_static.branch import Branch, Six, norm
+from pftwin.dynamics.quasi_static.stability import stable
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.static_load import Surroundings
 from pftwin.spatial import Scalar

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.quasi_static_branch import Branch
+from pftwin.dynamics.quasi_static.branch import Branch
 from pftwin.dynamics.state import State
 from pftwin.spatial import Twist
 

@@ -15,7 +15,8 @@ Mech 60:371; on groups: Bruels & Cardona 2010, J Comput Nonlinear Dyn 5:031002.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,12 +24,13 @@ import jax.numpy as jnp
 
 from pftwin.dynamics.implicit_derivative import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.implicit_solve import Span, change_of_velocity
+from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, gyroscopic, moved
 from pftwin.effects.base import Load
+from pftwin.errors import InputError
 from pftwin.spatial import Scalar, Twist, Vec3, Wrench
 
-ORDER = 2
 MOST_ITERATIONS = 20
 LEVER = 0.02  # [m] turns angles into lengths
 # Last change of the velocity at a step's end [m/s]. The iteration gains a constant share each time: with 1e-9 the
@@ -36,12 +38,12 @@ LEVER = 0.02  # [m] turns angles into lengths
 SETTLED = {"float64": 1e-11, "float32": 1e-4}
 
 
-class Carried(NamedTuple):
-    """From step to step."""
+class NewmarkStep(NamedTuple):
+    """What Newmark's method carries from step to step."""
 
     algorithmic: Twist  # a
     actual: Twist  # A
-    unsettled: Scalar  # last change of the velocity, where it has not become small [m/s]
+    residual: Scalar  # last change of the velocity, where it has not become small [m/s]
 
 
 class Weights(NamedTuple):
@@ -58,15 +60,6 @@ class Weights(NamedTuple):
         alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
         gamma = 0.5 - alpha_m + alpha_f
         return Weights(gamma, 0.25 * (gamma + 0.5) ** 2, alpha_m, alpha_f)
-
-
-def begin(system: System, state: State, guide: Guide, step: Scalar) -> State:
-    """The state with its own accelerations."""
-    loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
-    now = acceleration(system, state.spin, loads)
-    return eqx.tree_at(
-        lambda s: s.carried, state, Carried(now, now, jnp.zeros_like(now.linear.x)), is_leaf=lambda x: x is None
-    )
 
 
 class _Step(NamedTuple):
@@ -99,29 +92,77 @@ class _Step(NamedTuple):
         return inertial, loads, memories
 
 
-def newmark(
-    system: System,
-    state: State,
-    guide_at: GuideAt,
-    step: Scalar,
-    ledger: Ledger | None = None,
-    *,
-    gamma: float = 0.5,
-    beta: float = 0.25,
-    alpha_m: float = 0.0,
-    alpha_f: float = 0.0,
-) -> tuple[State, Ledger | None]:
-    """The state one step later, and the energy ledger where one is kept; see `Weights` for damped methods."""
-    w = Weights(gamma, beta, alpha_m, alpha_f)
-    given = _Step(system, state, guide_at(1.0), step)
-    velocity, unsettled = _solved(given, w)
-    after, algorithmic, _ = given.end(velocity, w)
-    loads, memories = system.loads(given.guide.instant(after.patella(), step), after.memories)
-    actual = acceleration(system, after.spin, loads)
-    after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, Carried(algorithmic, actual, unsettled)))
-    if ledger is not None:
-        ledger = ledger.entered(state, after, loads, None, 1.0, step, velocity)
-    return after, ledger
+@dataclass(frozen=True)
+class Newmark(Integrator):
+    """Newmark's method, iterated: see above.
+
+    Args:
+        gamma, beta: its weights; by default 1/2 and the beta that goes with gamma, (gamma + 1/2)^2 / 4.
+        rho: instead of both, the generalised-alpha method whose highest frequencies shrink to rho in each step: from 0
+            (most damping) to 1 (none).
+
+    Raises:
+        InputError: weights that are not stable at any step, a rho outside 0 to 1, or both kinds.
+    """
+
+    gamma: float | None = None
+    beta: float | None = None
+    rho: float | None = None
+    name: ClassVar[str] = "newmark"
+
+    def __post_init__(self) -> None:
+        if self.rho is None:
+            w = self.weights
+            if not (w.gamma >= 0.5 and 2 * w.beta >= w.gamma):
+                raise InputError(
+                    f"found gamma = {w.gamma:g}, beta = {w.beta:g}",
+                    where="newmark",
+                    expected="gamma of at least 1/2 and beta of at least gamma / 2, which is stable at any step",
+                )
+        elif self.gamma is not None or self.beta is not None:
+            raise InputError("found rho together with gamma or beta", where="newmark", expected="one or the other")
+        elif not 0 <= self.rho <= 1:
+            raise InputError(f"found rho = {self.rho:g}", where="newmark", expected="from 0 (most damping) to 1 (none)")
+
+    @property
+    def weights(self) -> Weights:
+        """The method's weights."""
+        if self.rho is not None:
+            return Weights.damped(self.rho)
+        gamma = 0.5 if self.gamma is None else self.gamma
+        return Weights(gamma, 0.25 * (gamma + 0.5) ** 2 if self.beta is None else self.beta, 0.0, 0.0)
+
+    @property
+    def order(self) -> int:
+        """2, but 1 with a gamma above 1/2."""
+        return 2 if self.rho is not None or self.weights.gamma == 0.5 else 1
+
+    def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
+        """The state with its own accelerations."""
+        loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
+        now = acceleration(system, state.spin, loads)
+        return carrying(state, NewmarkStep(now, now, jnp.zeros_like(now.linear.x)))
+
+    def diagnostics(self, state: State) -> Diagnostics:
+        """The last change of the velocity of a step that is not solved [m/s]."""
+        return Diagnostics(residual=state.carried.residual)
+
+    def advance(
+        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
+    ) -> tuple[State, Ledger | None]:
+        """See `Integrator`."""
+        w = self.weights
+        given = _Step(system, state, guide_at(1.0), step)
+        velocity, residual = _solved(given, w)
+        after, algorithmic, _ = given.end(velocity, w)
+        loads, memories = system.loads(given.guide.instant(after.patella(), step), after.memories)
+        actual = acceleration(system, after.spin, loads)
+        after = eqx.tree_at(
+            lambda s: (s.memories, s.carried), after, (memories, NewmarkStep(algorithmic, actual, residual))
+        )
+        if ledger is not None:
+            ledger = ledger.entered(state, after, loads, None, 1.0, step, velocity)
+        return after, ledger
 
 
 def _span(w: Weights, step: Scalar) -> Span:
@@ -157,7 +198,7 @@ def _solved(given: _Step, w: Weights) -> tuple[Twist, Scalar]:
 def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     """At the solution r(v, p) = 0, so dv = -(dr/dv)^-1 (dr/dp) dp: exact, whatever tangent the iteration used."""
     given, w = primals
-    velocity, unsettled = _solved(given, w)
+    velocity, residual_left = _solved(given, w)
 
     def residual(x: list[Scalar], given: _Step) -> list[Scalar]:
         inertial, loads, _ = given.unbalanced(Twist(Vec3(*x[:3]), Vec3(*x[3:])), w)
@@ -167,4 +208,4 @@ def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     x = six(velocity.linear, velocity.angular)
     tangent = tangent_of(lambda x: residual(x, given), x)
     d = solution_changes(tangent, changed_by(lambda p: residual(x, p), given, tangents[0]))
-    return (velocity, unsettled), (Twist(Vec3(*d[:3]), Vec3(*d[3:])), jnp.zeros_like(unsettled))
+    return (velocity, residual_left), (Twist(Vec3(*d[:3]), Vec3(*d[3:])), jnp.zeros_like(residual_left))

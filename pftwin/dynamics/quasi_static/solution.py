@@ -11,8 +11,8 @@ from jaxtyping import Array
 
 from pftwin.dynamics.equilibrium import RIDGE
 from pftwin.dynamics.implicit_derivative import changed_by, solution_changes, tangent_of
-from pftwin.dynamics.quasi_static_branch import Branch, Six, components_of
-from pftwin.dynamics.quasi_static_newton import newton
+from pftwin.dynamics.quasi_static.branch import Branch, Six, components_of
+from pftwin.dynamics.quasi_static.newton import newton
 from pftwin.dynamics.relaxation import come_to_rest
 from pftwin.dynamics.state import State, moved
 from pftwin.spatial import Scalar
@@ -26,7 +26,7 @@ class Found(NamedTuple):
     d: Six  # from the state's pose, or after a snap from the place where the burst ended
     place: State  # where that was
     snapped: Scalar  # 1 after a snap
-    unsettled: Scalar
+    residual: Scalar
     remainder: Array  # (6, 6) of the tangent there [N/m]
     looked: tuple[Any, ...]  # memories of the last look
 
@@ -52,9 +52,9 @@ def solved(branch: Branch) -> Found:
         there = branch._replace(origin=place, rates=branch.rates - snapped)
         guess = [jnp.where(tries > 0, b, a) for a, b in zip(ahead, none, strict=True)]
         at = newton(there, guess, branch.origin.carried.remainder, tries == 0)
-        unsettled = jnp.where(at.settled, 0.0, at.size)
+        residual = jnp.where(at.settled, 0.0, at.size)
         again = ~(at.settled & at.stable) & (tries == 0)
-        return Found(at.d, place, snapped, unsettled, at.remainder, at.looked), tries + 1, again
+        return Found(at.d, place, snapped, residual, at.remainder, at.looked), tries + 1, again
 
     zero = jnp.zeros_like(branch.step)
     start = Found(ahead, branch.origin, zero, zero, branch.origin.carried.remainder, branch.origin.memories)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.dynamics.natural_coordinates import (
+from pftwin.dynamics.ali3p.natural_coordinates import (
     LENGTH,
     Driven,
     axes_of,

@@ -1,0 +1,142 @@
+r"""ALI3-P, the paper's formulation: augmented Lagrangian of index 3 in natural coordinates, with projections.
+
+At a step's end, with Newmark's average acceleration, dq/dt and d2q/dt2 follow from q, which solves
+
+    M d2q/dt2 + J^T (alpha Phi + lambda) = Q,        lambda <- lambda + alpha Phi
+
+by Newton's iteration with the tangent M + gamma h C + beta h^2 (J^T alpha J + K); J = dPhi/dq. Rigid bodies and guided
+ones are constraints Phi(q, t) = 0 alike (`natural_coordinates`). Then velocities and accelerations are projected on
+dPhi/dt = 0 and d2Phi/dt2 = 0 with the same matrix (`ali3p_projection`). Source: Michaud et al. 2024, section 2.3.1;
+Bayo & Ledesma 1996, Nonlinear Dyn 9:113; Cuadrado et al. 2004, Multibody Syst Dyn 12:1; Dopico et al. 2014, J Comput
+Nonlinear Dyn 9:041006.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.ali3p.bodies import Bodies, driven, guided, masses
+from pftwin.dynamics.ali3p.natural_coordinates import (
+    Driven,
+    as_rigid,
+    constraints,
+    coordinates,
+    jacobian,
+    rates,
+    rates_wanted,
+    second_rates_wanted,
+)
+from pftwin.dynamics.ali3p.newton import BETA, GAMMA, Predicted, penalty_of, solved_step
+from pftwin.dynamics.ali3p.projection import constrained
+from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.state import Guide, GuideAt, State, System
+from pftwin.errors import InputError
+from pftwin.spatial import Scalar, Twist
+
+
+class ALI3PStep(NamedTuple):
+    """What ALI3-P carries from step to step; bodies are patella, tibia, and the femur where it moves."""
+
+    place: Array  # q (n, 12) [m]
+    rate: Array  # dq/dt, projected
+    second_rate: Array  # d2q/dt2, projected
+    multipliers: Array  # lambda (n, 12): 6 of rigid constraints, then force and moment / LENGTH that hold the body [N]
+    drift: Scalar  # largest constraint that any step so far has left [m]
+    residual: Scalar  # last change of the velocity, where it has not become small [m/s]
+
+
+@dataclass(frozen=True)
+class ALI3P(Integrator):
+    """The paper's formulation: see above. A step whose equations are not solved says so, and leaves rigid bodies.
+
+    Args:
+        penalty: beta h^2 alpha as a multiple of the patella's mass: how fast the multipliers converge, not to what. 0:
+            one that fits the float type.
+
+    Raises:
+        InputError: a penalty below 10.
+    """
+
+    penalty: float = 0.0
+    name: ClassVar[str] = "ali3p"
+
+    def __post_init__(self) -> None:
+        if self.penalty and not self.penalty >= 10:
+            raise InputError(
+                f"found penalty = {self.penalty:g}", where="ali3p", expected="at least 10 times the patella's mass"
+            )
+
+    @property
+    def order(self) -> int:
+        """2."""
+        return 2
+
+    def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
+        """The state with its natural coordinates, and the accelerations and multipliers that solve its equations.
+
+        Guided bodies start without a second rate of their frames' coordinates, which is not known here: the first step
+        comes to the same result with any.
+        """
+        place, rate = guided(guide)
+        axes = state.orientation.rotation()
+        place = place.at[0].set(coordinates(state.position, axes))
+        rate = rate.at[0].set(rates(state.velocity, axes.apply(state.spin), axes))
+        to = Driven(place, rate, jnp.zeros_like(rate))
+        forces, _, _ = Bodies(system, state.memories, guide.time, jnp.zeros_like(step)).forces(place, rate)
+        metric = jnp.broadcast_to(jnp.diag(masses(system)), (len(place), 12, 12))
+        scale, wanted = penalty_of(step.dtype) * system.mass, second_rates_wanted(place, rate, to)
+        second_rate, multipliers = constrained(metric, jacobian(place, to), scale, forces, wanted)
+        nothing = jnp.zeros_like(state.position.x)
+        return carrying(state, ALI3PStep(place, rate, second_rate, multipliers, nothing, nothing))
+
+    def diagnostics(self, state: State) -> Diagnostics:
+        """The last change of the velocity of a step that is not solved [m/s], and the constraints' drift [m]."""
+        return Diagnostics(residual=state.carried.residual, drift=state.carried.drift)
+
+    def advance(
+        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
+    ) -> tuple[State, Ledger | None]:
+        """See `Integrator`."""
+        last: ALI3PStep = state.carried
+        to = driven(guide_at, step)
+        factor = self.penalty or penalty_of(step.dtype)
+        given = Predicted(
+            Bodies(system, state.memories, guide_at(1.0).time, step),
+            last.place + step * last.rate + (0.5 - BETA) * step * step * last.second_rate,
+            last.rate + (1 - GAMMA) * step * last.second_rate,
+            last.second_rate,
+            last.multipliers,
+            to,
+            factor,
+        )
+        second_rate, multipliers, residual = solved_step(given)
+        place, rate = given.motion(second_rate)
+        drift = jnp.maximum(last.drift, jnp.abs(constraints(place, to)).max())
+        # An unsolved step keeps its bodies rigid and the rates they had, so that nothing blows up.
+        failed, nothing = residual > 0, jnp.zeros_like(place)
+        place, rate = jnp.where(failed, as_rigid(place, to), place), jnp.where(failed, last.rate, rate)
+        second_rate, multipliers = jnp.where(failed, nothing, second_rate), jnp.where(failed, nothing, multipliers)
+        _, loads, memories = given.bodies.forces(place, rate)
+
+        j, metric = jacobian(place, to), given.metric(place, loads)
+        scale = given.scale()
+
+        def projected(value: Array, wanted: Array) -> Array:
+            # By what has to be added: solved for the whole, the large penalty's rounding would be paid on all of it.
+            missing = wanted - jnp.einsum("nki,ni->nk", j, value)
+            return value + constrained(metric, j, scale, jnp.zeros_like(value), missing)[0]
+
+        rate = projected(rate, rates_wanted(place, to))
+        second_rate = projected(second_rate, second_rates_wanted(place, rate, to))
+        carried = ALI3PStep(place, rate, second_rate, multipliers, drift, residual)
+        after = given.bodies.state(place, rate, state)
+        after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
+        if ledger is not None:
+            ledger = ledger.entered(state, after, loads, None, 1.0, step, Twist(after.velocity, after.spin))
+        return after, ledger

@@ -1,0 +1,216 @@
+"""From a scene to the patella's path: one pure function, to be jitted, vmapped and differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.equilibrium import Solution, solve_equilibrium, unsolved
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.packing import Layout
+from pftwin.dynamics.state import Guide, State, System
+from pftwin.errors import InputError
+from pftwin.scene import Scene
+from pftwin.spatial import Pose, Scalar
+
+Carry = tuple[State, Ledger | None]
+
+
+class FrameStates(eqx.Module):
+    """The patella at the recorded frames (leading axis n_frames)."""
+
+    states: State
+    ledger: Ledger | None
+    start: Solution  # the equilibrium it started from
+    step: Scalar  # [s]
+    integrator: Integrator = eqx.field(static=True, default=LinearImplicit())  # which knows what the states carry
+
+
+def substeps_for(interval: float, dt: float) -> int:
+    """How many equal steps, none longer than dt, make up the interval between two frames.
+
+    Raises:
+        InputError: a step that is not a positive number.
+    """
+    if not dt > 0:
+        raise InputError(f"found {dt!r}", where="dt", expected="a positive number of seconds")
+    return max(1, -int(-(interval / dt - 1e-9) // 1))
+
+
+def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
+    """The equilibrium at the first frame, from the scene's own start pose or another pose of the patella's frame."""
+    pose = scene.center_of_mass_pose() if guess is None else _of_center(scene, guess)
+    return solve_equilibrium(scene.system(), first_guide(scene), pose)
+
+
+def start_before_search(scene: Scene) -> Solution:
+    """Of the same structure as `starting_equilibrium`'s answer, at no cost."""
+    return unsolved(scene.system(), first_guide(scene), scene.center_of_mass_pose())
+
+
+def _of_center(scene: Scene, pose: Pose) -> Pose:
+    return Pose(pose.apply(scene.patella.center_of_mass), pose.orientation)
+
+
+def first_guide(scene: Scene) -> Guide:
+    """The guided bodies at the first frame, standing still."""
+    return Guide.sample(scene.motion, jnp.asarray(scene.motion.start_time, dtype=float)).slowed(0.0)
+
+
+def starting_state(scene: Scene, start: Solution) -> State:
+    """At rest on the femur: one that moves at the first frame already carries the patella along, not runs into it."""
+    state = scene.system().at_rest(start.pose, start.memories)
+    if scene.motion.femur is None:
+        return state
+    femur = scene.motion.femur.frames(jnp.asarray(scene.motion.start_time, dtype=float))
+    motion = femur.velocity_at(state.position), state.orientation.unrotate(femur.angular_velocity)
+    return eqx.tree_at(lambda s: (s.velocity, s.spin), state, motion)
+
+
+def _parts(now: Carry) -> tuple[Any, Any]:
+    """What is stored of a frame, as two rows: a batch of which poses alone are asked for never makes the other."""
+    state, books = now
+    return (state.position, state.orientation), (state.velocity, state.spin, state.memories, state.carried, books)
+
+
+def _whole(pose: Any, rest: Any) -> Carry:
+    """The inverse of `_parts`."""
+    return State(*pose, *rest[:4]), rest[4]
+
+
+def frame_states(
+    scene: Scene,
+    *,
+    integrator: Integrator = LinearImplicit(),
+    substeps: int | Scalar = 10,
+    start: Solution | None = None,
+    ledger: bool = False,
+) -> FrameStates:
+    """The patella's path through the recorded frames, from static equilibrium.
+
+    Args:
+        scene: any leaf of it may be traced.
+        integrator: see `pftwin.dynamics.integrators`.
+        substeps: steps between two recorded frames. A traced number is not part of the program, but there is no reverse
+            mode by it; 0 stays in the equilibrium.
+        start: an equilibrium to start from; by default it is solved for.
+        ledger: whether to keep the energy ledger.
+
+    Raises:
+        InputError: an effect that the integrator has no answer for.
+
+    Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
+    """
+    run = _run(scene, integrator, substeps, start, ledger)
+
+    def one_frame(now: Carry, index: Scalar) -> tuple[Carry, tuple[Array, Array]]:
+        now = run.next_frame(now, index)
+        return now, run.rows_of(now)
+
+    _, rows = jax.lax.scan(one_frame, run.carry, jnp.arange(scene.motion.n_frames - 1))
+    later = run.whole(rows)
+    states, books = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), run.carry, later)
+    return FrameStates(states, books, run.start, run.step, integrator)
+
+
+def watched(
+    scene: Scene,
+    look: Callable[[State, Ledger | None, Scalar], Any],
+    *,
+    integrator: Integrator = LinearImplicit(),
+    substeps: int | Scalar = 10,
+    start: Solution | None = None,
+    ledger: bool = False,
+) -> tuple[Any, Solution, Scalar]:
+    """What a look shows of every recorded frame, taken while the motion goes on: no states are kept.
+
+    A batch stores a tenth as much so, and takes half the time, where looks are short. The rest is as in `frame_states`.
+
+    Args:
+        look: a pure function of the state, the ledger and the frame's number, to a tree of arrays.
+
+    Returns:
+        What it shows (n_frames, ...), the equilibrium at the start, and the step [s].
+    """
+    run, n = _run(scene, integrator, substeps, start, ledger), scene.motion.n_frames
+    layout = Layout.of(look, *run.carry, jnp.zeros((), int))
+
+    def one_frame(now: Carry, index: Scalar) -> tuple[Carry, Array]:
+        # One look in the program, before the step; the last step leads nowhere.
+        return run.next_frame(now, jnp.minimum(index, n - 2)), layout.row(look(*now, index))
+
+    _, rows = jax.lax.scan(one_frame, run.carry, jnp.arange(n))
+    return layout.unpacked(rows), run.start, run.step
+
+
+class _Run(NamedTuple):
+    """A motion that is ready to go on from frame to frame."""
+
+    carry: Carry
+    start: Solution
+    step: Scalar
+    next_frame: Callable[[Carry, Scalar], Carry]  # from a frame and its number
+    rows_of: Callable[[Carry], tuple[Array, Array]]  # what is stored of a frame
+    whole: Callable[[tuple[Array, Array]], Carry]  # and back, from rows of all frames
+
+
+def _run(scene: Scene, chosen: Integrator, substeps: int | Scalar, start: Solution | None, ledger: bool) -> _Run:
+    chosen.refuse_unfit(scene.effects)
+    system = scene.system()
+    if start is None:
+        start = starting_equilibrium(scene)
+    motion = scene.motion
+    step = motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
+    first = Guide.sample(motion, jnp.asarray(motion.start_time, dtype=float))
+    state = chosen.begin(system, starting_state(scene, start), first, step)
+    carry: Carry = (state, Ledger(jnp.zeros_like(step), jnp.zeros_like(step)) if ledger else None)
+
+    @partial(jax.checkpoint, prevent_cse=False)
+    def from_rows(pose: Array, rest: Array, index: Scalar) -> Carry:
+        now = jax.tree.map(lambda a: a[0], whole((pose[None], rest[None])))
+        piece = motion.between_frames(index)
+        began = motion.start_time + motion.frame_interval * index.astype(float)
+
+        @partial(jax.checkpoint, prevent_cse=False)
+        def one_step(k: Scalar, now: Carry) -> Carry:
+            def guide_at(part: float | Scalar) -> Guide:
+                return Guide.sample(piece, began + step * (jnp.asarray(k).astype(float) + part))
+
+            after, books = chosen.advance(system, now[0], guide_at, step, now[1])
+            return chosen.with_worst_residual(after, now[0]), books
+
+        return jax.lax.fori_loop(0, substeps, one_step, (chosen.with_residual_cleared(now[0]), now[1]))
+
+    def next_frame(now: Carry, index: Scalar) -> Carry:
+        return from_rows(*rows_of(now), index)
+
+    def rows_of(now: Carry) -> tuple[Array, Array]:
+        pose, rest = _parts(now)
+        return poses.row(pose), others.row(rest)
+
+    def whole(rows: tuple[Array, Array]) -> Carry:
+        return _whole(poses.unpacked(rows[0]), others.unpacked(rows[1]))
+
+    poses, others = (Layout.of(lambda i=i: _parts(carry)[i]) for i in (0, 1))
+    return _Run(carry, start, step, next_frame, rows_of, whole)
+
+
+__all__ = [
+    "FrameStates",
+    "System",
+    "first_guide",
+    "frame_states",
+    "start_before_search",
+    "starting_equilibrium",
+    "starting_state",
+    "substeps_for",
+    "watched",
+]

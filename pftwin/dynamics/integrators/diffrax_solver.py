@@ -1,0 +1,169 @@
+"""Any Runge-Kutta solver of diffrax, explicit or implicit, as a step: what high accuracy is measured against.
+
+Between two looks of the effects' memories (the steps of `dt`) the equations of motion are an ordinary differential
+equation, solved to a tolerance with steps of the solver's own choosing, or in one step of constant length. The state is
+one array of 13 numbers: an implicit solver then differentiates one function of one array, not a thousand scalars.
+Source: Kidger 2021, On Neural Differential Equations, section 5; diffrax's documentation for each solver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
+from pftwin.errors import InputError
+from pftwin.spatial import Quaternion, Scalar, Vec3
+
+if TYPE_CHECKING:
+    import diffrax
+
+MOST_STEPS = 4096  # of the solver, within one step of `dt`
+ADJOINTS = {"forward": "ForwardMode", "recursive": "RecursiveCheckpointAdjoint", "direct": "DirectAdjoint"}
+FIRST = 0.1  # the solver's first step, as a share of the first step of `dt`
+
+
+class DiffraxStep(NamedTuple):
+    """What a solver of diffrax carries from step to step."""
+
+    pace: Scalar  # the solver's mean step in the last one [s]
+    residual: Scalar  # 1 where the solver gave up
+
+
+def solver_named(name: str) -> diffrax.AbstractRungeKutta:
+    """diffrax's solver of that name.
+
+    Raises:
+        InputError: none, or one that does not solve ordinary differential equations by itself.
+    """
+    import diffrax
+
+    known = sorted(n for n in dir(diffrax) if _usable(getattr(diffrax, n)))
+    if name not in known:
+        raise InputError(f"no solver {name!r}", where="integrator diffrax", expected=f"one of: {', '.join(known)}")
+    return getattr(diffrax, name)()
+
+
+def _usable(found: Any) -> bool:
+    import diffrax
+
+    if not (isinstance(found, type) and issubclass(found, diffrax.AbstractRungeKutta)):
+        return False
+    return not found.__name__.startswith("Abstract") and found.term_structure is diffrax.AbstractTerm
+
+
+@dataclass(frozen=True)
+class Diffrax(Integrator):
+    """A Runge-Kutta solver of diffrax, in steps of its own choosing or of constant length: see above.
+
+    Args:
+        solver: diffrax's name of it, such as "Tsit5".
+        rtol, atol: tolerances of the error in each of the solver's steps, in metres, quaternions and their rates.
+        adaptive: whether the solver chooses its steps; else it takes one of the whole length.
+        adjoint: diffrax's way to differentiate: "forward", for reverse mode "recursive" (checkpoints) or "direct".
+
+    Raises:
+        InputError: no such solver or way to differentiate; a tolerance that is not above 0.
+    """
+
+    solver: str
+    rtol: float = 1e-7
+    atol: float = 1e-9
+    adaptive: bool = True
+    adjoint: str = "forward"
+    name: ClassVar[str] = "diffrax"
+
+    def __post_init__(self) -> None:
+        solver_named(self.solver)
+        if min(self.rtol, self.atol) <= 0 or self.adaptive not in (False, True) or self.adjoint not in ADJOINTS:
+            raise InputError(
+                f"found rtol={self.rtol:g}, atol={self.atol:g}, adaptive={self.adaptive:g}, adjoint={self.adjoint}",
+                where=f"integrator diffrax:{self.solver}",
+                expected=f"tolerances above 0, adaptive 1 or 0, adjoint one of: {', '.join(ADJOINTS)}",
+            )
+
+    @property
+    def order(self) -> int:
+        """The solver's."""
+        order = solver_named(self.solver).order(None)  # pyright: ignore[reportArgumentType]
+        assert order is not None
+        return order
+
+    @property
+    def text(self) -> str:
+        """ "diffrax:Tsit5", with the options that are not the default ones."""
+        options = super().text.removeprefix(f"{self.name}:").removeprefix(f"solver={self.solver}").removeprefix(",")
+        return ":".join(part for part in (self.name, self.solver, options) if part)
+
+    def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
+        """The state with a first guess of the solver's own step."""
+        return carrying(state, DiffraxStep(FIRST * step, jnp.zeros_like(step)))
+
+    def diagnostics(self, state: State) -> Diagnostics:
+        """1 where the solver gave up."""
+        return Diagnostics(residual=state.carried.residual)
+
+    def advance(
+        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
+    ) -> tuple[State, Ledger | None]:
+        """See `Integrator`."""
+        import diffrax
+
+        def slope(t: Scalar, y: Array, _: None) -> Array:
+            now = _state(y, state)
+            loads, _memories = system.loads(guide_at(t / step).instant(now.patella(), 0.0), state.memories)
+            a = acceleration(system, now.spin, loads)
+            turning = Quaternion.from_array(y[3:7]) * _half_spin(now.spin)
+            rates = [now.velocity.array(), turning.array(), a.linear.array(), a.angular.array()]
+            if ledger is not None:
+                zero = jnp.zeros_like(t)
+                books = Ledger(zero, zero).entered(now, now, loads, None, 0.5, jnp.ones_like(t))
+                rates.append(jnp.stack([books.work, books.heat]))
+            return jnp.concatenate(rates)
+
+        books = [] if ledger is None else [jnp.stack([ledger.work, ledger.heat])]
+        start = [state.position.array(), state.orientation.array(), state.velocity.array(), state.spin.array(), *books]
+        chosen = solver_named(self.solver)
+        if isinstance(chosen, diffrax.AbstractImplicitSolver):
+            chosen = eqx.tree_at(lambda s: s.root_finder, chosen, diffrax.VeryChord(rtol=self.rtol, atol=self.atol))
+        controller = diffrax.ConstantStepSize()
+        if self.adaptive:
+            controller = diffrax.PIDController(rtol=self.rtol, atol=self.atol)
+        found = diffrax.diffeqsolve(
+            diffrax.ODETerm(slope),  # pyright: ignore[reportArgumentType]
+            chosen,
+            t0=jnp.zeros_like(step),
+            t1=step,
+            dt0=jnp.minimum(state.carried.pace, step) if self.adaptive else step,
+            y0=jnp.concatenate(start),
+            stepsize_controller=controller,
+            adjoint=getattr(diffrax, ADJOINTS[self.adjoint])(),
+            max_steps=MOST_STEPS,
+            throw=False,
+        )
+        assert found.ys is not None
+        y = found.ys[-1]
+        after = _state(y, state)
+        _, memories = system.loads(guide_at(1.0).instant(after.patella(), step), state.memories)
+        failed = (found.result != diffrax.RESULTS.successful).astype(y.dtype)
+        carried = DiffraxStep(step / jnp.maximum(found.stats["num_accepted_steps"], 1).astype(y.dtype), failed)
+        after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
+        return after, None if ledger is None else Ledger(y[13], y[14])
+
+
+def _half_spin(spin: Vec3) -> Quaternion:
+    """What a quaternion's rate has on its right."""
+    return Quaternion(jnp.zeros_like(spin.x), 0.5 * spin.x, 0.5 * spin.y, 0.5 * spin.z)
+
+
+def _state(y: Array, like: State) -> State:
+    """The state that an array stands for; what is remembered is as in another."""
+    turn = Quaternion.from_array(y[3:7]).normalised()
+    velocity, spin = Vec3.from_array(y[7:10]), Vec3.from_array(y[10:13])
+    return State(Vec3.from_array(y[:3]), turn, velocity, spin, like.memories, like.carried)

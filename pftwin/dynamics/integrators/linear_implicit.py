@@ -1,0 +1,48 @@
+r"""The linearly implicit step: one force evaluation, every stiff direction of every effect treated implicitly.
+
+Forces are evaluated where the step would end at the present velocity, with the guided bodies at the step's end; so the
+lag of a slow, guided motion is of second order. From there every stiff term is linearised in the change of velocity
+(`pftwin.dynamics.implicit_solve`): one Newton iteration of backward Euler, and none beyond that. Any number of terms,
+unconditionally stable along their directions; order one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+
+from pftwin.dynamics.implicit_solve import Span, change_of_velocity, load_at_end
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.state import GuideAt, State, System, advance, gyroscopic
+from pftwin.spatial import Scalar, Vec3, Wrench
+
+
+@dataclass(frozen=True)
+class LinearImplicit(Integrator):
+    """The linearly implicit step of order one: see above."""
+
+    name: ClassVar[str] = "linear_implicit"
+
+    @property
+    def order(self) -> int:
+        """1."""
+        return 1
+
+    def advance(
+        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
+    ) -> tuple[State, Ledger | None]:
+        """See `Integrator`."""
+        with jax.named_scope("loads"):
+            ahead = advance(state, state.velocity, state.spin, step, state.memories).patella()
+            loads, memories = system.loads(guide_at(1.0).instant(ahead, step, step), state.memories)
+        with jax.named_scope("implicit_solve"):
+            inertial = Wrench(Vec3.zero(), gyroscopic(system.inertia, state.spin))
+            dv = change_of_velocity(system, inertial, loads, Span(step, step))
+        after = advance(state, state.velocity + Vec3(*dv[:3]), state.spin + Vec3(*dv[3:]), step, memories)
+        if ledger is not None:
+            ends = [load_at_end(load, dv, step) for load in loads]
+            ledger = ledger.entered(state, after, ends, [t.force for load in ends for t in load.stiff], 1.0, step)
+        return after, ledger

@@ -15,15 +15,15 @@ from pathlib import Path
 from dm_knee import build
 
 import pftwin
-from pftwin.audit.audit import audit
-from pftwin.audit.explain import explain
-from pftwin.audit.figure import audit_figure
-from pftwin.audit.report import audit_sheet, explanation_sheet
-from pftwin.audit.table import write_csv, write_netcdf
 from pftwin.cli.explain import show
 from pftwin.cli.terminal import out
 from pftwin.errors import PftwinError
 from pftwin.plots import save_figure
+from pftwin.studies.audit.audit import audit
+from pftwin.studies.audit.explain import explain
+from pftwin.studies.audit.figure import audit_figure
+from pftwin.studies.audit.report import audit_sheet, explanation_sheet
+from pftwin.studies.audit.table import write_csv, write_netcdf
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -43,15 +43,15 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.accuracy.figure import work_precision
-from pftwin.accuracy.plan import Setting
-from pftwin.accuracy.run import measure_all
-from pftwin.accuracy.table import advice_markdown, described, front, read_csv, recommended, short
 from pftwin.benchmarks.machine import describe
 from pftwin.dynamics import tolerance
 from pftwin.metrics import PAPER_TABLE_1
 from pftwin.plots import COLOURS, STYLE
 from pftwin.runtime import default_cache_dir
+from pftwin.studies.accuracy.figure import work_precision
+from pftwin.studies.accuracy.plan import Setting
+from pftwin.studies.accuracy.run import measure_all
+from pftwin.studies.accuracy.table import advice_markdown, described, front, read_csv, recommended, short
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 scene, measured = pftwin.rig.case(1, contact="P5"), pftwin.rig.measured(1)

@@ -13,14 +13,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from pftwin.audit.account import account
-from pftwin.audit.equations import equations
-from pftwin.audit.shares import in_turn, through_frames
 from pftwin.benchmarks.row import Row
 from pftwin.dynamics.simulate import settle
 from pftwin.dynamics.state import State
 from pftwin.effects.strands import StrandGroup
 from pftwin.scene import Scene
+from pftwin.studies.audit.account import account
+from pftwin.studies.audit.equations import equations
+from pftwin.studies.audit.step_cost import in_turn, through_frames
 
 TOPIC = "growth"
 STRANDS = 30

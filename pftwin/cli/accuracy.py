@@ -15,9 +15,9 @@ from pftwin.errors import InputError, OutputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pftwin.accuracy.measure import Row, SceneOf
     from pftwin.measured import Measured
     from pftwin.scene import Scene
+    from pftwin.studies.accuracy.measure import Row, SceneOf
 
 OWN = "as it is"  # a scene file's contact
 
@@ -50,9 +50,9 @@ def accuracy(
         raise OutputError(f"{folder}: there is a file of that name; try: another folder")
     check_outputs(json)
     start_computing()
-    from pftwin.accuracy.plan import COMMON, FLOATS, chosen, everything
-    from pftwin.accuracy.run import measure_all, write
     from pftwin.benchmarks.machine import describe
+    from pftwin.studies.accuracy.plan import COMMON, FLOATS, chosen, everything
+    from pftwin.studies.accuracy.run import measure_all, write
 
     if full and (contact or integrator or dtype):
         raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
@@ -75,8 +75,8 @@ def _tell(line: str) -> None:
 
 def _keep(rows: list[Row], folder: Path) -> None:
     """What there is so far, should anything happen to the rest."""
-    from pftwin.accuracy.table import csv
     from pftwin.output import written_whole
+    from pftwin.studies.accuracy.table import csv
 
     folder.mkdir(parents=True, exist_ok=True)
     with written_whole(folder / "accuracy.csv") as temporary:
@@ -109,7 +109,7 @@ def _source(scene: Path | None, case: int | None) -> _Source:
             loaded.scene.name,
         )
     from pftwin import rig
-    from pftwin.accuracy.plan import CYLINDER
+    from pftwin.studies.accuracy.plan import CYLINDER
 
     n = 1 if case is None else case
 
@@ -123,8 +123,8 @@ def _source(scene: Path | None, case: int | None) -> _Source:
 
 def _table(rows: list[Row]) -> Table:
     """What fits a terminal; the rest is in the files."""
-    from pftwin.accuracy.table import short
     from pftwin.demo import narrow_table
+    from pftwin.studies.accuracy.table import short
 
     table = narrow_table("Errors from the converged run of the same contact; speed in times real time")
     table.add_column("step, ms", no_wrap=True)
@@ -142,8 +142,8 @@ def _table(rows: list[Row]) -> Table:
 
 
 def _advice(rows: list[Row]) -> Table:
-    from pftwin.accuracy.table import described, recommended, short
     from pftwin.demo import narrow_table
+    from pftwin.studies.accuracy.table import described, recommended, short
 
     table = narrow_table("Recommended: the fastest that was measured within an error")
     for name in ("error, rms", "", "setting", "x real time", "force, N"):

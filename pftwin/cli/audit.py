@@ -16,7 +16,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
-    from pftwin.audit.audit import Audit
+    from pftwin.studies.audit.audit import Audit
 
 
 def audit(
@@ -46,8 +46,8 @@ def audit(
     files = _files(out_dir)
     check_outputs(json)
     chosen = chosen_scene(scene, case, contact)
-    from pftwin.audit.audit import audit as weigh
-    from pftwin.audit.report import audit_sheet
+    from pftwin.studies.audit.audit import audit as weigh
+    from pftwin.studies.audit.report import audit_sheet
 
     with working(f"running {chosen.scene.name} with every effect left out in turn"):
         found = weigh(
@@ -79,9 +79,9 @@ def _files(folder: Path | None) -> dict[str, Path]:
 
 def _write(found: Audit, files: dict[str, Path]) -> list[Path]:
     """What was written: after an interrupt the tables alone, for someone is waiting."""
-    from pftwin.audit.figure import audit_figure
-    from pftwin.audit.table import write_csv, write_netcdf
     from pftwin.plots import save_figure
+    from pftwin.studies.audit.figure import audit_figure
+    from pftwin.studies.audit.table import write_csv, write_netcdf
 
     files["csv"].parent.mkdir(parents=True, exist_ok=True)
     write_csv(found, files["csv"])

@@ -12,7 +12,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from pftwin.audit.report import Sheet
+    from pftwin.studies.audit.report import Sheet
 
 MarkdownOption = Annotated[bool, typer.Option("--markdown", help="Print the table as Markdown.")]
 
@@ -33,8 +33,8 @@ def explain(
     """
     check_outputs(json)
     chosen = chosen_scene(scene, case, contact)
-    from pftwin.audit.explain import explain as look
-    from pftwin.audit.report import explanation_sheet
+    from pftwin.studies.audit.explain import explain as look
+    from pftwin.studies.audit.report import explanation_sheet
 
     with working(f"running {chosen.scene.name} with and without each effect"):
         found = look(chosen.scene, integrator=integrator or "linear_implicit", dt=dt or 1e-3)

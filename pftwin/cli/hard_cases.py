@@ -14,10 +14,10 @@ from pftwin.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pftwin.hard_cases import Case
-    from pftwin.hard_cases import Selection as Selected
-    from pftwin.hard_cases.pieces import Piece
-    from pftwin.hard_cases.verdict import Cell
+    from pftwin.studies.hard_cases import Case
+    from pftwin.studies.hard_cases import Selection as Selected
+    from pftwin.studies.hard_cases.pieces import Piece
+    from pftwin.studies.hard_cases.verdict import Cell
 
 ContactsOption = Annotated[
     list[str] | None,
@@ -72,7 +72,7 @@ def hard_cases(
     check_outputs(json, markdown)
     start_computing()
     from pftwin.dynamics.integrators import integrator_named
-    from pftwin.hard_cases import (
+    from pftwin.studies.hard_cases import (
         CONTACTS,
         DTYPES,
         INTEGRATORS,
@@ -115,8 +115,8 @@ def _run(cases: tuple[Case, ...], chosen: Selected, json: str | None) -> Piece:
     import time
 
     from pftwin.benchmarks.machine import describe
-    from pftwin.hard_cases import run_matrix
-    from pftwin.hard_cases.pieces import Piece
+    from pftwin.studies.hard_cases import run_matrix
+    from pftwin.studies.hard_cases.pieces import Piece
 
     began = time.perf_counter()
     cells: list[Cell] = []

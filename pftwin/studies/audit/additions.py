@@ -5,34 +5,31 @@ from __future__ import annotations
 import equinox as eqx
 
 from pftwin.dynamics.integrators import integrator_named
-from pftwin.effects.friction import Friction, WithFriction
+from pftwin.effects.friction import Friction
 from pftwin.effects.gravity import Gravity
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tendon import Tendon
-from pftwin.effects.toe_tendon import ToeTendon
+from pftwin.effects.strings import TOE
 from pftwin.errors import InputError
 from pftwin.leaves import number
 from pftwin.scene import Scene
 from pftwin.spatial import Rotation, Vec3
-from pftwin.studies.audit.ablations import TOE
+from pftwin.studies.audit.ablations import together
 from pftwin.studies.audit.variant import NotApplicable, Variant
 
 # UHMWPE on CoCr, wet: 0.04 to 0.10 at 3 to 9 MPa in three studies compared by BioMed Res Int 2015:185142, Table 5.
 FRICTION = 0.05
 SLIP_SPEED = 1e-3  # [m/s]
-TOE_STRAIN = 0.06  # twice the reference strain of Blankevoort & Huiskes 1991, J Biomech Eng 113:263
 WEIGHT = 9.81  # [m/s^2]
 
 
 def additions(scene: Scene, integrator: str) -> list[Variant | NotApplicable]:
     """Friction, weight, a toe region, and inertia more, less or none; and steps half as long, as a yardstick."""
-    found = [_friction(scene), _gravity(scene), _toe(scene), *_inertia(scene, integrator)]
+    found = [_friction(scene), _gravity(scene), *_elaborated(scene), *_inertia(scene, integrator)]
     half = Variant("steps half as long", "yardstick", "what the step itself is worth", scene, refine=2)
     return [*(v for v in found if v is not None), half]
 
 
 def _friction(scene: Scene) -> Variant | NotApplicable | None:
-    if any(isinstance(e, WithFriction) for e in scene.effects):
+    if any(c.label == "friction" for e in scene.effects for c in e.simplifications()):
         return None
     if scene.contact is None:
         return NotApplicable("friction", "put in", "nothing touches")
@@ -56,20 +53,13 @@ def _gravity(scene: Scene) -> Variant | None:
     return Variant("gravity", "put in", sentence, scene.with_effect(Gravity(scene.patella.mass, down)))
 
 
-def _toe(scene: Scene) -> Variant | NotApplicable | None:
-    tendons = [e for e in scene.effects if type(e) is Tendon]
-    if not tendons:
-        if any(isinstance(e, ToeTendon | StrandGroup) for e in scene.effects):
-            return None
-        return NotApplicable(TOE, "put in", "no tendon is linear")
-    stiffening = scene
-    for e in tendons:
-        slack = e.slack_length / (1 + 0.5 * TOE_STRAIN)
-        toe = TOE_STRAIN + 0 * e.slack_length
-        new = ToeTendon(e.stiffness, slack, toe, e.damping, e.insertion, e.origin, e.body, name=e.name)
-        stiffening = stiffening.with_effect(new)
-    names = ", ".join(e.name for e in tendons)
-    return Variant(TOE, "put in", f"toe strain {TOE_STRAIN:g} in {names}, the linear region as it is", stiffening)
+def _elaborated(scene: Scene) -> list[Variant | NotApplicable]:
+    """What effects say that they lack: toe regions of linear tendons, where no line of force has one already."""
+    lacking = [c for e in scene.effects for c in e.elaborations()]
+    labels = [c.label for e in scene.effects for c in (*lacking, *e.simplifications())]
+    if any(label.startswith(TOE) for label in labels):
+        return [*together(scene, "put in", lacking)]
+    return [*together(scene, "put in", lacking), NotApplicable(TOE, "put in", "no tendon is linear")]
 
 
 def _inertia(scene: Scene, integrator: str) -> list[Variant | NotApplicable]:

@@ -8,41 +8,19 @@ Coriolis and the Euler force, and their moments.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.effects.base import Effect, Instant, Load, Observable
-from pftwin.effects.gravity import Gravity
 from pftwin.mocap.poses import PoseSeries
 from pftwin.motion import KneeMotion, SegmentMotion
 from pftwin.scene import Scene
-from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
+from pftwin.spatial import Pose, Quaternion
 from pftwin.studies.audit.variant import NotApplicable, Variant
 
 NAME = "moving-femur inertia"
-
-
-class TurningGravity(Effect):
-    """Weight in the axes of a femur that is taken to stand still: its direction turns as the femur would."""
-
-    mass: Scalar  # of the patella [kg]
-    acceleration: Vec3  # in the true world [m/s^2]
-    femur: SegmentMotion  # as it was recorded there
-    name: str = eqx.field(static=True, kw_only=True, default="gravity")
-    observables: ClassVar[dict[str, Observable]] = Gravity.observables
-
-    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The weight."""
-        there = self.femur.frames(now.time).rotation.unapply(self.acceleration)
-        return Load(wrench=Wrench(self.mass * there, Vec3.zero())), memory
-
-    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """Its size."""
-        return {"weight": self.mass * self.acceleration.norm()}
 
 
 def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
@@ -51,11 +29,10 @@ def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
     if femur is None:
         reason = "the femur stands still in this scene, and nothing in it tells how it moved in the world"
         return NotApplicable(NAME, "put in", reason)
-    if grounded := [e.name for e in scene.effects if getattr(e, "body", None) == "ground"]:
+    seen = {e.name: e.in_still_femur(femur) for e in scene.effects}
+    if grounded := [name for name, effect in seen.items() if effect is None]:
         return NotApplicable(NAME, "left out", f"fixed to the ground, which would move then: {', '.join(grounded)}")
-    effects = tuple(
-        TurningGravity(e.mass, e.acceleration, femur, name=e.name) if type(e) is Gravity else e for e in scene.effects
-    )
+    effects = tuple(e for e in seen.values() if e is not None)
     motion, start = _seen_from_femur(scene.motion, femur), _start(scene, femur)
     fixed = dataclasses.replace(scene, effects=effects, motion=motion, start=start)
     return Variant(NAME, "left out", "the femur's frame taken for an inertial one, weight turning in it", fixed)

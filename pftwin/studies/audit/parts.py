@@ -1,4 +1,4 @@
-"""The parts that a scene can do without: its effects, and the friction of a contact."""
+"""The parts that a scene can do without: its effects, and what of an effect has a load of its own (friction)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from pftwin.effects.base import Instant, Load
-from pftwin.effects.friction import WithFriction
+from pftwin.effects.base import Change, Effect, Instant, Load
 from pftwin.scene import Scene
 
 Memories = tuple[Any, ...]
@@ -15,40 +14,38 @@ Memories = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Part:
-    """An effect, or the friction of one."""
+    """An effect, or a part of one."""
 
     name: str
-    kind: str  # the class that computes it
+    kind: str  # what computes it
     index: int  # the effect's place
     without: Scene  # the scene that does without it
     forgetting: Callable[[Memories], Memories]  # that scene's memories from the whole scene's
     of: str | None = None  # the effect that it belongs to
 
 
+def separable(effect: Effect) -> list[Change]:
+    """What of an effect has a load of its own, by its label."""
+    return [c for c in effect.simplifications() if c.memory is not None]
+
+
 def parts(scene: Scene) -> list[Part]:
-    """All parts, an effect before its friction."""
+    """All parts, an effect before its own."""
     found = []
     for i, effect in enumerate(scene.effects):
         less = scene.without(effect.name)
         found.append(Part(effect.name, type(effect).__name__, i, less, lambda m, i=i: (*m[:i], *m[i + 1 :])))
-        if isinstance(effect, WithFriction):
-            smooth = scene.with_effect(effect.alone())
-            found.append(
-                Part(
-                    f"{effect.name}: friction",
-                    "Friction",
-                    i,
-                    smooth,
-                    lambda m, i=i: (*m[:i], m[i].contact, *m[i + 1 :]),
-                    of=effect.name,
-                )
-            )
+        for c in separable(effect):
+            forgetting = lambda m, i=i, own=c.memory: (*m[:i], own(m[i]), *m[i + 1 :])  # noqa: E731
+            name, kind = f"{effect.name}: {c.label}", c.label.capitalize()
+            found.append(Part(name, kind, i, scene.with_effect(c.effect), forgetting, of=effect.name))
     return found
 
 
-def load_of(part: Part, effect: Any, now: Instant, memory: Any) -> list[tuple[float, Load]]:
-    """The part's load as a sum of loads with their signs."""
-    whole = effect.load(now, memory)[0]
-    if part.of is None:
-        return [(1.0, whole)]
-    return [(1.0, whole), (-1.0, effect.alone().load(now, memory.contact)[0])]
+def load_of(part: Part, effect: Effect, now: Instant, memory: Any) -> list[tuple[float, Load]]:
+    """The part's load as a sum of loads with their signs; `effect` is made ready by `about`."""
+    loads = [(1.0, effect.load(now, memory)[0])]
+    for c in separable(effect):
+        if part.name == f"{part.of}: {c.label}" and c.memory is not None:
+            loads.append((-1.0, c.effect.load(now, c.memory(memory))[0]))
+    return loads

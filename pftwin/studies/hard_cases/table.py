@@ -123,8 +123,8 @@ there is no answer, before any number that is not finite. **Fail**: all else. To
 
 _NOT_RUN = """Cells that are in no row have not been run. Of cells run twice the later counts; each was judged by the
 code of its date. Some are left out by design (`pftwin/studies/hard_cases/integrators.py`): `ali3p` and diffrax's
-solvers run on P5 in float64 alone, `ali3p` in cases of at most 1,000 steps and without derivatives; batches of `ali3p`, `newmark` and
-`quasi_static`, and on meshes of all, are not looked at: they compile for minutes. Nor are derivatives
+solvers run on P5 in float64 alone, `ali3p` in cases of at most 1,000 steps and without derivatives; batches of `ali3p`,
+`newmark` and `quasi_static`, and on meshes of all, are not looked at: they compile for minutes. Nor are derivatives
 on contours but for the linearly implicit steps, and `quasi_static`'s by volume: they take tens of minutes each.
 
 `quasi_static` has no inertia, so nothing falls, bounces or swings: what is let go snaps to where it can rest, and says

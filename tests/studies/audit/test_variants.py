@@ -10,11 +10,12 @@ import pytest
 from scenes import MASS, J, gravity, knee, knee_motion, look, tendon, vec
 
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
+from pftwin.effects.base import Change, Effect, Load
 from pftwin.effects.gravity import Gravity
 from pftwin.effects.strands import StrandGroup
 from pftwin.mocap.poses import PoseSeries
 from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion, Vec3
+from pftwin.spatial import Pose, Quaternion, Vec3, Wrench
 from pftwin.studies.audit.ablations import ablations
 from pftwin.studies.audit.additions import additions
 from pftwin.studies.audit.femur_inertia import without_femur_inertia
@@ -169,3 +170,31 @@ def test_motion_keeps_its_times():
     assert isinstance(fixed, Variant)
     a, b = fixed.scene.motion, moving.motion
     assert (a.start_time, a.frame_interval, a.n_frames) == (b.start_time, b.frame_interval, b.n_frames)
+
+
+class Sticky(Effect):
+    """An effect that no study has heard of, with one thing that it can do without, and one that it lacks."""
+
+    grip: jax.Array
+    glue: jax.Array
+
+    def load(self, now, memory):
+        return Load(wrench=Wrench(Vec3(self.grip, self.glue, 0 * self.grip), Vec3.zero())), memory
+
+    def simplifications(self):
+        return (Change("glue", eqx.tree_at(lambda e: e.glue, self, 0 * self.glue), "dry"),)
+
+    def elaborations(self):
+        return (Change("spikes", eqx.tree_at(lambda e: e.grip, self, 10 * self.grip), "ten times the grip"),)
+
+
+def test_an_effect_says_itself_what_it_can_do_without_and_what_it_lacks():
+    scene = hung().with_effect(Sticky(J(1.0), J(2.0), name="sole"))
+    dry = named(ablations(scene), "glue")
+    assert isinstance(dry, Variant)
+    assert dry.alike
+    assert dry.scene.effect("sole").load(look(), None)[0].total().force.y == 0
+    assert dry.sentence == "sole: dry"
+    spiked = named(additions(scene, "newmark"), "spikes")
+    assert isinstance(spiked, Variant)
+    assert spiked.scene.effect("sole").load(look(), None)[0].total().force.x == 10

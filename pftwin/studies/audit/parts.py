@@ -24,9 +24,9 @@ class Part:
     of: str | None = None  # the effect that it belongs to
 
 
-def separable(effect: Effect) -> list[Change]:
-    """What of an effect has a load of its own, by its label."""
-    return [c for c in effect.simplifications() if c.memory is not None]
+def separable(effect: Effect) -> list[tuple[Change, Callable[[Any], Any]]]:
+    """What of an effect has a load of its own, with the way from the whole's memory to the rest's."""
+    return [(c, c.memory) for c in effect.simplifications() if c.memory is not None]
 
 
 def parts(scene: Scene) -> list[Part]:
@@ -35,8 +35,8 @@ def parts(scene: Scene) -> list[Part]:
     for i, effect in enumerate(scene.effects):
         less = scene.without(effect.name)
         found.append(Part(effect.name, type(effect).__name__, i, less, lambda m, i=i: (*m[:i], *m[i + 1 :])))
-        for c in separable(effect):
-            forgetting = lambda m, i=i, own=c.memory: (*m[:i], own(m[i]), *m[i + 1 :])  # noqa: E731
+        for c, rest in separable(effect):
+            forgetting = lambda m, i=i, rest=rest: (*m[:i], rest(m[i]), *m[i + 1 :])  # noqa: E731
             name, kind = f"{effect.name}: {c.label}", c.label.capitalize()
             found.append(Part(name, kind, i, scene.with_effect(c.effect), forgetting, of=effect.name))
     return found
@@ -45,7 +45,5 @@ def parts(scene: Scene) -> list[Part]:
 def load_of(part: Part, effect: Effect, now: Instant, memory: Any) -> list[tuple[float, Load]]:
     """The part's load as a sum of loads with their signs; `effect` is made ready by `about`."""
     loads = [(1.0, effect.load(now, memory)[0])]
-    for c in separable(effect):
-        if part.name == f"{part.of}: {c.label}" and c.memory is not None:
-            loads.append((-1.0, c.effect.load(now, c.memory(memory))[0]))
-    return loads
+    own = [(c, rest) for c, rest in separable(effect) if part.name == f"{part.of}: {c.label}"]
+    return [*loads, *((-1.0, c.effect.load(now, rest(memory))[0]) for c, rest in own)]

@@ -6,13 +6,12 @@ loop counts once, however often it runs, and a call counts as what is in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.interpreters import partial_eval
+from jax.extend.core import Jaxpr, Var, jaxprs_in_params
 
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.state import State, System
@@ -35,7 +34,7 @@ def equations(scene: Scene, integrator: str = "linear_implicit") -> int:
         system, state, piece, began, step = eqx.combine(arrays, fixed)
         return one_step(system, state, guide_over(piece, began, step), step, integrator)
 
-    return _count(_used(jax.make_jaxpr(stepped)(shapes).jaxpr))
+    return count(jax.make_jaxpr(stepped)(shapes).jaxpr)
 
 
 def _givens(scene: Scene, integrator: str) -> tuple[System, State, MotionPiece, Scalar, Scalar]:
@@ -46,19 +45,13 @@ def _givens(scene: Scene, integrator: str) -> tuple[System, State, MotionPiece, 
     return system, state, scene.motion.between_frames(jnp.zeros((), int)), jnp.zeros((), float), step
 
 
-def _used(jaxpr: Any) -> Any:
-    """Without the equations that nothing comes of."""
-    return partial_eval.dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))[0]
-
-
-def _count(jaxpr: Any) -> int:
-    return sum((eqn.primitive.name not in _CALLS) + sum(map(_count, _inside(eqn))) for eqn in jaxpr.eqns)
-
-
-def _inside(eqn: Any) -> Iterator[Any]:
-    """Jaxprs among an equation's parameters: bodies of loops, branches, calls."""
-    for value in eqn.params.values():
-        for one in value if isinstance(value, tuple | list) else (value,):
-            inner = getattr(one, "jaxpr", one)
-            if hasattr(inner, "eqns"):
-                yield inner
+def count(jaxpr: Jaxpr) -> int:
+    """Equations of which the results come; a call counts as what is in it, a loop as its body."""
+    needed = {v for v in jaxpr.outvars if isinstance(v, Var)}
+    found = 0
+    for eqn in reversed(jaxpr.eqns):
+        if not eqn.effects and needed.isdisjoint(eqn.outvars):
+            continue
+        needed.update(v for v in eqn.invars if isinstance(v, Var))
+        found += (eqn.primitive.name not in _CALLS) + sum(map(count, jaxprs_in_params(eqn.params)))
+    return found

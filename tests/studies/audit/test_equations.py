@@ -18,7 +18,7 @@ from pftwin.effects.toe_tendon import ToeTendon
 from pftwin.effects.viscoelastic_tendon import ViscoelasticTendon
 from pftwin.scene import Scene
 from pftwin.spatial import Vec3
-from pftwin.studies.audit.equations import _count, _used, equations
+from pftwin.studies.audit.equations import count, equations
 from pftwin.studies.audit.parts import parts
 
 
@@ -123,13 +123,14 @@ def test_bodies_of_loops_count_once_and_what_is_unused_not_at_all():
     def inner(x):
         return x * 2 + 1
 
-    def function(x):
-        jnp.sin(x)  # unused
-        return jax.lax.fori_loop(0, 50, lambda _, y: inner(y), x)
+    def loop(x, n, unused=lambda y: None):
+        unused(x)
+        return jax.lax.fori_loop(0, n, lambda _, y: (unused(y), inner(y))[1], x)
 
-    jaxpr = jax.make_jaxpr(function)(1.0).jaxpr
-    assert _count(_used(jaxpr)) < _count(jaxpr)
-    body = _count(jax.make_jaxpr(inner)(1.0).jaxpr)
-    assert body == 2
-    longer = jax.make_jaxpr(lambda x: jax.lax.fori_loop(0, 5000, lambda _, y: inner(y), x))(1.0).jaxpr
-    assert _count(_used(longer)) == _count(_used(jaxpr))
+    assert counted(inner) == 2
+    assert counted(lambda x: loop(x, 50)) == counted(lambda x: loop(x, 5000)) > 2
+    assert counted(lambda x: loop(x, 50, jnp.sin)) == counted(lambda x: loop(x, 50))
+
+
+def counted(function) -> int:
+    return count(jax.make_jaxpr(function)(1.0).jaxpr)

@@ -50,3 +50,4 @@ class Case:
     released: bool = False  # starts where it is put, at rest, and not in its equilibrium
     contacts: tuple[str, ...] = CONTACTS  # that it can be had with
     group: str = "short"  # cases of one group have motions of one length and meshes of one structure
+    unmended: str | None = None  # where it fails, and what is known of that

@@ -31,7 +31,6 @@ RATE = 100.0  # [Hz]
 FRAMES = 51
 MASS, INERTIA = 0.12, (3e-5, 3e-5, 4e-5)
 RADIUS = 0.022  # of the button [m]
-NEVER = 10.0  # slack length of a tendon that a case does without [m]
 
 
 @dataclass(frozen=True)
@@ -76,9 +75,14 @@ def flexed(degrees: Floats, positions: Floats | None = None) -> PoseSeries:
     return PoseSeries(times, np.zeros((half.size, 3)) if positions is None else positions, turns, source="tibia")
 
 
+def flexion(n: int, speed: float = 1.0) -> Floats:
+    """(n,) From 45 to 65 deg and back in 0.9 s, at another speed in as much less [deg]."""
+    return 45 + 20 * np.sin(2 * np.pi * speed * np.arange(n) / RATE / 1.8) ** 2
+
+
 def swinging(n: int = FRAMES, speed: float = 1.0) -> PoseSeries:
-    """From 45 to 65 deg of flexion and back in 0.9 s, at another speed in as much less."""
-    return flexed(45 + 20 * np.sin(2 * np.pi * speed * np.arange(n) / RATE / 1.8) ** 2)
+    """A tibia of that flexion."""
+    return flexed(flexion(n, speed))
 
 
 def standing(n: int = FRAMES) -> PoseSeries:
@@ -88,7 +92,6 @@ def standing(n: int = FRAMES) -> PoseSeries:
 
 QUADRICEPS = Strand(156, 0.1432, (0.02, 0, -0.008), (0.22, 0.012, 0.035))
 PATELLAR_TENDON = Strand(629, 0.0714, (-0.02, 0, -0.008), (-0.07, 0.01, 0.045))
-ABSENT = Strand(156, NEVER, (0.02, 0, -0.008), (0.22, 0, 0.035))
 
 
 def _trochlea(u: Floats, v: Floats) -> Floats:

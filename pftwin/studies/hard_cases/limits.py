@@ -47,46 +47,6 @@ LIMITS = {
 }
 
 
-_AMPLIFIED = (
-    "By volume, in float32, the derivatives of undamped steps (Newmark, explicit). Where the button goes from triangle"
-    " to triangle the motion multiplies rounding: Newmark's ends 0.002 to 1 mm from float64's, and its derivatives,"
-    " which agree to 1e-4 until then, are those of another path. In steps of 10 ms float64 refuses itself."
-)
-
-# Cases that fail somewhere, with what is known of it; nothing is excused by standing here.
-UNMENDED = {
-    "button_of_1_mm": "Over a cylinder, in float32, by explicit steps. The patella comes to rest 40 mm from where it"
-    " is put; the search for it moves it by up to 2 mm from one look to the next, and a contact point follows by at"
-    " most 0.12 radii, which here is 0.12 mm: it lags behind, and the search swings between free and 1 mm deep until"
-    " its count ends. A damped fall then finds the place, on all kinds of contact. Here the last iterate lies behind"
-    " the surface, where the point that is followed is not the nearest one. Steps of at most a quarter of the radius"
-    " mend that, and let the count run out elsewhere.",
-    "button_of_1_m": "By contours: the ball's own triangles are larger than the mesh that it lies on. It comes to"
-    " bear on the rim of the open mesh, where contours are not closed, and finds no equilibrium, which every frame"
-    " says. A frame later it has rolled over the rim and cuts it without a corner inside: 90 mm deep by the exhaustive"
-    " search, and without a force; said is that the contact reaches over the rim, and once no triangles meet, that it"
-    " is too deep.",
-    "at_random_4": "By contours, whose force jumps from triangle to triangle: the search stops 0.6 N from"
-    " balance, from the start and from the end of the damped relaxation. With LLVM's optimisations, which the"
-    " matrix does without, rounding is another, and it goes on to 1e-10 N. Every frame says that the run did not"
-    " start from an equilibrium.",
-    "step_of_50_us": "By contours: the derivative by the patellar tendon's slack length is 3 % off the finite"
-    " differences', with backward differences alone. A derivative does not see jumps of the force that"
-    " differences do; that this is all of it was not shown.",
-    "exponent_one": _AMPLIFIED,
-    "step_of_5_ms": _AMPLIFIED,
-    "step_of_10_ms": _AMPLIFIED,
-    "both_tendons_stiff": "On the spline: a sphere bears on every local minimum of its distance to the surface. In a"
-    " groove nearly as round as the button a second one can come to be where the button is deep already, and what it"
-    " stores is there at once: two wells 0.57 and 0.59 mm deep with a rise of 0.01 to 0.03 mm between them; where the"
-    " second is found the contact stores 1.35 J instead of 0.74. The run says two frames later that energy was created."
-    " Without inertia and in float32: across such a groove the tangent's stiffness is lost in rounding, and a fold is"
-    " taken where float64 finds none; the patella snaps out of the groove.",
-    "contact_hard": "By volume, in float32: a contact of 1e11 N/m^1.5 starts 0.2 um deep, where float32 places the"
-    " button by steps of 4 nm; the energy is created by rounding, and the run says so.",
-}
-
-
 def limit_of(contact: str) -> Limit:
     """That of a kind of contact."""
     return LIMITS.get(contact, _NONE)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from pftwin.studies.hard_cases.case import Case
-from pftwin.studies.hard_cases.limits import LIMITS, UNMENDED
+from pftwin.studies.hard_cases.limits import LIMITS
 from pftwin.studies.hard_cases.pieces import Piece, runs
 from pftwin.studies.hard_cases.verdict import Cell
 
@@ -78,6 +78,8 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
     found, m = counts(cells), pieces[-1].machine
     minutes = sum(p.seconds for p in pieces) / 60
     topics = dict.fromkeys(c.topic for c in cases)
+    by_name = {c.name: c for c in cases}
+    known = [by_name[name] for name in _failing(cells) if name in by_name and by_name[name].unmended]
     parts = [
         _INTRODUCTION,
         f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}. Made by "
@@ -85,7 +87,7 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
         f" minutes with compiling, other work going on: {m['cpu']}, {m['cores']} cores, jax {m['jax']}.",
         "## What fails, and why",
         _table(reasons(cells, "fail")) if found["fail"] else "Nothing.",
-        "\n".join(f"- **{name}**: {UNMENDED[name]}" for name in _failing(cells) if name in UNMENDED),
+        "\n".join(f"- **{c.name}**: {c.unmended}" for c in known),
         "## By contact, integrator and float type",
         _table(summary(cells)),
         "## By case\nOver all kinds of contact and float types.",

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
+from dataclasses import fields
+from importlib import resources
 from pathlib import Path
 
 import jax
@@ -21,7 +24,9 @@ from pftwin.studies.hard_cases import (
     run_matrix,
 )
 from pftwin.studies.hard_cases.batch import batches, built
+from pftwin.studies.hard_cases.case import Case, Expected
 from pftwin.studies.hard_cases.contacts import contact_on
+from pftwin.studies.hard_cases.knee import Knee
 from pftwin.studies.hard_cases.pieces import Piece
 from pftwin.studies.hard_cases.table import by_case, counts, markdown, reasons, summary
 from pftwin.studies.hard_cases.verdict import Cell
@@ -41,6 +46,24 @@ def test_a_case_says_what_is_hard_and_what_is_expected(case):
     assert case.contacts
     if case.expected.same_as is not None:
         assert case_named(case.expected.same_as).group == case.group
+
+
+def test_the_table_of_cases_has_no_word_that_is_not_read():
+    known = {f.name for kind in (Case, Expected) for f in fields(kind)} - {"topic", "builder", "expected"}
+    known = known - {"smooth", "symmetric", "still"} | {"holds", "knee", "seed", "change"}
+    text = resources.files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8")
+    for entries in tomllib.loads(text).values():
+        for entry in entries:
+            assert set(entry) <= known, entry["name"]
+
+
+def test_changes_reach_the_numbers_that_they_name():
+    knee = case_named("tendon_stiff").builder()
+    assert (knee.patellar_tendon.stiffness, knee.quadriceps) == (5e5, Knee().quadriceps)
+    dropped = case_named("bounce_to_rest")
+    assert dropped.builder().start == (0.0, 0.0, 0.025)
+    assert dropped.expected.symmetric
+    assert not dropped.expected.smooth
 
 
 def test_a_name_that_is_none_is_refused():

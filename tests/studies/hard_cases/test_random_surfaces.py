@@ -17,7 +17,7 @@ from pftwin.studies.hard_cases.invariants import CHECKS
 from pftwin.studies.hard_cases.knee import Knee
 from pftwin.studies.hard_cases.look import TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import compiled, depths, rest, run
-from pftwin.studies.hard_cases.scattered import BUMPS, DEGREE, bumpy
+from pftwin.studies.hard_cases.random_knees import BUMPS, DEGREE, bumpy
 from pftwin.surfaces.patch import exponents
 
 COEFFICIENTS = st.lists(

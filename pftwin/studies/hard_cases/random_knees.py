@@ -1,4 +1,4 @@
-"""Cases of numbers at random: coefficients, tendons and law drawn around the small knee's."""
+"""Knees of numbers at random: coefficients, tendons and law drawn around the small knee's."""
 
 from __future__ import annotations
 
@@ -6,13 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from pftwin.dynamics.status import Status
-from pftwin.studies.hard_cases.case import Case, Expected
 from pftwin.studies.hard_cases.ground import Ground
 from pftwin.studies.hard_cases.knee import PATELLAR_TENDON, QUADRICEPS, TROCHLEA, Knee, Law
 from pftwin.surfaces.patch import exponents
 
-TOPIC = "at random"
 DEGREE, BUMPS = 5, 4e-4  # of the bumps that are added to the trochlea, and their coefficients' size [m]
 
 
@@ -40,15 +37,3 @@ def drawn(seed: int) -> Knee:
     ground = bumpy(random.normal(0, BUMPS, len(exponents(DEGREE))))
     mass = float(10 ** random.uniform(-1.5, -0.5))
     return Knee(ground=ground, law=law, mass=mass, quadriceps=quadriceps, patellar_tendon=tendon)
-
-
-CASES = tuple(
-    Case(
-        f"at_random_{seed}",
-        TOPIC,
-        f"Coefficients of the surface, tendons, law and mass drawn at random (seed {seed}).",
-        lambda seed=seed: drawn(seed),
-        Expected(may=Status.OK),
-    )
-    for seed in range(1, 5)
-)

@@ -20,7 +20,8 @@ from pftwin.effects.strands import StrandGroup
 from pftwin.scene import Scene
 from pftwin.studies.audit.account import account
 from pftwin.studies.audit.equations import equations
-from pftwin.studies.audit.step_cost import in_turn, through_frames
+from pftwin.studies.audit.step_cost import through_frames
+from pftwin.studies.runs import time_in_turn
 
 TOPIC = "growth"
 STRANDS = 30
@@ -45,7 +46,7 @@ def rows(*, meshes: tuple[str, ...] = ("volume",)) -> list[Row]:
         runs.append(partial(through_frames, scene.unnamed(), states, INTEGRATOR, SUBSTEPS))
     steps = SUBSTEPS * (whole.motion.n_frames - 1)
     out, before = [], None
-    for (name, scene), share in zip(scenes.items(), in_turn(runs), strict=True):
+    for (name, scene), share in zip(scenes.items(), time_in_turn(runs), strict=True):
         count = equations(scene, INTEGRATOR)
         more = "" if before is None or name.split()[0] in meshes else f", {count - before:+d}"
         details = {"equations": count, "to_the_first": share.ratio, "spread": share.spread}

@@ -79,13 +79,16 @@ def _files(folder: Path | None) -> dict[str, Path]:
 
 def _write(found: Audit, files: dict[str, Path]) -> list[Path]:
     """What was written: after an interrupt the tables alone, for someone is waiting."""
+    from pftwin.mocap.text_files import write_text
     from pftwin.plots import save_figure
+    from pftwin.result_files import save_dataset
     from pftwin.studies.audit.figure import audit_figure
-    from pftwin.studies.audit.table import write_csv, write_netcdf
+    from pftwin.studies.audit.table import dataset, table
+    from pftwin.studies.tables import to_csv
 
     files["csv"].parent.mkdir(parents=True, exist_ok=True)
-    write_csv(found, files["csv"])
-    write_netcdf(found, files["nc"])
+    write_text(files["csv"], to_csv(table(found)))
+    save_dataset(dataset(found), files["nc"])
     if found.interrupted:
         return [files["csv"], files["nc"]]
     title = f"{found.scene}{' (synthetic motion)' if found.synthetic else ''}: what each effect is worth"

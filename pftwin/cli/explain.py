@@ -12,7 +12,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from pftwin.studies.audit.report import Sheet
+    from pftwin.studies.tables import Sheet
 
 MarkdownOption = Annotated[bool, typer.Option("--markdown", help="Print the table as Markdown.")]
 

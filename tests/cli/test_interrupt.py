@@ -117,7 +117,7 @@ def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path):
     assert "saved so far: cells.json" in run.interrupted()
     from pftwin.studies.hard_cases.pieces import read_piece
 
-    assert [c.contact for c in read_piece(tmp_path / "cells.json").cells] == ["P2"]
+    assert [c.contact for c in read_piece(tmp_path / "cells.json").rows] == ["P2"]
 
 
 def test_accuracy_keeps_the_rows_so_far(toy, tmp_path):
@@ -141,7 +141,7 @@ DURING_VARIANTS = (
 DURING_TIMES = (
     "import pftwin.studies.audit.audit as a\nreal = a._listed\n"
     "a._listed = lambda *given: [v for v in real(*given) if getattr(v, 'alike', True)]\n"
-    f"def in_turn(runs): {PAUSE}\na.in_turn = in_turn"
+    f"def in_turn(runs): {PAUSE}\na.time_in_turn = in_turn"
 )
 
 

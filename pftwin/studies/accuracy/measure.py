@@ -5,15 +5,14 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.benchmarks.accuracy import rms
-from pftwin.benchmarks.clock import measure
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.simulate import settle
 from pftwin.measured import Measured
@@ -22,6 +21,7 @@ from pftwin.result import Result
 from pftwin.scene import Scene
 from pftwin.studies.accuracy.plan import MESHES, REFERENCE, REFERENCE_ON_MESHES, Setting
 from pftwin.studies.accuracy.programs import VARIANTS, Programs, programs
+from pftwin.studies.runs import Difference, difference, rms, time_in_turn
 
 SceneOf = Callable[[str], Scene]  # from a contact's name, in JAX's present float type
 GRADIENT_SUBSTEPS = 2
@@ -47,10 +47,6 @@ class Row:
     compile_s: float  # tracing and compiling one run
     gradient: float  # a run with four forward derivatives, in plain runs
     status: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -93,8 +89,7 @@ def converged(scene: Scene, contact: str) -> Converged:
         p = programs(scene, name)
         seen = jax.jit(p.one)(p.arrays, start.answer, jnp.asarray(REFERENCE_ON_MESHES if mesh else REFERENCE))
         found.append(_result(scene, start.answer, relaxed, seen))
-    doubt = 1e3 * rms(np.linalg.norm(found[0].center - found[1].center, axis=1))
-    return Converged(found[0], doubt)
+    return Converged(found[0], 1e3 * rms(_apart(scene, found[1], found[0]).center))
 
 
 def rows(setting: Setting, scene: Scene, reference: Converged, measured: Measured | None) -> list[Row]:
@@ -105,8 +100,8 @@ def rows(setting: Setting, scene: Scene, reference: Converged, measured: Measure
     began = time.perf_counter()
     one = jax.jit(p.one).lower(p.arrays, start.answer, steps[setting.substeps[0]]).compile()
     compiling = time.perf_counter() - began
-    times = {n: measure(lambda n=n: one(p.arrays, start.answer, steps[n]), runs=3, seconds=0.2).median for n in steps}
-    batch = _batch_times(p, start.answer, steps) if setting.batch else {}
+    times = _times(one, p, start.answer, steps)
+    batch = _times(jax.jit(p.many), p, start.answer, steps) if setting.batch else {}
     gradient = _gradient(p, start.answer, steps.get(GRADIENT_SUBSTEPS, steps[setting.substeps[0]]), setting)
     found = []
     for n, at in steps.items():
@@ -118,7 +113,7 @@ def rows(setting: Setting, scene: Scene, reference: Converged, measured: Measure
                 integrator_named(setting.integrator).order,
                 setting.dtype,
                 1e3 * scene.motion.frame_interval / n,
-                **_errors(result, reference.result),
+                **_errors(scene, result, reference.result),
                 measured_mm=float("nan") if measured is None else _from_measurements(result, measured),
                 real_time=result.duration / times[n],
                 real_time_batch=VARIANTS * result.duration / batch[n] if batch else float("nan"),
@@ -130,35 +125,35 @@ def rows(setting: Setting, scene: Scene, reference: Converged, measured: Measure
     return found
 
 
-def _batch_times(p: Programs, start: Any, steps: dict[int, Any]) -> dict[int, float]:
-    many = jax.jit(p.many)
-    return {n: measure(lambda n=n: many(p.arrays, start, steps[n]), runs=3, seconds=0.2).median for n in steps}
+def _times(program: Callable[..., Any], p: Programs, start: Any, steps: dict[int, Any]) -> dict[int, float]:
+    """By number of steps [s]."""
+    runs = {n: partial(program, p.arrays, start, at) for n, at in steps.items()}
+    return {n: time_in_turn([run], rounds=3, seconds=0.2, own=False)[0].seconds for n, run in runs.items()}
 
 
 def _gradient(p: Programs, start: Any, substeps: Any, setting: Setting) -> float:
     """The cost of a run with its derivatives, in runs."""
     if not setting.gradient:
         return float("nan")
-    plain, columns = jax.jit(p.path), jax.jit(p.columns)
-    alone = measure(lambda: plain(p.arrays, start, substeps), seconds=0.2).median
-    return measure(lambda: columns(p.arrays, start, substeps), runs=3, seconds=0.2).median / alone
+    pair = [partial(jax.jit(program), p.arrays, start, substeps) for program in (p.path, p.columns)]
+    return time_in_turn(pair, rounds=5, seconds=0.2, own=False)[1].ratio
 
 
 def _result(scene: Scene, start: Any, relaxed: bool, seen: Any) -> Result:
     return Result.build(scene, start, seen, None, relaxed=relaxed, settings={}, timing={})
 
 
-def _errors(found: Result, reference: Result) -> dict[str, float]:
-    apart = 1e3 * np.linalg.norm(found.center - reference.center, axis=1)
-    tilt = np.degrees((found.angles.tilt - reference.angles.tilt + np.pi) % (2 * np.pi) - np.pi)
-    force = float("nan")
-    if found.contact is not None and reference.contact is not None:
-        force = rms(found.effects[found.contact]["force"] - reference.effects[reference.contact]["force"])
+def _apart(scene: Scene, found: Result, reference: Result) -> Difference:
+    return difference(found, reference, np.asarray(scene.tracked_point().array(), dtype=np.float64))
+
+
+def _errors(scene: Scene, found: Result, reference: Result) -> dict[str, float]:
+    apart = _apart(scene, found, reference)
     return {
-        "position_rms_mm": rms(apart),
-        "position_max_mm": float(np.max(apart)),
-        "tilt_rms_deg": rms(tilt),
-        "force_rms_n": force,
+        "position_rms_mm": 1e3 * rms(apart.center),
+        "position_max_mm": 1e3 * float(np.max(apart.center)),
+        "tilt_rms_deg": float(np.degrees(rms(apart.tilt))),
+        "force_rms_n": float("nan") if apart.contact is None else rms(apart.contact),
         "dislocation_ms": 1e3 * (_dislocation(found) - _dislocation(reference)),
     }
 

@@ -21,7 +21,7 @@ from pftwin.scene import Scene
 VARIANTS = 64
 SPREAD = 0.02  # of the variants' mass, to either side
 COLUMNS = 4  # parameters that derivatives are taken by, at most
-FITTED = ("stiffness", "slack_length")
+FITTED = (".stiffness", ".slack_length")
 
 
 class Programs(NamedTuple):
@@ -58,30 +58,25 @@ def programs(scene: Scene, integrator: str) -> Programs:
 
         return batched(one)(factors)
 
-    places = _parameters(scene)
+    numbers = _parameters(scene)
 
     def derivatives(a: Any, start: Solution, substeps: Array) -> Array:
-        whole = eqx.combine(a, fixed)
+        leaves, structure = jax.tree.flatten(eqx.combine(a, fixed))
 
         def by(factors: Array) -> Array:
-            values = [_at(whole, p) * factors[i] for i, p in enumerate(places)]
-            return tracked(eqx.tree_at(lambda s: [_at(s, p) for p in places], whole, values), start, substeps)
+            own = list(leaves)
+            for k, number in enumerate(numbers):
+                own[number] = own[number] * factors[k]
+            return tracked(jax.tree.unflatten(structure, own), start, substeps)
 
-        return jax.jacfwd(by)(jnp.ones(len(places)))
+        return jax.jacfwd(by)(jnp.ones(len(numbers)))
 
-    return Programs(arrays, run, path, variants, derivatives, len(places))
-
-
-def _parameters(scene: Scene) -> list[tuple[int, str] | None]:
-    """Stiffness and slack length of the first tendons: effect and field; of a scene without any the mass (None)."""
-    found: list[tuple[int, str] | None] = [
-        (i, field)
-        for i, effect in enumerate(scene.effects)
-        for field in FITTED
-        if isinstance(value := getattr(effect, field, None), jax.Array) and value.ndim == 0
-    ]
-    return found[:COLUMNS] or [None]
+    return Programs(arrays, run, path, variants, derivatives, len(numbers))
 
 
-def _at(scene: Scene, place: tuple[int, str] | None) -> Array:
-    return scene.patella.mass if place is None else getattr(scene.effects[place[0]], place[1])
+def _parameters(scene: Scene) -> list[int]:
+    """Leaves of the scene: stiffness and slack length of the first tendons; of a scene without any the mass."""
+    leaves = jax.tree_util.tree_leaves_with_path(scene)
+    names = [str(path[-1]) for path, _ in leaves]
+    found = [i for i, (_, leaf) in enumerate(leaves) if names[i] in FITTED and jnp.ndim(leaf) == 0]
+    return found[:COLUMNS] or [names.index(".mass")]

@@ -15,7 +15,9 @@ from pftwin.result_files import save_dataset
 from pftwin.studies.accuracy.figure import work_precision
 from pftwin.studies.accuracy.measure import Converged, Row, SceneOf, compiling_anew, converged, float_type, rows
 from pftwin.studies.accuracy.plan import Setting
-from pftwin.studies.accuracy.table import advice_markdown, csv, dataset, rows_markdown
+from pftwin.studies.accuracy.table import advice, columns, everything
+from pftwin.studies.runs import run_each
+from pftwin.studies.tables import Sheet, to_csv, to_dataset
 
 
 @dataclass(frozen=True)
@@ -44,19 +46,24 @@ def measure_all(
         keep: gets all rows so far after each, to put them where they are not lost.
     """
     references: dict[str, Converged] = {}
-    found: list[Row] = []
+
+    def before(k: int, setting: Setting) -> None:
+        if setting.contact not in references:
+            tell(f"{setting.contact}: converged run")
+            with float_type("float64"):
+                references[setting.contact] = converged(scene_of(setting.contact), setting.contact)
+        tell(f"{k + 1} of {len(plan)}: {setting.contact}, {setting.integrator}, {setting.dtype}")
+
+    def one(setting: Setting) -> list[Row]:
+        with float_type(setting.dtype):
+            return rows(setting, scene_of(setting.contact), references[setting.contact], measured)
+
     with compiling_anew():
-        for k, setting in enumerate(plan):
-            if setting.contact not in references:
-                tell(f"{setting.contact}: converged run")
-                with float_type("float64"):
-                    references[setting.contact] = converged(scene_of(setting.contact), setting.contact)
-            tell(f"{k + 1} of {len(plan)}: {setting.contact}, {setting.integrator}, {setting.dtype}")
-            with float_type(setting.dtype):
-                found += rows(setting, scene_of(setting.contact), references[setting.contact], measured)
-            keep(found)
+        found = run_each(plan, one, before=before, after=lambda pieces: keep([r for p in pieces for r in p]))
+    if len(found) < len(plan):
+        raise KeyboardInterrupt  # `keep` has what was measured
     models = {} if measured is None else {c: _against(r, measured) for c, r in references.items()}
-    return Found(found, references, models)
+    return Found([row for piece in found for row in piece], references, models)
 
 
 def _against(reference: Converged, measured: Measured) -> Validation:
@@ -72,8 +79,8 @@ def _against(reference: Converged, measured: Measured) -> Validation:
 def write(found: Found, folder: Path, title: str, about: dict[str, Any]) -> list[Path]:
     """accuracy.nc, accuracy.csv, accuracy.md, and a figure for each contact model."""
     folder.mkdir(parents=True, exist_ok=True)
-    save_dataset(dataset(found.rows, about), folder / "accuracy.nc")
-    texts = {"accuracy.csv": csv(found.rows), "accuracy.md": report(found, title, about)}
+    save_dataset(to_dataset(columns(found.rows), "setting", about), folder / "accuracy.nc")
+    texts = {"accuracy.csv": to_csv(columns(found.rows)), "accuracy.md": report(found, title, about)}
     for name, text in texts.items():
         with written_whole(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -94,10 +101,10 @@ def report(found: Found, title: str, about: dict[str, Any]) -> str:
             "Errors are from the converged run of the same contact model; how far a second integrator's converged run"
             f" is from it, rms: {doubts}.\n",
             "## Recommended settings\n",
-            advice_markdown(found.rows),
+            advice(found.rows).grid() + "\n",
             *_models(found.models),
             "## Everything measured\n",
-            rows_markdown(found.rows),
+            everything(found.rows).grid() + "\n",
         ]
     )
 
@@ -109,17 +116,15 @@ def _models(models: dict[str, Validation]) -> list[str]:
     synthetic = any(v.synthetic for v in models.values())
     keep = ("initial_configuration", "real_time_factor")
     rows = [[r for r in v.to_rows(c if c in PAPER_TABLE_1 else None) if r.key not in keep] for c, v in models.items()]
-    lines = [
+    cells = [
+        [("-" if r.value is None else f"{r.value:.3g}") + ("" if r.paper is None else f" ({r.paper:g})") for r in same]
+        for same in zip(*rows, strict=True)
+    ]
+    labels = [f"{r.label}, {r.unit}" for r in rows[0]]
+    sheet = Sheet("", ("", *models), tuple((a, *b) for a, b in zip(labels, cells, strict=True)))
+    return [
         "## Error of the contact models\n",
         f"Converged runs against the {'SYNTHETIC ' if synthetic else ''}measurements; in brackets the paper's means"
         " over its four cases, with its own rig and measurements (Michaud et al. 2024, Table 1).\n",
-        "| | " + " | ".join(models) + " |",
-        "|---|" + "---|" * len(models),
+        sheet.grid() + "\n",
     ]
-    for same in zip(*rows, strict=True):
-        cells = [
-            ("-" if r.value is None else f"{r.value:.3g}") + ("" if r.paper is None else f" ({r.paper:g})")
-            for r in same
-        ]
-        lines.append(f"| {same[0].label}, {same[0].unit} | {' | '.join(cells)} |")
-    return [*lines, ""]

@@ -1,22 +1,17 @@
-"""The rows as a dataset and as tables: everything, the front of best settings, and a few recommendations."""
+"""The rows as columns and as tables: everything, the front of best settings, and a few recommendations."""
 
 from __future__ import annotations
 
-import csv as comma_separated
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from pftwin.errors import InputError
-from pftwin.mocap.text_files import read_lines
-from pftwin.result_dataset import plain_attribute
+from pftwin.studies import tables
 from pftwin.studies.accuracy.measure import Row
-
-if TYPE_CHECKING:
-    from xarray import Dataset
+from pftwin.studies.tables import Column, Sheet, short
 
 LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors that settings are recommended for [mm]
 ALIKE = 0.9  # ratio of two speeds that measuring again may turn around
@@ -34,7 +29,7 @@ ABOUT = {
     "compile_s": ("s", "tracing and compiling one run"),
     "gradient": ("1", "a run with four forward derivatives, in plain runs"),
 }
-_NEEDED = ("step_ms", "position_rms_mm", "real_time")  # columns without which a row says nothing
+_NEEDED = ("contact", "integrator", "dtype", "status", "order", "step_ms", "position_rms_mm", "real_time")
 
 
 class Advice(NamedTuple):
@@ -45,48 +40,19 @@ class Advice(NamedTuple):
     best_batch: Row | None
 
 
-def dataset(rows: Sequence[Row], attributes: dict[str, Any]) -> Dataset:
-    """One dimension, `setting`; units and long names on every variable."""
-    from xarray import Dataset
-
-    values = {f.name: np.array([getattr(r, f.name) for r in rows]) for f in fields(Row)}
-    data = {
-        name: ("setting", v, dict(zip(("units", "long_name"), ABOUT[name], strict=True)) if name in ABOUT else {})
-        for name, v in values.items()
-    }
-    return Dataset(data, attrs={k: plain_attribute(v) for k, v in attributes.items()})
-
-
-def csv(rows: Sequence[Row]) -> str:
-    """Comma-separated, units in the names."""
+def columns(rows: Sequence[Row]) -> list[Column]:
+    """Every field of the rows, units in the names."""
     names = [f.name for f in fields(Row)]
-    lines = [",".join(names)]
-    for row in rows:
-        cells = row.to_dict()
-        lines.append(",".join(f"{c:.6g}" if isinstance(c, float) else f'"{c}"' for c in (cells[n] for n in names)))
-    return "\n".join(lines) + "\n"
+    return [Column(n, [getattr(r, n) for r in rows], *ABOUT.get(n, ())) for n in names]
 
 
 def read_csv(path: str | os.PathLike[str]) -> list[Row]:
-    """Rows that `csv` wrote, of this version or of one that knew fewer columns: what it lacks is NaN.
-
-    Lines that start with # and columns that a row does not have are passed over.
+    """Rows that were kept, of this version or of one that knew fewer columns: what it lacks is NaN.
 
     Raises:
         InputError: no such file, or one without the columns that make a row.
     """
-    where, texts = str(path), ("contact", "integrator", "dtype", "status")
-    lines, _ = read_lines(path)
-    found = []
-    for number, cells in enumerate(comma_separated.DictReader(x for x in lines if not x.startswith("#")), start=1):
-        if missing := [n for n in (*texts, "order", *_NEEDED) if not cells.get(n)]:
-            raise InputError(f"row {number} has no {missing[0]}", where=where, expected="a table of pftwin accuracy")
-        try:
-            values = {f.name: float(cells.get(f.name) or "nan") for f in fields(Row) if f.name not in texts}
-        except ValueError as error:
-            raise InputError(f"row {number}: {error}", where=where, expected="numbers") from error
-        found.append(Row(**{n: cells[n] for n in texts}, **{**values, "order": int(values["order"])}))
-    return found
+    return tables.read_csv(path, Row, _NEEDED, "a table of pftwin accuracy")
 
 
 def front(rows: Iterable[Row], speed: str = "real_time") -> list[Row]:
@@ -114,60 +80,69 @@ def recommended(rows: Sequence[Row], levels: Sequence[float] = LEVELS) -> list[A
     return [Advice(level, fastest(level, "real_time"), fastest(level, "real_time_batch")) for level in levels]
 
 
-def advice_markdown(rows: Sequence[Row]) -> str:
+def advice(rows: Sequence[Row]) -> Sheet:
     """The recommendations."""
-    lines = [
-        "| error, rms | one run | x real time | error, max | contact force, rms | 64 side by side | x real time |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    found = []
     for level, one, many in recommended(rows):
-        alone = ("none measured", *"---") if one is None else (described(one), short(one.real_time), *_errors(one))
+        alone = ("none measured", *"---")
+        if one is not None:
+            errors = f"{short(one.position_max_mm)} mm", f"{short(one.force_rms_n)} N"
+            alone = (described(one), short(one.real_time), *errors)
         beside = ("-", "-") if many is None else (described(many), short(many.real_time_batch))
-        lines.append(f"| {level:g} mm | {' | '.join((*alone, *beside))} |")
-    return "\n".join(lines) + "\n"
+        found.append((f"{level:g} mm", *alone, *beside))
+    headings = (
+        "error, rms", "one run", "x real time", "error, max", "contact force, rms", "64 side by side", "x real time",
+    )  # fmt: skip
+    return Sheet("Recommended: the fastest that was measured within an error", headings, tuple(found))
 
 
-def rows_markdown(rows: Sequence[Row]) -> str:
-    """Everything."""
-    lines = [
-        "| contact | integrator | float | step, ms | position rms (max), mm | tilt, deg | force, N | dislocation, ms"
-        " | from measurements, mm | x real time | 64 side by side | compile, s | derivatives | status |",
-        "|" + "---|" * 14,
-    ]
+def everything(rows: Sequence[Row]) -> Sheet:
+    """All figures of all rows."""
+    headings = (
+        "contact", "integrator", "float", "step, ms", "position rms (max), mm", "tilt, deg", "force, N",
+        "dislocation, ms", "from measurements, mm", "x real time", "64 side by side", "compile, s", "derivatives",
+        "status",
+    )  # fmt: skip
+    found = []
     for r in rows:
-        cells = (
-            r.contact,
-            r.integrator,
-            r.dtype,
-            f"{r.step_ms:g}",
-            f"{short(r.position_rms_mm)} ({short(r.position_max_mm)})",
-            short(r.tilt_rms_deg),
-            short(r.force_rms_n),
-            short(r.dislocation_ms),
-            short(r.measured_mm),
-            short(r.real_time),
-            short(r.real_time_batch),
-            short(r.compile_s),
-            short(r.gradient),
-            r.status,
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+        position = f"{short(r.position_rms_mm)} ({short(r.position_max_mm)})"
+        figures = (r.tilt_rms_deg, r.force_rms_n, r.dislocation_ms, r.measured_mm)
+        speeds = (r.real_time, r.real_time_batch, r.compile_s, r.gradient)
+        named = (r.contact, r.integrator, r.dtype, f"{r.step_ms:g}", position)
+        found.append((*named, *map(short, (*figures, *speeds)), r.status))
+    return Sheet("Everything measured", headings, tuple(found))
+
+
+def overview(rows: Sequence[Row]) -> Sheet:
+    """What fits a terminal; the rest is in the files."""
+    found, groups = [], []
+    for r in rows:
+        name = f"{r.contact}, {r.integrator}, {r.dtype}"
+        if name not in groups[-1:]:
+            found.append((name, *[""] * 5))
+            groups.append(name)
+        figures = (r.position_rms_mm, r.position_max_mm, r.force_rms_n, r.real_time, r.real_time_batch)
+        found.append((f"  {r.step_ms:g}", *map(short, figures)))
+        groups.append(name)
+    title = "Errors from the converged run of the same contact; speed in times real time"
+    headings = ("step, ms", "rms, mm", "max, mm", "force, N", "one run", "64 runs")
+    return Sheet(title, headings, tuple(found), tuple(groups), words=(0,), narrow=True)
+
+
+def brief_advice(rows: Sequence[Row]) -> Sheet:
+    """The recommendations as a terminal has room for them."""
+    found = []
+    for level, one, many in recommended(rows):
+        for i, (kind, row) in enumerate((("one run", one), ("64 runs", many))):
+            cells = ("none measured", "-", "-")
+            if row is not None:
+                cells = described(row), short((row.real_time, row.real_time_batch)[i]), short(row.force_rms_n)
+            found.append(("" if i else f"{level:g} mm", kind, *cells))
+    title = "Recommended: the fastest that was measured within an error"
+    return Sheet(title, ("error, rms", "", "setting", "x real time", "force, N"), tuple(found), narrow=True)
 
 
 def described(row: Row) -> str:
     """A setting in words."""
     single = "" if row.dtype == "float64" else ", float32"
     return f"{row.contact}, {row.integrator}, {row.step_ms:g} ms{single}"
-
-
-def _errors(row: Row) -> tuple[str, str]:
-    """Largest of the position, rms of the contact's force."""
-    return f"{short(row.position_max_mm)} mm", f"{short(row.force_rms_n)} N"
-
-
-def short(value: float) -> str:
-    """Two digits, or whole above a hundred; a dash for what is not known."""
-    if not np.isfinite(value):
-        return "-"
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.2g}"

@@ -17,8 +17,8 @@ from pftwin.studies.audit.ablations import ablations
 from pftwin.studies.audit.additions import additions
 from pftwin.studies.audit.changes import Changes, changes, lost
 from pftwin.studies.audit.runs import Run, run_alone, run_side_by_side
-from pftwin.studies.audit.step_cost import Share, in_turn
 from pftwin.studies.audit.variant import KINDS, Kind, NotApplicable, Variant
+from pftwin.studies.runs import Cost, run_each, time_in_turn
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def audit(
     own = run_alone(scene, integrator, substeps)
     runs = _runs(scene, wanted, integrator, substeps)
     done = [v for v in wanted if (v.name, v.kind) in runs]
-    shares: list[Share | None] = [None] * (1 + len(done))
+    shares: list[Cost | None] = [None] * (1 + len(done))
     if len(done) == len(wanted):
         shares = _shares(own, [runs[v.name, v.kind] for v in done])
     rows = [
@@ -135,19 +135,17 @@ def _listed(scene: Scene, integrator: str, only: Collection[str] | None) -> list
 
 def _runs(scene: Scene, wanted: list[Variant], integrator: str, substeps: int) -> dict[tuple[str, Kind], Run]:
     """Those that differ in numbers only side by side, the others one by one; after Ctrl-C, those that are done."""
-    alike = [v for v in wanted if v.alike]
-    found: dict[tuple[str, Kind], Run] = {}
-    try:
-        if alike:
-            together = run_side_by_side(scene, alike, integrator, substeps)
-            found = {(v.name, v.kind): run for v, run in zip(alike, together, strict=True)}
-        for v in wanted:
-            if not v.alike:
-                found[v.name, v.kind] = run_alone(v.scene, v.integrator or integrator, v.refine * substeps)
-    except KeyboardInterrupt:
-        if not found:
-            raise
-    return found
+    alike, alone = [v for v in wanted if v.alike], [v for v in wanted if not v.alike]
+
+    def run(group: list[Variant]) -> list[Run]:
+        if group is alike:
+            return run_side_by_side(scene, group, integrator, substeps)
+        return [run_alone(v.scene, v.integrator or integrator, v.refine * substeps) for v in group]
+
+    groups = [alike] * bool(alike) + [[v] for v in alone]
+    answers = run_each(groups, run)
+    pairs = (pair for group, runs in zip(groups, answers, strict=False) for pair in zip(group, runs, strict=True))
+    return {(v.name, v.kind): answer for v, answer in pairs}
 
 
 def _programs(scene: Scene, wanted: list[Variant], integrator: str) -> int:
@@ -162,17 +160,17 @@ def _programs(scene: Scene, wanted: list[Variant], integrator: str) -> int:
     return len(kinds) + len(moving) + (len(alone) < len(wanted))
 
 
-def _shares(own: Run, runs: list[Run]) -> list[Share | None]:
+def _shares(own: Run, runs: list[Run]) -> list[Cost | None]:
     """Times of the scene's own run and of all that ran alone, in turn; none of them after Ctrl-C."""
     timed = [run.again for run in (own, *runs) if run.again is not None]
     try:
-        shares = iter(in_turn(timed))
+        shares = iter(time_in_turn(timed))
     except KeyboardInterrupt:
         return [None] * (1 + len(runs))
     return [None if run.again is None else next(shares) for run in (own, *runs)]
 
 
-def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Share | None, tolerance: float) -> Worth:
+def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float) -> Worth:
     trouble = lost(result, own)
     found = None if trouble is not None else changes(scene, result, own)
     outcome = trouble or _outcome(result, own)

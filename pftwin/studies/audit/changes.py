@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pftwin.dynamics.status import Status
 from pftwin.result import Result
-from pftwin.rotations import patellar_angles
 from pftwin.scene import Scene
-from pftwin.spatial import Quaternion
+from pftwin.studies.runs import Floats, difference, rms
 
 LOST = 0.1  # [m] from its own path: no patella goes so far
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -47,51 +43,28 @@ def lost(result: Result, own: Result) -> str | None:
 
 def changes(scene: Scene, result: Result, own: Result) -> Changes:
     """Of a run against the scene's own."""
-    point = np.asarray(scene.tracked_point().array(), dtype=np.float64)
-    apart = np.linalg.norm(_path(result, point) - _path(own, point), axis=1)
-    turned = [
-        _rms(np.angle(np.exp(1j * (a - b)))) for a, b in zip(_angles(result), _angles(own), strict=True)
-    ]  # fmt: skip
-    contact = None
-    if own.contact is not None and "force" in result.effects.get(own.contact, {}):
-        contact = result.effects[own.contact]["force"] - own.effects[own.contact]["force"]
+    apart = difference(result, own, np.asarray(scene.tracked_point().array(), dtype=np.float64))
     tensions = {
         name: _sum(result.effects[name]["tension"]) - _sum(report["tension"])
         for name, report in own.effects.items()
         if "tension" in report and "tension" in result.effects.get(name, {})
     }
-    most = max(tensions, key=lambda name: _rms(tensions[name]), default=None)
+    most = max(tensions, key=lambda name: rms(tensions[name]), default=None)
     pull = None if most is None else tensions[most]
     return Changes(
-        center_rms=_rms(apart),
-        center_max=float(apart.max()),
-        flexion=turned[0],
-        rotation=turned[1],
-        tilt=turned[2],
-        contact_rms=None if contact is None else _rms(contact),
-        contact_max=None if contact is None else float(np.abs(contact).max()),
-        tension_rms=None if pull is None else _rms(pull),
+        center_rms=rms(apart.center),
+        center_max=float(apart.center.max()),
+        flexion=rms(apart.flexion),
+        rotation=rms(apart.rotation),
+        tilt=rms(apart.tilt),
+        contact_rms=None if apart.contact is None else rms(apart.contact),
+        contact_max=None if apart.contact is None else float(np.abs(apart.contact).max()),
+        tension_rms=None if pull is None else rms(pull),
         tension_max=None if pull is None else float(np.abs(pull).max()),
         tension_of=most,
     )
 
 
-def _path(result: Result, point: Floats) -> Floats:
-    """Of a point of the patella, in the femur (n, 3): the same one in every variant, whatever it tracks itself."""
-    turn = Quaternion(*result.quaternion.T).rotation()
-    axes = [np.stack([np.asarray(c) for c in (a.x, a.y, a.z)], axis=1) for a in (turn.ex, turn.ey, turn.ez)]
-    return result.position + sum(p * a for p, a in zip(point, axes, strict=True))
-
-
-def _angles(result: Result) -> tuple[Floats, Floats, Floats]:
-    found = patellar_angles(Quaternion(*result.quaternion.T))
-    return np.asarray(found.flexion), np.asarray(found.rotation), np.asarray(found.tilt)
-
-
 def _sum(tension: Floats) -> Floats:
     """Over a group's elements."""
     return tension.reshape(tension.shape[0], -1).sum(axis=1)
-
-
-def _rms(a: Floats) -> float:
-    return float(np.sqrt(np.mean(np.square(a))))

@@ -17,7 +17,8 @@ from pftwin.scene import Scene, check
 from pftwin.studies.audit.account import Account, Sums, account
 from pftwin.studies.audit.equations import equations
 from pftwin.studies.audit.parts import Part, parts
-from pftwin.studies.audit.step_cost import Share, in_turn, through_frames
+from pftwin.studies.audit.step_cost import through_frames
+from pftwin.studies.runs import Cost, time_in_turn
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def explain(scene: Scene, *, integrator: str = "linear_implicit", dt: float = 1e
     )
 
 
-def _shares(scene: Scene, listed: list[Part], kept: Account, integrator: str, substeps: int) -> list[Share]:
+def _shares(scene: Scene, listed: list[Part], kept: Account, integrator: str, substeps: int) -> list[Cost]:
     """Of the whole scene, and of it without each part."""
     runs = [partial(through_frames, scene, kept.states, integrator, substeps)]
     for part in listed:
@@ -124,10 +125,10 @@ def _shares(scene: Scene, listed: list[Part], kept: Account, integrator: str, su
             part.forgetting(state.memories), state.carried,
         )  # fmt: skip
         runs.append(partial(through_frames, part.without.unnamed(), less, integrator, substeps))
-    return in_turn(runs)
+    return time_in_turn(runs)
 
 
-def _cost(part: Part, added: int, share: Share, sums: Sums, step: float) -> PartCost:
+def _cost(part: Part, added: int, share: Cost, sums: Sums, step: float) -> PartCost:
     longest = float(sums.fastest.longest_step())
     return PartCost(
         name=part.name,

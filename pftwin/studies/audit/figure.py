@@ -8,7 +8,8 @@ import numpy as np
 
 from pftwin.plots.style import COLOURS, SMALL, WIDE, house_style
 from pftwin.studies.audit.audit import Audit, Worth
-from pftwin.studies.audit.table import Column, columns
+from pftwin.studies.audit.table import columns
+from pftwin.studies.tables import Column
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
 
 from pftwin.labels import SYNTHETIC
 from pftwin.studies.audit.audit import Audit
 from pftwin.studies.audit.explain import Explanation, PartCost
 from pftwin.studies.audit.table import columns, interruption
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from pftwin.studies.tables import Sheet, short
 
 _SHOWN = (
     ("path_rms_mm", "path rms [mm]"),
@@ -23,37 +20,6 @@ _SHOWN = (
     ("tension_rms_N", "tension rms [N]"),
 )
 _LONG = 1.0  # [s]: steps beyond are no limit
-
-
-class Sheet(NamedTuple):
-    """A table of text; rows of different groups stand apart."""
-
-    title: str
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    groups: tuple[str, ...]  # of each row
-    text: tuple[int, ...]  # columns that are words
-    notes: tuple[str, ...]
-
-    def table(self) -> Table:
-        """For the terminal."""
-        from rich.markup import escape
-        from rich.table import Table
-
-        out = Table(title=escape(self.title))
-        for i, heading in enumerate(self.headings):
-            out.add_column(escape(heading), justify="left" if i in self.text else "right")
-        for row, group, before in zip(self.rows, self.groups, (None, *self.groups), strict=False):
-            if before not in (None, group):
-                out.add_section()
-            out.add_row(*(escape(cell) for cell in row))
-        return out
-
-    def markdown(self) -> str:
-        """For documents."""
-        rule = ["---" if i in self.text else "---:" for i in range(len(self.headings))]
-        lines = ["| " + " | ".join(cells) + " |" for cells in (self.headings, rule, *self.rows)]
-        return "\n".join([f"**{self.title}**", "", *lines, "", *(f"- {note}" for note in self.notes)]) + "\n"
 
 
 def explanation_sheet(found: Explanation) -> Sheet:
@@ -134,9 +100,7 @@ def audit_sheet(found: Audit) -> Sheet:
 
 
 def _number(value: float) -> str:
-    if math.isnan(value):
-        return "-"
-    return "0" if abs(value) < 1e-6 else f"{value:.2g}" if abs(value) < 99.5 else f"{value:,.0f}"
+    return "0" if abs(value) < 1e-6 else short(value)
 
 
 def _time(cost: float | None, spread: float | None) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pftwin.effects.foundation_law import FoundationLaw
 from pftwin.mocap.poses import PoseSeries
 from pftwin.spatial import Quaternion, Scalar, Vec3
+from pftwin.studies.runs import run_each
 from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
 from pftwin.surfaces.depths import DEEPEST, Depths, depths
 
@@ -76,24 +77,20 @@ def map_contact(
     Raises:
         KeyboardInterrupt: interrupted before the first frame was done.
     """
-    n = poses.times.size
 
     @jax.jit
     def look(femur: PressedSurface, button: PressingSurface, law: FoundationLaw, at: tuple[Array, Array]) -> dict:
         return _frame(femur, button, law, *at, band)
 
-    frames = []
-    try:
-        for k in range(n):
-            at = tuple(jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
-            frame = jax.device_get(look(femur, button, law, at))
-            for key, otherwise in (("depths", np.nan), ("pressures", 0.0)):
-                frame[key] = _spread(frame, key, triangles, otherwise)
-            frames.append({key: value for key, value in frame.items() if key not in ("listed", "triangle")})
-            progress(k + 1, n)
-    except KeyboardInterrupt:
-        if not frames:
-            raise
+    def one(k: int) -> dict[str, np.ndarray]:
+        at = tuple(jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
+        frame = jax.device_get(look(femur, button, law, at))
+        for key, otherwise in (("depths", np.nan), ("pressures", 0.0)):
+            frame[key] = _spread(frame, key, triangles, otherwise)
+        return {key: value for key, value in frame.items() if key not in ("listed", "triangle")}
+
+    n = poses.times.size
+    frames = run_each(range(n), one, after=lambda answers: progress(len(answers), n))
     done = len(frames)
     found = {key: np.stack([frame[key] for frame in frames]) for key in frames[0]}
     center = found["center_of_pressure"]

@@ -7,21 +7,23 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pftwin.errors import InputError
-from pftwin.json_files import read_json
 from pftwin.studies.hard_cases.verdict import Cell
+from pftwin.studies.tables import Sheet, read_rows
+
+_EXPECTED = "what pftwin hard-cases --json has written"
 
 
 class Piece(NamedTuple):
     """Cells that were run in one go."""
 
-    cells: tuple[Cell, ...]
+    rows: tuple[Cell, ...]
     seconds: float  # compiling included
     machine: dict[str, Any]  # as `pftwin.benchmarks.machine.describe` has it, date included
     quick: bool  # neither derivatives nor batches side by side
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {**self._asdict(), "cells": [c._asdict() for c in self.cells]}
+        return {**self._asdict(), "rows": [c._asdict() for c in self.rows]}
 
 
 def read_piece(path: Path) -> Piece:
@@ -30,14 +32,11 @@ def read_piece(path: Path) -> Piece:
     Raises:
         InputError: no such file, or another one's content.
     """
-    where = str(path)
-    expected = "a file that pftwin hard-cases --json has written"
-    found = read_json(path, expected=expected)
+    found, rows = read_rows(path, Cell, _EXPECTED)
     try:
-        cells = tuple(Cell(**c) for c in found["cells"])
-        return Piece(cells, float(found["seconds"]), dict(found["machine"]), bool(found["quick"]))
+        return Piece(tuple(rows), float(found["seconds"]), dict(found["machine"]), bool(found["quick"]))
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"no cells of the matrix in it: {error}", where=where, expected=expected) from error
+        raise InputError(f"no piece of the matrix: {error}", where=path, expected=_EXPECTED) from error
 
 
 def read_pieces(path: Path) -> list[Piece]:
@@ -50,7 +49,7 @@ def read_pieces(path: Path) -> list[Piece]:
         return [read_piece(path)]
     found = [read_piece(one) for one in sorted(path.glob("*.json"))]
     if not found:
-        raise InputError("no piece in it", where=str(path), expected="files that pftwin hard-cases --json has written")
+        raise InputError("no piece in it", where=str(path), expected=_EXPECTED)
     return sorted(found, key=lambda piece: str(piece.machine["date"]))
 
 
@@ -61,7 +60,7 @@ def merged(pieces: Sequence[Piece], order: Sequence[tuple[str, ...]]) -> list[Ce
         pieces: from the oldest to the newest.
         order: names of cases, contacts, integrators and float types, each in the order in which they are to be shown.
     """
-    kept = {cell[:4]: cell for piece in pieces for cell in piece.cells}
+    kept = {cell[:4]: cell for piece in pieces for cell in piece.rows}
     ranks = [{name: k for k, name in enumerate(names)} for names in order]
 
     def rank(cell: Cell) -> tuple[int, ...]:
@@ -71,14 +70,15 @@ def merged(pieces: Sequence[Piece], order: Sequence[tuple[str, ...]]) -> list[Ce
     return sorted(kept.values(), key=rank)
 
 
-def runs(pieces: Sequence[Piece]) -> list[list[str]]:
-    """Rows of what each piece ran and when, a head first."""
-    rows = [["date", "minutes", "contacts", "integrators", "float types", "cases", "looked at"]]
+def runs(pieces: Sequence[Piece]) -> Sheet:
+    """Rows of what each piece ran and when."""
+    rows = []
     for piece in pieces:
         names = (
-            ", ".join(dict.fromkeys(getattr(c, n) for c in piece.cells)) for n in ("contact", "integrator", "dtype")
+            ", ".join(dict.fromkeys(getattr(c, n) for c in piece.rows)) for n in ("contact", "integrator", "dtype")
         )
-        cases = str(len({c.case for c in piece.cells}))
+        cases = str(len({c.case for c in piece.rows}))
         looked = "the run alone" if piece.quick else "everything"
-        rows.append([str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}", *names, cases, looked])
-    return rows
+        rows.append((str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}", *names, cases, looked))
+    headings = ("date", "minutes", "contacts", "integrators", "float types", "cases", "looked at")
+    return Sheet("what was run", headings, tuple(rows))

@@ -9,6 +9,7 @@ from pftwin.studies.hard_cases.case import Case
 from pftwin.studies.hard_cases.limits import LIMITS
 from pftwin.studies.hard_cases.pieces import Piece, runs
 from pftwin.studies.hard_cases.verdict import Cell
+from pftwin.studies.tables import Sheet
 
 OUTCOMES = ("pass", "fail", "refused")
 LONGEST_REASON = 160  # characters
@@ -19,26 +20,27 @@ def counts(cells: Iterable[Cell]) -> Counter[str]:
     return Counter(c.outcome for c in cells)
 
 
-def summary(cells: Sequence[Cell]) -> list[list[str]]:
-    """Rows of contact, integrator and float type with their counts, a head first."""
-    rows = [["contact", "integrator", "float type", *OUTCOMES]]
+def named(cases: Sequence[Case]) -> Sheet:
+    """The cases, and what is hard about them."""
+    return Sheet("hard cases", ("case", "what is hard"), tuple((c.name, c.about) for c in cases))
+
+
+def summary(cells: Sequence[Cell]) -> Sheet:
+    """Rows of contact, integrator and float type with their counts."""
+    rows = []
     for key in dict.fromkeys((c.contact, c.integrator, c.dtype) for c in cells):
         found = counts(c for c in cells if (c.contact, c.integrator, c.dtype) == key)
-        rows.append([*key, *(str(found[o]) for o in OUTCOMES)])
-    return rows
+        rows.append((*key, *(str(found[o]) for o in OUTCOMES)))
+    return Sheet("hard cases", ("contact", "integrator", "float type", *OUTCOMES), tuple(rows))
 
 
-def by_case(cells: Sequence[Cell]) -> list[list[str]]:
+def by_case(cells: Sequence[Cell]) -> Sheet:
     """Rows of cases, columns of integrators: in each the outcomes over contacts and float types."""
-    integrators = list(dict.fromkeys(c.integrator for c in cells))
-    rows = [["case", *integrators]]
+    integrators, rows = tuple(dict.fromkeys(c.integrator for c in cells)), []
     for case in dict.fromkeys(c.case for c in cells):
-        row = [case]
-        for integrator in integrators:
-            found = counts(c for c in cells if (c.case, c.integrator) == (case, integrator))
-            row.append(", ".join(f"{found[o]} {o}" for o in OUTCOMES if found[o]) or "-")
-        rows.append(row)
-    return rows
+        found = [counts(c for c in cells if (c.case, c.integrator) == (case, i)) for i in integrators]
+        rows.append((case, *(", ".join(f"{n[o]} {o}" for o in OUTCOMES if n[o]) or "-" for n in found)))
+    return Sheet("by case", ("case", *integrators), tuple(rows))
 
 
 def _failing(cells: Sequence[Cell]) -> list[str]:
@@ -46,31 +48,30 @@ def _failing(cells: Sequence[Cell]) -> list[str]:
     return list(dict.fromkeys(c.case for c in cells if c.outcome == "fail"))
 
 
-def outcomes(cells: Sequence[Cell]) -> list[list[str]]:
-    """Rows of contact, integrator, float type, outcome and the cases that have it, a head first."""
+def outcomes(cells: Sequence[Cell]) -> Sheet:
+    """Rows of contact, integrator, float type, outcome and the cases that have it."""
     groups: dict[tuple[str, str, str, str], list[str]] = {}
     for c in cells:
         groups.setdefault((c.contact, c.integrator, c.dtype, c.outcome), []).append(c.case)
-    return [
-        ["contact", "integrator", "float type", "outcome", "cases"],
-        *([*k, ", ".join(g)] for k, g in groups.items()),
-    ]
+    headings = ("contact", "integrator", "float type", "outcome", "cases")
+    return Sheet("every cell", headings, tuple((*k, ", ".join(g)) for k, g in groups.items()))
 
 
-def reasons(cells: Sequence[Cell], outcome: str) -> list[list[str]]:
+def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
     """Rows of case, where, and why, for one outcome; contacts and float types of one case and reason share a row."""
     groups: dict[tuple[str, str], list[Cell]] = {}
     for c in cells:
         if c.outcome == outcome:
             groups.setdefault((c.case, c.integrator), []).append(c)
-    rows = [["case", "integrator", "contacts", "why (of the first)"]]
+    rows = []
     for (case, integrator), group in groups.items():
         where: dict[str, list[str]] = {}
         for c in group:
             where.setdefault(c.contact, []).append(c.dtype.removeprefix("float"))
         places = ", ".join(f"{contact} ({'/'.join(bits)})" for contact, bits in where.items())
-        rows.append([case, integrator, places, _short(group[0].reason)])
-    return rows
+        rows.append((case, integrator, places, _short(group[0].reason)))
+    title = "what fails" if outcome == "fail" else f"what is {outcome}"
+    return Sheet(title, ("case", "integrator", "contacts", "why (of the first)"), tuple(rows))
 
 
 def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piece]) -> str:
@@ -86,22 +87,22 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
         f"`pftwin hard-cases` with `--json`, piece by piece, and then `--from` and `--markdown`, in {minutes:.0f}"
         f" minutes with compiling, other work going on: {m['cpu']}, {m['cores']} cores, jax {m['jax']}.",
         "## What fails, and why",
-        _table(reasons(cells, "fail")) if found["fail"] else "Nothing.",
+        reasons(cells, "fail").grid() if found["fail"] else "Nothing.",
         "\n".join(f"- **{c.name}**: {c.unmended}" for c in known),
         "## By contact, integrator and float type",
-        _table(summary(cells)),
+        summary(cells).grid(),
         "## By case\nOver all kinds of contact and float types.",
-        _table(by_case(cells)),
+        by_case(cells).grid(),
         "## What is refused\nIn words, before anything is computed, or by flags of the frames that say so.",
-        _table(reasons(cells, "refused")),
+        reasons(cells, "refused").grid(),
         "### Limits of kinds of contact\nA run that goes beyond them says so by its flags, and is refused.",
         "\n".join(f"- **{name}**: {limit.why}" for name, limit in LIMITS.items()),
         "## Every cell",
-        _table(outcomes(cells)),
+        outcomes(cells).grid(),
         "## The cases",
         *(f"### {t[0].upper()}{t[1:]}\n" + _list(c for c in cases if c.topic == t) for t in topics),
         "## What was run, and when\n" + _NOT_RUN,
-        _table(runs(pieces)),
+        runs(pieces).grid(),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -133,11 +134,6 @@ on contours but for the linearly implicit steps, and `quasi_static`'s by volume:
 so. Cases about bounces, restitution and free flight stay in the table with what then still has to hold: finite
 numbers, right contact and depth, right flags (a snap is told, and not wrong), the same rest, and stored energy less
 work that never rises; energy of the rates does not count. No equilibrium at all is refused, not passed."""
-
-
-def _table(rows: list[list[str]]) -> str:
-    lines = ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in rows]
-    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
 
 
 def _list(cases: Iterable[Case]) -> str:

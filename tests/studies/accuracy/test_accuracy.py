@@ -19,7 +19,8 @@ from pftwin.result_files import load_dataset
 from pftwin.studies.accuracy.measure import Row, compiling_anew, converged, float_type, rows
 from pftwin.studies.accuracy.plan import COMMON, FLOATS, MESHES, SMOOTH, Setting, chosen, everything
 from pftwin.studies.accuracy.run import Found, report, write
-from pftwin.studies.accuracy.table import advice_markdown, csv, front, read_csv, recommended
+from pftwin.studies.accuracy.table import advice, columns, front, read_csv, recommended
+from pftwin.studies.tables import to_csv
 
 
 def row(error: float, speed: float, **more) -> Row:
@@ -43,7 +44,7 @@ def test_advice_is_the_fastest_within_an_error():
     assert [a.row and a.row.real_time for a in found] == [1000, 100, None]
     alike = [row(0.1, 1000, dtype="float32"), row(0.1, 980), row(0.09, 950), row(0.01, 800)]
     assert recommended(alike, (0.5,))[0].row == alike[2]
-    assert "none measured" in advice_markdown([row(0.1, 1000)])
+    assert "none measured" in advice([row(0.1, 1000)]).grid()
 
 
 def test_the_whole_plan_holds_all_that_there_is():
@@ -160,7 +161,7 @@ def test_a_table_that_was_kept_is_read_back(tmp_path):
     """With a column that an older version did not know, one that no version knows, and what is said of the machine."""
     good = [row(0.1, 1000.0), row(0.01, np.nan, dtype="float32", status="one, two")]
     path = tmp_path / "kept.csv"
-    path.write_text(csv(good), encoding="utf-8")
+    path.write_text(to_csv(columns(good)), encoding="utf-8")
     assert repr(read_csv(path)) == repr(good)  # NaN and all
     lines = [line.replace("gradient", "colour") for line in path.read_text().splitlines()]
     path.write_text("\n".join(["# machine: a processor", *lines]))
@@ -174,7 +175,7 @@ def test_a_table_that_was_kept_is_read_back(tmp_path):
 def test_a_file_that_is_no_table_is_refused(tmp_path, text, words):
     path = tmp_path / "kept.csv"
     if text == "fast":
-        text = csv([row(0.1, 1000)]).replace("1000", "fast")
+        text = to_csv(columns([row(0.1, 1000)])).replace("1000", "fast")
     if text is not None:
         path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=words):

@@ -17,8 +17,8 @@ from pftwin.studies.audit.account import account
 from pftwin.studies.audit.equations import equations
 from pftwin.studies.audit.explain import Explanation, explain
 from pftwin.studies.audit.report import explanation_sheet
-from pftwin.studies.audit.step_cost import Share, in_turn
 from pftwin.studies.audit.stiffness import rates
+from pftwin.studies.runs import Cost, time_in_turn
 
 FRAMES = 21
 
@@ -114,7 +114,7 @@ def test_times_are_relative_to_the_first():
     def busy(n: int):
         return lambda: sum(range(n))
 
-    one, three = in_turn([busy(100_000), busy(300_000)])
+    one, three = time_in_turn([busy(100_000), busy(300_000)])
     assert one.ratio == 1.0
     assert 2 < three.ratio < 4
 
@@ -122,7 +122,7 @@ def test_times_are_relative_to_the_first():
 @pytest.mark.slow
 def test_shares_are_what_is_gone_without_the_part(monkeypatch):
     """Quiet times make exact shares: whatever the machine does."""
-    monkeypatch.setattr(module, "in_turn", lambda runs: [Share(1.0, 1.0, 0.0)] + [Share(0.6, 0.6, 0.01)] * 5)
+    monkeypatch.setattr(module, "time_in_turn", lambda runs: [Cost(1.0, 1.0, 0.0)] + [Cost(0.6, 0.6, 0.01)] * 5)
     again = explain(rough(), dt=1e-3)
     assert [p.share for p in again.parts] == pytest.approx([0.4] * 5)
     assert again.shared_time == pytest.approx(1 - 4 * 0.4)

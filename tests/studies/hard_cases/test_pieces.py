@@ -28,7 +28,7 @@ def test_a_piece_is_read_as_it_was_written(tmp_path):
     path, wanted = tmp_path / "piece.json", piece("pass", "a", "b")
     path.write_text(json.dumps(wanted.as_dict()), encoding="utf-8")
     assert read_piece(path) == wanted
-    assert runs([wanted])[1] == ["2026-01-01T10:00", "1.0", "P5", "newmark", "float64", "2", "the run alone"]
+    assert runs([wanted]).rows == (("2026-01-01T10:00", "1.0", "P5", "newmark", "float64", "2", "the run alone"),)
 
 
 def test_pieces_of_a_folder_come_from_the_oldest_to_the_newest(tmp_path):
@@ -50,9 +50,10 @@ def test_a_folder_without_a_piece_is_refused(tmp_path):
     [
         (None, "no such file"),
         ("{", "line 1: not valid JSON"),
-        ("{}", "no cells of the matrix"),
-        ('{"cells": [{"name": 1}]}', "no cells of the matrix"),
-        ("[]", "no cells of the matrix"),
+        ("{}", "no such rows"),
+        ('{"rows": [{"name": 1}]}', "no such rows"),
+        ("[]", "no such rows"),
+        ('{"rows": []}', "no piece of the matrix: 'seconds'"),
     ],
 )
 def test_what_is_no_piece_is_refused(tmp_path, text, words):

@@ -9,7 +9,6 @@ import pytest
 from small_scene import small_result
 
 from pftwin.errors import InputError
-from pftwin.rotations import patellar_angles
 from pftwin.spatial import Quaternion
 from pftwin.studies.runs import difference, rms, run_each
 from pftwin.studies.tables import Column, Sheet, read_csv, short, to_csv, to_dataset
@@ -58,7 +57,6 @@ def test_angles_are_compared_across_half_a_turn():
     apart = difference(a, b, np.zeros(3))
     angles = [np.asarray(x) for x in (apart.flexion, apart.rotation, apart.tilt)]
     assert max(np.abs(x).max() for x in angles) == pytest.approx(2 * np.pi - 6.2, rel=1e-6)
-    assert patellar_angles(Quaternion(*there.T)) is not None
 
 
 def test_rms_is_the_root_of_the_mean_square():

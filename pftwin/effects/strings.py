@@ -74,7 +74,7 @@ class Strung(Effect):
 
     def in_still_femur(self, femur: SegmentMotion) -> Self | None:
         """None where it is fixed to the ground, which would move then."""
-        return None if self.line_ends()[1] == "ground" else self
+        return None if self.line_ends[1] == "ground" else self
 
     def line_element(self) -> Strung:
         """Itself."""

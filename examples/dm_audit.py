@@ -15,15 +15,18 @@ from pathlib import Path
 from dm_knee import build
 
 import pftwin
-from pftwin.audit.audit import audit
-from pftwin.audit.explain import explain
-from pftwin.audit.figure import audit_figure
-from pftwin.audit.report import audit_sheet, explanation_sheet
-from pftwin.audit.table import write_csv, write_netcdf
 from pftwin.cli.explain import show
 from pftwin.cli.terminal import out
 from pftwin.errors import PftwinError
+from pftwin.mocap.text_files import write_text
 from pftwin.plots import save_figure
+from pftwin.result_files import save_dataset
+from pftwin.studies.audit.audit import audit
+from pftwin.studies.audit.explain import explain
+from pftwin.studies.audit.figure import audit_figure
+from pftwin.studies.audit.report import audit_sheet, explanation_sheet
+from pftwin.studies.audit.table import dataset, table
+from pftwin.studies.tables import to_csv
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -45,8 +48,8 @@ def main(arguments: list[str] | None = None) -> int:
         show(audit_sheet(found), out(), given.markdown)
         if given.out:
             given.out.mkdir(parents=True, exist_ok=True)
-            write_csv(found, given.out / "audit.csv")
-            write_netcdf(found, given.out / "audit.nc")
+            write_text(given.out / "audit.csv", to_csv(table(found)))
+            save_dataset(dataset(found), given.out / "audit.nc")
             save_figure(audit_figure(found, f"{found.scene}: what each effect is worth"), given.out / "audit")
     except PftwinError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -43,15 +43,16 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.accuracy.figure import work_precision
-from pftwin.accuracy.plan import Setting
-from pftwin.accuracy.run import measure_all
-from pftwin.accuracy.table import advice_markdown, described, front, read_csv, recommended, short
 from pftwin.benchmarks.machine import describe
 from pftwin.dynamics import tolerance
 from pftwin.metrics import PAPER_TABLE_1
 from pftwin.plots import COLOURS, STYLE
 from pftwin.runtime import default_cache_dir
+from pftwin.studies.accuracy.figure import work_precision
+from pftwin.studies.accuracy.plan import Setting
+from pftwin.studies.accuracy.run import measure_all
+from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended
+from pftwin.studies.tables import short
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 scene, measured = pftwin.rig.case(1, contact="P5"), pftwin.rig.measured(1)
@@ -134,7 +135,7 @@ assert gain > 4
 # For each level of error the fastest setting that was measured within it, here and now:
 
 # %%
-Markdown(advice_markdown(found.rows))
+Markdown(advice(found.rows).grid())
 
 # %% [markdown]
 # One trap stands in the table above: at 10 ms `linear_implicit_bdf2` can lose the groove for a moment, and is then
@@ -161,7 +162,7 @@ newest = max(folder.glob("accuracy-*.csv"))
 kept = read_csv(newest)
 print(f"{newest.name}: {len(kept)} rows, {len({r.contact for r in kept})} contact models")
 print("\n".join(line for line in newest.read_text(encoding="utf-8").splitlines() if line.startswith("#")))
-Markdown(advice_markdown(kept))
+Markdown(advice(kept).grid())
 
 # %%
 work_precision(kept, "Case 1 of the virtual rig (synthetic), P5: the full study", contact="P5")

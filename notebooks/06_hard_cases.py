@@ -36,10 +36,10 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin import hard_cases
-from pftwin.hard_cases import table as tables
 from pftwin.plots import COLOURS, STYLE
 from pftwin.runtime import default_cache_dir
+from pftwin.studies import hard_cases
+from pftwin.studies.hard_cases import table as tables
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 print(f"{len(hard_cases.catalogue())} hard cases are kept with the project")

@@ -31,12 +31,12 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.audit.audit import audit
-from pftwin.audit.explain import explain
-from pftwin.audit.figure import audit_figure
-from pftwin.audit.report import audit_sheet, explanation_sheet
 from pftwin.plots import COLOURS, STYLE
 from pftwin.runtime import default_cache_dir
+from pftwin.studies.audit.audit import audit
+from pftwin.studies.audit.explain import explain
+from pftwin.studies.audit.figure import audit_figure
+from pftwin.studies.audit.report import audit_sheet, explanation_sheet
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 

@@ -19,10 +19,10 @@ import fitting
 import pftwin
 from fitting.treatments import tibial_tuberosity_transfer
 from fitting.variants import grid
-from pftwin.accuracy.figure import work_precision
-from pftwin.accuracy.table import read_csv
 from pftwin.plots import against_flexion, compared, house_style
 from pftwin.runtime import default_cache_dir
+from pftwin.studies.accuracy.figure import work_precision
+from pftwin.studies.accuracy.table import read_csv
 
 HERE = Path(__file__).parent
 FOLDER = HERE.parent / "figures"

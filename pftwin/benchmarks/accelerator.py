@@ -25,7 +25,6 @@ from pftwin.batch.spread import Spread, piece_for
 from pftwin.benchmarks.batches import SETTINGS, amounts, transferred
 from pftwin.benchmarks.row import Row
 from pftwin.dynamics.frame_states import frame_states, starting_state, substeps_for
-from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.state import Guide
 from pftwin.scene import Scene
 
@@ -113,7 +112,7 @@ def _parts(scene: Scene, most: int, said: str) -> list[Row]:
 
 def kernels_of_step(scene: Scene, count: int) -> int:
     """How many operations a compiled step of a batch launches: what is no constant, name or view in its program."""
-    task, chosen = _task(scene), integrator_named(SETTINGS["integrator"])
+    task, chosen = _task(scene), SETTINGS["integrator"]
     step = scene.motion.frame_interval / jnp.asarray(task.substeps, dtype=float)
 
     @eqx.filter_jit

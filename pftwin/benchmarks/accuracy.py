@@ -5,10 +5,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.benchmarks.problem import compiled
+from pftwin.benchmarks.problem import compiled, tracked_path
 from pftwin.benchmarks.row import Row
 from pftwin.dynamics.frame_states import starting_equilibrium
-from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.scene import Scene
 
 SUBSTEPS = (50, 20, 10, 8, 6, 5, 4, 3, 2, 1)  # of 10 ms frames: from 0.2 to 10 ms

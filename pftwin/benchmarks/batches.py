@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array
 
 from pftwin.benchmarks.row import Row
+from pftwin.dynamics.integrators import BDF2
 from pftwin.scene import Scene
 from pftwin.spatial import Vec3
 
@@ -28,7 +29,7 @@ FASTER, ALIKE, MINUTE, MEMORY = 1.8, 1.2, 60.0, 4_096.0  # times, times, s, MiB
 FARTHEST_MEDIAL, FARTHEST_DISTAL = 0.015, 0.010  # [m]
 SETTINGS: dict[str, Any] = {
     "dt": 5e-3,
-    "integrator": "linear_implicit_bdf2",
+    "integrator": BDF2(),
     "trajectories": False,
     "energy_budget": False,
 }

@@ -14,11 +14,11 @@ from pftwin.benchmarks.problem import (
     compiled,
     started_nearby,
     temporary_memory,
+    tracked_path,
     variants,
     with_springs,
 )
 from pftwin.benchmarks.row import Row
-from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.scene import Scene
 from pftwin.surfaces.patch import PolynomialPatch
 

@@ -13,19 +13,21 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from pftwin.audit.account import account
-from pftwin.audit.equations import equations
-from pftwin.audit.shares import in_turn, through_frames
 from pftwin.benchmarks.row import Row
+from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.simulate import settle
 from pftwin.dynamics.state import State
 from pftwin.effects.strands import StrandGroup
 from pftwin.scene import Scene
+from pftwin.studies.audit.account import account
+from pftwin.studies.audit.equations import equations
+from pftwin.studies.audit.step_cost import through_frames
+from pftwin.studies.runs import time_in_turn
 
 TOPIC = "growth"
 STRANDS = 30
 SUBSTEPS = 10  # of 10 ms
-INTEGRATOR = "linear_implicit"
+INTEGRATOR = LinearImplicit()
 
 
 def rows(*, meshes: tuple[str, ...] = ("volume",)) -> list[Row]:
@@ -45,7 +47,7 @@ def rows(*, meshes: tuple[str, ...] = ("volume",)) -> list[Row]:
         runs.append(partial(through_frames, scene.unnamed(), states, INTEGRATOR, SUBSTEPS))
     steps = SUBSTEPS * (whole.motion.n_frames - 1)
     out, before = [], None
-    for (name, scene), share in zip(scenes.items(), in_turn(runs), strict=True):
+    for (name, scene), share in zip(scenes.items(), time_in_turn(runs), strict=True):
         count = equations(scene, INTEGRATOR)
         more = "" if before is None or name.split()[0] in meshes else f", {count - before:+d}"
         details = {"equations": count, "to_the_first": share.ratio, "spread": share.spread}

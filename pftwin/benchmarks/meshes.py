@@ -17,11 +17,9 @@ import numpy as np
 import pftwin
 from pftwin.benchmarks.clock import measure, measure_in_turn
 from pftwin.benchmarks.mesh_peers import peers
-from pftwin.benchmarks.problem import compiled, duration
+from pftwin.benchmarks.problem import compiled, duration, tracked_path
 from pftwin.benchmarks.row import Row
 from pftwin.dynamics.simulate import settle
-from pftwin.dynamics.frame_states import frame_states
-from pftwin.dynamics.observe import tracked_center
 from pftwin.rig import geometry as rig
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion, Vec3
@@ -167,17 +165,13 @@ def _motions() -> list[Row]:
 
 
 def _path(scene: Scene, n: int, start: Any) -> Callable[[], Any]:
-    return compiled(lambda s, given: tracked_center(s, frame_states(s, substeps=n, start=given).states), scene, start)
-
-
-def _whole_path(scene: Scene) -> Vec3:
-    return tracked_center(scene, frame_states(scene).states)
+    return compiled(lambda s, given: tracked_path(s, substeps=n, start=given), scene, start)
 
 
 def _spline() -> list[Row]:
     """The spline's motion against the polynomial's."""
     smooth = [pftwin.rig.case(1, contact=name) for name in ("P5", "spline")]
-    p5, spline = measure_in_turn(*(compiled(_whole_path, s) for s in smooth), runs=9)
+    p5, spline = measure_in_turn(*(compiled(tracked_path, s) for s in smooth), runs=9)
     return [Row(TOPIC, "whole motion, spline against P5", spline.median / p5.median, "x", 2.0, "at most")]
 
 

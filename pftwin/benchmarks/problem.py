@@ -14,9 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.dynamics.frame_states import starting_equilibrium
+from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
+from pftwin.dynamics.observe import tracked_center
 from pftwin.effects.tendon import Tendon
 from pftwin.scene import Scene
+from pftwin.spatial import Scalar, Vec3
 
 SPRINGS = ("quadriceps", "patellar_tendon")
 SPREAD = 0.10  # of each spring parameter, to either side
@@ -74,3 +77,8 @@ def started_nearby(scene: Scene) -> Scene:
         return eqx.tree_at(lambda p: p.position, pose, pose.apply(-here.patella.center_of_mass))
 
     return eqx.tree_at(lambda s: s.start, scene, jax.jit(settle)(arrays))
+
+
+def tracked_path(scene: Scene, *, substeps: int | Scalar = 10, start: Solution | None = None) -> Vec3:
+    """The tracked point's path alone, femur frame (n_frames,) [m], by the linearly implicit step."""
+    return tracked_center(scene, frame_states(scene, substeps=substeps, start=start).states)

@@ -8,11 +8,10 @@ import numpy as np
 import pftwin
 from pftwin.batches import batched
 from pftwin.benchmarks.clock import measure
-from pftwin.benchmarks.problem import compiled, duration, started_nearby, variants, with_springs
+from pftwin.benchmarks.problem import compiled, duration, started_nearby, tracked_path, variants, with_springs
 from pftwin.benchmarks.row import Row
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import starting_equilibrium
-from pftwin.dynamics.tracked_path import tracked_path
 from pftwin.scene import Scene
 from pftwin.spatial import Vec3
 

@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from pftwin.dynamics.integrators import integrator_from_text
+
 SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0)  # of the recorded one
 COUNTS_MM = 0.1
 LEVEL = "0.01 mm"  # of both runs whose times are compared
@@ -40,13 +42,13 @@ def compare(contact: str, case: int, speed: float) -> Point:
 
     scene = pftwin.rig.case(case, contact=contact)
     scene = eqx.tree_at(lambda s: s.motion, scene, scene.motion.at_speed(speed))
-    runs = {name: pftwin.simulate(scene, integrator=name, tolerance=LEVEL) for name in NAMES}
+    runs = {name: pftwin.simulate(scene, integrator=integrator_from_text(name), tolerance=LEVEL) for name in NAMES}
     for name, run in runs.items():  # once more, warm
-        again = pftwin.simulate(scene, integrator=name, dt=run.settings["dt_s"])
+        again = pftwin.simulate(scene, integrator=integrator_from_text(name), dt=run.settings["dt_s"])
         for _ in range(3):
             again = min(
                 again,
-                pftwin.simulate(scene, integrator=name, dt=run.settings["dt_s"]),
+                pftwin.simulate(scene, integrator=integrator_from_text(name), dt=run.settings["dt_s"]),
                 key=lambda r: r.timing["run_s"],
             )
         run.timing["run_s"] = again.timing["run_s"]

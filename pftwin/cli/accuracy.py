@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -13,11 +14,9 @@ from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_compu
 from pftwin.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from pftwin.accuracy.measure import Row, SceneOf
     from pftwin.measured import Measured
     from pftwin.scene import Scene
+    from pftwin.studies.accuracy.measure import Row, SceneOf
 
 OWN = "as it is"  # a scene file's contact
 
@@ -50,9 +49,10 @@ def accuracy(
         raise OutputError(f"{folder}: there is a file of that name; try: another folder")
     check_outputs(json)
     start_computing()
-    from pftwin.accuracy.plan import COMMON, FLOATS, chosen, everything
-    from pftwin.accuracy.run import measure_all, write
     from pftwin.benchmarks.machine import describe
+    from pftwin.studies.accuracy.plan import COMMON, FLOATS, chosen, everything
+    from pftwin.studies.accuracy.run import measure_all, write
+    from pftwin.studies.accuracy.table import brief_advice, overview
 
     if full and (contact or integrator or dtype):
         raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
@@ -63,9 +63,9 @@ def accuracy(
     synthetic = source.measured is not None and source.measured.synthetic
     about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}
     paths = write(found, folder, source.title, about)
-    write_json({"about": about, "rows": [r.to_dict() for r in found.rows], "files": [str(p) for p in paths]}, json)
-    out(json).print(_table(found.rows))
-    out(json).print(_advice(found.rows))
+    write_json({"about": about, "rows": [asdict(r) for r in found.rows], "files": [str(p) for p in paths]}, json)
+    out(json).print(overview(found.rows).table())
+    out(json).print(brief_advice(found.rows).table())
     out(json).print(f"written: {', '.join(str(p) for p in paths)}", markup=False, highlight=False)
 
 
@@ -75,12 +75,13 @@ def _tell(line: str) -> None:
 
 def _keep(rows: list[Row], folder: Path) -> None:
     """What there is so far, should anything happen to the rest."""
-    from pftwin.accuracy.table import csv
     from pftwin.output import written_whole
+    from pftwin.studies.accuracy.table import columns
+    from pftwin.studies.tables import to_csv
 
     folder.mkdir(parents=True, exist_ok=True)
     with written_whole(folder / "accuracy.csv") as temporary:
-        temporary.write_text(csv(rows), encoding="utf-8")
+        temporary.write_text(to_csv(columns(rows)), encoding="utf-8")
 
 
 class _Source(NamedTuple):
@@ -109,7 +110,7 @@ def _source(scene: Path | None, case: int | None) -> _Source:
             loaded.scene.name,
         )
     from pftwin import rig
-    from pftwin.accuracy.plan import CYLINDER
+    from pftwin.studies.accuracy.plan import CYLINDER
 
     n = 1 if case is None else case
 
@@ -119,39 +120,3 @@ def _source(scene: Path | None, case: int | None) -> _Source:
         return rig.case(n, contact=name)
 
     return _Source(of_the_rig, "P5", rig.measured(n), f"case {n} of the virtual rig")
-
-
-def _table(rows: list[Row]) -> Table:
-    """What fits a terminal; the rest is in the files."""
-    from pftwin.accuracy.table import short
-    from pftwin.demo import narrow_table
-
-    table = narrow_table("Errors from the converged run of the same contact; speed in times real time")
-    table.add_column("step, ms", no_wrap=True)
-    for name in ("rms, mm", "max, mm", "force, N", "one run", "64 runs"):
-        table.add_column(name, justify="right", no_wrap=True)
-    last = ""
-    for r in rows:
-        if (name := f"{r.contact}, {r.integrator}, {r.dtype}") != last:
-            table.add_section()
-            table.add_row(f"[bold]{name}[/bold]")
-            last = name
-        figures = (r.position_rms_mm, r.position_max_mm, r.force_rms_n, r.real_time, r.real_time_batch)
-        table.add_row(f"  {r.step_ms:g}", *map(short, figures))
-    return table
-
-
-def _advice(rows: list[Row]) -> Table:
-    from pftwin.accuracy.table import described, recommended, short
-    from pftwin.demo import narrow_table
-
-    table = narrow_table("Recommended: the fastest that was measured within an error")
-    for name in ("error, rms", "", "setting", "x real time", "force, N"):
-        table.add_column(name, no_wrap=True)
-    for level, one, many in recommended(rows):
-        for i, (kind, row) in enumerate((("one run", one), ("64 runs", many))):
-            cells = ("none measured", "-", "-")
-            if row is not None:
-                cells = described(row), short((row.real_time, row.real_time_batch)[i]), short(row.force_rms_n)
-            table.add_row("" if i else f"{level:g} mm", kind, *cells)
-    return table

@@ -11,12 +11,20 @@ import typer
 from pftwin.cli.demo import check_folder
 from pftwin.cli.exit_codes import Interrupted, keeping
 from pftwin.cli.explain import MarkdownOption, show
-from pftwin.cli.scenes import CaseOption, ContactOption, IntegratorOption, SceneArgument, StepOption, chosen_scene
+from pftwin.cli.scenes import (
+    CaseOption,
+    ContactOption,
+    IntegratorOption,
+    SceneArgument,
+    StepOption,
+    chosen_scene,
+    integrator_of,
+)
 from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
-    from pftwin.audit.audit import Audit
+    from pftwin.studies.audit.audit import Audit
 
 
 def audit(
@@ -46,13 +54,11 @@ def audit(
     files = _files(out_dir)
     check_outputs(json)
     chosen = chosen_scene(scene, case, contact)
-    from pftwin.audit.audit import audit as weigh
-    from pftwin.audit.report import audit_sheet
+    from pftwin.studies.audit.audit import audit as weigh
+    from pftwin.studies.audit.report import audit_sheet
 
     with working(f"running {chosen.scene.name} with every effect left out in turn"):
-        found = weigh(
-            chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator or "linear_implicit", dt=dt or 1e-3
-        )
+        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator_of(integrator), dt=dt or 1e-3)
     written = []
     if files:
         with keeping(*files.values()):
@@ -79,13 +85,16 @@ def _files(folder: Path | None) -> dict[str, Path]:
 
 def _write(found: Audit, files: dict[str, Path]) -> list[Path]:
     """What was written: after an interrupt the tables alone, for someone is waiting."""
-    from pftwin.audit.figure import audit_figure
-    from pftwin.audit.table import write_csv, write_netcdf
+    from pftwin.mocap.text_files import write_text
     from pftwin.plots import save_figure
+    from pftwin.result_files import save_dataset
+    from pftwin.studies.audit.figure import audit_figure
+    from pftwin.studies.audit.table import dataset, table
+    from pftwin.studies.tables import to_csv
 
     files["csv"].parent.mkdir(parents=True, exist_ok=True)
-    write_csv(found, files["csv"])
-    write_netcdf(found, files["nc"])
+    write_text(files["csv"], to_csv(table(found)))
+    save_dataset(dataset(found), files["nc"])
     if found.interrupted:
         return [files["csv"], files["nc"]]
     title = f"{found.scene}{' (synthetic motion)' if found.synthetic else ''}: what each effect is worth"

@@ -12,9 +12,9 @@ from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_compu
 from pftwin.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from pftwin.contact_map.mapping import ContactMap
     from pftwin.effects.foundation_law import FoundationLaw
     from pftwin.mocap.poses import PoseSeries
+    from pftwin.studies.contact_map.mapping import ContactMap
 
 _FIGURES = (".png", ".svg", ".pdf")
 
@@ -59,8 +59,8 @@ def contact_map(
         raise InputError(f"{proximity:g} mm", where="--proximity-mm", expected="0 to 10")
     start_computing()
     rule = _law(law, modulus, poisson, thickness)
-    from pftwin.contact_map.checks import check_outcome, check_sides, load_pair
-    from pftwin.contact_map.mapping import map_contact
+    from pftwin.studies.contact_map.checks import check_outcome, check_sides, load_pair
+    from pftwin.studies.contact_map.mapping import map_contact
     from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
 
     with working("reading"):
@@ -161,16 +161,16 @@ def _progress(frames: int) -> Any:
 
 def _write(path: Path, found: ContactMap, button: Any, settings: dict[str, Any]) -> None:
     from pftwin import __version__
-    from pftwin.contact_map.dataset import compressed, dataset
     from pftwin.result_files import save_dataset
+    from pftwin.studies.contact_map.dataset import compressed, dataset
 
     data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
     save_dataset(data, path, encoding=compressed(data))
 
 
 def _draw(path: Path, found: ContactMap, femur: Any, button: Any, title: str) -> None:
-    from pftwin.contact_map.figures import map_figure
     from pftwin.output import written_whole
+    from pftwin.studies.contact_map.figures import map_figure
 
     figure = map_figure(found, femur, button, title)
     with written_whole(path) as temporary:

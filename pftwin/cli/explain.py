@@ -6,13 +6,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pftwin.cli.scenes import CaseOption, ContactOption, IntegratorOption, SceneArgument, StepOption, chosen_scene
+from pftwin.cli.scenes import (
+    CaseOption,
+    ContactOption,
+    IntegratorOption,
+    SceneArgument,
+    StepOption,
+    chosen_scene,
+    integrator_of,
+)
 from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from pftwin.audit.report import Sheet
+    from pftwin.studies.tables import Sheet
 
 MarkdownOption = Annotated[bool, typer.Option("--markdown", help="Print the table as Markdown.")]
 
@@ -33,11 +41,11 @@ def explain(
     """
     check_outputs(json)
     chosen = chosen_scene(scene, case, contact)
-    from pftwin.audit.explain import explain as look
-    from pftwin.audit.report import explanation_sheet
+    from pftwin.studies.audit.explain import explain as look
+    from pftwin.studies.audit.report import explanation_sheet
 
     with working(f"running {chosen.scene.name} with and without each effect"):
-        found = look(chosen.scene, integrator=integrator or "linear_implicit", dt=dt or 1e-3)
+        found = look(chosen.scene, integrator=integrator_of(integrator), dt=dt or 1e-3)
     from pftwin.benchmarks.machine import describe
 
     write_json({"contact": chosen.contact, **found.to_dict(), "machine": describe()}, json)

@@ -12,12 +12,10 @@ from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_compu
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from pftwin.hard_cases import Case
-    from pftwin.hard_cases import Selection as Selected
-    from pftwin.hard_cases.pieces import Piece
-    from pftwin.hard_cases.verdict import Cell
+    from pftwin.studies.hard_cases import Case
+    from pftwin.studies.hard_cases import Selection as Selected
+    from pftwin.studies.hard_cases.pieces import Piece
+    from pftwin.studies.hard_cases.verdict import Cell
 
 ContactsOption = Annotated[
     list[str] | None,
@@ -71,8 +69,8 @@ def hard_cases(
     """
     check_outputs(json, markdown)
     start_computing()
-    from pftwin.dynamics.integrators import integrator_named
-    from pftwin.hard_cases import (
+    from pftwin.dynamics.integrators import integrator_from_text
+    from pftwin.studies.hard_cases import (
         CONTACTS,
         DTYPES,
         INTEGRATORS,
@@ -86,10 +84,10 @@ def hard_cases(
 
     cases = tuple(case_named(n) for n in case) if case else catalogue()
     if list_:
-        out(json).print(_table("hard cases", [["case", "what is hard"], *([c.name, c.about] for c in cases)]))
+        out(json).print(table.named(cases).table())
         return
     for name in integrator or ():
-        integrator_named(name)
+        integrator_from_text(name)
     chosen = Selection(
         _known(contact, CONTACTS, "--contact"),
         tuple(method_named(n) for n in integrator) if integrator else INTEGRATORS,
@@ -104,9 +102,9 @@ def hard_cases(
         from pftwin.mocap.text_files import write_text
 
         write_text(markdown, table.markdown(cells, cases, found))
-    out(json).print(_table("hard cases", table.summary(cells)))
+    out(json).print(table.summary(cells).table())
     if table.counts(cells)["fail"]:
-        out(json).print(_table("what fails", table.reasons(cells, "fail")))
+        out(json).print(table.reasons(cells, "fail").table())
         flagged(f"{table.counts(cells)['fail']} of {len(cells)} cells fail")
 
 
@@ -115,25 +113,23 @@ def _run(cases: tuple[Case, ...], chosen: Selected, json: str | None) -> Piece:
     import time
 
     from pftwin.benchmarks.machine import describe
-    from pftwin.hard_cases import run_matrix
-    from pftwin.hard_cases.pieces import Piece
+    from pftwin.studies.hard_cases import run_matrix
+    from pftwin.studies.hard_cases.pieces import Piece
+    from pftwin.studies.runs import run_each
 
     began = time.perf_counter()
-    cells: list[Cell] = []
 
-    def piece() -> Piece:
-        return Piece(tuple(cells), time.perf_counter() - began, describe(), not chosen.derivatives)
+    def one(contact: str) -> list[Cell]:
+        say = lambda words: err().print(words, style="dim", highlight=False)  # noqa: E731
+        return run_matrix(cases, chosen._replace(contacts=(contact,)), say)
 
-    try:
-        for contact in chosen.contacts:
-            one = chosen._replace(contacts=(contact,))
-            cells += run_matrix(cases, one, lambda words: err().print(words, style="dim", highlight=False))
-    except KeyboardInterrupt:
-        if cells and json is not None:
-            write_json(piece().as_dict(), json)
-        raise Interrupted(*([Path(json)] if cells and json not in (None, "-") else [])) from None
-    write_json(piece().as_dict(), json)
-    return piece()
+    found = run_each(chosen.contacts, one)
+    cells = tuple(cell for of_contact in found for cell in of_contact)
+    piece = Piece(cells, time.perf_counter() - began, describe(), not chosen.derivatives)
+    write_json(piece.as_dict(), json)
+    if len(found) < len(chosen.contacts):
+        raise Interrupted(*([Path(json)] if json not in (None, "-") else []))
+    return piece
 
 
 def _known(wanted: list[str] | None, known: tuple[str, ...], option: str) -> tuple[str, ...]:
@@ -146,15 +142,3 @@ def _known(wanted: list[str] | None, known: tuple[str, ...], option: str) -> tup
         if name not in known:
             raise InputError(f"found {name!r}", where=option, expected=f"one of: {', '.join(known)}")
     return tuple(wanted) if wanted else known
-
-
-def _table(title: str, rows: list[list[str]]) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
-    made = Table(title=title)
-    for name in rows[0]:
-        made.add_column(name)
-    for row in rows[1:]:
-        made.add_row(*(escape(cell) for cell in row))
-    return made

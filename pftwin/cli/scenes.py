@@ -13,6 +13,7 @@ from pftwin.cli.terminal import err, start_computing, working
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:
+    from pftwin.dynamics.integrator import Integrator
     from pftwin.measured import Measured
     from pftwin.result import Result
     from pftwin.scene import Scene
@@ -117,6 +118,17 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
         return Chosen(rig.case(case, contact=name), name)
 
 
+def integrator_of(text: str | None) -> Integrator | None:
+    """The integrator that was asked for on the command line; None where none was.
+
+    Raises:
+        InputError: no such integrator or option.
+    """
+    from pftwin.dynamics.integrators import integrator_from_text
+
+    return None if text is None else integrator_from_text(text)
+
+
 def simulated(
     chosen: Chosen, integrator: str | None, dt: float | None, tolerance: str | None = None
 ) -> tuple[Result, float]:
@@ -131,12 +143,12 @@ def simulated(
 
     from pftwin.dynamics.simulate import simulate
 
-    scene, began = chosen.scene, time.perf_counter()
+    scene, began, method = chosen.scene, time.perf_counter(), integrator_of(integrator)
     with working(f"compiling and simulating {scene.name}"):
-        result = simulate(scene, integrator=integrator, dt=dt, tolerance=tolerance)
+        result = simulate(scene, integrator=method, dt=dt, tolerance=tolerance)
         first = time.perf_counter() - began
         if tolerance is None:  # the run that was chosen for a tolerance is a warm one
-            result = simulate(scene, integrator=integrator, dt=dt)
+            result = simulate(scene, integrator=method, dt=dt)
     if chosen.button is not None:
         from pftwin.cap import check_cap
 

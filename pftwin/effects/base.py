@@ -7,13 +7,14 @@ all an implicit step needs to know. Integrators know loads, never effects.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.motion import Frame
+from pftwin.motion import Frame, SegmentMotion
 from pftwin.quantities import Quantity, declarations
 from pftwin.spatial import Quaternion, Rotation, Scalar, Twist, Vec3, Wrench
 
@@ -197,6 +198,15 @@ class Observable(NamedTuple):
     long_name: str
 
 
+class Change(NamedTuple):
+    """An effect changed in one thing that it does, for studies of what that is worth."""
+
+    label: str  # what is left out or put in: changes of one label are made in all effects at once
+    effect: Effect  # as it is then
+    how: str  # in words
+    memory: Callable[[Any], Any] | None = None  # where it is a part with a load of its own: its memory from the whole's
+
+
 class Effect(eqx.Module):
     """Base of all effects. `name` tells effects of one kind apart in results and scene files."""
 
@@ -239,6 +249,18 @@ class Effect(eqx.Module):
     def quantities(self) -> dict[str, Quantity]:
         """What is declared of its numbers: unit, bounds and short name, by the names of fields, dotted below them."""
         return {".".join(d.path): d.quantity for d in declarations(self) if d.quantity is not None}
+
+    def simplifications(self) -> Iterable[Change]:
+        """What the effect would be without one thing that it does: its damping, its friction, its toe region."""
+        return ()
+
+    def elaborations(self) -> Iterable[Change]:
+        """What the effect lacks and could have, with values from the literature."""
+        return ()
+
+    def in_still_femur(self, femur: SegmentMotion) -> Effect | None:
+        """The effect where a moving femur's frame is taken for an inertial one; None where it cannot be had there."""
+        return self
 
     def about(self, center_of_mass: Vec3) -> Effect:
         """The same effect with patella points counted from the centre of mass, ready for the inner loop."""

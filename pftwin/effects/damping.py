@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 
 from pftwin.effects.base import Drag, Effect, Ground, Instant, Load
+from pftwin.motion import SegmentMotion
 from pftwin.quantities import quantity
 from pftwin.spatial import Scalar
 
@@ -27,3 +28,7 @@ class LinearDamping(Effect):
         if not isinstance(segment, Ground):
             spin = spin - patella.rotation.unapply(segment.angular_velocity)
         return Load(drag=Drag(self.translational, self.rotational, velocity, spin)), memory
+
+    def in_still_femur(self, femur: SegmentMotion) -> LinearDamping | None:
+        """None where the ground drags, which would move then."""
+        return None if self.body == "ground" else self

@@ -17,13 +17,14 @@ friction is a step late.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.effects.base import Change, Effect, Instant, Load, Observable, StiffTerm, applied_at
 from pftwin.effects.contact import FACETS, Contact
 from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Twist, Vec3, safe_sqrt
@@ -93,6 +94,10 @@ class WithFriction(Contact):
     def with_friction(self, friction: Friction) -> Self:
         """See `Contact`."""
         return eqx.tree_at(lambda c: c.friction, self, friction)
+
+    def simplifications(self) -> Iterable[Change]:
+        """Without friction."""
+        return (Change("friction", self.alone(), "smooth", memory=lambda memory: memory.contact),)
 
     def alone(self) -> Effect:
         """The contact without friction."""

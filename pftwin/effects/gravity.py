@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 
 from pftwin.effects.base import Effect, Instant, Load, Observable
+from pftwin.motion import SegmentMotion
 from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3, Wrench
 
@@ -23,6 +24,29 @@ class Gravity(Effect):
         """The weight."""
         weight = self.mass * self.acceleration
         return Load(wrench=Wrench(weight, Vec3.zero()), energy=-weight.dot(now.patella.position)), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Its size."""
+        return {"weight": self.mass * self.acceleration.norm()}
+
+    def in_still_femur(self, femur: SegmentMotion) -> TurningGravity:
+        """Weight that keeps the direction that it really has at every instant."""
+        return TurningGravity(self.mass, self.acceleration, femur, name=self.name)
+
+
+class TurningGravity(Effect):
+    """Weight in the axes of a femur that is taken to stand still: its direction turns as the femur would."""
+
+    mass: Scalar  # of the patella [kg]
+    acceleration: Vec3  # in the true world [m/s^2]
+    femur: SegmentMotion  # as it was recorded there
+    name: str = eqx.field(static=True, kw_only=True, default="gravity")
+    observables: ClassVar[dict[str, Observable]] = Gravity.observables
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """The weight."""
+        there = self.femur.frames(now.time).rotation.unapply(self.acceleration)
+        return Load(wrench=Wrench(self.mass * there, Vec3.zero())), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Its size."""

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Instant, Load, Observable
-from pftwin.effects.strings import ElasticLine
+from pftwin.effects.base import Change, Instant, Load, Observable
+from pftwin.effects.strings import DAMPING, TOE, ElasticLine
 from pftwin.effects.toe_region import toe_region
 from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3, safe_sqrt
+
+_NO_TOE = 1e-6  # strain at which the toe ends: as good as none
 
 
 class StrandGroup(ElasticLine):
@@ -58,3 +61,12 @@ class StrandGroup(ElasticLine):
         """Total tension."""
         (term,) = self.load(now, memory)[0].stiff
         return {"tension": jnp.sum(term.force)}
+
+    def simplifications(self) -> Iterable[Change]:
+        """Without toe regions, the stiffness per metre and the linear region as they are; undamped."""
+        longer = (1 + 0.5 * self.toe_strain) / (1 + 0.5 * _NO_TOE)
+        new = self.stiffness * longer, self.slack_length * longer, jnp.full_like(self.toe_strain, _NO_TOE)
+        linear = eqx.tree_at(lambda s: (s.stiffness, s.slack_length, s.toe_strain), self, new)
+        undamped = eqx.tree_at(lambda s: s.damping_time, self, jnp.zeros_like(self.damping_time))
+        how = "linear from slack, the linear region as it is"
+        return Change(f"{TOE} of strands", linear, how), Change(DAMPING, undamped, "no dashpot")

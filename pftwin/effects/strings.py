@@ -10,7 +10,11 @@ import jax.numpy as jnp
 
 from pftwin.effects.base import Effect, Instant, StiffTerm, applied_at
 from pftwin.errors import InputError
+from pftwin.motion import SegmentMotion
 from pftwin.spatial import Scalar, Vec3
+
+# Labels of changes: what tendons and strands can do without, or lack.
+DAMPING, TOE = "tendons' damping", "toe region"
 
 
 class Line(NamedTuple):
@@ -67,6 +71,10 @@ class Strung(Effect):
     @abstractmethod
     def with_origin_moved(self, by: Vec3) -> Self:
         """With the other ends moved in their body's frame [m]."""
+
+    def in_still_femur(self, femur: SegmentMotion) -> Self | None:
+        """None where it is fixed to the ground, which would move then."""
+        return None if self.line_ends[1] == "ground" else self
 
     def line_element(self) -> Strung:
         """Itself."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Instant, Load, Observable
-from pftwin.effects.strings import ElasticLine
+from pftwin.effects.base import Change, Instant, Load, Observable
+from pftwin.effects.strings import DAMPING, TOE, ElasticLine
 from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3
+
+TOE_STRAIN = 0.06  # twice the reference strain of Blankevoort & Huiskes 1991, J Biomech Eng 113:263
 
 
 class Tendon(ElasticLine):
@@ -56,3 +59,17 @@ class Tendon(ElasticLine):
         """Tension and length."""
         (term,) = self.load(now, memory)[0].stiff
         return {"tension": term.force, "length": self.line(now).length}
+
+    def simplifications(self) -> Iterable[Change]:
+        """Without its dashpot."""
+        undamped = eqx.tree_at(lambda t: t.damping, self, jnp.zeros_like(self.damping))
+        return (Change(DAMPING, undamped, "no dashpot"),)
+
+    def elaborations(self) -> Iterable[Change]:
+        """With a toe region, the linear region as it is."""
+        from pftwin.effects.toe_tendon import ToeTendon  # which derives its own simplification from this class
+
+        slack, toe = self.slack_length / (1 + 0.5 * TOE_STRAIN), TOE_STRAIN + 0 * self.slack_length
+        ends = self.insertion, self.origin, self.body
+        stiffening = ToeTendon(self.stiffness, slack, toe, self.damping, *ends, name=self.name)
+        return (Change(TOE, stiffening, f"toe strain {TOE_STRAIN:g}, the linear region as it is"),)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Instant, Load, Observable
-from pftwin.effects.strings import ElasticLine
+from pftwin.effects.base import Change, Instant, Load, Observable
+from pftwin.effects.strings import DAMPING, TOE, ElasticLine
+from pftwin.effects.tendon import Tendon
 from pftwin.effects.toe_region import toe_region
 from pftwin.quantities import quantity
 from pftwin.spatial import Scalar, Vec3, safe_sqrt
@@ -61,3 +63,11 @@ class ToeTendon(ElasticLine):
         """Tension and length."""
         (term,) = self.load(now, memory)[0].stiff
         return {"tension": term.force, "length": self.line(now).length}
+
+    def simplifications(self) -> Iterable[Change]:
+        """Without its toe region: linear from half a toe later, where its linear region's line meets zero; undamped."""
+        slack = self.slack_length * (1 + 0.5 * self.toe_strain)
+        linear = Tendon(self.stiffness, slack, self.damping, self.insertion, self.origin, self.body, name=self.name)
+        undamped = eqx.tree_at(lambda t: t.damping, self, jnp.zeros_like(self.damping))
+        how = "linear from slack, the linear region as it is"
+        return Change(f"{TOE} of tendons", linear, how), Change(DAMPING, undamped, "no dashpot")

@@ -39,7 +39,7 @@ def declared_table(effect: type[Effect], kind: str | None = None) -> type[Effect
         if f.name == "name":
             continue
         declared = declared_field(effect, f.name)
-        default = {} if f.default is dataclasses.MISSING else {"default": f.default}
+        default: Any = {} if f.default is dataclasses.MISSING else {"default": f.default}
         if declared is None:
             fields[f.name] = _static(effect, f.name, f.type, default)
         elif "Vec3" in str(f.type):
@@ -94,9 +94,9 @@ def _table_class(
 
 def _values(declared: Quantity) -> Any:
     """The type of a list of numbers within bounds, or a single one."""
-    low = {"gt": 0.0} if declared.positive else {"ge": declared.lower} if declared.lower > -np.inf else {}
-    high = {"le": declared.upper} if declared.upper < np.inf else {}
-    one = Annotated[float, Field(**low, **high)]
+    above = 0.0 if declared.positive else None
+    least = declared.lower if not declared.positive and declared.lower > -np.inf else None
+    one = Annotated[float, Field(gt=above, ge=least, le=declared.upper if declared.upper < np.inf else None)]
     return Annotated[list[one], Field(min_length=1), BeforeValidator(one_number_or_many)]
 
 

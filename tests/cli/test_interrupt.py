@@ -107,7 +107,7 @@ def test_treat_keeps_the_variants_that_are_done(toy, tmp_path):
 
 def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path):
     before = (
-        "import pftwin.hard_cases as h\nfrom pftwin.hard_cases.verdict import Cell\ncalls = []\n"
+        "import pftwin.studies.hard_cases as h\nfrom pftwin.studies.hard_cases.verdict import Cell\ncalls = []\n"
         f"def run_matrix(cases, chosen, say):\n    calls.append(1)\n    if len(calls) == 2: {PAUSE}\n"
         "    return [Cell('hanging', chosen.contacts[0], 'newmark', 'float64', 'pass', '')]\n"
         "h.run_matrix = run_matrix"
@@ -115,14 +115,14 @@ def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path):
     run = Run(before, "hard-cases", "--contact", "P2", "--contact", "P5", "--json", "cells.json", cwd=tmp_path)
     run.until_ready()
     assert "saved so far: cells.json" in run.interrupted()
-    from pftwin.hard_cases.pieces import read_piece
+    from pftwin.studies.hard_cases.pieces import read_piece
 
-    assert [c.contact for c in read_piece(tmp_path / "cells.json").cells] == ["P2"]
+    assert [c.contact for c in read_piece(tmp_path / "cells.json").rows] == ["P2"]
 
 
 def test_accuracy_keeps_the_rows_so_far(toy, tmp_path):
     before = (
-        "import pftwin.accuracy.run as r\n"
+        "import pftwin.studies.accuracy.run as r\n"
         f"def measure(plan, scene_of, measured, tell, keep):\n    keep([]); {PAUSE}\n"
         "r.measure_all = measure"
     )
@@ -133,15 +133,15 @@ def test_accuracy_keeps_the_rows_so_far(toy, tmp_path):
 
 # Before the second variant that runs alone.
 DURING_VARIANTS = (
-    "import pftwin.audit.audit as a\nreal, calls = a.run_alone, []\n"
+    "import pftwin.studies.audit.audit as a\nreal, calls = a.run_alone, []\n"
     f"def run_alone(*given):\n    calls.append(1)\n    if len(calls) == 3: {PAUSE}\n    return real(*given)\n"
     "a.run_alone = run_alone"
 )
 # After variants that run side by side, in one program.
 DURING_TIMES = (
-    "import pftwin.audit.audit as a\nreal = a._listed\n"
+    "import pftwin.studies.audit.audit as a\nreal = a._listed\n"
     "a._listed = lambda *given: [v for v in real(*given) if getattr(v, 'alike', True)]\n"
-    f"def in_turn(runs): {PAUSE}\na.in_turn = in_turn"
+    f"def in_turn(runs): {PAUSE}\na.time_in_turn = in_turn"
 )
 
 
@@ -178,7 +178,7 @@ def test_audit_without_a_place_shows_what_is_done(toy, tmp_path):
 def test_contact_map_keeps_the_frames_that_are_done(tmp_path):
     write_plate_and_ball(tmp_path, [4e-4, 5e-4, 6e-4])
     before = (
-        "import pftwin.contact_map.mapping as m\nreal, calls = m._spread, []\n"
+        "import pftwin.studies.contact_map.mapping as m\nreal, calls = m._spread, []\n"
         f"def spread(*given):\n    calls.append(1)\n    if len(calls) == 5: {PAUSE}\n    return real(*given)\n"
         "m._spread = spread"
     )

@@ -222,7 +222,7 @@ def test_memories_of_effects_come_along(fixed):
 
     falling = system(gravity(), contact(Flores(J(2e8), J(0.6))))
     thrown = state_at(falling, (0, 0, RADIUS + 1e-4), (0, 0, -0.2))
-    ends = [march(falling, thrown, 3e-3, 600, i) for i in ("ali3p", "newmark")]
+    ends = [march(falling, thrown, 3e-3, 600, i) for i in (ALI3P(), Newmark())]
     rebound = [float(e.velocity.z) for e in ends]
     assert rebound[0] == pytest.approx(rebound[1], rel=1e-6)
     assert rebound[0] > 0.1

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scenes import J, knee, order_of, settled
 
-from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide
 from pftwin.scene import Scene
@@ -19,9 +20,9 @@ COUNTS = (200, 400, 800, 1600)
 
 
 @eqx.filter_jit
-def journey(scene: Scene, start, count, integrator: str):
+def journey(scene: Scene, start, count, integrator: Integrator):
     """Final position [mm], energies at start and end, and the ledger, after `count` (traced) steps."""
-    sys, advance = scene.system(), integrator_from_text(integrator).advance
+    sys, advance = scene.system(), integrator.advance
     step = DURATION / count
 
     def guide_at(t):
@@ -51,7 +52,7 @@ def journeys():
     scene = knee()
     start = settled(scene)
     assert bool(start.converged())
-    return [journey(scene, start, J(float(n)), "linear_implicit") for n in (*COUNTS, 25600)]
+    return [journey(scene, start, J(float(n)), LinearImplicit()) for n in (*COUNTS, 25600)]
 
 
 def test_the_energy_budget_closes(journeys):

@@ -133,7 +133,7 @@ def test_average_acceleration_keeps_the_energy_of_springs():
     """The trapezoidal rule keeps it to rounding where forces are linear; the damped method spends some."""
     sprung, x0 = between_springs(), 0.02
     for name in ("newmark", "newmark:rho=0.5"):
-        states, _ = record(sprung, state_at(sprung, (0, 0, x0)), J(2e-3), 200, name)
+        states, _ = record(sprung, state_at(sprung, (0, 0, x0)), J(2e-3), 200, integrator_from_text(name))
         z, v = np.asarray(states.position.z), np.asarray(states.velocity.z)
         assert np.abs(z).max() < 1.001 * x0
         assert z.min() < -0.9 * x0
@@ -149,7 +149,7 @@ def test_highest_frequencies_shrink_by_rho():
     sprung = between_springs(1e7)
     left = {}
     for rho in (0.0, 0.5, 1.0):
-        states, _ = record(sprung, state_at(sprung, (0, 0, 1e-7)), J(1e-2), 14, f"newmark:rho={rho:g}")
+        states, _ = record(sprung, state_at(sprung, (0, 0, 1e-7)), J(1e-2), 14, Newmark(rho=rho))
         left[rho] = np.abs(np.asarray(states.position.z)) / 1e-7
     assert left[0.0][7:].max() < 1e-3
     assert left[0.5][-1] / left[0.5][-2] == pytest.approx(0.5, rel=0.2)  # a double root: times 1 + 1 / n

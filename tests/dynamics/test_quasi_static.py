@@ -60,7 +60,7 @@ def test_a_dashpot_gives_way_with_the_second_order():
     start = state_at(sprung, (0, 0, rest + x0))
     exact = x0 * np.exp(-k * t / c)
     errors = [
-        abs(float(march(sprung, start, t, n, "quasi_static").position.z) - rest - exact) for n in (20, 40, 80, 160)
+        abs(float(march(sprung, start, t, n, QuasiStatic()).position.z) - rest - exact) for n in (20, 40, 80, 160)
     ]
     assert np.log2(errors[-2] / errors[-1]) == pytest.approx(QuasiStatic().order, abs=0.2)
     assert errors[-1] < 1e-4 * x0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scenes import march, state_at, system
 
+from pftwin.dynamics.integrators import QuasiStatic
 from pftwin.dynamics.quasi_static.stability import NEUTRAL, stable
 from pftwin.effects.base import Effect, Instant, Load
 from pftwin.effects.damping import LinearDamping
@@ -77,7 +78,7 @@ def test_forces_without_a_potential_are_followed_and_not_left():
     k, a, c, y0, duration = 200.0, 1500.0, 20.0, 0.004, 0.2
     medium = LinearDamping(J(c), J(1e-3), "ground")
     sheared = system(Sheared(J(k), J(a), name="sheared"), medium)
-    end = march(sheared, state_at(sheared, (0, y0, 0)), duration, 400, "quasi_static")
+    end = march(sheared, state_at(sheared, (0, y0, 0)), duration, 400, QuasiStatic())
     left = np.exp(-k * duration / c)
     np.testing.assert_allclose(float(end.position.y), left * y0, rtol=1e-3)
     np.testing.assert_allclose(float(end.position.x), -left * a * duration / c * y0, rtol=1e-3)

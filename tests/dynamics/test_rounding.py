@@ -11,9 +11,9 @@ import pytest
 from pftwin.dynamics.equilibrium import Solution, tolerance_of, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide, starting_equilibrium
 from pftwin.dynamics.static_load import moved, residual
-from pftwin.hard_cases import case_named
-from pftwin.hard_cases.batch import built
 from pftwin.spatial import Pose, Quaternion, Vec3
+from pftwin.studies.hard_cases import case_named
+from pftwin.studies.hard_cases.batch import built
 
 CASES = ("contact_hard", "button_of_1_m")
 

@@ -118,7 +118,7 @@ def test_the_search_for_contours_alone_sees_nothing_of_it():
 def test_a_bone_wholly_inside_the_button_is_too_deep_and_says_how_far():
     """A part of the femur's surface that a large button has gone over: no triangles meet."""
     from pftwin.effects.mesh_contact import MeshContact
-    from pftwin.hard_cases.ground import Ground, mesh_on
+    from pftwin.studies.hard_cases.ground import Ground, mesh_on
     from pftwin.surfaces.contact_mesh import contact_mesh
 
     plate = contact_mesh(mesh_on(Ground(lambda u, v: 0.0 * u, (0.01, 0.01))))
@@ -134,7 +134,7 @@ def test_a_bone_wholly_inside_the_button_is_too_deep_and_says_how_far():
 def test_behind_an_open_surface_is_too_deep_and_says_how_far():
     """A femur's surface without its back: a button that hangs far below it does not just touch nothing."""
     from pftwin.effects.mesh_contact import MeshContact
-    from pftwin.hard_cases.ground import Ground, lateral_of, mesh_on
+    from pftwin.studies.hard_cases.ground import Ground, lateral_of, mesh_on
     from pftwin.surfaces.contact_mesh import contact_mesh
 
     plate = mesh_on(Ground(lambda u, v: 0.0 * u, (0.025, 0.02)))

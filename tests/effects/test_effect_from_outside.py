@@ -14,8 +14,6 @@ from toy_scene_files import SCENE, write_toy
 
 import fitting
 import pftwin
-from pftwin.audit.audit import audit
-from pftwin.audit.explain import explain
 from pftwin.effects.base import Instant, Load, Observable
 from pftwin.effects.strings import ElasticLine
 from pftwin.leaves import number
@@ -23,6 +21,8 @@ from pftwin.measured import Measured
 from pftwin.quantities import quantity
 from pftwin.scene import Scene, check
 from pftwin.spatial import Scalar, Vec3
+from pftwin.studies.audit.audit import audit
+from pftwin.studies.audit.explain import explain
 
 
 class Band(ElasticLine):

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from mesh_contacts import RADIUS, lateral, member, on_the_groove
 from mesh_samples import corners_of, random_poses, soup
 
-from pftwin.hard_cases.ground import lateral_of, mesh_on
-from pftwin.hard_cases.knee import TROCHLEA
 from pftwin.rig.cases import implant_mesh
 from pftwin.spatial import Pose, Vec3
+from pftwin.studies.hard_cases.ground import lateral_of, mesh_on
+from pftwin.studies.hard_cases.knee import TROCHLEA
 from pftwin.surfaces.bvh import brute_force
 from pftwin.surfaces.bvh.corners import corner_tree
 from pftwin.surfaces.bvh.deepest import DepthSearch, depth_search

@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from pftwin.dynamics.tracked_path import tracked_path
 
 from fitting.benchmarks.methods.meter import Meter
 from fitting.method import lenient
 from fitting.parameters import applied
 from fitting.problem import Problem
+from pftwin.benchmarks.problem import tracked_path
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.errors import MissingExtraError
 from pftwin.scene import Scene

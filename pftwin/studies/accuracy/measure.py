@@ -1,0 +1,170 @@
+"""Errors and times of one program at several steps, against the converged run of the same contact model."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.simulate import settle
+from pftwin.measured import Measured
+from pftwin.metrics import validate
+from pftwin.result import Result
+from pftwin.scene import Scene
+from pftwin.studies.accuracy.plan import MESHES, REFERENCE, REFERENCE_ON_MESHES, Setting
+from pftwin.studies.accuracy.programs import VARIANTS, Programs, programs
+from pftwin.studies.runs import Difference, difference, rms, time_in_turn
+
+SceneOf = Callable[[str], Scene]  # from a contact's name, in JAX's present float type
+GRADIENT_SUBSTEPS = 2
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the table. NaN: not measured, or nothing to measure."""
+
+    contact: str
+    integrator: str
+    order: int
+    dtype: str
+    step_ms: float
+    position_rms_mm: float  # of the button's centre, against the converged run
+    position_max_mm: float
+    tilt_rms_deg: float
+    force_rms_n: float  # total contact force
+    dislocation_ms: float  # time of the first dislocation, less the converged run's
+    measured_mm: float  # mean distance of the button's centre from the measurements
+    real_time: float  # one run with all results, without its equilibrium: x real time
+    real_time_batch: float  # the same of each of 64 variants side by side: x real time of all together
+    compile_s: float  # tracing and compiling one run
+    gradient: float  # a run with four forward derivatives, in plain runs
+    status: str
+
+
+@dataclass(frozen=True)
+class Converged:
+    """The run that errors of a contact model are taken from, and how far another integrator's is from it."""
+
+    result: Result
+    doubt_mm: float
+
+
+@contextlib.contextmanager
+def float_type(name: str) -> Iterator[None]:
+    """JAX in that precision."""
+    with jax.enable_x64(name == "float64"):
+        yield
+
+
+@contextlib.contextmanager
+def compiling_anew() -> Iterator[None]:
+    """Nothing comes from the folder of compiled programs: times of compiling are those of a first run."""
+    from jax.experimental.compilation_cache import compilation_cache
+
+    kept = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    jax.config.update("jax_compilation_cache_dir", None)
+    compilation_cache.reset_cache()
+    try:
+        yield
+    finally:
+        jax.config.update("jax_compilation_cache_dir", kept)
+        compilation_cache.reset_cache()
+
+
+def converged(scene: Scene, contact: str) -> Converged:
+    """By Newmark's method (on meshes by backward differences), with a second integrator to doubt it by; float64."""
+    mesh = contact in MESHES
+    names = ("linear_implicit_bdf2", "linear_implicit") if mesh else ("newmark", "linear_implicit_bdf2")
+    start, relaxed = settle(scene.unnamed())
+    found = []
+    for name in names:
+        p = programs(scene, name)
+        seen = jax.jit(p.one)(p.arrays, start.answer, jnp.asarray(REFERENCE_ON_MESHES if mesh else REFERENCE))
+        found.append(_result(scene, start.answer, relaxed, seen))
+    return Converged(found[0], 1e3 * rms(_apart(scene, found[1], found[0]).center))
+
+
+def rows(setting: Setting, scene: Scene, reference: Converged, measured: Measured | None) -> list[Row]:
+    """One for each step, all of one compiled program."""
+    start, relaxed = settle(scene.unnamed())
+    p = programs(scene, setting.integrator)
+    steps = {n: jnp.asarray(n) for n in setting.substeps}
+    began = time.perf_counter()
+    one = jax.jit(p.one).lower(p.arrays, start.answer, steps[setting.substeps[0]]).compile()
+    compiling = time.perf_counter() - began
+    times = _times(one, p, start.answer, steps)
+    batch = _times(jax.jit(p.many), p, start.answer, steps) if setting.batch else {}
+    gradient = _gradient(p, start.answer, steps.get(GRADIENT_SUBSTEPS, steps[setting.substeps[0]]), setting)
+    found = []
+    for n, at in steps.items():
+        result = _result(scene, start.answer, relaxed, one(p.arrays, start.answer, at))
+        found.append(
+            Row(
+                setting.contact,
+                setting.integrator,
+                integrator_from_text(setting.integrator).order,
+                setting.dtype,
+                1e3 * scene.motion.frame_interval / n,
+                **_errors(scene, result, reference.result),
+                measured_mm=float("nan") if measured is None else _from_measurements(result, measured),
+                real_time=result.duration / times[n],
+                real_time_batch=VARIANTS * result.duration / batch[n] if batch else float("nan"),
+                compile_s=compiling,
+                gradient=gradient,
+                status=result.status.describe(),
+            )
+        )
+    return found
+
+
+def _times(program: Callable[..., Any], p: Programs, start: Any, steps: dict[int, Any]) -> dict[int, float]:
+    """By number of steps [s]."""
+    runs = {n: partial(program, p.arrays, start, at) for n, at in steps.items()}
+    return {n: time_in_turn([run], rounds=3, seconds=0.2, own=False)[0].seconds for n, run in runs.items()}
+
+
+def _gradient(p: Programs, start: Any, substeps: Any, setting: Setting) -> float:
+    """The cost of a run with its derivatives, in runs."""
+    if not setting.gradient:
+        return float("nan")
+    pair = [partial(jax.jit(program), p.arrays, start, substeps) for program in (p.path, p.columns)]
+    return time_in_turn(pair, rounds=5, seconds=0.2, own=False)[1].ratio
+
+
+def _result(scene: Scene, start: Any, relaxed: bool, seen: Any) -> Result:
+    return Result.build(scene, start, seen, None, relaxed=relaxed, settings={}, timing={})
+
+
+def _apart(scene: Scene, found: Result, reference: Result) -> Difference:
+    return difference(found, reference, np.asarray(scene.tracked_point().array(), dtype=np.float64))
+
+
+def _errors(scene: Scene, found: Result, reference: Result) -> dict[str, float]:
+    apart = _apart(scene, found, reference)
+    return {
+        "position_rms_mm": 1e3 * rms(apart.center),
+        "position_max_mm": 1e3 * float(np.max(apart.center)),
+        "tilt_rms_deg": float(np.degrees(rms(apart.tilt))),
+        "force_rms_n": float("nan") if apart.contact is None else rms(apart.contact),
+        "dislocation_ms": 1e3 * (_dislocation(found) - _dislocation(reference)),
+    }
+
+
+def _dislocation(result: Result) -> float:
+    """Time of the first one [s]; NaN where there is none."""
+    if not np.isfinite(result.center).all():
+        return float("nan")
+    outcome = result.dislocations()
+    return outcome.events[0].time if outcome is not None and outcome.events else float("nan")
+
+
+def _from_measurements(result: Result, measured: Measured) -> float:
+    return validate(result, measured, tibial=None, femoral=None).mean_distance

@@ -1,0 +1,130 @@
+"""Measures a plan on a scene, writes what was found, and keeps what was measured if something fails midway."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pftwin.measured import Measured
+from pftwin.metrics import PAPER_TABLE_1, Validation, validate
+from pftwin.output import written_whole
+from pftwin.plots import save_figure
+from pftwin.result_files import save_dataset
+from pftwin.studies.accuracy.figure import work_precision
+from pftwin.studies.accuracy.measure import Converged, Row, SceneOf, compiling_anew, converged, float_type, rows
+from pftwin.studies.accuracy.plan import Setting
+from pftwin.studies.accuracy.table import advice, columns, everything
+from pftwin.studies.runs import run_each
+from pftwin.studies.tables import Sheet, to_csv, to_dataset
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was measured."""
+
+    rows: list[Row]
+    references: dict[str, Converged]  # by contact
+    models: dict[str, Validation]  # converged runs against the measurements, by contact; none without measurements
+
+
+def measure_all(
+    plan: Sequence[Setting],
+    scene_of: SceneOf,
+    measured: Measured | None,
+    tell: Callable[[str], None],
+    keep: Callable[[list[Row]], None] = lambda _: None,
+) -> Found:
+    """Rows of a plan, the converged runs first.
+
+    Args:
+        plan: what to measure.
+        scene_of: makes the scene with a contact, in JAX's present float type.
+        measured: of the motion, if there are any.
+        tell: gets a line before each piece of work.
+        keep: gets all rows so far after each, to put them where they are not lost.
+    """
+    references: dict[str, Converged] = {}
+
+    def before(k: int, setting: Setting) -> None:
+        if setting.contact not in references:
+            tell(f"{setting.contact}: converged run")
+            with float_type("float64"):
+                references[setting.contact] = converged(scene_of(setting.contact), setting.contact)
+        tell(f"{k + 1} of {len(plan)}: {setting.contact}, {setting.integrator}, {setting.dtype}")
+
+    def one(setting: Setting) -> list[Row]:
+        with float_type(setting.dtype):
+            return rows(setting, scene_of(setting.contact), references[setting.contact], measured)
+
+    with compiling_anew():
+        found = run_each(plan, one, before=before, after=lambda pieces: keep([r for p in pieces for r in p]))
+    if len(found) < len(plan):
+        raise KeyboardInterrupt  # `keep` has what was measured
+    models = {} if measured is None else {c: _against(r, measured) for c, r in references.items()}
+    return Found([row for piece in found for row in piece], references, models)
+
+
+def _against(reference: Converged, measured: Measured) -> Validation:
+    present = reference.result.effects
+    springs: dict[str, Any] = {}
+    if "patellar_tendon" not in present:
+        springs["tibial"] = None
+    if "quadriceps" not in present:
+        springs["femoral"] = None
+    return validate(reference.result, measured, **springs)
+
+
+def write(found: Found, folder: Path, title: str, about: dict[str, Any]) -> list[Path]:
+    """accuracy.nc, accuracy.csv, accuracy.md, and a figure for each contact model."""
+    folder.mkdir(parents=True, exist_ok=True)
+    save_dataset(to_dataset(columns(found.rows), "setting", about), folder / "accuracy.nc")
+    texts = {"accuracy.csv": to_csv(columns(found.rows)), "accuracy.md": report(found, title, about)}
+    for name, text in texts.items():
+        with written_whole(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    paths = [folder / name for name in ("accuracy.nc", *texts)]
+    for contact in found.references:
+        figure = work_precision(found.rows, f"{title}, {contact}: what accuracy costs", contact=contact)
+        paths += save_figure(figure, folder / f"accuracy_{contact}")
+    return paths
+
+
+def report(found: Found, title: str, about: dict[str, Any]) -> str:
+    """Everything in Markdown."""
+    doubts = "; ".join(f"{c} {r.doubt_mm:.1g} mm" for c, r in found.references.items())
+    return "\n".join(
+        [
+            f"# {title}: what accuracy costs in time\n",
+            "; ".join(f"{k}: {v}" for k, v in about.items()) + "\n",
+            "Errors are from the converged run of the same contact model; how far a second integrator's converged run"
+            f" is from it, rms: {doubts}.\n",
+            "## Recommended settings\n",
+            advice(found.rows).grid() + "\n",
+            *_models(found.models),
+            "## Everything measured\n",
+            everything(found.rows).grid() + "\n",
+        ]
+    )
+
+
+def _models(models: dict[str, Validation]) -> list[str]:
+    """The converged runs in the rows of the paper's Table 1."""
+    if not models:
+        return []
+    synthetic = any(v.synthetic for v in models.values())
+    keep = ("initial_configuration", "real_time_factor")
+    rows = [[r for r in v.to_rows(c if c in PAPER_TABLE_1 else None) if r.key not in keep] for c, v in models.items()]
+    cells = [
+        [("-" if r.value is None else f"{r.value:.3g}") + ("" if r.paper is None else f" ({r.paper:g})") for r in same]
+        for same in zip(*rows, strict=True)
+    ]
+    labels = [f"{r.label}, {r.unit}" for r in rows[0]]
+    sheet = Sheet("", ("", *models), tuple((a, *b) for a, b in zip(labels, cells, strict=True)))
+    return [
+        "## Error of the contact models\n",
+        f"Converged runs against the {'SYNTHETIC ' if synthetic else ''}measurements; in brackets the paper's means"
+        " over its four cases, with its own rig and measurements (Michaud et al. 2024, Table 1).\n",
+        sheet.grid() + "\n",
+    ]

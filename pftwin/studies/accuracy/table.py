@@ -1,0 +1,148 @@
+"""The rows as columns and as tables: everything, the front of best settings, and a few recommendations."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from typing import NamedTuple
+
+import numpy as np
+
+from pftwin.studies import tables
+from pftwin.studies.accuracy.measure import Row
+from pftwin.studies.tables import Column, Sheet, short
+
+LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors that settings are recommended for [mm]
+ALIKE = 0.9  # ratio of two speeds that measuring again may turn around
+ABOUT = {
+    "order": ("1", "order that the integrator declares"),
+    "step_ms": ("ms", "step"),
+    "position_rms_mm": ("mm", "button's centre against the converged run of the same contact, rms over the frames"),
+    "position_max_mm": ("mm", "the same, largest"),
+    "tilt_rms_deg": ("deg", "tilt against the converged run, rms"),
+    "force_rms_n": ("N", "contact force against the converged run, rms"),
+    "dislocation_ms": ("ms", "time of the first dislocation, less the converged run's"),
+    "measured_mm": ("mm", "mean distance of the button's centre from the measurements"),
+    "real_time": ("1", "one run with all results, in times faster than real time"),
+    "real_time_batch": ("1", "64 variants side by side, in times faster than real time"),
+    "compile_s": ("s", "tracing and compiling one run"),
+    "gradient": ("1", "a run with four forward derivatives, in plain runs"),
+}
+_NEEDED = ("contact", "integrator", "dtype", "status", "order", "step_ms", "position_rms_mm", "real_time")
+
+
+class Advice(NamedTuple):
+    """The fastest setting within an error."""
+
+    level_mm: float
+    row: Row | None  # None: no setting that was measured is that accurate
+    best_batch: Row | None
+
+
+def columns(rows: Sequence[Row]) -> list[Column]:
+    """Every field of the rows, units in the names."""
+    names = [f.name for f in fields(Row)]
+    return [Column(n, [getattr(r, n) for r in rows], *ABOUT.get(n, ())) for n in names]
+
+
+def read_csv(path: str | os.PathLike[str]) -> list[Row]:
+    """Rows that were kept, of this version or of one that knew fewer columns: what it lacks is NaN.
+
+    Raises:
+        InputError: no such file, or one without the columns that make a row.
+    """
+    return tables.read_csv(path, Row, _NEEDED, "a table of pftwin accuracy")
+
+
+def front(rows: Iterable[Row], speed: str = "real_time") -> list[Row]:
+    """Settings that no other is both faster and more accurate than, the fastest first."""
+    usable = [r for r in rows if np.isfinite(r.position_rms_mm) and np.isfinite(getattr(r, speed))]
+    best, found = np.inf, []
+    for row in sorted(usable, key=lambda r: (-getattr(r, speed), r.position_rms_mm)):
+        if row.position_rms_mm < best:
+            best = row.position_rms_mm
+            found.append(row)
+    return found
+
+
+def recommended(rows: Sequence[Row], levels: Sequence[float] = LEVELS) -> list[Advice]:
+    """For each level of error the fastest setting, alone and in a batch; of equally fast ones that in double precision,
+    and the most accurate.
+    """
+
+    def fastest(level: float, speed: str) -> Row | None:
+        within = [r for r in rows if r.position_rms_mm <= level and np.isfinite(getattr(r, speed))]
+        enough = ALIKE * max((getattr(r, speed) for r in within), default=0.0)
+        fast = [r for r in within if getattr(r, speed) >= enough]
+        return min(fast, key=lambda r: (r.dtype == "float32", r.position_rms_mm), default=None)
+
+    return [Advice(level, fastest(level, "real_time"), fastest(level, "real_time_batch")) for level in levels]
+
+
+def advice(rows: Sequence[Row]) -> Sheet:
+    """The recommendations."""
+    found = []
+    for level, one, many in recommended(rows):
+        alone = ("none measured", *"---")
+        if one is not None:
+            errors = f"{short(one.position_max_mm)} mm", f"{short(one.force_rms_n)} N"
+            alone = (described(one), short(one.real_time), *errors)
+        beside = ("-", "-") if many is None else (described(many), short(many.real_time_batch))
+        found.append((f"{level:g} mm", *alone, *beside))
+    headings = (
+        "error, rms", "one run", "x real time", "error, max", "contact force, rms", "64 side by side", "x real time",
+    )  # fmt: skip
+    return Sheet("Recommended: the fastest that was measured within an error", headings, tuple(found))
+
+
+def everything(rows: Sequence[Row]) -> Sheet:
+    """All figures of all rows."""
+    headings = (
+        "contact", "integrator", "float", "step, ms", "position rms (max), mm", "tilt, deg", "force, N",
+        "dislocation, ms", "from measurements, mm", "x real time", "64 side by side", "compile, s", "derivatives",
+        "status",
+    )  # fmt: skip
+    found = []
+    for r in rows:
+        position = f"{short(r.position_rms_mm)} ({short(r.position_max_mm)})"
+        figures = (r.tilt_rms_deg, r.force_rms_n, r.dislocation_ms, r.measured_mm)
+        speeds = (r.real_time, r.real_time_batch, r.compile_s, r.gradient)
+        named = (r.contact, r.integrator, r.dtype, f"{r.step_ms:g}", position)
+        found.append((*named, *map(short, (*figures, *speeds)), r.status))
+    return Sheet("Everything measured", headings, tuple(found))
+
+
+def overview(rows: Sequence[Row]) -> Sheet:
+    """What fits a terminal; the rest is in the files."""
+    found, groups = [], []
+    for r in rows:
+        name = f"{r.contact}, {r.integrator}, {r.dtype}"
+        if name not in groups[-1:]:
+            found.append((name, *[""] * 5))
+            groups.append(name)
+        figures = (r.position_rms_mm, r.position_max_mm, r.force_rms_n, r.real_time, r.real_time_batch)
+        found.append((f"  {r.step_ms:g}", *map(short, figures)))
+        groups.append(name)
+    title = "Errors from the converged run of the same contact; speed in times real time"
+    headings = ("step, ms", "rms, mm", "max, mm", "force, N", "one run", "64 runs")
+    return Sheet(title, headings, tuple(found), tuple(groups), words=(0,), narrow=True)
+
+
+def brief_advice(rows: Sequence[Row]) -> Sheet:
+    """The recommendations as a terminal has room for them."""
+    found = []
+    for level, one, many in recommended(rows):
+        for i, (kind, row) in enumerate((("one run", one), ("64 runs", many))):
+            cells = ("none measured", "-", "-")
+            if row is not None:
+                cells = described(row), short((row.real_time, row.real_time_batch)[i]), short(row.force_rms_n)
+            found.append(("" if i else f"{level:g} mm", kind, *cells))
+    title = "Recommended: the fastest that was measured within an error"
+    return Sheet(title, ("error, rms", "", "setting", "x real time", "force, N"), tuple(found), narrow=True)
+
+
+def described(row: Row) -> str:
+    """A setting in words."""
+    single = "" if row.dtype == "float64" else ", float32"
+    return f"{row.contact}, {row.integrator}, {row.step_ms:g} ms{single}"

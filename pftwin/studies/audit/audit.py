@@ -1,0 +1,206 @@
+"""What each effect of a scene is worth: the run changed by leaving it out, or by putting in what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import jax
+
+from pftwin.dynamics.frame_states import substeps_for
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.trajectory import checked_integrator
+from pftwin.errors import InputError
+from pftwin.result import Result
+from pftwin.scene import Scene, check
+from pftwin.studies.audit.ablations import ablations
+from pftwin.studies.audit.additions import additions
+from pftwin.studies.audit.changes import Changes, changes, lost
+from pftwin.studies.audit.runs import Run, run_alone, run_side_by_side
+from pftwin.studies.audit.variant import KINDS, Kind, NotApplicable, Variant
+from pftwin.studies.runs import Cost, run_each, time_in_turn
+
+
+@dataclass(frozen=True)
+class Worth:
+    """One variant beside the scene."""
+
+    name: str
+    kind: Kind
+    sentence: str
+    changes: Changes | None  # None where there is nothing to compare
+    cost: float | None  # time that it takes, as a share of the scene's run; None where it ran beside others
+    spread: float | None  # of that: half of what the middle half of the rounds covers
+    outcome: str  # what became of the run, where it differs from the scene's own; empty where it does not
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Audit:
+    """All variants of a scene."""
+
+    scene: str
+    synthetic: bool  # whether its motion is
+    integrator: str
+    step: float  # [s]
+    tolerance: float  # of the tracked point's place [m]
+    run_time: float | None  # of the scene's own run: median [s]; None where an interrupt came before times were taken
+    tracking: str | None  # what the patella does in the scene; None without a contact surface
+    status: str
+    programs: int  # compiled: of motion and of equilibrium
+    rows: tuple[Worth, ...]
+    not_applicable: tuple[NotApplicable, ...]
+    missing: tuple[str, ...] = ()  # variants that an interrupt left undone
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C came before all was done: the rows that there are hold, some or all without their times."""
+        return self.run_time is None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+def audit(
+    scene: Scene,
+    *,
+    tolerance: float = 1e-4,
+    integrator: Integrator | None = None,
+    dt: float = 1e-3,
+    only: Collection[str] | None = None,
+) -> Audit:
+    """Runs the scene with each effect left out, with those put in that it lacks, and with other inertia and steps.
+
+    Args:
+        scene: what is there.
+        tolerance: by how much the tracked point may be off before an effect is worth keeping [m].
+        integrator: as in `simulate`.
+        dt: longest step [s].
+        only: names of the rows that are wanted; each saves the time of compiling the others. None: all there are.
+
+    Returns:
+        The audit. After an interrupt (Ctrl-C) it holds the variants that had been run, without their times.
+
+    Raises:
+        InputError: a parameter of the scene, the tolerance, the step or the integrator that cannot give a right answer;
+            a row that there is not.
+        KeyboardInterrupt: interrupted before the first variant was done.
+    """
+    if not tolerance > 0:
+        raise InputError(f"found {tolerance!r}", where="tolerance", expected="a positive number of metres")
+    check(scene)
+    integrator = checked_integrator(integrator or LinearImplicit(), "audit")
+    substeps = substeps_for(scene.motion.frame_interval, dt)
+    listed = _listed(scene, integrator, only)
+    wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
+    own = run_alone(scene, integrator, substeps)
+    runs = _runs(scene, wanted, integrator, substeps)
+    done = [v for v in wanted if (v.name, v.kind) in runs]
+    shares: list[Cost | None] = [None] * (1 + len(done))
+    if len(done) == len(wanted):
+        shares = _shares(own, [runs[v.name, v.kind] for v in done])
+    rows = [
+        _worth(scene, v, runs[v.name, v.kind].result, own.result, share, tolerance)
+        for v, share in zip(done, shares[1:], strict=True)
+    ]
+    tracking = own.result.dislocations()
+    return Audit(
+        scene=scene.name,
+        synthetic=scene.synthetic,
+        integrator=integrator.text,
+        step=scene.motion.frame_interval / substeps,
+        tolerance=tolerance,
+        run_time=None if shares[0] is None else shares[0].seconds,
+        tracking=None if tracking is None else tracking.describe(),
+        status=own.result.status.describe(),
+        programs=_programs(scene, done, integrator),
+        rows=tuple(rows),
+        not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),
+        missing=tuple(v.name for v in wanted if (v.name, v.kind) not in runs),
+    )
+
+
+def _listed(scene: Scene, integrator: Integrator, only: Collection[str] | None) -> list[Variant | NotApplicable]:
+    """What there is to leave out, put in and change, or what is wanted of it."""
+    listed = [*ablations(scene), *additions(scene, integrator)]
+    if only is None:
+        return listed
+    names = list(dict.fromkeys(v.name for v in listed))
+    if isinstance(only, str) or (unknown := [n for n in only if n not in names]):
+        found = only if isinstance(only, str) else ", ".join(unknown)
+        raise InputError(f"found {found!r}", where="only", expected=f"a list of some of: {', '.join(names)}")
+    return [v for v in listed if v.name in only]
+
+
+def _runs(scene: Scene, wanted: list[Variant], integrator: Integrator, substeps: int) -> dict[tuple[str, Kind], Run]:
+    """Those that differ in numbers only side by side, the others one by one; after Ctrl-C, those that are done."""
+    alike, alone = [v for v in wanted if v.alike], [v for v in wanted if not v.alike]
+
+    def run(group: list[Variant]) -> list[Run]:
+        if group is alike:
+            return run_side_by_side(scene, group, integrator, substeps)
+        return [run_alone(v.scene, v.integrator or integrator, v.refine * substeps) for v in group]
+
+    groups = [alike] * bool(alike) + [[v] for v in alone]
+    answers = run_each(groups, run)
+    pairs = (pair for group, runs in zip(groups, answers, strict=False) for pair in zip(group, runs, strict=True))
+    return {(v.name, v.kind): answer for v, answer in pairs}
+
+
+def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> int:
+    """One of motion for each structure, integrator and number of steps, one of equilibrium for each structure."""
+    alone = [v for v in wanted if not v.alike]
+    structures = [scene, *(v.scene for v in alone)]
+    kinds = {jax.tree.structure(s.unnamed()) for s in structures}
+    moving = {
+        (jax.tree.structure(s.unnamed()), name, n)
+        for s, name, n in [(scene, integrator, 1), *((v.scene, v.integrator or integrator, v.refine) for v in alone)]
+    }
+    return len(kinds) + len(moving) + (len(alone) < len(wanted))
+
+
+def _shares(own: Run, runs: list[Run]) -> list[Cost | None]:
+    """Times of the scene's own run and of all that ran alone, in turn; none of them after Ctrl-C."""
+    timed = [run.again for run in (own, *runs) if run.again is not None]
+    try:
+        shares = iter(time_in_turn(timed))
+    except KeyboardInterrupt:
+        return [None] * (1 + len(runs))
+    return [None if run.again is None else next(shares) for run in (own, *runs)]
+
+
+def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float) -> Worth:
+    trouble = lost(result, own)
+    found = None if trouble is not None else changes(scene, result, own)
+    outcome = trouble or _outcome(result, own)
+    cost = None
+    if share is not None:
+        cost = 1 - share.ratio if v.kind == "left out" else share.ratio - 1
+    verdict = _verdict(v.kind, found, outcome, tolerance)
+    return Worth(v.name, v.kind, v.sentence, found, cost, share and share.spread, outcome, verdict)
+
+
+def _outcome(result: Result, own: Result) -> str:
+    """Where the patella dislocates in one of the runs alone; what flags the scene's run does not have."""
+    said = []
+    ours, theirs = own.dislocations(), result.dislocations()
+    if ours is not None and theirs is not None and bool(ours.events) != bool(theirs.events):
+        said.append("dislocates" if theirs.events else "does not dislocate")
+    new = result.status & ~own.status
+    return "; ".join([*said, *([new.describe()] if new else [])])
+
+
+def _verdict(kind: Kind, found: Changes | None, outcome: str, tolerance: float) -> str:
+    """In two or three words."""
+    matters = found is None or found.center_max > tolerance or "dislocate" in outcome
+    if found is None and kind == "left out":
+        return "indispensable"
+    return {
+        "left out": ("worth keeping", "could go"),
+        "put in": ("worth putting in", "not needed"),
+        "changed": ("matters", "does not matter"),
+        "yardstick": ("steps too long for that", "steps short enough"),
+    }[kind][0 if matters else 1]

@@ -1,0 +1,147 @@
+"""What each effect of a scene costs and does: equations, time, stiffness, energy."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from pftwin.dynamics.frame_states import substeps_for
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.simulate import settle
+from pftwin.dynamics.status import Status
+from pftwin.dynamics.trajectory import checked_integrator
+from pftwin.scene import Scene, check
+from pftwin.studies.audit.account import Account, Sums, account
+from pftwin.studies.audit.equations import equations
+from pftwin.studies.audit.parts import Part, parts
+from pftwin.studies.audit.step_cost import through_frames
+from pftwin.studies.runs import Cost, time_in_turn
+
+
+@dataclass(frozen=True)
+class PartCost:
+    """One part of a scene: an effect, or the friction of one."""
+
+    name: str
+    kind: str
+    of: str | None  # the effect that it belongs to and is part of
+    equations: int  # that it adds to a step
+    share: float  # of a step's time that goes when it is left out
+    spread: float  # half of what the middle half of the rounds covers
+    longest_step: float  # of an explicit method with it alone, at the run's worst moment; inf: any [s]
+    stiff: bool  # whether that is less than the step
+    work: float  # done on the patella over the run [J]
+    moved: float  # the same, whichever way it went [J]
+    heat: float  # that it made [J]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A scene and its parts."""
+
+    scene: str
+    integrator: str
+    step: float  # [s]
+    steps: int  # of the run
+    equations: int  # of one step
+    step_time: float  # median [s]
+    parts: tuple[PartCost, ...]
+    kinetic_change: float  # of the patella's kinetic energy over the run [J]
+    status: Status
+    programs: int  # compiled for it
+
+    @property
+    def shared_equations(self) -> int:
+        """Of the step that no part adds by itself: inertia, guided motion, the step's own solution."""
+        return self.equations - sum(p.equations for p in self.parts if p.of is None)
+
+    @property
+    def shared_time(self) -> float:
+        """Share of a step's time that no part takes by itself."""
+        return 1 - sum(p.share for p in self.parts if p.of is None)
+
+    @property
+    def energy_gap(self) -> float:
+        """The effects' works less the change of kinetic energy: how far the account is off [J]."""
+        return sum(p.work for p in self.parts if p.of is None) - self.kinetic_change
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        own = {k: v for k, v in asdict(self).items() if k != "status"}
+        more = ("shared_equations", "shared_time", "energy_gap")
+        return {**own, **{k: getattr(self, k) for k in more}, "status": self.status.describe()}
+
+
+def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float = 1e-3) -> Explanation:
+    """Runs the scene once with an account of every step, then times a step with all effects and without each.
+
+    Args:
+        scene: what is there.
+        integrator: as in `simulate`.
+        dt: longest step [s].
+
+    Raises:
+        InputError: a parameter of the scene, the step or the integrator that cannot give a right answer.
+    """
+    check(scene)
+    integrator = checked_integrator(integrator or LinearImplicit(), "explain")
+    substeps = substeps_for(scene.motion.frame_interval, dt)
+    scene, name = scene.unnamed(), scene.name
+    listed, start = parts(scene), settle(scene)[0].answer
+    kept: Account = account(scene, start, integrator, substeps)
+    shares = _shares(scene, listed, kept, integrator, substeps)
+    total, step = equations(scene, integrator), scene.motion.frame_interval / substeps
+    steps = substeps * (scene.motion.n_frames - 1)
+    sums = jax.tree.map(float, kept.sums)
+    costs = [
+        _cost(part, total - equations(part.without.unnamed(), integrator), share, entry, step)
+        for part, share, entry in zip(listed, shares[1:], sums, strict=True)
+    ]
+    kinetic, flags = np.asarray(kept.kinetic, dtype=np.float64), np.asarray(kept.status)
+    return Explanation(
+        scene=name,
+        integrator=integrator.text,
+        step=step,
+        steps=steps,
+        equations=total,
+        step_time=shares[0].seconds / steps,
+        parts=tuple(costs),
+        kinetic_change=float(kinetic[1] - kinetic[0]),
+        status=Status(int(np.bitwise_or.reduce(flags, initial=0))),
+        programs=3 + len(listed),  # equilibrium, account, a timed one with all and one without each
+    )
+
+
+def _shares(scene: Scene, listed: list[Part], kept: Account, integrator: Integrator, substeps: int) -> list[Cost]:
+    """Of the whole scene, and of it without each part."""
+    runs = [partial(through_frames, scene, kept.states, integrator, substeps)]
+    for part in listed:
+        state = kept.states
+        less = type(state)(
+            state.position, state.orientation, state.velocity, state.spin,
+            part.forgetting(state.memories), state.carried,
+        )  # fmt: skip
+        runs.append(partial(through_frames, part.without.unnamed(), less, integrator, substeps))
+    return time_in_turn(runs)
+
+
+def _cost(part: Part, added: int, share: Cost, sums: Sums, step: float) -> PartCost:
+    longest = float(sums.fastest.longest_step())
+    return PartCost(
+        name=part.name,
+        kind=part.kind,
+        of=part.of,
+        equations=added,
+        share=1 - share.ratio,
+        spread=share.spread,
+        longest_step=longest,
+        stiff=longest < step,
+        work=float(sums.work),
+        moved=float(sums.moved),
+        heat=float(sums.heat),
+    )

@@ -1,0 +1,107 @@
+"""Figures of a contact map: pressure on the button, the path on the femur, courses over time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.plots.style import COLOURS, WIDE, house_style
+from pftwin.studies.contact_map.mapping import ContactMap
+from pftwin.surfaces.mesh import SurfaceMesh
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_SHOWN = 4  # frames of the pressure map
+_AXES = "xyz"
+
+
+def map_figure(found: ContactMap, femur: SurfaceMesh, button: SurfaceMesh, title: str) -> Figure:
+    """Pressure on the button at four times, the centre of pressure on the femur, force, area and pressure over time."""
+    from matplotlib.figure import Figure
+
+    with house_style():
+        figure = Figure(figsize=(WIDE, 7.6))
+        names: Any = [[f"map{k}" for k in range(_SHOWN)], ["path", "path", "force", "force"]]
+        names += [["path", "path", "area", "pressure"]]
+        panels = figure.subplot_mosaic(names, height_ratios=[1.35, 1.0, 1.0])
+        _maps(figure, panels, found, button)
+        _path(panels["path"], found, femur)
+        _courses(panels, found)
+        figure.suptitle(title)
+    return figure
+
+
+def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: SurfaceMesh) -> None:
+    """Seen along the button's own axis, from outside."""
+    from matplotlib import colormaps
+    from matplotlib.collections import PolyCollection
+
+    across, up = _plane(button.area_vectors.sum(axis=0))
+    corners = 1e3 * button.vertices[button.faces]
+    frames = np.flatnonzero(found.touching)
+    shown = frames[np.linspace(0, len(frames) - 1, _SHOWN).round().astype(int)] if len(frames) else np.arange(_SHOWN)
+    colours = colormaps["viridis"].with_extremes(bad="0.9")  # grey where nothing presses
+    highest = max(float(found.pressure[shown].max()) / 1e6, 1e-6)
+    cells = None
+    for k, frame in enumerate(shown):
+        axes: Axes = panels[f"map{k}"]
+        cells = PolyCollection(list(corners[:, :, [across, up]]), cmap=colours, edgecolors="face", linewidths=0.2)
+        pressure = found.pressure[frame] / 1e6
+        cells.set_array(np.where(pressure > 0, pressure, np.nan))
+        cells.set_clim(0, highest)
+        cells.set_rasterized(True)
+        axes.add_collection(cells)
+        place = 1e3 * found.center_on_patella[frame]
+        axes.plot(place[across], place[up], marker="+", color="black", markersize=8)
+        axes.autoscale_view()
+        axes.set_aspect("equal")
+        axes.set(title=f"{found.times[frame]:.2f} s", xlabel=f"patella {_AXES[across]} [mm]")
+        if k == 0:
+            axes.set_ylabel(f"patella {_AXES[up]} [mm]")
+    maps = [panels[f"map{k}"] for k in range(_SHOWN)]
+    figure.colorbar(cells, ax=maps, label="pressure [MPa] (+: centre)", shrink=0.8, pad=0.01)
+
+
+def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh) -> None:
+    """The centre of pressure on the femur, seen from where it is touched."""
+    center = 1e3 * found.center_of_pressure[found.touching]
+    normal = -found.force[found.touching].sum(axis=0) if len(center) else np.array([0.0, 0.0, 1.0])
+    across, up = _plane(normal)
+    points = 1e3 * femur.vertices
+    axes.scatter(points[:, across], points[:, up], s=0.6, color="0.8", rasterized=True, label="femur")
+    times = found.times[found.touching]
+    dots = axes.scatter(center[:, across], center[:, up], c=times, s=9, cmap="cividis", zorder=3)
+    axes.plot(center[:, across], center[:, up], color="0.3", linewidth=0.6, zorder=2)
+    axes.figure.colorbar(dots, ax=axes, label="time [s]", shrink=0.7)
+    axes.set_aspect("equal")
+    axes.set(
+        title="Centre of pressure on the femur",
+        xlabel=f"femur {_AXES[across]} [mm]",
+        ylabel=f"femur {_AXES[up]} [mm]",
+    )
+
+
+def _courses(panels: dict[str, Any], found: ContactMap) -> None:
+    force, area, pressure = panels["force"], panels["area"], panels["pressure"]
+    t = found.times
+    force.plot(t, np.linalg.norm(found.force, axis=1), color="black", label="size")
+    for k, name in enumerate(_AXES):
+        force.plot(t, found.force[:, k], color=COLOURS[k], label=name, linewidth=0.9)
+    force.legend(ncols=4, loc="best")
+    force.set(title="Contact force on the patella, femur axes", ylabel="force [N]", xlabel="time [s]")
+    area.plot(t, 1e6 * found.area, color=COLOURS[0])
+    area.set(title="Contact area", ylabel="area [mm$^2$]", xlabel="time [s]")
+    pressure.plot(t, found.max_pressure / 1e6, color=COLOURS[1], label="maximum")
+    pressure.plot(t, found.mean_pressure / 1e6, color=COLOURS[0], label="mean")
+    pressure.legend(loc="best")
+    pressure.set(title="Pressure", ylabel="pressure [MPa]", xlabel="time [s]")
+
+
+def _plane(normal: NDArray[np.float64]) -> tuple[int, int]:
+    """The two axes across which a direction looks, the one drawn to the right first."""
+    across, up = (k for k in (2, 0, 1) if k != int(np.argmax(np.abs(normal))))
+    return across, up

@@ -1,0 +1,25 @@
+"""Scenes that are hard to simulate, by name, and the matrix that runs them all: `pftwin hard-cases`."""
+
+from __future__ import annotations
+
+from pftwin.studies.hard_cases.case import Case
+from pftwin.studies.hard_cases.catalogue import case_named, catalogue
+from pftwin.studies.hard_cases.contacts import CONTACTS
+from pftwin.studies.hard_cases.integrators import INTEGRATORS, method_named
+from pftwin.studies.hard_cases.matrix import DTYPES, Selection, run_matrix
+from pftwin.studies.hard_cases.results import results
+from pftwin.studies.hard_cases.verdict import Cell
+
+__all__ = [
+    "CONTACTS",
+    "DTYPES",
+    "INTEGRATORS",
+    "Case",
+    "Cell",
+    "Selection",
+    "case_named",
+    "catalogue",
+    "method_named",
+    "results",
+    "run_matrix",
+]

@@ -1,0 +1,97 @@
+"""Cases made into scenes and stacked, and those that are refused instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pftwin.dynamics.frame_states import substeps_for
+from pftwin.errors import InputError
+from pftwin.scene import Scene, check
+from pftwin.studies.hard_cases.case import Case
+from pftwin.studies.hard_cases.contacts import contact_on
+from pftwin.studies.hard_cases.integrators import Method
+from pftwin.studies.hard_cases.knee import RATE
+
+
+class Batch(NamedTuple):
+    """Cases of one structure, one behind the other along the leading axis of every array."""
+
+    cases: tuple[Case, ...]
+    scenes: Scene
+
+
+def built(case: Case, contact: str) -> Scene:
+    """The case as a scene that may be simulated.
+
+    Raises:
+        InputError: what the case is refused with.
+    """
+    knee = case.builder()
+    scene = knee.scene(contact_on(knee, contact), case.name)
+    check(scene)
+    return scene
+
+
+def batches(cases: Sequence[Case], contact: str) -> tuple[list[Batch], dict[str, InputError]]:
+    """The cases that run with a kind of contact, by group, and why the others are refused."""
+    groups: dict[str, list[tuple[Case, Scene]]] = {}
+    refused: dict[str, InputError] = {}
+    for case in cases:
+        if contact not in case.contacts:
+            continue
+        try:
+            scene = built(case, contact).unnamed()
+        except InputError as error:
+            refused[case.name] = error
+        else:
+            groups.setdefault(case.group, []).append((case, scene))
+    return [Batch(tuple(c for c, _ in g), stacked([s for _, s in g])) for g in groups.values()], refused
+
+
+def stacked(trees: Sequence[Any]) -> Any:
+    """Values of one structure as one, with a leading axis.
+
+    Raises:
+        InputError: values of several structures, by the first that differs.
+    """
+    first = _shapes(trees[0])
+    for k, tree in enumerate(trees):
+        if (other := _shapes(tree)) != first:
+            wrong = [f"{a} and {b}" for a, b in zip(first[1], other[1], strict=False) if a != b]
+            raise InputError(
+                f"number {k} is not like the first: {wrong[0] if wrong else 'another tree'}", where="cases of one group"
+            )
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x) for x in leaves]), *trees)
+
+
+def _shapes(tree: Any) -> tuple[Any, list[Any]]:
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, [(np.shape(x), np.asarray(x).dtype) for x in leaves]
+
+
+def member(tree: Any, k: int) -> Any:
+    """One of a stack, on the host."""
+    return jax.tree.map(lambda a: np.asarray(a)[k], tree)
+
+
+def steps_of(case: Case, method: Method) -> int:
+    """Steps within a frame."""
+    return substeps_for(1 / RATE, min(case.step, method.longest_step))
+
+
+def short_enough(batch: Batch, method: Method) -> list[int]:
+    """Which of a batch's cases need no more steps than a method is given."""
+    frames = batch.scenes.motion.n_frames
+    most = method.most_steps
+    return [k for k, c in enumerate(batch.cases) if most is None or (frames - 1) * steps_of(c, method) <= most]
+
+
+def part(batch: Batch, which: list[int]) -> Batch:
+    """Some of a batch."""
+    at = np.asarray(which)
+    return Batch(tuple(batch.cases[k] for k in which), jax.tree.map(lambda a: a[at], batch.scenes))

@@ -1,0 +1,93 @@
+"""The catalogue of cases, as cases.toml has it."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from functools import cache, reduce
+from importlib.resources import files
+from typing import Any
+
+from pftwin.dynamics.status import Status
+from pftwin.errors import InputError
+from pftwin.studies.hard_cases.broken_meshes import MESH_MAKERS
+from pftwin.studies.hard_cases.case import RELEASED, Case, Expected
+from pftwin.studies.hard_cases.contacts import CONTACTS, MESHES, PATCHES
+from pftwin.studies.hard_cases.grounds import GROUNDS, PLATE
+from pftwin.studies.hard_cases.knee import RADIUS, TROCHLEA, Knee, Strand, standing
+from pftwin.studies.hard_cases.motions import MOTIONS
+from pftwin.studies.hard_cases.random_knees import drawn
+
+_ABSENT = Strand(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
+_ORIGIN = (0.0, 0.0, 0.0)
+FREE = Knee(
+    ground=PLATE, center_of_mass=_ORIGIN, quadriceps=_ABSENT, patellar_tendon=_ABSENT, tibia=standing,
+    start=(0.0, 0.0, RADIUS),
+)  # fmt: skip
+KNEES = {
+    "plain": Knee(),
+    "free": FREE,
+    "level": replace(
+        FREE,
+        quadriceps=Strand(156, 0.06, (0.02, 0, -0.008), (0.1, 0.0, RADIUS - 0.02)),
+        patellar_tendon=Strand(156, 0.06, (-0.02, 0, -0.008), (-0.1, 0.0, RADIUS - 0.02)),
+    ),
+    # A button of triangles comes down on one of them: on a corner it would stand, and fall to a side by rounding.
+    "on_mesh": replace(FREE, ground=GROUNDS["floor"], start=(0.004, 0.006, RADIUS + 5e-4), turn=(0.0, 0.087, 0.0)),
+}
+_NAMED: dict[str, Mapping[str, Any]] = {
+    "ground": {**GROUNDS, "trochlea": TROCHLEA}, "tibia": MOTIONS, "mesh": MESH_MAKERS,
+}  # fmt: skip
+_KINDS = {"patches": PATCHES, "meshes": MESHES}
+
+
+@cache
+def catalogue() -> tuple[Case, ...]:
+    """All cases, topic by topic."""
+    topics = tomllib.loads(files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8"))
+    return tuple(_case(topic, entry) for topic, entries in topics.items() for entry in entries)
+
+
+def case_named(name: str) -> Case:
+    """The case of that name.
+
+    Raises:
+        InputError: no such case.
+    """
+    for case in catalogue():
+        if case.name == name:
+            return case
+    raise InputError(f"no case {name!r}", where="hard cases", expected="a name that pftwin hard-cases --list shows")
+
+
+def _case(topic: str, entry: dict[str, Any]) -> Case:
+    flags = {key: reduce(Status.__or__, (Status[n] for n in entry.get(key, ())), Status.OK) for key in ("must", "may")}
+    if entry.get("released"):
+        flags["may"] |= RELEASED
+    expected = Expected(
+        **flags,
+        **dict.fromkeys(entry.get("holds", ()), True),
+        **{f.name: entry[f.name] for f in fields(Expected) if f.name in entry and f.name not in flags},
+    )
+    kinds = [k for name in entry.get("contacts", CONTACTS) for k in _KINDS.get(name, (name,))]
+    own = {f.name: entry[f.name] for f in fields(Case) if f.name in entry and f.name != "contacts"}
+    return Case(topic=topic, builder=lambda: _knee(entry), expected=expected, contacts=tuple(kinds), **own)
+
+
+def _knee(entry: dict[str, Any]) -> Knee:
+    base = drawn(entry["seed"]) if "seed" in entry else KNEES[entry.get("knee", "plain")]
+    return _changed(base, entry.get("change", {}))
+
+
+def _changed(value: Any, change: dict[str, Any]) -> Any:
+    """A dataclass with some fields others, those of its own dataclasses by tables of their fields."""
+
+    def field(key: str, new: Any) -> Any:
+        if isinstance(new, dict):
+            return _changed(getattr(value, key), new)
+        if isinstance(new, list):
+            return tuple(new)
+        return _NAMED[key][new] if key in _NAMED else new
+
+    return replace(value, **{key: field(key, new) for key, new in change.items()})

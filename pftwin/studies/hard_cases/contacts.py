@@ -1,0 +1,78 @@
+"""The kinds of contact that cases run with, all of one kind with arrays of one shape: they are stacked into a batch."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.dtypes import canonicalize_dtype
+from numpy.typing import NDArray
+
+from pftwin.effects.base import Effect
+from pftwin.effects.mesh_contact import MeshContact
+from pftwin.effects.mesh_volume_contact import MeshVolumeContact
+from pftwin.effects.sphere_contact import SphereContact
+from pftwin.leaves import number, vector
+from pftwin.studies.hard_cases.ground import lateral_of, patch_on
+from pftwin.studies.hard_cases.knee import Knee
+from pftwin.surfaces.bvh.corners import corner_tree
+from pftwin.surfaces.contact_mesh import ContactMesh, contact_mesh
+from pftwin.surfaces.icosphere import icosphere
+from pftwin.surfaces.mesh import SurfaceMesh
+from pftwin.surfaces.patch_mesh import PatchMesh, patch_mesh
+
+PATCHES = ("P2", "P4", "P5", "P5 cylinder", "P8", "spline")
+MESHES = ("contours", "volume")
+CONTACTS = (*PATCHES, *MESHES)
+
+BUTTON = 8  # frequency of the button's icosphere: 1,280 triangles
+_CORNERS, _EDGES = 64, 64  # places that every femur's mesh has
+_NOWHERE = -1e3  # [m] where an edge lies that fills a place
+
+
+def contact_on(knee: Knee, kind: str) -> Effect:
+    """The contact of that kind for a knee.
+
+    Raises:
+        InputError: a surface that cannot be.
+    """
+    law, center, radius = knee.law.flores(), vector(knee.center), number(knee.radius)
+    if kind in PATCHES:
+        return SphereContact(patch_on(knee.ground, kind), law, center, radius)
+    mesh = knee.mesh(knee.ground)
+    label = lateral_of(mesh) if knee.facets == 2 else None
+    if kind == "volume":
+        made = _padded_edges(patch_mesh(mesh, knee.radius, label))
+        return MeshVolumeContact(made, law, center, radius, number(knee.radius))
+    femur = _padded_corners(contact_mesh(mesh, label), mesh)
+    return MeshContact(femur, _button(knee.radius, canonicalize_dtype(float) == np.float64), law, center)
+
+
+@lru_cache(maxsize=16)
+def _button(radius: float, float64: bool) -> ContactMesh:
+    """A sphere of triangles."""
+    return contact_mesh(icosphere(radius, BUTTON))
+
+
+def _padded_corners(made: ContactMesh, mesh: SurfaceMesh) -> ContactMesh:
+    """With as many corners as every other mesh: the last ones are there again."""
+    tree = made.corners
+    count = len(mesh.vertices)
+    order = np.argsort(np.asarray(tree.index), kind="stable")
+    first = order[np.searchsorted(np.asarray(tree.index)[order], np.arange(count))]
+    points, normals = (np.asarray(a, dtype=np.float64)[first] for a in (tree.points, tree.normals))
+    again = np.minimum(np.arange(_CORNERS), count - 1)
+    return eqx.tree_at(lambda m: m.corners, made, corner_tree(points[again], normals[again]))
+
+
+def _padded_edges(made: PatchMesh) -> PatchMesh:
+    """With as many edges of border and rim as every other mesh: the rest are points far away."""
+    return eqx.tree_at(lambda m: (m.seam, m.rim), made, (_edges(made.seam), _edges(made.rim)))
+
+
+def _edges(rows: jax.Array) -> jax.Array:
+    kept: NDArray = np.full((_EDGES, 6), _NOWHERE, np.asarray(rows).dtype)
+    kept[: len(rows)] = np.asarray(rows)
+    return jax.device_put(kept)

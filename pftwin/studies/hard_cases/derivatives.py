@@ -1,0 +1,64 @@
+"""Derivatives of runs: finite everywhere, and those of finite differences where the motion is smooth.
+
+A motion that hurries apart from its neighbours, as a button of few triangles that rolls from corner to corner, grows a
+change of 10 nm at its start to micrometres within a tenth of a second: no difference tells its derivative then. Where
+the parameters' changes are quartered and the differences are others, they are no measure, nor in any frame after it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.studies.hard_cases.programs import PARAMETERS
+
+Floats = NDArray[np.float64]
+
+CHANGE = 1e-5  # of a parameter, in its unit, to either side
+FINER = 0.25  # of it, where differences and derivatives differ
+SHARE = 0.02  # of a column's largest entry that a derivative may be off
+LEAST = {"float64": 1e-7, "float32": 1e-4}  # [m or quaternion component per unit] below which nothing is said
+SHARE_IN_SINGLE = 0.10  # of float32's from float64's finite differences
+
+
+def changes(share: float = 1.0) -> Floats:
+    """(2, 4, 4): the parameters' changes, ahead and back, a row for each parameter; or a share of them."""
+    return share * CHANGE * np.stack([np.eye(len(PARAMETERS)), -np.eye(len(PARAMETERS))])
+
+
+def differences(ahead: Floats, back: Floats, share: float = 1.0) -> Floats:
+    """Central differences of poses (4, ..., 7), a parameter in each row; the parameters' axis becomes the last."""
+    return np.moveaxis((ahead - back) / (2 * share * CHANGE), 0, -1)
+
+
+def settled(coarse: Floats, fine: Floats) -> Floats:
+    """Finite differences (n, 7, 4) by changes of two sizes as one: NaN from the first frame on at which they differ."""
+    size = np.maximum.accumulate(np.abs(fine).max(axis=1), axis=0)
+    off = np.abs(fine - coarse).max(axis=1)
+    unsettled = np.logical_or.accumulate(~(off <= 0.5 * SHARE * size + LEAST["float64"]), axis=0)
+    return np.where(unsettled[:, None, :], np.nan, fine)
+
+
+def not_finite(slopes: Floats, until: NDArray[np.bool_]) -> str | None:
+    """Whether a derivative (n, 7, 4) is not finite, among the frames that count."""
+    bad = ~np.isfinite(slopes).all(axis=1) & until[:, None]
+    if not bad.any():
+        return None
+    frame, column = (int(a[0]) for a in np.nonzero(bad))
+    return f"derivative by {PARAMETERS[column]} not finite at frame {frame}"
+
+
+def disagree(slopes: Floats, reference: Floats, dtype: str) -> str | None:
+    """Whether derivatives (..., 7, 4) differ from finite differences, of which NaN is no measure."""
+    share = SHARE if dtype == "float64" else SHARE_IN_SINGLE
+    rows = reference.reshape(-1, len(PARAMETERS))
+    known = np.isfinite(rows)
+    if not known.any(axis=0).all():
+        return "finite differences settle in no frame"
+    size = np.where(known, np.abs(rows), 0.0).max(axis=0)
+    off = np.where(known, np.abs(slopes.reshape(rows.shape) - rows), 0.0).max(axis=0)
+    bad = ~(off <= share * size + LEAST[dtype])
+    if not bad.any():
+        return None
+    k = int(np.argmax(np.where(bad, off / np.maximum(size, 1e-30), 0.0)))
+    return f"derivative by {PARAMETERS[k]} off by {100 * off[k] / max(size[k], 1e-30):.2g} % of finite differences"

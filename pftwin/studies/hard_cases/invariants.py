@@ -1,0 +1,129 @@
+"""What holds of every run, whatever the case: each check gives None, or what is wrong in a few words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pftwin.dynamics.status import DEEPEST, Status
+from pftwin.studies.hard_cases.expectations import at_end, still, symmetric
+from pftwin.studies.hard_cases.look import Look
+
+
+def finite(look: Look) -> str | None:
+    """All that is observed, in all frames; facets' own reports are NaN where they have no contact."""
+    states = look.run.states
+    arrays = [states.position.array(), states.orientation.array(), states.velocity.array(), states.spin.array()]
+    arrays += [look.run.ledger.work, look.run.ledger.heat, look.run.seen.kinetic_energy, look.report("force")]
+    bad = ~np.logical_and.reduce([np.isfinite(np.asarray(a)).reshape(len(look.flags), -1).all(axis=1) for a in arrays])
+    return f"not finite from frame {np.argmax(bad)}" if bad.any() else None
+
+
+def unit_quaternion(look: Look) -> str | None:
+    """The orientation's quaternion has length 1."""
+    off = np.abs(np.linalg.norm(np.asarray(look.run.states.orientation.array(), np.float64), axis=1) - 1)
+    worst = off[look.clean()].max(initial=0.0)
+    return f"quaternion's length off by {worst:.1g}" if not worst <= look.tolerance.unit else None
+
+
+def flags_allowed(look: Look) -> str | None:
+    """Flags that a case must have, and none but those it may have; those of geometry are checked by themselves."""
+    every = Status(int(np.bitwise_or.reduce(look.flags)))
+    expected = look.case.expected
+    if expected.must & ~every:
+        return f"flag missing: {(expected.must & ~every).describe()}"
+    geometry = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION
+    allowed = expected.may | expected.must | geometry
+    if not look.inertia:
+        allowed |= Status.SNAPPED  # told, not wrong
+    more = every & ~allowed
+    return f"flag not expected: {more.describe()}" if more else None
+
+
+def energy(look: Look) -> str | None:
+    """T + V - work never rises: not above its start, nor above what is left of it at any later frame.
+
+    Heat can only lower it, so the account of heat plays no part.
+    """
+    seen, ledger = look.run.seen, look.run.ledger
+    stored = [np.asarray(v, np.float64) for v in seen.potential_energy.values()]
+    kinetic, work = look.kinetic(), np.asarray(ledger.work, np.float64)
+    clean = look.clean()
+    left = (kinetic + sum(stored) - work)[clean]
+    parts = [kinetic, *(v - v[0] for v in stored), work]
+    scale = max((float(np.abs(p[clean]).max(initial=0.0)) for p in parts), default=0.0)
+    created = (left - np.minimum.accumulate(left)).max(initial=0.0)
+    longer = max(1.0, look.step / 1e-3)  # the account of work is of first order in the step
+    bound = look.tolerance.created * longer * scale + look.tolerance.least
+    return f"{created:.2g} J from nowhere, {100 * created / scale:.1f} % of the largest" if created > bound else None
+
+
+def penetration(look: Look) -> str | None:
+    """What an indentation would store by Hertz's law is no more than the energy that there was for it."""
+    law = look.knee.law
+    depth = np.maximum(np.nan_to_num(look.indentation()), 0.0)
+    stored = law.stiffness * depth ** (law.exponent + 1) / (law.exponent + 1)
+    seen, work = look.run.seen, np.asarray(look.run.ledger.work, np.float64)
+    others = [np.asarray(v, np.float64) for n, v in seen.potential_energy.items() if n != "contact"]
+    total = look.kinetic() + sum(np.asarray(v, np.float64) for v in seen.potential_energy.values())
+    available = total[0] + np.maximum(work, 0.0) - sum(others)
+    clean = look.clean()
+    scale = float(np.max(np.abs(total[clean]), initial=0.0))
+    over = (0.5 * stored - available)[clean]  # two halves of one contact count once
+    worst = over.max(initial=0.0)
+    return f"indentation stores {worst:.2g} J too much" if worst > look.tolerance.least + 0.02 * scale else None
+
+
+def place(look: Look) -> str | None:
+    """Force where the exhaustive search says that the button touches, and nowhere else; and as deep as it says."""
+    depth, found, force = look.depth, look.indentation(), look.report("force")
+    clean, near = look.clean(), look.tolerance.place * max(1.0, look.knee.radius / 0.022)
+    near = near + (0.0105 * look.knee.radius if look.contact == "contours" else 0.0)  # its flat triangles
+    distant = clean & (force > 0) & (depth < -near)
+    if distant.any():
+        return f"force at a distance of {1e3 * -depth[distant].min():.2g} mm"
+    if look.contact in ("contours", "volume"):  # their indentation is another one than the nearest point's
+        # The law's damping takes all force off on the way out: an indentation without force is none that was missed.
+        missed = clean & (force <= 0) & ~(found > 0) & (depth > np.maximum(near, DEEPEST * look.knee.radius))
+        return f"no force {1e3 * depth[missed].max():.2g} mm deep" if missed.any() else None
+    off = np.where(clean & ((depth > near) | (found > near)), np.abs(np.nan_to_num(found) - depth), 0.0)
+    k = int(np.argmax(off))
+    if off[k] > near + 0.02 * abs(depth[k]):
+        return f"frame {k}: {1e3 * found[k]:.3g} mm deep where it is {1e3 * depth[k]:.3g} mm"
+    return None
+
+
+def geometry_flags(look: Look) -> str | None:
+    """NO_CONTACT and DEEP_INDENTATION where the exhaustive search says so."""
+    depth, clean = look.depth, look.clean()
+    near = look.tolerance.place * max(1.0, look.knee.radius / 0.022)
+    if look.contact in ("contours", "volume"):
+        near = near + 0.0105 * look.knee.radius
+    none, deep = ((look.flags & int(f)) > 0 for f in (Status.NO_CONTACT, Status.DEEP_INDENTATION))
+    limit = DEEPEST * look.knee.radius
+    wrong = {
+        # The law's damping takes all force off on the way out: an indentation without force is none that was missed.
+        "says no contact, touches": clean & none & (depth > near) & ~(look.indentation() > 0),
+        "touches nothing, does not say so": clean & ~none & (depth < -near),
+        "too deep, does not say so": clean & ~deep & (depth > limit + 2 * near),
+        "says too deep, is not": clean & deep & (depth < limit - 2 * near),
+    }
+    if look.contact in ("contours", "volume"):
+        del wrong["says too deep, is not"], wrong["too deep, does not say so"]  # by area or volume, not by depth
+    said = [f"frame {np.argmax(w)}: {words}" for words, w in wrong.items() if w.any()]
+    return said[0] if said else None
+
+
+CHECKS: tuple[Callable[[Look], str | None], ...] = (
+    finite,
+    flags_allowed,
+    unit_quaternion,
+    energy,
+    penetration,
+    place,
+    geometry_flags,
+    symmetric,
+    still,
+    at_end,
+)

@@ -1,0 +1,110 @@
+"""What is said of one cell of the matrix: pass, fail or refused, and why."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.dynamics.status import Status
+from pftwin.studies.hard_cases import derivatives
+from pftwin.studies.hard_cases.case import UNKNOWN, Case
+from pftwin.studies.hard_cases.integrators import Method
+from pftwin.studies.hard_cases.invariants import CHECKS
+from pftwin.studies.hard_cases.limits import limit_of
+from pftwin.studies.hard_cases.look import TOLERANCES, Look
+from pftwin.studies.hard_cases.programs import Run
+
+GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # checked by themselves
+REFUSES = (
+    Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
+)  # what says that a run, or its step, is not to be trusted
+
+
+class Cell(NamedTuple):
+    """One case with one kind of contact, integrator and float type."""
+
+    case: str
+    contact: str
+    integrator: str
+    dtype: str
+    outcome: str  # "pass", "fail" or "refused"
+    reason: str  # why it is not a pass
+
+
+class Evidence(NamedTuple):
+    """What there is to judge one case by."""
+
+    runs: dict[str, Run]  # of the whole batch, on the host
+    slopes: NDArray[np.float64] | None  # (n, 7, 4)
+    reference: NDArray[np.float64] | None  # float64's finite differences, likewise
+    start: str | None  # what is wrong with its equilibrium
+    mates: str | None  # what depends on the batch
+    depth: NDArray[np.float64]  # (n,) by exhaustive search [m]
+    step: float  # [s]
+
+
+def verdict(case: Case, contact: str, method: Method, dtype: str, evidence: Evidence) -> Cell:
+    """Pass; fail with the first thing that is wrong; refused where the run itself says that its step is too long."""
+    run, tolerance = evidence.runs[case.name], TOLERANCES[dtype]
+    look = Look(case, case.builder(), contact, run, tolerance, evidence.step, evidence.depth, method.inertia)
+
+    def cell(outcome: str, reason: str) -> Cell:
+        return Cell(case.name, contact, method.name, dtype, outcome, reason)
+
+    if case.expected.refusal is not None:
+        return cell("fail", "not refused")
+    every = Status(int(np.bitwise_or.reduce(look.flags)))
+    if every & UNKNOWN and (method.may_refuse or case.expected.may & UNKNOWN or _at_limit(look)):
+        return _refused(look, every, cell)
+    wrong = [words for check in CHECKS if (words := check(look)) is not None]
+    wrong += [w for w in (evidence.start, evidence.mates, _same(look, evidence), _slopes(look, evidence, dtype)) if w]
+    return cell("fail", "; ".join(wrong)) if wrong else cell("pass", "")
+
+
+def _at_limit(look: Look) -> bool:
+    """Whether what a run refuses itself with first is a limit of its kind of contact, after nothing unexpected."""
+    limit, first = limit_of(look.contact), int(np.argmax((look.flags & int(UNKNOWN)) > 0))
+    until = Status(int(np.bitwise_or.reduce(look.flags[: first + 1])))
+    own = limit.flags | (limit.at_rim if Status.LEFT_PATCH in until else Status.OK)
+    allowed = look.case.expected.may | look.case.expected.must | GEOMETRY | own
+    return bool(look.flags[first] & int(own)) and not until & ~allowed
+
+
+def _refused(look: Look, every: Status, cell: object) -> Cell:
+    """A run that refuses itself: in words at or before the first frame that is not finite, and right until then."""
+    flags = look.flags
+    lost, said = (flags & int(Status.NOT_FINITE)) > 0, (flags & int(REFUSES)) > 0
+    first = np.argmax(lost) if lost.any() else len(flags)
+    if lost.any() and not said[: first + 1].any():
+        return cell("fail", f"not finite from frame {first}, and nothing said before")  # pyright: ignore
+    skipped = {"finite", "flags_allowed", "at_end", "still"}
+    if every & Status.ENERGY_FROM_NOWHERE:
+        skipped |= {"energy", "penetration"}  # the run says so itself, by what it is of its largest energy
+    wrong = [w for check in CHECKS if check.__name__ not in skipped and (w := check(look)) is not None]
+    if wrong:
+        return cell("fail", "before it refuses itself: " + "; ".join(wrong))  # pyright: ignore
+    return cell("refused", (every & UNKNOWN).describe())  # pyright: ignore
+
+
+def _same(look: Look, evidence: Evidence) -> str | None:
+    """The motion of another case."""
+    other = look.case.expected.same_as
+    if other is None:
+        return None
+    a, b = (np.asarray(r.states.position.array(), np.float64) for r in (look.run, evidence.runs[other]))
+    off = np.abs(a - b).max()
+    return f"{1e3 * off:.2g} mm from {other}" if not off <= look.tolerance.same else None
+
+
+def _slopes(look: Look, evidence: Evidence, dtype: str) -> str | None:
+    """Derivatives: finite in all frames that count, and right where the motion is smooth."""
+    if evidence.slopes is None:
+        return None
+    own = np.asarray(evidence.slopes, np.float64)
+    if words := derivatives.not_finite(own, look.clean()):
+        return words
+    if look.case.expected.smooth and evidence.reference is not None:
+        return derivatives.disagree(own, evidence.reference, dtype)
+    return None

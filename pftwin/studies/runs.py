@@ -1,0 +1,136 @@
+"""What studies share in running their variants: one after the other until Ctrl-C, timed in turn, or compared."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.result import Result
+from pftwin.rotations import patellar_angles
+from pftwin.spatial import Quaternion
+
+Floats = NDArray[np.float64]
+V = TypeVar("V")
+A = TypeVar("A")
+
+
+def run_each(
+    variants: Sequence[V],
+    run: Callable[[V], A],
+    *,
+    before: Callable[[int, V], Any] = lambda k, variant: None,
+    after: Callable[[list[A]], Any] = lambda answers: None,
+) -> list[A]:
+    """Answers of variants, one after the other; after an interrupt (Ctrl-C) those that there are.
+
+    Args:
+        variants: what to run.
+        run: runs one.
+        before: is told what comes, and how many were done.
+        after: gets all answers so far after each, to show progress or to put them where they are not lost.
+
+    Raises:
+        KeyboardInterrupt: interrupted before the first was done.
+    """
+    answers: list[A] = []
+    try:
+        for k, variant in enumerate(variants):
+            before(k, variant)
+            answers.append(run(variant))
+            after(answers)
+    except KeyboardInterrupt:
+        if not answers:
+            raise
+    return answers
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The time of a run, beside that of the first one measured with it."""
+
+    seconds: float  # median of all runs [s]
+    ratio: float  # to the first: median of the rounds
+    spread: float  # of the ratio: half of what the middle half of the rounds covers
+
+
+def time_in_turn(
+    runs: Sequence[Callable[[], Any]], *, rounds: int = 9, seconds: float = 0.3, most: int = 60, own: bool = True
+) -> list[Cost]:
+    """Times of runs that are compiled by a first call, one of each in turn, so that other work falls on all alike.
+
+    Args:
+        runs: each ends when its answer is there.
+        rounds: at least so many.
+        seconds: at least so long for each, but not more than `most` rounds.
+        most: rounds.
+        own: whether on a CPU the process's own time counts, which other programs disturb less than the wall's clock.
+    """
+    clock = time.process_time if own and jax.default_backend() == "cpu" else time.perf_counter
+
+    def once(run: Callable[[], Any]) -> float:
+        began = clock()
+        jax.block_until_ready(run())
+        return clock() - began
+
+    for run in runs:
+        jax.block_until_ready(run())
+    taken: list[list[float]] = []
+    while len(taken) < rounds or (sum(map(sum, taken)) < seconds * len(runs) and len(taken) < most):
+        taken.append([once(run) for run in runs])
+    return [_cost([r[i] for r in taken], [r[i] / r[0] for r in taken]) for i in range(len(runs))]
+
+
+def _cost(seconds: list[float], ratios: list[float]) -> Cost:
+    low, middle, high = statistics.quantiles(ratios, n=4)
+    return Cost(statistics.median(seconds), middle, 0.5 * (high - low))
+
+
+class Difference(NamedTuple):
+    """A motion against a reference motion of the same frames (n)."""
+
+    center: Floats  # (n,) distance of one and the same point of the patella, in the femur [m]
+    flexion: Floats  # (n,) [rad]
+    rotation: Floats  # (n,) [rad]
+    tilt: Floats  # (n,) [rad]
+    contact: Floats | None  # (n,) of the contact force [N]; None where either has none
+
+
+def difference(result: Result, reference: Result, point: Floats) -> Difference:
+    """How far a motion is from another.
+
+    Args:
+        result: of the motion.
+        reference: it is compared with.
+        point: (3,) of the patella's frame whose path is compared [m].
+    """
+    apart = np.linalg.norm(_path(result, point) - _path(reference, point), axis=1)
+    turned = (np.angle(np.exp(1j * (a - b))) for a, b in zip(_angles(result), _angles(reference), strict=True))
+    flexion, rotation, tilt = turned
+    force = None
+    if reference.contact is not None and "force" in result.effects.get(reference.contact, {}):
+        force = result.effects[reference.contact]["force"] - reference.effects[reference.contact]["force"]
+    return Difference(apart, flexion, rotation, tilt, force)
+
+
+def rms(a: Floats) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(a))))
+
+
+def _path(result: Result, point: Floats) -> Floats:
+    """Of a point of the patella, in the femur (n, 3)."""
+    turn = Quaternion(*result.quaternion.T).rotation()
+    axes = [np.stack([np.asarray(c) for c in (a.x, a.y, a.z)], axis=1) for a in (turn.ex, turn.ey, turn.ez)]
+    return result.position + sum(p * a for p, a in zip(point, axes, strict=True))
+
+
+def _angles(result: Result) -> tuple[Floats, ...]:
+    found = patellar_angles(Quaternion(*result.quaternion.T))
+    return tuple(np.asarray(a) for a in (found.flexion, found.rotation, found.tilt))

@@ -1,0 +1,159 @@
+"""Tables of studies: text for terminal and pages, columns with units for CSV and NetCDF, and rows read back."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_type_hints
+
+import numpy as np
+
+from pftwin.errors import InputError
+from pftwin.json_files import read_json
+from pftwin.mocap.text_files import read_lines
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from xarray import Dataset
+
+R = TypeVar("R")
+
+
+class Sheet(NamedTuple):
+    """A table of text; rows of different groups stand apart."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    groups: tuple[str, ...] = ()  # of each row
+    words: tuple[int, ...] | None = None  # columns to the left; None: all
+    notes: tuple[str, ...] = ()
+    narrow: bool = False  # many columns for a terminal 80 wide
+
+    def table(self) -> Table:
+        """For the terminal."""
+        from rich import box
+        from rich.markup import escape
+        from rich.table import Table
+
+        looks: dict[str, Any] = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0)} if self.narrow else {}
+        out = Table(title=escape(self.title), **looks)
+        for i, heading in enumerate(self.headings):
+            left = self.words is None or i in self.words
+            out.add_column(escape(heading), justify="left" if left else "right", no_wrap=self.narrow)
+        groups = self.groups or ("",) * len(self.rows)
+        for row, group, before in zip(self.rows, groups, (None, *groups), strict=False):
+            if before not in (None, group):
+                out.add_section()
+            out.add_row(*(escape(cell) for cell in row))
+        return out
+
+    def grid(self) -> str:
+        """The table alone, for pages."""
+        rule = ["---" if self.words is None or i in self.words else "---:" for i in range(len(self.headings))]
+        rows = [[cell.replace("|", "/") for cell in row] for row in self.rows]
+        return "\n".join("| " + " | ".join(cells) + " |" for cells in (self.headings, rule, *rows))
+
+    def markdown(self) -> str:
+        """With title and notes."""
+        return "\n".join([f"**{self.title}**", "", self.grid(), "", *(f"- {note}" for note in self.notes)]) + "\n"
+
+
+class Column(NamedTuple):
+    """A figure, or words, of every row."""
+
+    key: str  # with its unit, as files have it
+    values: Sequence[Any]  # numbers, NaN where there is none; or words
+    unit: str = ""  # none: words
+    long_name: str = ""
+
+
+def to_csv(columns: Sequence[Column]) -> str:
+    """Comma-separated, units in the names; empty where there is no number."""
+    text = io.StringIO()
+    sheet = csv.writer(text, lineterminator="\n")
+    sheet.writerow([c.key for c in columns])
+    sheet.writerows([_cell(v) for v in row] for row in zip(*(c.values for c in columns), strict=True))
+    return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return "" if math.isnan(value) else f"{value:.6g}"
+
+
+def to_dataset(columns: Sequence[Column], dimension: str, attributes: dict[str, Any], names: str = "") -> Dataset:
+    """Units and long names on every variable.
+
+    Args:
+        columns: words have no unit.
+        dimension: of the rows.
+        attributes: of the whole.
+        names: the column that is the dimension's coordinate, if one is.
+    """
+    from xarray import Dataset
+
+    from pftwin.result_dataset import plain_attribute
+
+    def about(c: Column) -> dict[str, str]:
+        return {"units": c.unit, "long_name": c.long_name} if c.unit else {}
+
+    data = {c.key: (dimension, np.array(c.values), about(c)) for c in columns if c.key != names}
+    coordinates = {dimension: list(c.values) for c in columns if c.key == names}  # noqa: B035
+    return Dataset(data, coords=coordinates, attrs={k: plain_attribute(v) for k, v in attributes.items()})
+
+
+def read_csv(path: str | os.PathLike[str], row: type[R], needed: Sequence[str], expected: str) -> list[R]:
+    """Rows that `to_csv` wrote, by this version or by one that knew fewer columns: a number that is lacking is NaN.
+
+    Lines that start with # and columns that a row does not have are passed over.
+
+    Args:
+        path: of the file.
+        row: class of rows whose fields are words and numbers.
+        needed: columns without which a row says nothing.
+        expected: what kind of file it is to be, for messages.
+
+    Raises:
+        InputError: no such file, or one without the columns that make a row.
+    """
+    lines, kinds = read_lines(path)[0], get_type_hints(row)
+    found = []
+    for number, cells in enumerate(csv.DictReader(x for x in lines if not x.startswith("#")), start=1):
+        if missing := [n for n in needed if cells.get(n) is None or (kinds[n] is str and not cells[n])]:
+            raise InputError(f"row {number} has no {missing[0]}", where=path, expected=expected)
+        try:
+            values = {n: kind(cells.get(n) or ("" if kind is str else "nan")) for n, kind in kinds.items()}
+        except ValueError as error:
+            raise InputError(f"row {number}: {error}", where=path, expected="numbers") from error
+        found.append(row(**values))
+    return found
+
+
+def read_rows(path: str | os.PathLike[str], row: Callable[..., R], expected: str) -> tuple[dict[str, Any], list[R]]:
+    """What a study has written as JSON, and its "rows".
+
+    Args:
+        path: of the file.
+        row: class of rows, by the names of its fields.
+        expected: what kind of file it is to be, for messages.
+
+    Raises:
+        InputError: no such file, no JSON, or no such rows.
+    """
+    found = read_json(path, expected=expected)
+    try:
+        return found, [row(**one) for one in found["rows"]]
+    except (KeyError, TypeError) as error:
+        raise InputError(f"no such rows in it: {error}", where=path, expected=expected) from error
+
+
+def short(value: float) -> str:
+    """Two digits, or whole above a hundred; a dash for what is not known."""
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 99.5 else f"{value:.2g}"

@@ -1,0 +1,136 @@
+"""What is said of a scene's effects is true: energies close, stiffness is that of the mechanics, shares are of it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scenes import MASS, G, J, gravity, knee, look, system, tendon
+
+from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.simulate import settle
+from pftwin.effects.damping import LinearDamping
+from pftwin.effects.friction import Friction
+from pftwin.scene import Scene
+from pftwin.studies.audit import explain as module
+from pftwin.studies.audit.account import account
+from pftwin.studies.audit.equations import equations
+from pftwin.studies.audit.explain import Explanation, explain
+from pftwin.studies.audit.report import explanation_sheet
+from pftwin.studies.audit.stiffness import rates
+from pftwin.studies.runs import Cost, time_in_turn
+
+FRAMES = 21
+
+
+def rough() -> Scene:
+    smooth = knee(FRAMES)
+    return smooth.with_effect(smooth.effect("contact").with_friction(Friction(J(0.1), J(5e-3))))
+
+
+@pytest.fixture(scope="module")
+def found() -> Explanation:
+    return explain(rough(), dt=1e-3)
+
+
+@pytest.mark.slow
+def test_every_part_has_a_row_and_friction_its_own(found):
+    assert [p.name for p in found.parts] == ["gravity", "quadriceps", "patellar_tendon", "contact", "contact: friction"]
+    assert found.parts[-1].of == "contact"
+    assert found.steps == 10 * (FRAMES - 1)
+
+
+@pytest.mark.slow
+def test_works_add_up_to_the_kinetic_energy(found):
+    moved = sum(p.moved for p in found.parts)
+    assert moved > 1e-4
+    assert abs(found.energy_gap) < 0.02 * moved
+    assert all(p.moved >= abs(p.work) for p in found.parts)
+
+
+@pytest.mark.slow
+def test_only_what_damps_makes_heat(found):
+    heat = {p.name: p.heat for p in found.parts}
+    assert heat["gravity"] == 0
+    assert heat["quadriceps"] > 0
+    assert 0 < heat["contact: friction"] <= heat["contact"]
+
+
+@pytest.mark.slow
+def test_equations_add_up(found):
+    assert found.equations == equations(rough())
+    assert found.equations == found.shared_equations + sum(p.equations for p in found.parts if p.of is None)
+    friction = found.parts[-1]
+    assert 0 < friction.equations < found.parts[-2].equations
+
+
+@pytest.mark.slow
+def test_the_contact_takes_most_of_the_time_and_is_stiff(found):
+    by_name = {p.name: p for p in found.parts}
+    assert by_name["contact"].stiff
+    assert not by_name["gravity"].stiff
+    assert by_name["gravity"].longest_step == np.inf
+    assert by_name["contact"].share == max(p.share for p in found.parts) > 0.2
+    assert found.step_time > 0
+
+
+@pytest.mark.slow
+def test_plain_values(found):
+    assert json.loads(json.dumps(found.to_dict(), default=str))["parts"][3]["name"] == "contact"
+    sheet = explanation_sheet(found)
+    assert "- of which friction" in sheet.markdown()
+    assert sheet.table().row_count == len(found.parts) + 2
+
+
+def test_the_longest_explicit_step_is_that_of_the_oscillator():
+    k, c = 300.0, 2.0
+    hanging = system(tendon(k, 0.05, 0.0, origin=(0, 0, 0.1)))
+    load = hanging.effects[0].load(look(), None)[0]
+    np.testing.assert_allclose(rates(hanging, [(1.0, load)]).longest_step(), 2 / np.sqrt(k / MASS), rtol=1e-12)
+    damped = system(tendon(k, 0.05, c, origin=(0, 0, 0.1)))
+    load = damped.effects[0].load(look(), None)[0]
+    h, w2, y = float(rates(damped, [(1.0, load)]).longest_step()), k / MASS, c / MASS
+    roots = np.roots([1.0, -(2 - h * y - h * h * w2), 1 - h * y])
+    np.testing.assert_allclose(np.abs(roots).max(), 1.0, rtol=1e-9)  # on the limit of stability
+
+
+def test_drags_and_weight():
+    drag, weight = LinearDamping(J(0.0), J(1e-3), body="femur"), gravity()
+    both = system(drag, weight, inertia=(3e-5, 3e-5, 3e-5))
+    loads = [e.load(look(), None)[0] for e in both.effects]
+    expected = 2 * 3e-5 / 1e-3 / np.sqrt(3)  # the norm counts all three turns
+    np.testing.assert_allclose(rates(both, [(1.0, loads[0])]).longest_step(), expected, rtol=1e-12)
+    assert rates(both, [(1.0, loads[1])]).longest_step() == np.inf
+    assert loads[1].total().force.z == pytest.approx(-MASS * G)
+
+
+def test_without_one_of_a_sum_nothing_is_left():
+    two = system(tendon(300.0, 0.05, 1.0, insertion=(0.01, 0, 0), origin=(0, 0, 0.1)))
+    load = two.effects[0].load(look(), None)[0]
+    assert rates(two, [(1.0, load), (-1.0, load)]).longest_step() == np.inf
+
+
+def test_times_are_relative_to_the_first():
+    def busy(n: int):
+        return lambda: sum(range(n))
+
+    one, three = time_in_turn([busy(100_000), busy(300_000)])
+    assert one.ratio == 1.0
+    assert 2 < three.ratio < 4
+
+
+@pytest.mark.slow
+def test_shares_are_what_is_gone_without_the_part(monkeypatch):
+    """Quiet times make exact shares: whatever the machine does."""
+    monkeypatch.setattr(module, "time_in_turn", lambda runs: [Cost(1.0, 1.0, 0.0)] + [Cost(0.6, 0.6, 0.01)] * 5)
+    again = explain(rough(), dt=1e-3)
+    assert [p.share for p in again.parts] == pytest.approx([0.4] * 5)
+    assert again.shared_time == pytest.approx(1 - 4 * 0.4)
+
+
+@pytest.mark.slow
+def test_gravity_does_the_work_of_its_potential(found):
+    plain = rough().unnamed()
+    z = account(plain, settle(plain)[0].answer, LinearImplicit(), 10).states.position.z
+    np.testing.assert_allclose(found.parts[0].work, -MASS * G * (z[-1] - z[0]), atol=0.02 * found.parts[0].moved)

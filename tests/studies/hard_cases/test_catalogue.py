@@ -1,0 +1,198 @@
+"""The catalogue of hard cases: that it is there, that cases are what they say, and that they hold."""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter
+from dataclasses import fields
+from importlib import resources
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from pftwin.errors import InputError
+from pftwin.studies.hard_cases import (
+    CONTACTS,
+    DTYPES,
+    INTEGRATORS,
+    Selection,
+    case_named,
+    catalogue,
+    method_named,
+    run_matrix,
+)
+from pftwin.studies.hard_cases.batch import batches, built
+from pftwin.studies.hard_cases.case import Case, Expected
+from pftwin.studies.hard_cases.contacts import contact_on
+from pftwin.studies.hard_cases.knee import Knee
+from pftwin.studies.hard_cases.pieces import Piece
+from pftwin.studies.hard_cases.table import by_case, counts, markdown, reasons, summary
+from pftwin.studies.hard_cases.verdict import Cell
+
+
+def test_there_are_as_many_cases_as_were_asked_for():
+    names = [c.name for c in catalogue()]
+    assert len(names) >= 36
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("case", catalogue(), ids=lambda c: c.name)
+def test_a_case_says_what_is_hard_and_what_is_expected(case):
+    assert len(case.about) > 15
+    assert case.about.endswith(".")
+    assert set(case.contacts) <= set(CONTACTS)
+    assert case.contacts
+    if case.expected.same_as is not None:
+        assert case_named(case.expected.same_as).group == case.group
+
+
+def test_the_table_of_cases_has_no_word_that_is_not_read():
+    known = {f.name for kind in (Case, Expected) for f in fields(kind)} - {"topic", "builder", "expected"}
+    known = known - {"smooth", "symmetric", "still"} | {"holds", "knee", "seed", "change"}
+    text = resources.files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8")
+    for entries in tomllib.loads(text).values():
+        for entry in entries:
+            assert set(entry) <= known, entry["name"]
+
+
+def test_changes_reach_the_numbers_that_they_name():
+    knee = case_named("tendon_stiff").builder()
+    assert (knee.patellar_tendon.stiffness, knee.quadriceps) == (5e5, Knee().quadriceps)
+    dropped = case_named("bounce_to_rest")
+    assert dropped.builder().start == (0.0, 0.0, 0.025)
+    assert dropped.expected.symmetric
+    assert not dropped.expected.smooth
+
+
+def test_a_name_that_is_none_is_refused():
+    with pytest.raises(InputError, match="no case 'soft'"):
+        case_named("soft")
+
+
+@pytest.mark.parametrize("contact", ["P5", "contours", "volume"])
+def test_what_cannot_be_simulated_is_refused_in_words(contact):
+    for case in catalogue():
+        if case.expected.refusal is None or contact not in case.contacts:
+            continue
+        with pytest.raises(InputError) as error:
+            built(case, contact)
+        assert case.expected.refusal in str(error.value), case.name
+
+
+@pytest.mark.parametrize(
+    "contact", [c if c in ("P5", "volume") else pytest.param(c, marks=pytest.mark.slow) for c in CONTACTS]
+)
+def test_cases_of_one_group_have_one_structure(contact):
+    stacks, refused = batches(catalogue(), contact)
+    assert sum(len(b.cases) for b in stacks) + len(refused) == sum(contact in c.contacts for c in catalogue())
+    assert {b.cases[0].group for b in stacks} <= {"short", "long", "one triangle"}
+
+
+@pytest.fixture(scope="module")
+def cells() -> list[Cell]:
+    """One contact and the default integrator, with derivatives."""
+    cases = [c for c in catalogue() if c.group == "short"]
+    return run_matrix(cases, Selection(("P5",), (method_named("linear_implicit"),), ("float64",), mates=False))
+
+
+def test_all_cases_pass_on_a_patch_with_the_default_integrator(cells):
+    failed = {(c.case, c.contact, c.integrator): c.reason for c in cells if c.outcome == "fail"}
+    assert not failed
+
+
+def test_what_is_refused_is_what_was_to_be(cells):
+    assert {c.case for c in cells if c.outcome == "refused"} == {
+        c.name for c in catalogue() if c.expected.refusal is not None and "P5" in c.contacts
+    }
+
+
+@pytest.mark.slow
+def test_runs_do_not_depend_on_their_batch():
+    """Side by side, in another order, beside members whose every number is NaN."""
+    cases = [case_named(n) for n in ("plain_knee", "bounce_to_rest", "tendon_reversed", "contact_hard", "noise")]
+    cells = run_matrix(cases, Selection(("P5",), (method_named("linear_implicit"),), ("float64",), derivatives=False))
+    assert [c.reason for c in cells] == [""] * len(cases)
+
+
+def test_tables_count_every_cell_once(cells):
+    assert sum(counts(cells).values()) == len(cells)
+    (row,) = summary(cells).rows
+    assert sum(int(x) for x in row[3:]) == len(cells)
+    assert len(by_case(cells).rows) == len({c.case for c in cells})
+    machine = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
+    page = markdown(cells, catalogue(), [Piece(tuple(cells), 60.0, machine, False)])
+    cases = len({c.case for c in cells})
+    assert f"| 2026-01-01T10:00 | 1.0 | P5 | linear_implicit | float64 | {cases} | everything |" in page
+    assert all(f"**{c.name}**" in page for c in catalogue())
+    assert all(row[0] in page for row in reasons(cells, "fail").rows)
+
+
+def test_float32_scenes_are_single_throughout():
+    with jax.enable_x64(False):
+        stacks, _ = batches([case_named("plain_knee")], "P5")
+        kinds = {np.asarray(a).dtype for a in jax.tree.leaves(stacks[0].scenes)}
+    assert kinds == {np.dtype(np.float32)}
+
+
+def test_a_contact_is_made_anew_for_each_float_type():
+    with jax.enable_x64(False):
+        single = contact_on(case_named("plain_knee").builder(), "contours")
+    double = contact_on(case_named("plain_knee").builder(), "contours")
+    assert single.law.contact_stiffness.dtype == np.float32  # pyright: ignore
+    assert double.law.contact_stiffness.dtype == np.float64  # pyright: ignore
+
+
+def test_the_command_writes_json_and_the_page(tmp_path):
+    from typer.testing import CliRunner
+
+    from pftwin.cli.app import app
+
+    page, data = tmp_path / "page.md", tmp_path / "cells.json"
+    args = ["--case", "mass_zero", "--case", "radius_negative", "--contact", "P5", "--dtype", "float64"]
+    done = CliRunner().invoke(app, ["hard-cases", *args, "--json", str(data), "--markdown", str(page)])
+    assert done.exit_code == 0, done.output
+    count = 2 * len(INTEGRATORS)
+    assert f"2 cases, {count} cells: 0 pass, 0 fail, {count} refused." in page.read_text(encoding="utf-8")
+    assert '"outcome": "refused"' in data.read_text(encoding="utf-8")
+    again = tmp_path / "again.md"
+    done = CliRunner().invoke(app, ["hard-cases", "--from", str(data), "--from", str(data), "--markdown", str(again)])
+    assert done.exit_code == 0, done.output
+    assert f"{count} cells: 0 pass, 0 fail, {count} refused." in again.read_text(encoding="utf-8")
+    wrong = CliRunner().invoke(app, ["hard-cases", "--contact", "P99"])
+    assert wrong.exit_code == 2
+    assert "expected: one of: P2" in " ".join(wrong.output.split())
+
+
+def listed_cells() -> dict[tuple[str, str, str, str], str]:
+    """By case, contact, integrator and float type: the outcomes that docs/hard_cases.md lists."""
+    page = (Path(__file__).resolve().parents[3] / "docs" / "hard_cases.md").read_text(encoding="utf-8")
+    found = {}
+    for line in page[page.index("## Every cell") : page.index("## The cases")].splitlines():
+        if line.startswith("| ") and not line.startswith("| contact"):
+            contact, integrator, dtype, outcome, names = (x.strip() for x in line.strip("|").split("|"))
+            found |= {(name, contact, integrator, dtype): outcome for name in names.split(", ")}
+    return found
+
+
+def test_the_page_lists_every_cell_that_it_counts():
+    page = (Path(__file__).resolve().parents[3] / "docs" / "hard_cases.md").read_text(encoding="utf-8")
+    listed = Counter(listed_cells().values())
+    assert f"{listed.total()} cells: {listed['pass']} pass, {listed['fail']} fail, {listed['refused']} refused." in page
+    assert {name for name, *_ in listed_cells()} <= {c.name for c in catalogue()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contact", CONTACTS)
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("method", INTEGRATORS, ids=lambda m: m.name)
+def test_the_whole_matrix(contact, dtype, method):
+    """Nothing fails but what docs/hard_cases.md lists, of the cells that it holds."""
+    listed = listed_cells()
+    held = [c for c in catalogue() if (c.name, contact, method.name, dtype) in listed]
+    if not held:
+        pytest.skip("the page holds no such cell")
+    for cell in run_matrix(held, Selection((contact,), (method,), (dtype,))):
+        if cell.outcome == "fail" and cell[:4] in listed:
+            assert listed[cell[:4]] == "fail", cell

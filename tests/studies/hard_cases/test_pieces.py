@@ -1,0 +1,70 @@
+"""Pieces of the matrix that were run at different times, put together."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from pftwin.errors import InputError
+from pftwin.studies.hard_cases import case_named, method_named
+from pftwin.studies.hard_cases.batch import batches, short_enough
+from pftwin.studies.hard_cases.pieces import Piece, merged, read_piece, read_pieces, runs
+from pftwin.studies.hard_cases.verdict import Cell
+
+MACHINE = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
+
+
+def piece(outcome: str, *cases: str) -> Piece:
+    return Piece(tuple(Cell(c, "P5", "newmark", "float64", outcome, "") for c in cases), 60.0, MACHINE, True)
+
+
+def test_of_cells_run_twice_the_later_counts():
+    found = merged([piece("fail", "b", "a"), piece("pass", "b")], (("a", "b"), ("P5",), ("newmark",), ("float64",)))
+    assert [(c.case, c.outcome) for c in found] == [("a", "fail"), ("b", "pass")]
+
+
+def test_a_piece_is_read_as_it_was_written(tmp_path):
+    path, wanted = tmp_path / "piece.json", piece("pass", "a", "b")
+    path.write_text(json.dumps(wanted.as_dict()), encoding="utf-8")
+    assert read_piece(path) == wanted
+    assert runs([wanted]).rows == (("2026-01-01T10:00", "1.0", "P5", "newmark", "float64", "2", "the run alone"),)
+
+
+def test_pieces_of_a_folder_come_from_the_oldest_to_the_newest(tmp_path):
+    newer = {**MACHINE, "date": "2026-02-01T10:00+00:00"}
+    made = {"a": piece("pass", "b")._replace(machine=newer), "b": piece("fail", "b"), "c": piece("pass", "a")}
+    for name, one in made.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(one.as_dict()), encoding="utf-8")
+    assert read_pieces(tmp_path) == [made["b"], made["c"], made["a"]]
+    assert read_pieces(tmp_path / "b.json") == [made["b"]]
+
+
+def test_a_folder_without_a_piece_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no piece in it"):
+        read_pieces(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "no such file"),
+        ("{", "line 1: not valid JSON"),
+        ("{}", "no such rows"),
+        ('{"rows": [{"name": 1}]}', "no such rows"),
+        ("[]", "no such rows"),
+        ('{"rows": []}', "no piece of the matrix: 'seconds'"),
+    ],
+)
+def test_what_is_no_piece_is_refused(tmp_path, text, words):
+    path = tmp_path / "piece.json"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        read_piece(path)
+
+
+def test_a_slow_method_leaves_out_the_cases_of_many_steps():
+    (batch,), _ = batches([case_named(n) for n in ("plain_knee", "step_of_50_us", "bounce_to_rest")], "P5")
+    assert short_enough(batch, method_named("ali3p")) == [0, 2]
+    assert short_enough(batch, method_named("linear_implicit")) == [0, 1, 2]

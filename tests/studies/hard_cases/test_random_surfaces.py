@@ -1,0 +1,42 @@
+"""Surfaces of random coefficients: every invariant holds, whatever bumps a trochlea has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import hypothesis
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.studies.hard_cases.batch import built, member, stacked
+from pftwin.studies.hard_cases.case import Case
+from pftwin.studies.hard_cases.invariants import CHECKS
+from pftwin.studies.hard_cases.knee import Knee
+from pftwin.studies.hard_cases.look import TOLERANCES, Look
+from pftwin.studies.hard_cases.programs import compiled, depths, rest, run
+from pftwin.studies.hard_cases.random_knees import BUMPS, DEGREE, bumpy
+from pftwin.surfaces.patch import exponents
+
+COEFFICIENTS = st.lists(
+    st.floats(-2 * BUMPS, 2 * BUMPS), min_size=len(exponents(DEGREE)), max_size=len(exponents(DEGREE))
+)
+
+
+@hypothesis.settings(max_examples=12, deadline=None, derandomize=True)
+@hypothesis.given(COEFFICIENTS, st.floats(7.5, 9.5), st.floats(0.03, 0.3))
+@pytest.mark.slow
+def test_invariants_hold_on_any_surface(coefficients, stiffness, mass):
+    plain = Knee(ground=bumpy(np.array(coefficients)), mass=mass)
+    knee = replace(plain, law=replace(plain.law, stiffness=10**stiffness))
+    case = Case("any", "at random", "Any surface.", lambda: knee)
+    scenes, none = stacked([built(case, "P5").unnamed()]), jnp.zeros((1, 4))
+    start = compiled(rest, True)(scenes, none).equilibrium
+    hypothesis.assume(float(start.residual[0]) < 1e-6)
+    forward = compiled(run, True, integrator=LinearImplicit())(scenes, start, jnp.array([10]), none)
+    depth = np.asarray(compiled(depths, True)(scenes, forward.seen.center))[0]
+    look = Look(case, knee, "P5", member(jax.device_get(forward), 0), TOLERANCES["float64"], 1e-3, depth)
+    assert not [words for check in CHECKS if (words := check(look)) is not None]

@@ -1,0 +1,45 @@
+"""Cases as results: released where they say so, from equilibrium elsewhere, and refusals in the place of results."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pftwin import InputError, Result, simulate
+from pftwin.studies.hard_cases import case_named, results
+from pftwin.studies.hard_cases.batch import built
+
+NAMES = ("plain_knee", "bounce_to_rest", "radius_negative")
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Result | InputError]:
+    return results([case_named(name) for name in NAMES])
+
+
+@pytest.mark.slow
+def test_a_case_in_equilibrium_is_what_simulate_makes_of_it(found):
+    case = case_named("plain_knee")
+    same = simulate(built(case, "P5"), dt=case.step)
+    np.testing.assert_allclose(found["plain_knee"].center, same.center, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(found["plain_knee"].flags, same.flags)
+    assert found["plain_knee"].settings["dt_s"] == pytest.approx(case.step)
+
+
+def test_a_released_case_starts_where_it_is_put(found):
+    """3 mm above the plate, at rest, and in the end on it, under its own weight."""
+    dropped = found["bounce_to_rest"]
+    assert dropped.scene_name == "bounce_to_rest"
+    np.testing.assert_allclose(dropped.center[0], [0, 0, 0.025], atol=1e-12)
+    assert dropped.energies.kinetic[0] == 0
+    assert dropped.effects["contact"]["force"][-1] == pytest.approx(0.12 * 9.81, rel=1e-3)
+
+
+def test_a_refused_case_is_its_error(found):
+    assert list(found) == list(NAMES)
+    assert isinstance(found["radius_negative"], InputError)
+    assert "positive" in str(found["radius_negative"])
+
+
+def test_a_case_that_a_contact_cannot_have_is_left_out():
+    assert results([case_named("dislocation_across_the_edge")], contact="volume") == {}

@@ -82,7 +82,7 @@ def test_correlated_residuals_widen_it_to_how_estimates_scatter(priors):
     a = slopes / SIGMA[:, None]
     precision = np.diag([0.0 if p is None else p[1] ** -2 for p in priors])
     inverse = np.linalg.inv(np.einsum("tmp,tmq->pq", a, a) + precision)
-    middle = np.einsum("tmp,ts,smq->pq", a, toeplitz(AR ** np.arange(FRAMES)), a) + precision
+    middle = np.einsum("tmp,tmq->pq", a, np.tensordot(toeplitz(AR ** np.arange(FRAMES)), a, 1)) + precision
     exact = inverse @ middle @ inverse
     found = np.mean([sure_of(slopes, z * SIGMA, known).covariance for z in correlated(60)], axis=0)
     ratio = np.linalg.eigvals(np.linalg.solve(exact, found)).real

@@ -90,18 +90,22 @@ def test_correlated_residuals_widen_it_to_how_estimates_scatter(priors):
     assert np.linalg.eigvals(np.linalg.solve(inverse, exact)).real.max() > 4  # as if white it would be far off
 
 
-def test_the_sandwich_is_newey_and_wests_sum():
-    """Written out pair by pair of frames: weight 1 - lag / (lags + 1), scores about their mean."""
+@pytest.mark.parametrize("deviation", [None, 1e-3])
+def test_the_sandwich_is_newey_and_wests_sum(deviation):
+    """Written out pair by pair of frames: weight 1 - lag / (lags + 1), scores about their mean; what is known
+    beforehand, here as well as by the measurements, is independent of them."""
     slopes = smooth_design()
     z = correlated(1, seed=3)[0]
-    found = sure_of(slopes, z * SIGMA)
+    prior = None if deviation is None else (NOMINAL[0], deviation)
+    precision = np.diag([0.0 if deviation is None else deviation**-2, 0.0, 0.0])
+    found = sure_of(slopes, z * SIGMA, parameters((prior, None, None)))
     a = slopes / SIGMA[:, None]
     score = np.einsum("tmp,tm->tp", a, z)
     score = score - score.mean(axis=0)
     lags = int(np.ceil(-4 / np.log(np.sum(z[1:] * z[:-1]) / np.sum(z**2))))
     apart = np.abs(np.subtract.outer(np.arange(FRAMES), np.arange(FRAMES)))
-    middle = score.T @ np.maximum(1 - apart / (lags + 1), 0) @ score
-    inverse = np.linalg.inv(np.einsum("tmp,tmq->pq", a, a))
+    middle = score.T @ np.maximum(1 - apart / (lags + 1), 0) @ score + precision
+    inverse = np.linalg.inv(np.einsum("tmp,tmq->pq", a, a) + precision)
     np.testing.assert_allclose(found.covariance, inverse @ middle @ inverse, rtol=1e-8)
     assert found.serial == pytest.approx(AR, abs=0.05)
 

@@ -15,7 +15,7 @@ _REFUSALS = {"InputError", "OutputError", "PftwinError", "PftwinWarning", "Missi
 
 @dataclass(frozen=True)
 class Mutant:
-    """One bug: the text of an expression or a statement in the file, and what stands there instead."""
+    """One bug: the text of an expression in the file, and what stands there instead."""
 
     line: int
     start: int  # characters of the file
@@ -47,15 +47,12 @@ def mutants(text: str) -> list[Mutant]:
 
     found = []
     for node in _computing(tree):
-        for new, what in _changes(node):
-            assert isinstance(node, ast.expr | ast.stmt)
-            assert node.end_lineno is not None
-            assert node.end_col_offset is not None
-            begin, end = place(node.lineno, node.col_offset), place(node.end_lineno, node.end_col_offset)
-            after = ast.unparse(ast.fix_missing_locations(new))
-            if isinstance(node, ast.expr):
-                after = f"({after})"
-            found.append(Mutant(node.lineno, begin, end, " ".join(text[begin:end].split()), after, what))
+        for old, new, what in _changes(node):
+            assert old.end_lineno is not None
+            assert old.end_col_offset is not None
+            begin, end = place(old.lineno, old.col_offset), place(old.end_lineno, old.end_col_offset)
+            after = f"({ast.unparse(ast.fix_missing_locations(new))})"
+            found.append(Mutant(old.lineno, begin, end, " ".join(text[begin:end].split()), after, what))
     return sorted(set(found), key=lambda m: (m.start, m.end, m.after))
 
 
@@ -77,8 +74,17 @@ def _called(node: ast.Call) -> str:
     return node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
 
 
-def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
-    """What an operator makes of a node; nothing of most."""
+def _changes(node: ast.AST) -> Iterator[tuple[ast.expr, ast.expr, str]]:
+    """The expressions to be replaced at a node, by what, and what kind of bug that is; nothing at most nodes."""
+    if isinstance(node, ast.If) and not any(isinstance(child, ast.Raise) for child in node.body):
+        yield node.test, ast.UnaryOp(ast.Not(), copy.deepcopy(node.test)), "condition negated"
+    elif isinstance(node, ast.Return) and node.value is not None and not isinstance(node.value, ast.Constant):
+        yield node.value, ast.Constant(None), "nothing returned"
+    elif isinstance(node, ast.expr):
+        yield from ((node, new, what) for new, what in _of_expressions(node))
+
+
+def _of_expressions(node: ast.expr) -> Iterator[tuple[ast.expr, str]]:
     if isinstance(node, ast.BinOp):
         yield from _of_sums_and_products(node)
     elif isinstance(node, ast.Compare) and type(node.ops[0]) in _COMPARED:
@@ -91,33 +97,31 @@ def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
         yield new, "and for or"
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub | ast.Invert):
         yield copy.deepcopy(node.operand), "sign or not left out"
-    elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
-        yield ast.Constant(node.value + 1 if isinstance(node.value, int) else 1.5 * node.value + 1e-9), "constant"
+    elif isinstance(node, ast.Constant) and isinstance(node.value, int) and not isinstance(node.value, bool):
+        yield ast.Constant(node.value + 1), "constant"
+    elif isinstance(node, ast.Constant) and isinstance(node.value, float):
+        yield ast.Constant(1.5 * node.value + 1e-9), "constant"
+    elif isinstance(node, ast.IfExp):
+        yield ast.IfExp(node.test, copy.deepcopy(node.orelse), copy.deepcopy(node.body)), "branches swapped"
     elif isinstance(node, ast.Call):
         yield from _of_calls(node)
-    elif isinstance(node, ast.If | ast.IfExp | ast.While):
-        new = copy.deepcopy(node)
-        if isinstance(new, ast.IfExp):
-            new.body, new.orelse = new.orelse, new.body
-            yield new, "branches swapped"
 
 
-def _of_sums_and_products(node: ast.BinOp) -> Iterator[tuple[ast.AST, str]]:
+def _of_sums_and_products(node: ast.BinOp) -> Iterator[tuple[ast.expr, str]]:
     if type(node.op) in _BINARY:
         new = copy.deepcopy(node)
         new.op = _BINARY[type(node.op)]()
         yield new, "operator"
         yield copy.deepcopy(node.left), "factor or summand left out"
-    elif isinstance(node.op, ast.Pow | ast.MatMult | ast.Mod | ast.FloorDiv):
-        if isinstance(node.op, ast.Pow):
-            yield copy.deepcopy(node.left), "power left out"
+    elif isinstance(node.op, ast.Pow):
+        yield copy.deepcopy(node.left), "power left out"
     elif isinstance(node.op, ast.BitAnd | ast.BitOr):
         new = copy.deepcopy(node)
         new.op = ast.BitOr() if isinstance(node.op, ast.BitAnd) else ast.BitAnd()
         yield new, "and for or"
 
 
-def _of_calls(node: ast.Call) -> Iterator[tuple[ast.AST, str]]:
+def _of_calls(node: ast.Call) -> Iterator[tuple[ast.expr, str]]:
     if (
         len(node.args) >= 2
         and all(type(a) is type(node.args[0]) for a in node.args[:2])

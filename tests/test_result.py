@@ -69,6 +69,18 @@ def test_values_are_in_their_units(data, result):
     np.testing.assert_allclose(np.radians(data["patella_tilt"]), result.angles.tilt)
 
 
+def test_attributes_tell_of_the_start(data, result):
+    """Facets that bear load are those with a force; places in millimetres and degrees as their names say."""
+    loaded = [side for side in ("medial", "lateral") if data[f"contact_force_{side}"].values[0] > 0]
+    assert sorted(data.attrs["equilibrium_facets"].split()) == sorted(loaded) != []
+    start = result.equilibrium
+    assert data.attrs["equilibrium_moved_mm"] == pytest.approx(1000 * start.moved)
+    assert data.attrs["equilibrium_turned_deg"] == pytest.approx(start.turned * 180 / np.pi)
+    assert data.attrs["equilibrium_residual_N"] == start.residual
+    assert data.attrs["equilibrium_smallest_stiffness_N_per_m"] == start.eigenvalues.min() > 0
+    assert (data.attrs["equilibrium_converged"], data.attrs["equilibrium_kind"]) == (1, start.kind)
+
+
 def test_every_variable_and_coordinate_has_unit_and_long_name(data):
     for name in [*data.data_vars, *data.coords]:
         assert data[name].attrs.get("units"), name

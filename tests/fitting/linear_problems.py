@@ -63,7 +63,14 @@ def problem(
         values = np.einsum("tmp,np->ntm", slopes, theta)
         return Prediction(values, np.broadcast_to(slopes, (len(theta), *slopes.shape)), np.ones(len(theta), bool))
 
-    evaluator: Any = SimpleNamespace(with_slopes=with_slopes, values=with_slopes, fine=1, coarse=1, slope_chunk=64)
+    def with_pull(theta: np.ndarray, substeps: int, pull: Any) -> tuple[Prediction, np.ndarray]:
+        """As reverse mode does: the prediction, and its derivatives times the pull."""
+        prediction = with_slopes(theta, substeps)
+        return prediction, np.einsum("ntm,tmp->np", pull(prediction.values), slopes)
+
+    evaluator: Any = SimpleNamespace(
+        with_slopes=with_slopes, values=with_slopes, with_pull=with_pull, fine=1, coarse=1, slope_chunk=64
+    )
     scene: Any = None
     return Problem(scene, known, objective(measured, noise, loss=loss), evaluator)
 

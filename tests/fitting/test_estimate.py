@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from linear_problems import parameters
 from made_estimates import made_estimate
 from scipy import stats
 
+from fitting.estimate import Estimate
 from fitting.uncertainty import percent, relative
 
 VALUES = {"K1": (160.0, 4.0), "L1": (0.15, 1e-3), "K2": (600.0, 30.0)}
@@ -109,3 +112,22 @@ def test_shares_in_words():
         "no useful accuracy",
         "no useful accuracy",
     ]
+
+
+def test_its_file_holds_its_numbers_and_what_follows_from_them(tmp_path):
+    e = correlated(priors={"L1": (0.149, 0.002)}, noise={"position": 2e-4}, history=[{"best": 3.0}])
+    told = json.loads(e.save(tmp_path / "fit.json").read_text())
+    assert told["format"] == "pftwin estimate 1"
+    assert told["names"] == ["K1", "L1", "K2"]
+    assert told["values"] == [160.0, 0.15, 600.0]
+    np.testing.assert_allclose(told["nominal"], [160 / 1.04, 0.15 / 1.08, 600 / 1.12])
+    np.testing.assert_allclose(told["standard_deviations"], SD)
+    np.testing.assert_allclose(told["intervals_95"][0], [160 - 1.959964 * 4, 160 + 1.959964 * 4], rtol=1e-7)
+    np.testing.assert_allclose(told["correlation"], CORRELATION)
+    assert told["sentence"] == e.sentence()
+    assert told["remarks"] == ["the measurements are synthetic"]
+    again = Estimate.load(tmp_path / "fit.json")
+    np.testing.assert_array_equal(again.covariance, e.covariance)
+    assert (again.priors, again.noise, again.history) == ({"L1": (0.149, 0.002)}, {"position": 2e-4}, [{"best": 3.0}])
+    assert (again.nominal_scene, again.measured) == (None, None)
+    assert again.to_dict() == e.to_dict()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from made_estimates import made_estimate
 from small_scene import small_scene
 
 import fitting
@@ -11,6 +14,8 @@ from fitting import identifiability
 from fitting.channels import widths
 from fitting.evaluation import Prediction
 from fitting.identifiability import _crossings as crossings
+from fitting.problem import Problem
+from pftwin.measured import Measured
 
 FRAMES, FREE = 41, ("K1", "L1", "K2")
 NOISE = {"position": 3e-4, "orientation": 4e-3, "quadriceps": 0.2, "contact": 0.7}
@@ -100,3 +105,74 @@ def test_a_parabolas_crossings_are_its_196_standard_deviations(center):
     low, high = crossings(held, deviance - deviance.min())
     assert (low, high) == pytest.approx((center - 1.96, center + 1.96), abs=0.12)
     assert crossings(held, 0.1 * deviance) == (-np.inf, np.inf)
+
+
+SIGMA = 3e-4
+VALUES = np.array([160.0, 0.145, 600.0])
+
+
+@pytest.fixture
+def fitted(monkeypatch):
+    """An estimate of a linear model, its covariance widened by a factor as where residuals are correlated."""
+    scene = small_scene()
+    slopes = slopes_of("position")
+    slopes[..., 2] += 0.7 * slopes[..., 0] * SIZE[0] / SIZE[2]
+    flat = slopes.reshape(-1, 3)
+    noise = SIGMA * np.random.default_rng(7).normal(size=len(flat))
+    noise -= flat @ np.linalg.lstsq(flat, noise, rcond=None)[0]  # so that the estimate is the best fit
+    center = np.random.default_rng(8).normal(size=(FRAMES, 3))
+
+    def with_slopes(theta, substeps):
+        values = center + np.einsum("tmp,np->ntm", slopes, theta - VALUES)
+        return Prediction(values, np.broadcast_to(slopes, (len(theta), *slopes.shape)), np.ones(len(theta), bool))
+
+    evaluator = SimpleNamespace(with_slopes=with_slopes, fine=1, prepare=lambda widest: None)
+    monkeypatch.setattr(Problem, "of", staticmethod(lambda *given: Problem(*given, evaluator)))
+    measured = Measured(scene.motion.times, center + noise.reshape(FRAMES, 3))
+
+    def made(factor=1.0):
+        covariance = factor * SIGMA**2 * np.linalg.inv(flat.T @ flat)
+        return made_estimate(
+            {name: (value, 1.0) for name, value in zip(FREE, VALUES, strict=True)},
+            covariance=covariance,
+            lower=0.01 * VALUES,
+            upper=3 * VALUES,
+            objective="likelihood",
+            noise={"position": SIGMA},
+            nominal_scene=scene,
+            measured=measured,
+        )
+
+    return made
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.5])
+@pytest.mark.parametrize("i", [0, 1, 2])
+def test_the_profile_of_a_linear_model_is_its_parabola(fitted, i, factor):
+    """((x - estimate) / deviation)^2, the others along the covariance's column; it crosses at 1.96 deviations."""
+    estimate = fitted(factor)
+    sd = estimate.standard_deviations[i]
+    profile = fitting.profile_likelihood(estimate, FREE[i], points=13, reach=2.5)
+    np.testing.assert_allclose(profile.values, VALUES[i] + sd * np.linspace(-2.5, 2.5, 13))
+    np.testing.assert_allclose(profile.deviance, np.linspace(-2.5, 2.5, 13) ** 2, atol=1e-6)
+    column = estimate.covariance[i] / estimate.covariance[i, i]
+    expected = VALUES + (profile.values - VALUES[i])[:, None] * column
+    np.testing.assert_allclose((profile.theta - expected) / estimate.standard_deviations, 0, atol=1e-4)
+    np.testing.assert_allclose(profile.interval, VALUES[i] + 1.959964 * sd * np.array([-1, 1]), rtol=1e-6)
+    assert profile.is_closed()
+
+
+def test_a_profile_that_does_not_rise_far_is_open(fitted):
+    profile = fitting.profile_likelihood(fitted(), "L1", reach=1.0)
+    assert profile.interval == (-np.inf, np.inf)
+    assert not profile.is_closed()
+
+
+def test_a_profile_finds_the_others_best_values_from_a_wrong_covariance(fitted):
+    """Where the search begins does not matter: without the correlations it ends at the same values."""
+    estimate = fitted()
+    exact = fitting.profile_likelihood(estimate, "K1", points=5)
+    estimate.covariance = np.diag(np.diagonal(estimate.covariance))
+    found = fitting.profile_likelihood(estimate, "K1", points=5, iterations=12)
+    np.testing.assert_allclose((found.theta - exact.theta) / estimate.standard_deviations, 0, atol=1e-3)
+    np.testing.assert_allclose(found.deviance, exact.deviance, rtol=1e-4, atol=1e-4)

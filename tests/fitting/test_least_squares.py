@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from linear_problems import NOMINAL, design, parameters, problem, scaled
 
 from fitting.least_squares import LeastSquares
@@ -69,3 +70,18 @@ def test_it_finds_the_weighted_least_squares_of_measurements_and_prior():
     np.testing.assert_allclose((state["best_theta"] - exact) / sd, 0, atol=0.02)
     assert state["best_value"] <= 0.5 * np.sum((rows @ exact - wanted) ** 2) + 1e-3
     assert state["stopped"] == "converged"
+
+
+@pytest.mark.parametrize(
+    ("phase", "gain", "goes_on"), [(0, 0.5, False), (0, 2.0, True), (2, 0.5, True), (2, 5e-4, False)]
+)
+def test_a_phase_ends_where_a_step_gains_less_than_it_is_worth(phase, gain, goes_on):
+    """A thousandth of a nat at the end, a whole one in the coarse search; what the model promises is more."""
+    search = LeastSquares(problem(design(), np.zeros((40, 4)), parameters()), 0, 1)
+    state = search.begin()
+    state["phase"] = phase
+    for value in (10.0, 10.0 - gain):
+        request = search.ask(state)
+        n = len(request.theta)
+        search.tell(state, request, Answer(np.full(n, value), np.full((n, 3), 10.0), np.tile(np.eye(3), (n, 1, 1))))
+    assert ((state["phase"], state["stopped"]) == (phase, None)) is goes_on

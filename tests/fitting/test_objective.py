@@ -78,7 +78,11 @@ def test_gradients_are_finite_differences(noise, loss):
     steps = 1e-5 * np.abs(at)
     around = np.concatenate([at + np.diag(steps), at - np.diag(steps)])
     values = ours.answer(Request(around, 1)).value
-    np.testing.assert_allclose(answer.gradient[0], (values[:3] - values[3:]) / (2 * steps), rtol=1e-5)
+    expected = (values[:3] - values[3:]) / (2 * steps)
+    np.testing.assert_allclose(answer.gradient[0], expected, rtol=1e-5)
+    backwards = ours.answer(Request(np.stack([at, np.full(3, np.nan)]), 1, "gradient"))
+    np.testing.assert_allclose(backwards.gradient, [expected, np.zeros(3)], rtol=1e-5)
+    np.testing.assert_allclose(backwards.value, [ours.answer(Request(at[None], 1)).value[0], np.inf])
 
 
 def test_the_gauss_newton_hessian_of_a_linear_model_with_priors_is_exact():

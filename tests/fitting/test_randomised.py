@@ -49,6 +49,18 @@ def test_a_linear_problem_has_its_exact_posterior_wherever_the_frame_is_from(lin
     assert made.outside == made.unsolved == 0
 
 
+@pytest.mark.parametrize("unit", [1e-8, 1e8])
+def test_units_of_parameters_make_no_difference(unit):
+    """The same problem with its second parameter in another unit, so far from 1 as no physical one is."""
+    random = np.random.default_rng(0)
+    design = random.normal(size=(60, 3, 2)) + np.array([1.0, 0.8])
+    wide = (-50.0, -50.0 / unit), (50.0, 50.0 / unit)
+    density = Density.about(problem(linear(design * [1, unit], np.zeros((60, 3))), *wide), np.zeros(2))
+    points = random.normal(size=(5, 2)) * 0.1
+    one = Density.about(problem(linear(design, np.zeros((60, 3)))), np.zeros(2))(points)
+    np.testing.assert_allclose(density(points / [1, unit]).log_density, one.log_density, rtol=1e-9)
+
+
 def test_a_prior_belongs_to_it(line):
     function, mean, covariance = line
     sd = np.sqrt(covariance[0, 0])

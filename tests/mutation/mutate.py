@@ -10,6 +10,8 @@ from dataclasses import dataclass
 _BINARY = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
 _COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 _MEANS = {"min": "max", "max": "min", "sin": "cos", "cos": "sin", "minimum": "maximum", "maximum": "minimum"}
+_NOTHING = 1e-100  # what only keeps a division from 0 / 0 may be any such number
+_COMMUTING = {"minimum", "maximum", "min", "max", "logical_and", "logical_or", "allclose", "isclose", "add", "multiply"}
 _REFUSALS = {"InputError", "OutputError", "PftwinError", "PftwinWarning", "MissingExtraError", "warn"}
 
 
@@ -99,8 +101,10 @@ def _of_expressions(node: ast.expr) -> Iterator[tuple[ast.expr, str]]:
         yield copy.deepcopy(node.operand), "sign or not left out"
     elif isinstance(node, ast.Constant) and isinstance(node.value, int) and not isinstance(node.value, bool):
         yield ast.Constant(node.value + 1), "constant"
-    elif isinstance(node, ast.Constant) and isinstance(node.value, float):
-        yield ast.Constant(1.5 * node.value + 1e-9), "constant"
+    elif isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value > _NOTHING:
+        yield ast.Constant(1.5 * node.value), "constant"
+    elif isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value == 0:
+        yield ast.Constant(1.0), "constant"
     elif isinstance(node, ast.IfExp):
         yield ast.IfExp(node.test, copy.deepcopy(node.orelse), copy.deepcopy(node.body)), "branches swapped"
     elif isinstance(node, ast.Call):
@@ -127,6 +131,7 @@ def _of_calls(node: ast.Call) -> Iterator[tuple[ast.expr, str]]:
         and all(type(a) is type(node.args[0]) for a in node.args[:2])
         and isinstance(node.args[0], ast.Name | ast.Attribute | ast.Subscript)
         and ast.dump(node.args[0]) != ast.dump(node.args[1])
+        and _called(node) not in _COMMUTING
     ):
         new = copy.deepcopy(node)
         new.args[0], new.args[1] = new.args[1], new.args[0]

@@ -169,10 +169,11 @@ def test_a_profile_that_does_not_rise_far_is_open(fitted):
 
 
 def test_a_profile_finds_the_others_best_values_from_a_wrong_covariance(fitted):
-    """Where the search begins does not matter: without the correlations it ends at the same values."""
+    """Where the search begins does not matter: without the correlations it ends at the same values, in two steps, since
+    damping goes by the parameters' own sizes, which differ by ten thousand."""
     estimate = fitted()
     exact = fitting.profile_likelihood(estimate, "K1", points=5)
     estimate.covariance = np.diag(np.diagonal(estimate.covariance))
-    found = fitting.profile_likelihood(estimate, "K1", points=5, iterations=12)
-    np.testing.assert_allclose((found.theta - exact.theta) / estimate.standard_deviations, 0, atol=1e-3)
+    found = fitting.profile_likelihood(estimate, "K1", points=5, iterations=2)
+    np.testing.assert_allclose((found.theta - exact.theta) / estimate.standard_deviations, 0, atol=5e-4)
     np.testing.assert_allclose(found.deviance, exact.deviance, rtol=1e-4, atol=1e-4)

@@ -13,16 +13,20 @@ UNITS = {"K": "N/m", "L": "m"}  # by a spring parameter's letter
 
 
 def made_estimate(values: Mapping[str, tuple[float, float]], **more: Any) -> Estimate:
-    """Of spring parameters by name, each with its standard deviation; `more` in the place of other fields."""
+    """Of spring parameters by name, each with its standard deviation; `more` in the place of other fields.
+
+    Nominal values, bounds and the estimates' places between them are all unlike, so that none passes for another.
+    """
     numbers, deviations = np.array(list(values.values())).T
+    nominal = numbers / (1 + 0.04 * (1 + np.arange(len(numbers))))  # 4, 8, 12 ... % were found to be missing
     fields: dict[str, Any] = {
         "names": tuple(values),
         "units": tuple(UNITS[name[0]] for name in values),
         "values": numbers,
         "covariance": np.diag(deviations**2),
-        "lower": 0.7 * numbers,
-        "upper": 1.3 * numbers,
-        "nominal": numbers,
+        "lower": 0.7 * nominal,
+        "upper": 1.3 * nominal,
+        "nominal": nominal,
         "objective": "paper",
         "objective_value": 0.0,
         "objective_unit": "m",

@@ -38,6 +38,49 @@ def data(result):
     return result.to_dataset()
 
 
+UNITS = {  # written by hand, from docs/conventions.md: SI, and degrees for angles
+    "m": "sphere_center patella_position tibia_position patella_shift groove_position groove_offset "
+    "contact_indentation_lateral contact_indentation_medial contact_off_patch contact_point_lateral "
+    "contact_point_medial patellar_tendon_length quadriceps_length",
+    "deg": "patella_flexion patella_tilt patella_rotation knee_flexion knee_adduction knee_internal_rotation",
+    "N": "contact_force contact_force_lateral contact_force_medial contact_force_x contact_force_y contact_force_z "
+    "gravity_weight patellar_tendon_tension quadriceps_tension",
+    "J": "kinetic_energy stored_energy_contact stored_energy_gravity stored_energy_patellar_tendon "
+    "stored_energy_quadriceps total_energy work heat energy_budget_error",
+    "s": "time",
+    "1": "patella_quaternion tibia_quaternion dislocated status axis component",
+}
+
+
+def test_units_are_those_of_a_table_written_by_hand(result, tmp_path):
+    result.save(tmp_path / "run.nc")
+    for data in (result.to_dataset(), load_dataset(tmp_path / "run.nc")):
+        found = {str(name): data[name].attrs["units"] for name in data.variables}
+        assert found == {name: unit for unit, names in UNITS.items() for name in names.split()}
+
+
+def test_values_are_in_their_units(data, result):
+    """Against what is known of this knee: it bends from 45 to 55 degrees and weighs 0.12 kg."""
+    assert data["knee_flexion"].values.max() == pytest.approx(55, abs=0.1)
+    assert data["time"].values[-1] == pytest.approx(0.4)
+    np.testing.assert_allclose(data["gravity_weight"], 0.12 * 9.81, rtol=1e-6)
+    stretch = data["quadriceps_length"].values[0] - 0.1432  # held still at first: N and m agree by N/m
+    assert data["quadriceps_tension"].values[0] == pytest.approx(156.0 * stretch, rel=0.2)
+    np.testing.assert_allclose(np.radians(data["patella_tilt"]), result.angles.tilt)
+
+
+def test_attributes_tell_of_the_start(data, result):
+    """Facets that bear load are those with a force; places in millimetres and degrees as their names say."""
+    loaded = [side for side in ("medial", "lateral") if data[f"contact_force_{side}"].values[0] > 0]
+    assert sorted(data.attrs["equilibrium_facets"].split()) == sorted(loaded) != []
+    start = result.equilibrium
+    assert data.attrs["equilibrium_moved_mm"] == pytest.approx(1000 * start.moved)
+    assert data.attrs["equilibrium_turned_deg"] == pytest.approx(start.turned * 180 / np.pi)
+    assert data.attrs["equilibrium_residual_N"] == start.residual
+    assert data.attrs["equilibrium_smallest_stiffness_N_per_m"] == start.eigenvalues.min() > 0
+    assert (data.attrs["equilibrium_converged"], data.attrs["equilibrium_kind"]) == (1, start.kind)
+
+
 def test_every_variable_and_coordinate_has_unit_and_long_name(data):
     for name in [*data.data_vars, *data.coords]:
         assert data[name].attrs.get("units"), name

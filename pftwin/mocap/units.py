@@ -54,6 +54,8 @@ _LONG_NAMES = {
     "millimetres": "mm",
     "centimeter": "cm",
     "centimeters": "cm",
+    "centimetre": "cm",
+    "centimetres": "cm",
     "degrees": "deg",
     "degree": "deg",
     "radians": "rad",

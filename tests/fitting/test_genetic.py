@@ -46,6 +46,36 @@ def test_crossover_takes_every_number_from_a_parent(seed):
     assert ((children == members[:10]) | (children == members[10:])).all()
 
 
+def test_crossover_takes_half_from_each_parent_and_every_number_by_itself():
+    children = scattered_crossover(np.zeros((20_000, 2)), np.ones((20_000, 2)), np.random.default_rng(0))
+    counts = np.bincount((2 * children[:, 0] + children[:, 1]).astype(int), minlength=4)
+    np.testing.assert_allclose(counts / 20_000, 0.25, atol=0.02)
+
+
+def test_four_fifths_of_the_children_are_crossed_from_two_parents():
+    """Of 50 three are the elite, 38 crossed, 9 mutated. Members are numbered in both columns: a child's two numbers
+    are its parents'; a mutation as long as the range leaves no number as it was."""
+    members = np.repeat(np.arange(50.0)[:, None], 2, axis=1)
+    mixed = []
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        _, children = children_of(members, np.zeros(50), np.full(2, -1e4), np.full(2, 1e4), 0.9, random)
+        assert len(children) == 47
+        whole = (children == np.round(children)).all(axis=1)
+        assert whole[:38].all()
+        assert not whole[38:].any()
+        mixed.append(np.mean(children[:38, 0] != children[:38, 1]))
+    assert 0.4 < np.mean(mixed) < 0.55  # half of them, less those whose parents are one member twice
+
+
+def test_a_mutation_is_as_long_as_its_length_in_a_box_of_unit_sides():
+    middle = np.tile(0.5 * (LOWER + UPPER), (4000, 1))
+    share = (mutation(middle, LOWER, UPPER, 0.3, np.random.default_rng(0)) - middle) / (UPPER - LOWER)
+    np.testing.assert_allclose(np.linalg.norm(share, axis=1), 0.3, rtol=1e-9)
+    np.testing.assert_allclose(share.mean(axis=0), 0, atol=0.01)
+    np.testing.assert_allclose(np.cov(share.T), np.eye(3) * 0.3**2 / 3, atol=0.003)
+
+
 @settings(deadline=None)
 @given(seeds)
 def test_the_elite_survives_and_children_keep_the_bounds(seed):
@@ -148,6 +178,18 @@ def test_nan_is_never_the_best_and_the_bowl_is_found():
 def test_the_best_never_gets_worse():
     bests = np.array(evolved(1)["bests"][0])
     assert (np.diff(bests) <= 0).all()
+
+
+def test_mutations_grow_fourfold_with_success_and_shrink_to_a_quarter_with_failure():
+    state = evolved(3, 1, 1)
+    first, second = state["bests"][0]
+    assert state["length"][0] == (1.0 if second < first else 0.25)
+    state = evolved(3, 1, 60)
+    lengths, length = [], 1.0
+    for before, now in zip(state["bests"][0], state["bests"][0][1:], strict=False):
+        length = min(1.0, max(1e-5, length * (4.0 if now < before else 0.25)))
+        lengths.append(length)
+    assert state["length"][0] == lengths[-1]
 
 
 def test_populations_side_by_side_do_not_disturb_each_other():

@@ -104,6 +104,26 @@ def test_a_medial_dislocation_that_comes_back():
     assert float(found["dislocated_share"]) == pytest.approx(4 / 8)
 
 
+@pytest.mark.parametrize(("threshold", "margin", "times"), [(0.035, 0.005, 0), (0.025, -0.005, 1), (0.008, -0.022, 3)])
+def test_another_threshold_moves_the_margin_and_the_dislocations(threshold, margin, times):
+    """Offsets of up to 30 mm; the button is back below three fifths of the threshold."""
+    offset = [0.0, 0.009, 0.0, -0.010, -0.030, 0.0045, 0.0, 0.012]
+    found = measured(made_up(offset), threshold)
+    assert float(found["dislocation_margin"]) == pytest.approx(margin)
+    assert float(found["dislocations"]) == times
+    assert float(found["largest_offset"]) == pytest.approx(0.030)
+    assert float(found["largest_lateral_offset"]) == pytest.approx(0.012)
+    assert len(follow(np.arange(8.0), np.array(offset), threshold=threshold).events) == times
+
+
+def test_the_outcomes_of_a_result_take_the_threshold(result):
+    farthest = np.abs(result.groove[1]).max()
+    found = outcomes(result, threshold=0.5 * farthest)
+    assert found["dislocation_margin"] == pytest.approx(-0.5 * farthest)
+    assert found["dislocations"] >= 1
+    assert outcomes(result, threshold=2 * farthest)["dislocation_margin"] == pytest.approx(farthest)
+
+
 @settings(deadline=None)
 @given(st.lists(st.one_of(st.floats(-0.04, 0.04), st.just(float("nan"))), min_size=12, max_size=12))
 def test_dislocated_frames_are_those_of_tracking(offset):

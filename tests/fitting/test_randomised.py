@@ -10,6 +10,7 @@ from scipy import stats
 from fitting.density import Density, tempering
 from fitting.independence import sampled
 from fitting.randomised import proposals
+from fitting.uncertainty import uncertainty
 from pftwin.errors import InputError
 
 
@@ -48,6 +49,18 @@ def test_a_linear_problem_has_its_exact_posterior_wherever_the_frame_is_from(lin
     assert made.outside == made.unsolved == 0
 
 
+@pytest.mark.parametrize("unit", [1e-8, 1e8])
+def test_units_of_parameters_make_no_difference(unit):
+    """The same problem with its second parameter in another unit, so far from 1 as no physical one is."""
+    random = np.random.default_rng(0)
+    design = random.normal(size=(60, 3, 2)) + np.array([1.0, 0.8])
+    wide = (-50.0, -50.0 / unit), (50.0, 50.0 / unit)
+    density = Density.about(problem(linear(design * [1, unit], np.zeros((60, 3))), *wide), np.zeros(2))
+    points = random.normal(size=(5, 2)) * 0.1
+    one = Density.about(problem(linear(design, np.zeros((60, 3)))), np.zeros(2))(points)
+    np.testing.assert_allclose(density(points / [1, unit]).log_density, one.log_density, rtol=1e-9)
+
+
 def test_a_prior_belongs_to_it(line):
     function, mean, covariance = line
     sd = np.sqrt(covariance[0, 0])
@@ -68,6 +81,29 @@ def test_tempering_gives_the_estimates_covariance(line):
     other = tempering(np.linalg.inv(units @ covariance @ units), units @ wanted @ units)
     np.testing.assert_allclose(other, units @ a @ np.linalg.inv(units), rtol=1e-6)
     np.testing.assert_allclose(tempering(np.linalg.inv(covariance), covariance), np.eye(2), atol=1e-9)
+
+
+def test_with_correlated_noise_it_is_as_wide_as_estimates_scatter():
+    """Noise of known covariance Omega, and slow designs: estimates scatter by (A'A)^-1 A' Omega A (A'A)^-1, here twice
+    to three times as far as if it were white. From one recording, by residuals, covariance, tempering and draws."""
+    frames, ar = 2000, 0.8
+    t = np.arange(frames)[:, None, None] / frames
+    design = 0.2 * np.cos(2 * np.pi * (1 + np.arange(6).reshape(1, 3, 2)) * t) + [[[0.1, 0.05]] * 3]
+    omega = ar ** np.abs(np.subtract.outer(np.arange(frames), np.arange(frames)))
+    noise = np.linalg.cholesky(omega) @ np.random.default_rng(6).normal(size=(frames, 3))
+    inverse = np.linalg.inv(np.einsum("tmp,tmq->pq", design, design))
+    exact = inverse @ np.einsum("tmp,tmq->pq", design, np.tensordot(omega, design, 1)) @ inverse
+    truth = np.array([1.0, 2.0])
+    measured = np.einsum("tmp,p->tm", design, truth) + noise
+    found = inverse @ np.einsum("tmp,tm->p", design, measured)
+    ours = problem(linear(design, measured))
+    left = np.einsum("tmp,p->tm", design, found) - measured
+    sure = uncertainty(ours.objective, ours.parameters, left, design, found)
+    draws = drawn(Density.about(ours, found, sure.covariance), 1000)[0].theta.reshape(-1, 2)
+    deviations = np.sqrt(np.diagonal(exact))
+    assert (deviations > 2 * np.sqrt(np.diagonal(inverse))).all()
+    np.testing.assert_allclose(draws.std(axis=0) / deviations, 1.0, atol=0.2)
+    np.testing.assert_allclose((draws.mean(axis=0) - found) / deviations, 0.0, atol=0.1)
 
 
 def test_bounds_cut_a_density(line):

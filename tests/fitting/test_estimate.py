@@ -1,0 +1,133 @@
+"""What an estimate says of itself, from numbers chosen by hand: intervals, correlations, draws, bounds, its table."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from linear_problems import parameters
+from made_estimates import made_estimate
+from scipy import stats
+
+from fitting.estimate import Estimate
+from fitting.uncertainty import percent, relative
+
+VALUES = {"K1": (160.0, 4.0), "L1": (0.15, 1e-3), "K2": (600.0, 30.0)}
+SD = np.array([4.0, 1e-3, 30.0])
+CORRELATION = np.array([[1.0, 0.8, -0.3], [0.8, 1.0, 0.1], [-0.3, 0.1, 1.0]])
+
+
+def correlated(**more):
+    return made_estimate(VALUES, covariance=CORRELATION * np.outer(SD, SD), **more)
+
+
+def test_intervals_hold_95_percent_of_a_normal_distribution():
+    e = correlated()
+    low, high = e.intervals.T
+    np.testing.assert_allclose(stats.norm.cdf(high, e.values, SD), 0.975, rtol=1e-9)
+    np.testing.assert_allclose(stats.norm.cdf(low, e.values, SD), 0.025, rtol=1e-9)
+    np.testing.assert_allclose(e.standard_deviations, SD)
+    np.testing.assert_allclose(e.correlation, CORRELATION, atol=1e-12)
+
+
+def test_draws_have_the_estimates_mean_and_covariance_and_keep_the_bounds():
+    wide = correlated(lower=np.zeros(3), upper=np.full(3, 1e4))
+    draws = wide.samples(40_000, seed=1)
+    np.testing.assert_allclose((draws.mean(axis=0) - wide.values) / SD, 0, atol=0.02)
+    np.testing.assert_allclose(np.cov(draws.T) / np.outer(SD, SD), CORRELATION, atol=0.02)
+    np.testing.assert_array_equal(wide.samples(5, seed=1), wide.samples(5, seed=1))
+    assert not np.array_equal(wide.samples(5, seed=1), wide.samples(5, seed=2))
+    narrow = correlated(lower=np.array([159.0, 0.0, 0.0]), upper=np.array([1e4, 0.1505, 1e4]))
+    draws = narrow.samples(2000)
+    assert draws[:, 0].min() == 159.0
+    assert draws[:, 1].max() == 0.1505
+
+
+def test_bounds_that_are_reached_are_named_on_either_side():
+    e = made_estimate(VALUES, lower=np.array([160.0, 0.1, 500.0]), upper=np.array([200.0, 0.2, 600.05]))
+    assert e.at_bounds == ("K1", "K2")
+    assert "at a bound: K1, K2; the true value may lie beyond" in e.remarks()
+    assert made_estimate(VALUES).at_bounds == ()
+
+
+def test_the_table_has_estimate_deviation_interval_and_nominal():
+    """K1 160 N/m, 4 % above its nominal value; L1 8 %; K2 12 %."""
+    text = correlated().summary()
+    assert "K1           160 +- 4 N/m  (95 %: 152.16 to 167.84; nominal 153.846)" in text
+    assert "L1           0.15 +- 0.001 m  (95 %: 0.14804 to 0.15196; nominal 0.138889)" in text
+    assert "K2           600 +- 30 N/m  (95 %: 541.201 to 658.799; nominal 535.714)" in text
+
+
+def test_remarks_say_what_weakens_the_numbers():
+    assert correlated(synthetic=False).remarks() == []
+    assert "neighbouring residuals are correlated (0.35)" in correlated(serial_correlation=0.35).remarks()[-1]
+    assert not any("correlated" in r for r in correlated(serial_correlation=0.1).remarks())
+    assert "3 of 8 starts found no equilibrium" in correlated(dropped=3, starts=8).remarks()[-1]
+
+
+def two_stiffnesses(deviation: float, correlation: float, **more):
+    values, rho = np.array([160.0, 600.0]), np.array([[1.0, correlation], [correlation, 1.0]])
+    covariance = deviation**2 * rho * np.outer(values, values)
+    return made_estimate({"K1": (160.0, 1.0), "K2": (600.0, 1.0)}, covariance=covariance, **more).sentence()
+
+
+@pytest.mark.parametrize("correlation", [0.999, 0.9])
+def test_the_sentence_splits_two_stiffnesses_into_ratio_and_scale(correlation):
+    """Relative errors d correlate by c: the ratio's is d sqrt(2 - 2 c), the common scale's d sqrt((1 + c) / 2)."""
+    words = two_stiffnesses(0.05, correlation)
+    ratio, common = 5 * np.sqrt(2 - 2 * correlation), 5 * np.sqrt((1 + correlation) / 2)
+    assert common > 2 * ratio
+    if common > 3 * ratio:
+        assert words == (
+            f"positions fix K1/K2 to {ratio:.2g} %, the common scale of K1 and K2 only to {common:.2g} %: "
+            "measure one force to fix both"
+        )
+    else:
+        assert words.startswith("positions fix K1 to 5 % and K2 to 5 %; the weakest combination is of ")
+
+
+def test_no_force_is_asked_for_where_one_was_measured_or_all_is_well_known():
+    assert "measure one force" not in two_stiffnesses(0.05, 0.999, channels=("position", "quadriceps"))
+    assert "measure one force" not in two_stiffnesses(0.015, 0.999)
+    assert two_stiffnesses(0.05, -0.999).startswith("positions fix K1 to 5 % and K2 to 5 %")
+
+
+def test_relative_covariances_are_those_of_logarithms():
+    """Draws of small relative deviations, their logarithms' covariance."""
+    e = correlated()
+    draws = np.random.default_rng(0).multivariate_normal(e.values, e.covariance, 100_000)
+    found = relative(parameters(), e.values, e.covariance)
+    size = np.outer(SD / e.values, SD / e.values)
+    np.testing.assert_allclose(found / size, np.cov(np.log(draws).T) / size, atol=0.03)
+    at_zero = relative(parameters(half_width=5.0), np.array([0.0, 0.15, 600.0]), e.covariance)
+    assert at_zero[0, 0] == pytest.approx((4.0 / 10) ** 2)  # by the range, where a value is nothing to go by
+
+
+def test_shares_in_words():
+    assert [percent(s) for s in (0.0123, 0.5, 1.2, 11.0, np.inf)] == [
+        "1.2 %",
+        "50 %",
+        "120 %",
+        "no useful accuracy",
+        "no useful accuracy",
+    ]
+
+
+def test_its_file_holds_its_numbers_and_what_follows_from_them(tmp_path):
+    e = correlated(priors={"L1": (0.149, 0.002)}, noise={"position": 2e-4}, history=[{"best": 3.0}])
+    told = json.loads(e.save(tmp_path / "fit.json").read_text())
+    assert told["format"] == "pftwin estimate 1"
+    assert told["names"] == ["K1", "L1", "K2"]
+    assert told["values"] == [160.0, 0.15, 600.0]
+    np.testing.assert_allclose(told["nominal"], [160 / 1.04, 0.15 / 1.08, 600 / 1.12])
+    np.testing.assert_allclose(told["standard_deviations"], SD)
+    np.testing.assert_allclose(told["intervals_95"][0], [160 - 1.959964 * 4, 160 + 1.959964 * 4], rtol=1e-7)
+    np.testing.assert_allclose(told["correlation"], CORRELATION)
+    assert told["sentence"] == e.sentence()
+    assert told["remarks"] == ["the measurements are synthetic"]
+    again = Estimate.load(tmp_path / "fit.json")
+    np.testing.assert_array_equal(again.covariance, e.covariance)
+    assert (again.priors, again.noise, again.history) == ({"L1": (0.149, 0.002)}, {"position": 2e-4}, [{"best": 3.0}])
+    assert (again.nominal_scene, again.measured) == (None, None)
+    assert again.to_dict() == e.to_dict()

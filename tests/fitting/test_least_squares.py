@@ -1,0 +1,87 @@
+"""Levenberg-Marquardt on models whose answer and whose decrease are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_problems import NOMINAL, design, parameters, problem, scaled
+
+from fitting.least_squares import LeastSquares
+from fitting.problem import Answer
+
+
+def searched(ours, seed=0, starts=6):
+    search = LeastSquares(ours, seed, starts)
+    state = search.begin()
+    while state["stopped"] is None:
+        request = search.ask(state)
+        search.tell(state, request, ours.answer(request))
+    return state
+
+
+def test_the_decrease_it_promises_is_a_quadratics_own():
+    """f(u) = g'u + u'Hu / 2 along its steps, for every start and every damping."""
+    random = np.random.default_rng(0)
+    search = LeastSquares(problem(design(), np.zeros((40, 4)), parameters()), 0, 5)
+    root = random.normal(size=(5, 3, 3))
+    hessian, gradient = root @ np.swapaxes(root, 1, 2), random.normal(size=(5, 3))
+    u = random.normal(size=(5, 3))
+    state = {**search.begin(), "u": u, "gradient": gradient, "hessian": hessian}
+    at, damping, promised = search._trials(state)
+    step = at - u[:, None]
+    after = np.einsum("plk,pk->pl", step, gradient) + 0.5 * np.einsum("plk,pkj,plj->pl", step, hessian, step)
+    np.testing.assert_allclose(promised, -after, rtol=1e-9)
+    assert (promised > 0).all()
+    assert promised.shape == (5, 12)
+    assert (np.diff(damping, axis=1) > 0).all()
+    free = np.abs(step).max(axis=-1) < 1.99  # those that were not shortened
+    for i, k in zip(*np.nonzero(free), strict=True):
+        matrix = hessian[i] + damping[i, k] * np.diag(np.diagonal(hessian[i]))
+        np.testing.assert_allclose(matrix @ step[i, k], -gradient[i], rtol=1e-6, atol=1e-9)
+
+
+def test_it_takes_no_step_that_is_not_better():
+    ours = problem(design(), np.zeros((40, 4)), parameters())
+    ours.evaluator.slope_chunk = 3  # one damping for each start
+    search = LeastSquares(ours, 0, 3)
+    state = search.begin()
+    request = search.ask(state)
+    search.tell(state, request, ours.answer(request))
+    before = state["u"].copy(), state["value"].copy(), state["damping"].copy()
+    worse = search.ask(state)
+    n = len(worse.theta)
+    search.tell(state, worse, Answer(np.full(n, 1e30), np.ones((n, 3)), np.tile(np.eye(3), (n, 1, 1))))
+    np.testing.assert_array_equal(state["u"], before[0])
+    np.testing.assert_array_equal(state["value"], before[1])
+    np.testing.assert_allclose(state["damping"], 10 * before[2])
+
+
+def test_it_finds_the_weighted_least_squares_of_measurements_and_prior():
+    random = np.random.default_rng(1)
+    noise = random.normal(size=(40, 4)) * np.array([0.02, 0.02, 0.02, 0.5])
+    truth = NOMINAL + np.array([0.5, 4.0, -0.3])
+    measured = design() @ truth + noise
+    known = parameters(((1.0, 0.01), None, None), half_width=10.0)
+    rows = np.concatenate([scaled(design()), [[1 / 0.01, 0, 0]]])
+    wanted = np.concatenate([(measured / np.array([0.02, 0.02, 0.02, 0.5])).ravel(), [1.0 / 0.01]])
+    exact = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    state = searched(problem(design(), measured, known))
+    sd = np.sqrt(np.diagonal(np.linalg.inv(rows.T @ rows)))
+    np.testing.assert_allclose((state["best_theta"] - exact) / sd, 0, atol=0.02)
+    assert state["best_value"] <= 0.5 * np.sum((rows @ exact - wanted) ** 2) + 1e-3
+    assert state["stopped"] == "converged"
+
+
+@pytest.mark.parametrize(
+    ("phase", "gain", "goes_on"), [(0, 0.5, False), (0, 2.0, True), (2, 0.5, True), (2, 5e-4, False)]
+)
+def test_a_phase_ends_where_a_step_gains_less_than_it_is_worth(phase, gain, goes_on):
+    """A thousandth of a nat at the end, a whole one in the coarse search; what the model promises is more."""
+    search = LeastSquares(problem(design(), np.zeros((40, 4)), parameters()), 0, 1)
+    state = search.begin()
+    state["phase"] = phase
+    for value in (10.0, 10.0 - gain):
+        request = search.ask(state)
+        n = len(request.theta)
+        search.tell(state, request, Answer(np.full(n, value), np.full((n, 3), 10.0), np.tile(np.eye(3), (n, 1, 1))))
+    assert ((state["phase"], state["stopped"]) == (phase, None)) is goes_on

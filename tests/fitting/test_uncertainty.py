@@ -1,0 +1,126 @@
+"""Covariances against closed forms of linear models, and against how estimates really scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_problems import NOMINAL, design, objective, parameters, scaled
+from scipy.linalg import toeplitz
+from scipy.optimize import curve_fit
+
+from fitting.uncertainty import inverted, serial_correlation, uncertainty
+
+SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
+
+
+def sure_of(slopes, residuals, known=None, theta=NOMINAL):
+    target = objective(np.where(np.isfinite(residuals), 0.0, np.nan))
+    return uncertainty(target, parameters() if known is None else known, np.nan_to_num(residuals), slopes, theta)
+
+
+def white(slopes, seed=1):
+    return np.random.default_rng(seed).normal(size=slopes.shape[:2]) * SIGMA
+
+
+def test_white_residuals_give_the_covariance_of_weighted_least_squares():
+    slopes = design()
+    found = sure_of(slopes, white(slopes))
+    flat = slopes.reshape(-1, 3)
+    noise = np.tile(SIGMA, len(slopes))
+    _, expected = curve_fit(lambda _, *t: flat @ t, None, flat @ NOMINAL, NOMINAL, noise, absolute_sigma=True)
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-5)
+    np.testing.assert_allclose(found.information, np.linalg.inv(expected), rtol=1e-4)
+
+
+def test_what_was_not_measured_tells_nothing():
+    slopes = design()
+    residuals = white(slopes)
+    residuals[5:20, :3] = np.nan
+    residuals[30, 3] = np.nan
+    a = scaled(slopes, np.isfinite(residuals))
+    np.testing.assert_allclose(sure_of(slopes, residuals).covariance, np.linalg.inv(a.T @ a), rtol=1e-9)
+
+
+def test_priors_count_as_measurements_of_the_parameters():
+    """A row more of the design for each: 1 / standard deviation."""
+    slopes = design()
+    rows = np.concatenate([scaled(slopes), [[1 / 0.003, 0, 0], [0, 0, 1 / 0.002]]])
+    found = sure_of(slopes, white(slopes), parameters(((1.0, 0.003), None, (0.5, 0.002))))
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(rows.T @ rows), rtol=1e-9)
+
+
+def test_the_condition_is_of_relative_parameters():
+    """Singular values of the design times the parameters; a parameter that is 0 counts by its range."""
+    slopes = design()
+    for theta, size in ((NOMINAL, np.abs(NOMINAL)), (np.array([0.0, -30.0, 0.4]), np.array([2000.0, 30.0, 0.4]))):
+        singular = np.linalg.svd(scaled(slopes) * size, compute_uv=False)
+        found = sure_of(slopes, white(slopes), theta=theta)
+        assert found.condition == pytest.approx((singular[0] / singular[-1]) ** 2, rel=1e-6)
+
+
+AR, FRAMES = 0.8, 400
+
+
+def correlated(draws, seed=0):
+    """First-order autoregressive noise of standard deviation 1 (draws, frames, 4), from its exact covariance."""
+    root = np.linalg.cholesky(toeplitz(AR ** np.arange(FRAMES)))
+    return np.einsum("ts,dsm->dtm", root, np.random.default_rng(seed).normal(size=(draws, FRAMES, 4)))
+
+
+def smooth_design():
+    """Slow functions of time: what correlated noise is mistaken for."""
+    t = np.arange(FRAMES)[:, None, None] / FRAMES
+    phase = np.arange(12).reshape(1, 4, 3)
+    return 0.1 * np.cos(2 * np.pi * (1 + phase % 3) * t + phase) * np.array([[1], [0.7], [1.3], [20]])
+
+
+@pytest.mark.parametrize("priors", [(None, None, None), ((NOMINAL[0], 0.02), None, None)])
+def test_correlated_residuals_widen_it_to_how_estimates_scatter(priors):
+    """The sandwich (A'A + P)^-1 (A' Omega A + P) (A'A + P)^-1 with the noise's own covariance Omega; Bartlett's
+    weights over a few correlation lengths leave out some tenths of it."""
+    slopes, known = smooth_design(), parameters(priors)
+    a = slopes / SIGMA[:, None]
+    precision = np.diag([0.0 if p is None else p[1] ** -2 for p in priors])
+    inverse = np.linalg.inv(np.einsum("tmp,tmq->pq", a, a) + precision)
+    middle = np.einsum("tmp,tmq->pq", a, np.tensordot(toeplitz(AR ** np.arange(FRAMES)), a, 1)) + precision
+    exact = inverse @ middle @ inverse
+    found = np.mean([sure_of(slopes, z * SIGMA, known).covariance for z in correlated(60)], axis=0)
+    ratio = np.linalg.eigvals(np.linalg.solve(exact, found)).real
+    assert 0.7 < ratio.min() <= ratio.max() < 1.1, ratio
+    assert np.linalg.eigvals(np.linalg.solve(inverse, exact)).real.max() > 4  # as if white it would be far off
+
+
+@pytest.mark.parametrize("deviation", [None, 1e-3])
+def test_the_sandwich_is_newey_and_wests_sum(deviation):
+    """Written out pair by pair of frames: weight 1 - lag / (lags + 1), scores about their mean; what is known
+    beforehand, here as well as by the measurements, is independent of them."""
+    slopes = smooth_design()
+    z = correlated(1, seed=3)[0]
+    prior = None if deviation is None else (NOMINAL[0], deviation)
+    precision = np.diag([0.0 if deviation is None else deviation**-2, 0.0, 0.0])
+    found = sure_of(slopes, z * SIGMA, parameters((prior, None, None)))
+    a = slopes / SIGMA[:, None]
+    score = np.einsum("tmp,tm->tp", a, z)
+    score = score - score.mean(axis=0)
+    lags = int(np.ceil(-4 / np.log(np.sum(z[1:] * z[:-1]) / np.sum(z**2))))
+    apart = np.abs(np.subtract.outer(np.arange(FRAMES), np.arange(FRAMES)))
+    middle = score.T @ np.maximum(1 - apart / (lags + 1), 0) @ score + precision
+    inverse = np.linalg.inv(np.einsum("tmp,tmq->pq", a, a) + precision)
+    np.testing.assert_allclose(found.covariance, inverse @ middle @ inverse, rtol=1e-8)
+    assert found.serial == pytest.approx(AR, abs=0.05)
+
+
+def test_serial_correlation_skips_what_was_not_measured():
+    """Only neighbours that were both measured make a product; squares are of all that was."""
+    z = np.array([[1.0, 2.0], [0.0, -1.0], [3.0, 4.0], [-2.0, 1.0]])
+    present = np.array([[True, True], [False, True], [True, True], [True, True]])
+    assert serial_correlation(z, present) == pytest.approx((-2 - 4 - 6 + 4) / (1 + 9 + 4 + 4 + 1 + 16 + 1))
+    assert serial_correlation(np.zeros((3, 1)), np.ones((3, 1), bool)) == 0
+
+
+def test_an_inverse_of_unlike_units():
+    a = np.array([[1e9, 10.0, 0], [10.0, 1e-6, 0], [0, 0, 4.0]])
+    exact = np.array([[1e-6 / 900, -10 / 900, 0], [-10 / 900, 1e9 / 900, 0], [0, 0, 0.25]])
+    np.testing.assert_allclose(inverted(a), exact, rtol=1e-6, atol=1e-12)
+    with np.errstate(over="ignore"):
+        assert inverted(np.diag([1.0, 0.0]))[1, 1] > 1e200

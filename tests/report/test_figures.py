@@ -1,0 +1,102 @@
+"""The report's figures draw the numbers that its files hold: lines, axes' units, captions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from report_pages import estimate, fitted, measured
+from small_scene import small_result
+
+from pftwin.cli.report import figures, fit
+from pftwin.cli.report.material import Material
+from pftwin.cli.report.run import Run
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """Figures as they go onto the page, with their alternative texts and captions."""
+    found = []
+    for module in (figures, fit):
+        monkeypatch.setattr(module, "drawn", lambda *what: found.append(what) or "")
+    return found
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory) -> Material:
+    history = [{"iteration": i, "evaluations": 10.0 * (i + 1), "best": 7.0 - i, "spread": 0.0} for i in range(3)]
+    return fitted(tmp_path_factory.mktemp("fit"), history=history, objective_value=5.0)
+
+
+def points(axes):
+    return [np.array(line.get_data(), dtype=float) for line in axes.get_lines()]
+
+
+def has(axes, x, y):
+    """Whether one of the lines is of these numbers."""
+    for a, b in points(axes):
+        if a.shape == np.shape(x) and np.allclose(a, x, equal_nan=True) and np.allclose(b, y, equal_nan=True):
+            return True
+    return False
+
+
+def test_the_case_figure_has_the_runs_and_the_measurements_numbers(shown, material):
+    figures.section(material)
+    figure, alternative, caption = shown[0]
+    coronal, sagittal, tilt, force = figure.axes
+    result, data = small_result(), measured()
+    for center in (result.center, data.center):
+        assert has(coronal, 1e3 * center[:, 1], 1e3 * center[:, 0])
+        assert has(sagittal, 1e3 * center[:, 2], 1e3 * center[:, 0])
+    assert has(tilt, result.times, np.degrees(result.angles.tilt))
+    assert has(force, result.times, result.effects["contact"]["force"])
+    assert "[mm]" in coronal.get_xlabel()
+    assert "[mm]" in sagittal.get_ylabel()
+    assert "[deg]" in tilt.get_ylabel()
+    assert "[N]" in force.get_ylabel()
+    assert result.dislocations().describe() in alternative
+    assert caption == "Path, tilt and contact force: fitted, with measured."
+
+
+def test_courses_against_flexion_are_the_runs(shown, material):
+    figures.section(material)
+    figure, alternative, _ = shown[1]
+    result = small_result()
+    knee = np.degrees(result.knee.flexion)
+    top = int(np.argmax(knee))
+    values = {
+        "tilt": np.degrees(result.angles.tilt),
+        "shift": 1e3 * result.center[:, 1],
+        "rotation": np.degrees(result.angles.rotation),
+        "force": result.effects["contact"]["force"],
+    }
+    assert len(figure.axes) == 4
+    for axes in figure.axes:
+        (name,) = (n for n in values if n in axes.get_ylabel())
+        x, y = points(axes)[0]
+        known = np.isfinite(y)
+        assert known.sum() > 50
+        np.testing.assert_allclose(y[known], np.interp(x[known], knee[: top + 1], values[name][: top + 1]), rtol=1e-6)
+    assert "fitted" in alternative
+
+
+def test_the_fits_way_and_its_correlations_are_the_estimates(shown, material):
+    figures.section(material)
+    figure, alternative, _ = shown[-1]
+    assert has(figure.axes[0], [10, 20, 30], [7, 6, 5])
+    assert alternative.endswith("It ends at 5.")
+    shown.clear()
+    fit.section(material)
+    (found,) = shown
+    picture = found[0].axes[0].get_images()[0].get_array()
+    np.testing.assert_allclose(picture, estimate().correlation)
+
+
+def test_of_two_runs_each_is_drawn_under_its_own_name(shown, material):
+    import dataclasses
+
+    other = dataclasses.replace(small_result(), scene=small_result().scene)
+    two = dataclasses.replace(material, runs=[*material.runs, Run.of_result(other, "treated")])
+    figures.section(two)
+    figure, alternative, _ = shown[0]
+    assert {"fitted", "treated"} <= {t.get_text() for legend in figure.legends for t in legend.get_texts()}
+    assert "fitted and treated" in alternative

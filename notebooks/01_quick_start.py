@@ -29,25 +29,15 @@
 
 # %%
 # %matplotlib inline
-import tempfile
-from pathlib import Path
-
 import jax
-import jax.numpy as jnp
-import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
-from IPython.display import Markdown
-from matplotlib.figure import Figure
-from pftwin.dynamics.tracked_path import tracked_path
 
+import fitting
 import pftwin
-from fitting.treatments import tibial_tuberosity_transfer
-from pftwin.batches import batched
-from pftwin.plots import COLOURS, STYLE, against_flexion
-from pftwin.runtime import default_cache_dir
 
-pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
-mpl.rcParams["figure.dpi"] = 72  # small files
+pftwin.configure(cache_dir="default")  # compiled programs are kept for the next time
+plt.rcParams["figure.dpi"] = 72  # small files
 
 # %% [markdown]
 # ## Simulate
@@ -80,9 +70,10 @@ result.plot.against_flexion()
 # %%
 measured = pftwin.rig.measured(2)
 rows = pftwin.validate(result, measured).to_rows()
-lines = [f"| {r.label} | {r.value:.3g} {r.unit} |" for r in rows]
 assert measured.synthetic
-Markdown("\n".join(["| | against synthetic measurements |", "|---|---|", *lines]))
+print("against synthetic measurements")
+for row in rows:
+    print(f"{row.label:28s} {row.value:8.3g} {row.unit}")
 
 # %%
 result.plot.compared(measured)
@@ -94,7 +85,7 @@ result.plot.compared(measured)
 # attached, is moved 16 mm medially.
 
 # %%
-treated = tibial_tuberosity_transfer(scene, medialisation=0.016)
+treated = fitting.treatments.tibial_tuberosity_transfer(scene, medialisation=0.016)
 after = pftwin.simulate(treated, tolerance="0.05 mm")
 print(f"untreated: {result.dislocations().describe()}")
 print(f"treated:   {after.dislocations().describe()}")
@@ -102,7 +93,7 @@ assert result.dislocations().events
 assert not after.dislocations().events
 
 # %%
-against_flexion({"untreated": result, "16 mm medially": after}, strokes="together")
+pftwin.plots.against_flexion({"untreated": result, "16 mm medially": after}, strokes="together")
 
 # %%
 after.plot.trajectory()
@@ -115,13 +106,10 @@ after.plot.trajectory()
 # knee as one page that opens offline.
 
 # %%
-with tempfile.TemporaryDirectory() as folder:
-    after.save(Path(folder) / "after.nc")
-    after.to_csv(Path(folder) / "after.csv")
-    sizes = {p.name: f"{p.stat().st_size / 1e3:.0f} kB" for p in sorted(Path(folder).iterdir())}
-print(sizes)
+after.save("after.nc")
+after.to_csv("after.csv")
 frame = after.to_dataset()[["knee_flexion", "patella_tilt", "patella_rotation", "contact_force"]].to_dataframe()
-Markdown(frame.iloc[::120].to_html(float_format="{:.2f}".format))
+frame.iloc[::120].round(2)
 
 # %% [markdown]
 # ## What no recording gives
@@ -133,11 +121,11 @@ Markdown(frame.iloc[::120].to_html(float_format="{:.2f}".format))
 # %%
 def lateral(medialisation: jax.Array) -> jax.Array:
     """The button's most lateral place in the femur [mm], by the tuberosity's transfer [mm]."""
-    moved = tibial_tuberosity_transfer(scene, medialisation=1e-3 * medialisation)
-    return 1e3 * tracked_path(moved, integrator=pftwin.BDF2(), substeps=4).y.max()
+    moved = fitting.treatments.tibial_tuberosity_transfer(scene, medialisation=1e-3 * medialisation)
+    return 1e3 * pftwin.trajectory(moved, integrator=pftwin.BDF2(), dt=2.5e-3).shift.max()
 
 
-value, slope = jax.jit(lambda x: jax.jvp(lateral, (x,), (jnp.ones(()),)))(jnp.asarray(16.0))
+value, slope = jax.jvp(lateral, (16.0,), (1.0,))
 print(f"16 mm medially: most lateral {float(value):.2f} mm, {float(slope):.3f} mm per mm more")
 assert np.isclose(float(value), 1e3 * after.shift.max(), atol=0.1)
 assert slope < 0
@@ -147,15 +135,14 @@ assert slope < 0
 # this curve; the step in it is where the patella begins to stay in its groove.
 
 # %%
-amounts = jnp.linspace(0.0, 20.0, 60)
-curve = np.asarray(jax.jit(batched(lateral))(amounts))
-with mpl.rc_context(STYLE):
-    figure = Figure(figsize=(6.5, 3.2), dpi=80)
-    axes = figure.subplots()
-    axes.plot(amounts, curve, ".-", color=COLOURS[0], label="60 simulations, side by side")
+amounts = np.linspace(0.0, 20.0, 60)
+curve = jax.jit(jax.vmap(lateral))(amounts)
+with plt.rc_context(pftwin.plots.STYLE):
+    figure, axes = plt.subplots(figsize=(6.5, 3.2), dpi=80)
+    axes.plot(amounts, curve, ".-", color=pftwin.plots.COLOURS[0], label="60 simulations, side by side")
     near = np.array([14.0, 18.0])
     tangent = float(value) + float(slope) * (near - 16)
-    axes.plot(near, tangent, color=COLOURS[1], linewidth=3, alpha=0.6, label="derivative at 16 mm")
+    axes.plot(near, tangent, color=pftwin.plots.COLOURS[1], linewidth=3, alpha=0.6, label="derivative at 16 mm")
     axes.set(xlabel="medialisation of the tuberosity [mm]", ylabel="most lateral place [mm]")
     axes.set_title("Case 2 of the virtual rig (synthetic)")
     axes.legend()

@@ -37,15 +37,13 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from pftwin.dynamics.tracked_path import tracked_path
 
 import pftwin
 from pftwin.batches import batched
-from pftwin.dynamics.frame_states import frame_states
-from pftwin.dynamics.observe import observe
 from pftwin.effects.base import Effect, Instant, Load, Observable, Patella, StiffTerm
 from pftwin.motion import Frame
 from pftwin.plots import COLOURS, STYLE
+from pftwin.quantities import quantity
 from pftwin.runtime import default_cache_dir
 from pftwin.spatial import Quaternion, Scalar, Vec3
 
@@ -71,8 +69,8 @@ assert scene.synthetic
 class Brace(Effect):
     """F = k (y - play), medially on the centre of mass, y its lateral place in the femur; nothing before."""
 
-    stiffness: Scalar  # k [N/m]
-    play: Scalar  # [m]
+    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True))  # k
+    play: Scalar = eqx.field(metadata=quantity("m"))
     name: str = eqx.field(static=True, kw_only=True, default="brace")
     observables: ClassVar[dict[str, Observable]] = {"push": Observable("N", "push of the brace")}
 
@@ -178,7 +176,7 @@ assert "brace" not in runs["as it is"].energies.stored
 def most_lateral(parameters: jax.Array) -> jax.Array:
     """Of the button's centre over the motion [m], by stiffness [kN/m] and play [mm]."""
     fitted = scene.with_effect(Brace(1e3 * parameters[0], 1e-3 * parameters[1]))
-    return tracked_path(fitted, integrator=pftwin.BDF2(), substeps=4).y.max()
+    return pftwin.trajectory(fitted, integrator=pftwin.BDF2(), dt=2.5e-3).shift.max()
 
 
 worn = jnp.asarray([2.0, 5.0])
@@ -208,9 +206,8 @@ grid = jnp.asarray([(k, y) for k in stiffnesses for y in plays])
 def outcome(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The button's most lateral place [m], and the brace's largest push [N]."""
     fitted = scene.with_effect(Brace(parameters[0], parameters[1]))
-    path = frame_states(fitted, integrator=pftwin.BDF2(), substeps=4)
-    seen = observe(fitted, path)
-    return seen.center.y.max(), seen.effects["brace"]["push"].max()
+    path = pftwin.trajectory(fitted, integrator=pftwin.BDF2(), dt=2.5e-3)
+    return path.shift.max(), path.effects["brace"]["push"].max()
 
 
 lateral, pushes = (np.asarray(a).reshape(len(stiffnesses), len(plays)) for a in outcome(grid))

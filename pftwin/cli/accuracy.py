@@ -52,7 +52,7 @@ def accuracy(
     from pftwin.benchmarks.machine import describe
     from pftwin.studies.accuracy.plan import COMMON, FLOATS, chosen, everything
     from pftwin.studies.accuracy.run import measure_all, write
-    from pftwin.studies.accuracy.table import brief_advice, overview
+    from pftwin.studies.accuracy.table import advice, overview
 
     if full and (contact or integrator or dtype):
         raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
@@ -65,7 +65,7 @@ def accuracy(
     paths = write(found, folder, source.title, about)
     write_json({"about": about, "rows": [asdict(r) for r in found.rows], "files": [str(p) for p in paths]}, json)
     out(json).print(overview(found.rows).table())
-    out(json).print(brief_advice(found.rows).table())
+    out(json).print(advice(found.rows).table())
     out(json).print(f"written: {', '.join(str(p) for p in paths)}", markup=False, highlight=False)
 
 

@@ -43,7 +43,7 @@ class Sheet(NamedTuple):
         out = Table(title=escape(self.title), **looks)
         for i, heading in enumerate(self.headings):
             left = self.words is None or i in self.words
-            out.add_column(escape(heading), justify="left" if left else "right", no_wrap=self.narrow)
+            out.add_column(escape(heading), justify="left" if left else "right", no_wrap=self.narrow and not left)
         groups = self.groups or ("",) * len(self.rows)
         for row, group, before in zip(self.rows, groups, (None, *groups), strict=False):
             if before not in (None, group):

@@ -81,19 +81,18 @@ def recommended(rows: Sequence[Row], levels: Sequence[float] = LEVELS) -> list[A
 
 
 def advice(rows: Sequence[Row]) -> Sheet:
-    """The recommendations."""
+    """For each rms error the fastest, run alone and 64 side by side, with its largest error and the force's, rms."""
     found = []
     for level, one, many in recommended(rows):
-        alone = ("none measured", *"---")
-        if one is not None:
-            errors = f"{short(one.position_max_mm)} mm", f"{short(one.force_rms_n)} N"
-            alone = (described(one), short(one.real_time), *errors)
-        beside = ("-", "-") if many is None else (described(many), short(many.real_time_batch))
-        found.append((f"{level:g} mm", *alone, *beside))
-    headings = (
-        "error, rms", "one run", "x real time", "error, max", "contact force, rms", "64 side by side", "x real time",
-    )  # fmt: skip
-    return Sheet("Recommended: the fastest that was measured within an error", headings, tuple(found))
+        for kind, row, speed in (("one run", one, "real_time"), ("64 runs", many, "real_time_batch")):
+            cells = ("none measured", *"---")
+            if row is not None:
+                figures = getattr(row, speed), row.position_max_mm, row.force_rms_n
+                cells = (described(row), *map(short, figures))
+            found.append((f"{level:g} mm" if kind == "one run" else "", kind, *cells))
+    title = "Recommended: the fastest that was measured within an error"
+    headings = ("rms", "", "setting", "x real time", "max, mm", "force, N")
+    return Sheet(title, headings, tuple(found), words=(0, 1, 2), narrow=True)
 
 
 def everything(rows: Sequence[Row]) -> Sheet:
@@ -127,19 +126,6 @@ def overview(rows: Sequence[Row]) -> Sheet:
     title = "Errors from the converged run of the same contact; speed in times real time"
     headings = ("step, ms", "rms, mm", "max, mm", "force, N", "one run", "64 runs")
     return Sheet(title, headings, tuple(found), tuple(groups), words=(0,), narrow=True)
-
-
-def brief_advice(rows: Sequence[Row]) -> Sheet:
-    """The recommendations as a terminal has room for them."""
-    found = []
-    for level, one, many in recommended(rows):
-        for i, (kind, row) in enumerate((("one run", one), ("64 runs", many))):
-            cells = ("none measured", "-", "-")
-            if row is not None:
-                cells = described(row), short((row.real_time, row.real_time_batch)[i]), short(row.force_rms_n)
-            found.append(("" if i else f"{level:g} mm", kind, *cells))
-    title = "Recommended: the fastest that was measured within an error"
-    return Sheet(title, ("error, rms", "", "setting", "x real time", "force, N"), tuple(found), narrow=True)
 
 
 def described(row: Row) -> str:

@@ -170,7 +170,7 @@ def listed_cells() -> dict[tuple[str, str, str, str], str]:
     page = (Path(__file__).resolve().parents[3] / "docs" / "hard_cases.md").read_text(encoding="utf-8")
     found = {}
     for line in page[page.index("## Every cell") : page.index("## The cases")].splitlines():
-        if line.startswith("| ") and not line.startswith("| contact"):
+        if line.startswith("| ") and not line.startswith(("| contact", "| ---")):
             contact, integrator, dtype, outcome, names = (x.strip() for x in line.strip("|").split("|"))
             found |= {(name, contact, integrator, dtype): outcome for name in names.split(", ")}
     return found

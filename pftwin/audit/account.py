@@ -12,13 +12,13 @@ from jaxtyping import Array
 from pftwin.audit.parts import Part, load_of, parts
 from pftwin.audit.step import frame_time, guide_over, one_step, step_length
 from pftwin.audit.stiffness import Rates, rates
+from pftwin.base.program_cache import Program
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.trajectory import Trajectory, starting_state
-from pftwin.kept.program import Program
 from pftwin.scene import Scene
 from pftwin.spatial import Scalar
 

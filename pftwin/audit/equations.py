@@ -6,13 +6,13 @@ loop counts once, however often it runs, and a call counts as what is in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.interpreters import partial_eval
+from jax.extend.core import Literal
 
 from pftwin.audit.step import guide_over, one_step, step_length
 from pftwin.dynamics.integrators import integrator_named
@@ -35,7 +35,7 @@ def equations(scene: Scene, integrator: str = "linear_implicit") -> int:
         system, state, piece, began, step = eqx.combine(arrays, fixed)
         return one_step(system, state, guide_over(piece, began, step), step, integrator)
 
-    return _count(_used(jax.make_jaxpr(stepped)(shapes).jaxpr))
+    return _count(jax.make_jaxpr(stepped)(shapes).jaxpr)
 
 
 def _givens(scene: Scene, integrator: str) -> tuple[System, State, MotionPiece, Scalar, Scalar]:
@@ -46,13 +46,19 @@ def _givens(scene: Scene, integrator: str) -> tuple[System, State, MotionPiece, 
     return system, state, scene.motion.between_frames(jnp.zeros((), int)), jnp.zeros((), float), step
 
 
-def _used(jaxpr: Any) -> Any:
-    """Without the equations that nothing comes of."""
-    return partial_eval.dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))[0]
-
-
-def _count(jaxpr: Any) -> int:
-    return sum((eqn.primitive.name not in _CALLS) + sum(map(_count, _inside(eqn))) for eqn in jaxpr.eqns)
+def _count(jaxpr: Any, wanted: Iterable[int] | None = None) -> int:
+    """Equations that the wanted results (all by default) come from, those inside them included."""
+    results = jaxpr.outvars if wanted is None else [jaxpr.outvars[i] for i in wanted]
+    needed = {v for v in results if not isinstance(v, Literal)}
+    total = 0
+    for eqn in reversed(jaxpr.eqns):
+        used = [i for i, v in enumerate(eqn.outvars) if v in needed]
+        if not used and not eqn.effects:
+            continue
+        needed.update(v for v in eqn.invars if not isinstance(v, Literal))
+        call = eqn.primitive.name in _CALLS
+        total += (not call) + sum(_count(inner, used if call else None) for inner in _inside(eqn))
+    return total
 
 
 def _inside(eqn: Any) -> Iterator[Any]:

@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.audit.variant import Variant
+from pftwin.base.program_cache import Program
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.simulate import settle
 from pftwin.dynamics.trajectory import starting_equilibrium, trajectory
-from pftwin.kept.program import Program
 from pftwin.result import Result
 from pftwin.scene import Scene, check
 

@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.audit.step import frame_time, guide_over, one_step, step_length
+from pftwin.base.program_cache import Program
 from pftwin.dynamics.state import State
-from pftwin.kept.program import Program
 from pftwin.scene import Scene
 from pftwin.spatial import Scalar
 

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from pftwin.base.program_cache import Program, Timed
+from pftwin.base.program_cache import settings as jax_settings
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.integrators import integrator_named
 from pftwin.dynamics.ledger import Ledger
@@ -26,8 +28,6 @@ from pftwin.dynamics.trajectory import (
     trajectory,
 )
 from pftwin.errors import InputError
-from pftwin.kept.environment import settings as jax_settings
-from pftwin.kept.program import Program, Timed
 from pftwin.scene import Scene, check
 from pftwin.spatial import Pose
 

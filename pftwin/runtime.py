@@ -77,7 +77,7 @@ def use_defaults() -> None:
     if _jax_has_started():
         if set(flags.split()) != set(given.split()):
             found.append(f"JAX started without the fast CPU compilation: {_SLOW}; try: {_FIRST}")
-        if not jax.config.jax_enable_x64:
+        if not _double():
             found.append(f"JAX started in single precision, and pftwin computes in float32; try: {_FIRST}")
     else:
         if untested := _untested():
@@ -87,12 +87,18 @@ def use_defaults() -> None:
         if "JAX_ENABLE_X64" not in os.environ:
             jax.config.update("jax_enable_x64", True)
             _Process.float64_by_default = True
-        elif not jax.config.jax_enable_x64:
+        elif not _double():
             found.append("JAX_ENABLE_X64 is off, and pftwin computes in float32; try: unset it")
     if chosen := [o.split("=")[0] for o in FAST_CPU if o not in _options(flags)]:
         found.append(f"XLA_FLAGS has its own value of {', '.join(chosen)}, which stays; without it pftwin is faster")
     for text in found:
         warnings.warn(text, PftwinWarning, stacklevel=3)
+
+
+def _double() -> bool:
+    import jax
+
+    return jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _untested() -> str | None:
@@ -195,7 +201,7 @@ def _jax_has_started() -> bool:
         return False
     import jax
 
-    own = jax.config.jax_num_cpu_devices
+    own = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
     try:
         jax.config.update("jax_num_cpu_devices", 2 if own == 1 else 1)
     except RuntimeError:

@@ -22,6 +22,7 @@ import equinox as eqx
 import jax
 import jax.export
 import numpy as np
+from jax.core import Tracer
 
 import pftwin
 from pftwin.base import cache_folder
@@ -76,7 +77,7 @@ class Program:
         """The answer, which is there when this returns, and what it took."""
         kind, arrays = _kind_of(args)
         began = prepared = time.perf_counter()
-        if any(getattr(jax.config, name) for name in _DEBUGGING) or any(isinstance(a, jax.core.Tracer) for a in arrays):
+        if any(getattr(jax.config, name) for name in _DEBUGGING) or any(isinstance(a, Tracer) for a in arrays):
             return Timed(jax.block_until_ready(self._jitted(*args)), time.perf_counter() - began, 0.0)
         if kind not in self._ready:
             self.prepare(*args)

@@ -77,7 +77,7 @@ def _node(value: Any, arrays: list[np.ndarray]) -> Any:
             raise NotPlainError("an array of weak type")
         return ["weak", value.item()]
     if isinstance(value, np.ndarray | np.generic | jax.Array):
-        if getattr(value.dtype, "kind", "") not in _NUMBERS:
+        if jnp.issubdtype(value.dtype, jax.dtypes.extended) or value.dtype.kind not in _NUMBERS:
             raise NotPlainError(f"an array of {value.dtype}")
         arrays.append(np.asarray(value))
         kinds = {"device": jax.Array, "array": np.ndarray, "number": np.generic}

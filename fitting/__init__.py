@@ -61,6 +61,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name in __all__:
+        from pftwin.runtime import use_defaults
+
+        use_defaults()
     if name in _HOME:
         value = getattr(import_module(f"fitting.{_HOME[name]}"), name)
     elif name in _MODULES:

@@ -36,7 +36,6 @@ import numpy as np
 import fitting
 import pftwin
 
-pftwin.configure(cache_dir="default")  # compiled programs are kept for the next time
 plt.rcParams["figure.dpi"] = 72  # small files
 
 # %% [markdown]

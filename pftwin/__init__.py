@@ -5,7 +5,7 @@
     result.to_dataset(), result.save("case2.nc")
 
 Names are imported when first used, so that `import pftwin` costs next to nothing and leaves JAX's settings alone.
-Programs that want double precision and fast compilation call `pftwin.configure()` first thing.
+The first that computes sets double precision and fast compilation; `pftwin.configure()` before it is for other choices.
 """
 
 from __future__ import annotations
@@ -71,6 +71,7 @@ _HOME = {
     "trajectory": "dynamics.trajectory",
     "validate": "metrics",
 }
+_NO_JAX = ("InputError", "Measured", "OutputError", "PftwinError", "configure")  # all others may compute
 _PACKAGES = ("effects", "interchange", "mocap", "plots", "rig", "surfaces", "viewer")
 
 __all__ = [
@@ -111,6 +112,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name in __all__ and name not in _NO_JAX and name != "__version__":
+        from pftwin.runtime import use_defaults
+
+        use_defaults()
     if name == "__version__":
         value = _version()
     elif name in _HOME:

@@ -10,12 +10,12 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.program_cache import Program
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide
 from pftwin.dynamics.static_load import LEVER
 from pftwin.dynamics.status import RESERVATIONS, Status
 from pftwin.effects.base import Patella
-from pftwin.kept.program import Program
 from pftwin.scene import Scene
 from pftwin.spatial import Pose, Quaternion
 

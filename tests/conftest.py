@@ -9,10 +9,14 @@ from pathlib import Path
 import jax
 import pytest
 
+from pftwin.base.program_cache import Program
 from pftwin.runtime import configure
 
 _ROOT = Path(__file__).resolve().parents[1]
 configure(cache_dir=os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache")))
+# Tests replace constants and functions of pftwin, which the names of stored programs do not show: JAX's cache alone
+# serves them, after tracing. Processes that tests start store programs as users' do.
+Program._key = lambda *_: None
 # Single operations too are kept: both processes of a run need them, some thousands, each of a thirtieth of a second.
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_numpy_dtype_promotion", "strict")

@@ -16,6 +16,7 @@ from toy_scene_files import LIGHT, SCENE, changed, load, same, write_toy
 from typer.testing import CliRunner
 
 import pftwin
+from pftwin.base import cache_folder
 from pftwin.cli.app import app
 from pftwin.effects.contact_law import Flores
 from pftwin.effects.elastic_foundation import ElasticFoundation
@@ -23,7 +24,6 @@ from pftwin.effects.foundation_law import LinearFoundation, LogarithmicFoundatio
 from pftwin.effects.mesh_contact import MeshContact
 from pftwin.effects.mesh_sphere_contact import MeshSphereContact
 from pftwin.effects.mesh_volume_contact import MeshVolumeContact
-from pftwin.kept import folder
 from pftwin.scene import Scene
 from pftwin.scene_file import load_scene_file
 from pftwin.surfaces.icosphere import icosphere
@@ -179,11 +179,11 @@ def test_a_smooth_surface_tells_results_where_the_groove_is(toy: Path) -> None:
 
 def test_kept_scenes_are_read_anew_where_a_mesh_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pftwin, "imported_at", np.inf)  # whoever edits the source while this runs
-    before = folder.chosen()
-    folder.use(tmp_path / "kept")
+    before = cache_folder.chosen()
+    cache_folder.use(tmp_path / "kept")
     written: list[str] = []
-    write = folder.write
-    monkeypatch.setattr(folder, "write", lambda kind, key, body: written.append(key) or write(kind, key, body))
+    write = cache_folder.write
+    monkeypatch.setattr(cache_folder, "write", lambda kind, key, body: written.append(key) or write(kind, key, body))
     try:
         write_toy(tmp_path)
         save_mesh(icosphere(0.022, 9), tmp_path / "ball.stl", units="mm")
@@ -203,7 +203,7 @@ def test_kept_scenes_are_read_anew_where_a_mesh_has_changed(tmp_path: Path, monk
             assert any(a.shape != b.shape or not np.array_equal(a, b) for a, b in pairs)
             first = again
     finally:
-        folder.use(before)
+        cache_folder.use(before)
 
 
 def test_a_scene_without_meshes_imports_nothing_of_them(toy: Path) -> None:

@@ -26,12 +26,12 @@ from toy_scene_files import (
 )
 
 import pftwin
+from pftwin.base import cache_folder
 from pftwin.dynamics.frame_states import first_guide
 from pftwin.effects.base import Patella
 from pftwin.effects.contact_law import Flores
 from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
-from pftwin.kept import folder
 from pftwin.mocap import PoseSeries, write_trc
 from pftwin.motion import SegmentMotion
 from pftwin.scene import Scene
@@ -322,10 +322,10 @@ def test_the_line_numbers_follow_toml_into_nested_tables() -> None:
 def test_a_scene_file_is_read_anew_only_where_a_file_has_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(pftwin, "imported_at", np.inf)  # whoever edits the source while this runs
     derived = []
-    write = folder.write
-    monkeypatch.setattr(folder, "write", lambda kind, key, body: derived.append(key) or write(kind, key, body))
-    before = folder.chosen()
-    folder.use(tmp_path / "kept")
+    write = cache_folder.write
+    monkeypatch.setattr(cache_folder, "write", lambda kind, key, body: derived.append(key) or write(kind, key, body))
+    before = cache_folder.chosen()
+    cache_folder.use(tmp_path / "kept")
     try:
         path = write_toy(tmp_path)
         first, again = load_scene_file(path), load_scene_file(path)
@@ -341,4 +341,4 @@ def test_a_scene_file_is_read_anew_only_where_a_file_has_changed(tmp_path, monke
         with pytest.raises(InputError, match="truncated"):
             load_scene_file(path)
     finally:
-        folder.use(before)
+        cache_folder.use(before)

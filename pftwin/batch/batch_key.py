@@ -16,11 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pftwin.base.program_cache import settings, versions
+from pftwin.base.serialization import fingerprint
 from pftwin.batch.member import Task, moved, settled
 from pftwin.batch.plan import Plan
-from pftwin.kept.environment import settings
-from pftwin.kept.identity import digest, value_text
-from pftwin.kept.reach import versions
 
 
 def features(plan: Plan, unit: int) -> dict[str, str]:
@@ -34,14 +33,14 @@ def features(plan: Plan, unit: int) -> dict[str, str]:
 
     rows = [jax.tree.map(lambda a: np.asarray(a)[0], g.rows) for g in plan.groups]
     members = [
-        value_text([np.asarray(a) for a in (*jax.tree.leaves(g.rows), g.places, np.array(g.names))])
+        fingerprint([np.asarray(a) for a in (*jax.tree.leaves(g.rows), g.places, np.array(g.names))])
         for g in plan.groups
     ]
     chosen = {**plan.settings, "care": plan.care, "piece": plan.spread.piece, "unit": unit}
     return {
-        "scenes": digest(value_text(_numbers(task)) for task in plan.tasks),
-        "program": digest(_program(task, row) for task, row in zip(plan.tasks, rows, strict=True)),
-        "members": digest(members),
+        "scenes": fingerprint([_numbers(task) for task in plan.tasks]),
+        "program": fingerprint([_program(task, row) for task, row in zip(plan.tasks, rows, strict=True)]),
+        "members": fingerprint(members),
         "settings": json.dumps(chosen, sort_keys=True),
         "platform": jax.default_backend(),
         "versions": f"pftwin {__version__}, {versions()}",

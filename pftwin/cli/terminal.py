@@ -61,8 +61,8 @@ def start_computing(*, batches: bool = False) -> None:
     if "jax" in sys.modules:
         import jax
 
-        settings = jax.config.values
-        if settings.get("jax_enable_x64") and settings.get("jax_compilation_cache_dir"):
+        settings: Any = jax.config
+        if settings.jax_enable_x64 and settings.jax_compilation_cache_dir:
             return
     from pftwin.runtime import configure, default_cache_dir
 

@@ -13,6 +13,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
+from pftwin.base.program_cache import Program, Timed
+from pftwin.base.program_cache import settings as jax_settings
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import (
     first_guide,
@@ -30,8 +32,6 @@ from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Path, coarsest, settings_of, tolerance_in_metres
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.errors import InputError
-from pftwin.kept.environment import settings as jax_settings
-from pftwin.kept.program import Program, Timed
 from pftwin.scene import Scene, check
 from pftwin.spatial import Pose
 

@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 from jax.dtypes import canonicalize_dtype
 
+from pftwin.base.program_cache import cached
 from pftwin.effects.base import Effect
 from pftwin.effects.damping import LinearDamping
 from pftwin.effects.gravity import Gravity
 from pftwin.effects.tendon import Tendon
 from pftwin.errors import InputError
-from pftwin.kept.values import kept
 from pftwin.leaves import number, vector
 from pftwin.motion import KneeMotion
 from pftwin.rig import geometry as rig
@@ -77,7 +77,7 @@ def recording(n: int) -> Recording:
 
 @lru_cache(maxsize=8)
 def _recorded(n: int, float64: bool) -> tuple[Recording, KneeMotion]:
-    return kept(_read, n, float64, files=recording_files(n))
+    return cached(_read, n, float64, files=recording_files(n))
 
 
 def _read(n: int, float64: bool) -> tuple[Recording, KneeMotion]:

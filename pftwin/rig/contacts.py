@@ -19,11 +19,11 @@ import numpy as np
 from jax.dtypes import canonicalize_dtype
 from numpy.typing import NDArray
 
+from pftwin.base.program_cache import cached
 from pftwin.effects.base import Effect
 from pftwin.effects.contact_law import ContactLaw, Flores
 from pftwin.effects.sphere_contact import SphereContact
 from pftwin.errors import InputError
-from pftwin.kept.values import kept
 from pftwin.leaves import number, vector
 from pftwin.rig import geometry as rig
 from pftwin.rig.recording import IMPLANT_FILE, data_folder
@@ -97,7 +97,7 @@ def _float64() -> bool:
 
 @lru_cache(maxsize=32)
 def _fit(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
-    return kept(_fitted, name, chart, float64, files=(data_folder() / IMPLANT_FILE,))
+    return cached(_fitted, name, chart, float64, files=(data_folder() / IMPLANT_FILE,))
 
 
 def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
@@ -129,7 +129,7 @@ def _by_volume(law: ContactLaw) -> Effect:
 @lru_cache(maxsize=2)
 def _femur(name: str) -> tuple[SurfaceMesh, NDArray[np.bool_]]:
     """The parametric implant meshed to the paper's resolution, and which triangles are lateral of its groove."""
-    vertices, faces, lateral = kept(_meshed, name, files=())
+    vertices, faces, lateral = cached(_meshed, name, files=())
     return SurfaceMesh(vertices, faces, f"the rig's implant, {name}"), lateral
 
 
@@ -145,7 +145,7 @@ def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[
 
 def gap_radius() -> float:
     """The effective radius beside the groove [m]: see `MeshVolumeContact`."""
-    return kept(_measured_gap_radius, files=())
+    return cached(_measured_gap_radius, files=())
 
 
 def _measured_gap_radius() -> float:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from jax.dtypes import canonicalize_dtype
 from pydantic import Field, ValidationError, create_model
 
+from pftwin.base.program_cache import cached
 from pftwin.errors import InputError
-from pftwin.kept.values import kept
 from pftwin.scene import Scene, check
 from pftwin.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
 from pftwin.scene_file.document import Document
@@ -109,7 +109,7 @@ def load_scene_file(
     float_type = str(canonicalize_dtype(float))
     files = Document.read(path, allow_outside=allow_outside).files()
     others = tuple(table.kind for table in effect_tables())
-    return kept(_loaded, os.fspath(path), contact, float_type, allow_outside, others, files=files)
+    return cached(_loaded, os.fspath(path), contact, float_type, allow_outside, others, files=files)
 
 
 def _loaded(

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
+from pftwin.base.program_cache import cached
 from pftwin.errors import InputError
-from pftwin.kept.values import kept
 from pftwin.surfaces.bvh.corners import CornerTree, corner_tree
 from pftwin.surfaces.bvh.features import Features, features_of
 from pftwin.surfaces.bvh.order import depth_for
@@ -92,4 +92,4 @@ def _discs(tree: MeshTree) -> tuple[Array, ...]:
     if tree.kind == "disc":
         return tree.levels
     corners = np.asarray(tree.triangles, dtype=np.float64).reshape(-1, 3, 3)
-    return tuple(jax.device_put(x) for x in kept(volume_levels, corners, "disc", tree.depth, files=()))
+    return tuple(jax.device_put(x) for x in cached(volume_levels, corners, "disc", tree.depth, files=()))

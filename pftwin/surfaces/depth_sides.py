@@ -14,9 +14,9 @@ from jax.dtypes import canonicalize_dtype
 from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
+from pftwin.base.program_cache import cached
 from pftwin.errors import InputError
 from pftwin.file_limits import MESH_TRIANGLES
-from pftwin.kept.values import kept
 from pftwin.spatial import Vec3
 from pftwin.surfaces.bvh.features import features_of
 from pftwin.surfaces.depth_fans import Fans, fans_of, rows_of
@@ -96,7 +96,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
                 expected=f"({len(mesh.faces)},): 0 (medial) or 1 (lateral) for each triangle",
             )
         facets = jax.device_put(facets.astype(np.int32))
-    fans, outward, rim = kept(_pressed, mesh.vertices, mesh.faces, files=())
+    fans, outward, rim = cached(_pressed, mesh.vertices, mesh.faces, files=())
     corners, index = _placed(mesh, fans)
     own = canonicalize_dtype(float)
     return PressedSurface(
@@ -119,7 +119,7 @@ def pressing_surface(mesh: SurfaceMesh) -> PressingSurface:
         InputError: no triangles, too many, or coordinates that are not finite.
     """
     _check(mesh)
-    fans = kept(fans_of, mesh.vertices[mesh.faces], BUTTON_LANES, True, files=())
+    fans = cached(fans_of, mesh.vertices[mesh.faces], BUTTON_LANES, True, files=())
     corners, index = _placed(mesh, fans)
     own = canonicalize_dtype(float)
     parts = (rows_of(fans), fans.first, corners.reshape(-1, 9).astype(own), index.astype(np.int32))

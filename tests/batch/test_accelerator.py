@@ -9,6 +9,7 @@ import jax
 import pytest
 from elsewhere import elsewhere
 
+from pftwin.base import cache_folder
 from pftwin.benchmarks import accelerator
 
 CHECKS = Path(__file__).with_name("accelerator_checks.py")
@@ -34,7 +35,7 @@ def test_it_gives_what_a_cpu_gives(there, precision):
     """Slow, and on any machine: a CPU beside itself, that is, that the comparison runs and finds nothing."""
     if there == "gpu" and not platforms():
         pytest.skip("JAX has no accelerator here: pip install -e '.[cuda]' on a machine that has one")
-    cache = str(jax.config.values["jax_compilation_cache_dir"])
+    cache = str(cache_folder.chosen())
     done = elsewhere(str(CHECKS), there, precision, cache)
     assert done.returncode == 0, done.stderr[-2000:]
     seen = json.loads(done.stdout.splitlines()[-1])

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jax
 import pytest
 from elsewhere import elsewhere
+
+from pftwin.base import cache_folder
 
 CHECKS = Path(__file__).with_name("batch_checks.py")
 ROUNDING = 1e-9  # as a share: one device and several have programs of their own, by which a contact force is rounded
 
 
 def seen_with(devices: int) -> dict:
-    done = elsewhere(str(CHECKS), str(devices), str(jax.config.values["jax_compilation_cache_dir"]))
+    done = elsewhere(str(CHECKS), str(devices), str(cache_folder.chosen()))
     assert done.returncode == 0, done.stderr[-2000:]
     return json.loads(done.stdout.splitlines()[-1])
 

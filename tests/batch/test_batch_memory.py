@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import jax
 import pytest
 from elsewhere import elsewhere
+
+from pftwin.base import cache_folder
 
 MORE = 8_640  # members
 BYTES = 500  # of a member: its row, summary and status, and copies of them
@@ -25,6 +26,6 @@ print(sizes[1] - sizes[0])
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_members():
-    done = elsewhere("-c", CODE, str(jax.config.values["jax_compilation_cache_dir"]), str(MORE))
+    done = elsewhere("-c", CODE, str(cache_folder.chosen()), str(MORE))
     assert done.returncode == 0, done.stderr[-2000:]
     assert float(done.stdout) < SLACK + MORE * BYTES / 2**20

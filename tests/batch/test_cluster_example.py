@@ -6,10 +6,10 @@ import re
 import socket
 from pathlib import Path
 
-import jax
 import pytest
 from cheap_batch import run_together
 
+from pftwin.base import cache_folder
 from pftwin.batch.parts import read_parts
 from pftwin.result_files import load_dataset
 
@@ -35,7 +35,7 @@ def variables(count: int) -> list[dict[str, str]]:
         "SLURM_JOB_ID": str(free_job()),
         "SLURM_STEP_NODELIST": "localhost",
         "SLURM_NTASKS": str(count),
-        "PFTWIN_CACHE": str(jax.config.values["jax_compilation_cache_dir"]),
+        "PFTWIN_CACHE": str(cache_folder.chosen()),
     }
     return [{**common, "SLURM_PROCID": str(i), "SLURM_LOCALID": str(i)} for i in range(count)]
 

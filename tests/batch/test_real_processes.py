@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jax
 import pytest
 from cheap_batch import Ended, free_port, run_together
+
+from pftwin.base import cache_folder
 
 SCRIPT = Path(__file__).with_name("real_processes.py")
 
 
 def seen(folder: Path, count: int) -> list[Ended]:
-    port, cache = free_port(), str(jax.config.values["jax_compilation_cache_dir"])
+    port, cache = free_port(), str(cache_folder.chosen())
     commands = [[str(SCRIPT), str(i), str(count), str(port), str(folder / "parts"), cache] for i in range(count)]
     return run_together(folder, commands)
 

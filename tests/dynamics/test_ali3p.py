@@ -195,7 +195,7 @@ def test_a_free_top_keeps_energy_and_angular_momentum():
         return 0.5 * np.sum(inertia * spin**2), momentum
 
     e0, l0 = conserved(start)
-    drift = [conserved(march(top, start, 0.6, n, "ali3p")) for n in (300, 600, 1200)]
+    drift = [conserved(march(top, start, 0.6, n, ALI3P())) for n in (300, 600, 1200)]
     energy = [abs(e - e0) / e0 for e, _ in drift]
     momentum = [np.linalg.norm(turning - l0) / np.linalg.norm(l0) for _, turning in drift]
     assert momentum[-1] < 1e-6
@@ -301,7 +301,7 @@ def test_derivatives_by_the_guided_motion(fixed):
 def test_the_penalty_changes_nothing_but_the_iterations():
     top = system(inertia=(2e-5, 5e-5, 6e-5))
     start = state_at(top, (0, 0, 0), spin=(0.3, 12.0, 0.2))
-    usual, soft = (march(top, start, 0.1, 100, i) for i in ("ali3p", "ali3p:penalty=1e3"))
+    usual, soft = (march(top, start, 0.1, 100, i) for i in (ALI3P(), ALI3P(penalty=1e3)))
     np.testing.assert_allclose(soft.spin.array(), usual.spin.array(), rtol=1e-7)
     assert float(soft.carried.drift) < 1e-11
     assert float(soft.spin.x) != float(usual.spin.x)
@@ -310,7 +310,7 @@ def test_the_penalty_changes_nothing_but_the_iterations():
 def test_a_step_that_is_not_solved_says_so():
     """A body that turns by five radians in a step: Newton's iteration finds no way, and numbers stay numbers."""
     top = system(inertia=(2e-5, 5e-5, 6e-5))
-    states, _ = record(top, state_at(top, (0, 0, 0), spin=(30.0, 90.0, 10.0)), J(5e-2), 40, "ali3p")
+    states, _ = record(top, state_at(top, (0, 0, 0), spin=(30.0, 90.0, 10.0)), J(5e-2), 40, ALI3P())
     assert np.isfinite(states.orientation.array()).all()
     assert (np.asarray(states.carried.residual) > 0).any()
 

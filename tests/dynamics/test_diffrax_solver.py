@@ -38,7 +38,7 @@ def test_declared_orders_in_steps_of_constant_length(solver):
     start = state_at(top, (0, 0, 0), spin=(3.0, 12.0, 2.0))
 
     def end(name, n):
-        state = march(top, start, 0.5, n, f"diffrax:{name}:adaptive=0,rtol=1e-11,atol=1e-13")
+        state = march(top, start, 0.5, n, Diffrax(name, rtol=1e-11, atol=1e-13, adaptive=False))
         return np.concatenate([state.spin.array(), state.orientation.array()])
 
     exact = end("Dopri8", 1000)

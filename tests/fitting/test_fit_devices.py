@@ -16,6 +16,7 @@ from small_scene import small_scene
 
 import fitting
 from fitting import programs
+from pftwin.base import cache_folder
 from pftwin.batch.laid import AXIS
 from pftwin.errors import InputError
 from pftwin.measured import Measured
@@ -52,7 +53,7 @@ def test_a_device_that_is_not_there_is_refused():
 @pytest.mark.slow
 def test_two_devices_find_what_one_finds():
     checks = Path(__file__).with_name("fit_device_checks.py")
-    done = elsewhere(str(checks), str(jax.config.values["jax_compilation_cache_dir"]))
+    done = elsewhere(str(checks), str(cache_folder.chosen()))
     assert done.returncode == 0, done.stderr[-2000:]
     for method, (one, two) in json.loads(done.stdout.splitlines()[-1]).items():
         np.testing.assert_allclose(two["values"], one["values"], rtol=1e-6, err_msg=method)

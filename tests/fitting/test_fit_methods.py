@@ -19,6 +19,7 @@ import fitting.fit
 from fitting.genetic import Genetic
 from fitting.objective import Objective
 from fitting.problem import Problem
+from pftwin.base import cache_folder
 from pftwin.errors import InputError
 from pftwin.measured import Measured
 
@@ -118,13 +119,12 @@ def test_a_fit_that_is_gone_resumes_as_if_nothing_had_happened(tmp_path, monkeyp
 
 @pytest.mark.slow
 def test_a_killed_process_leaves_what_can_be_resumed(tmp_path):
-    import jax
 
     data, path = tmp_path / "data.npz", tmp_path / "state.json"
     np.savez(data, t=truth().times, c=truth().center)
     here = Path(__file__).parent
     paths = [str(here), str(here.parent), str(here.parents[1])]
-    cache = jax.config.values["jax_compilation_cache_dir"]
+    cache = str(cache_folder.chosen())
     code = _KILLED.format(paths=paths, cache=cache, data=str(data), checkpoint=str(path))
     child = subprocess.Popen([sys.executable, "-c", code], env=os.environ.copy())
     try:

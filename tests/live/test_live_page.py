@@ -11,7 +11,6 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 
@@ -20,6 +19,7 @@ PIL = pytest.importorskip("PIL.Image")
 sys.path.append(str(Path(__file__).parents[1] / "viewer"))
 from viewer_pages import chromium  # noqa: E402
 
+from pftwin.base import cache_folder  # noqa: E402
 from pftwin.labels import SYNTHETIC  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -30,7 +30,7 @@ ORANGE = (213, 94, 0)  # of the treated knee
 @pytest.fixture(scope="module")
 def command():
     """The program, serving case 2 at some port."""
-    kept = {"PFTWIN_CACHE": jax.config.values["jax_compilation_cache_dir"], "PYTHONUNBUFFERED": "1"}
+    kept = {"PFTWIN_CACHE": str(cache_folder.chosen()), "PYTHONUNBUFFERED": "1"}
     code = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from pftwin.cli import main; main()"
     )

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from mesh_samples import corners_of, point, soup
 
+from pftwin.base import cache_folder
 from pftwin.errors import InputError
-from pftwin.kept import folder
 from pftwin.rig.cases import implant_mesh
 from pftwin.surfaces.bvh import brute_force, tree
 from pftwin.surfaces.bvh.nearest_wide import Nearest, nearest_wide
@@ -101,20 +101,20 @@ def test_a_tree_is_built_in_no_time_and_found_again(tmp_path, monkeypatch):
         calls.append(args)
         return tree_arrays(*args)
 
-    monkeypatch.setattr(tree, "kept", lambda f, *args, files: counted(*args))
+    monkeypatch.setattr(tree, "cached", lambda f, *args, files: counted(*args))
     build_tree(mesh)
     assert len(calls) == 1
     monkeypatch.undo()
-    before = folder.chosen()
+    before = cache_folder.chosen()
     try:
-        folder.use(tmp_path)
+        cache_folder.use(tmp_path)
         first = build_tree(mesh)
         assert len(list((tmp_path / "values").iterdir())) == 1
         again = build_tree(mesh)
         build_tree(mesh, kind="box")
         assert len(list((tmp_path / "values").iterdir())) == 2
     finally:
-        folder.use(before)
+        cache_folder.use(before)
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)
 

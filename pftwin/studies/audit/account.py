@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.program_cache import Program
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import FrameStates, starting_state
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State
-from pftwin.kept.program import Program
 from pftwin.scene import Scene
 from pftwin.spatial import Scalar
 from pftwin.studies.audit.parts import Part, load_of, parts

@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pftwin.base.program_cache import Program
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.simulate import settle
-from pftwin.kept.program import Program
 from pftwin.result import Result
 from pftwin.scene import Scene, check
 from pftwin.studies.audit.variant import Variant

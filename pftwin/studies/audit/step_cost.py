@@ -9,9 +9,9 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from pftwin.base.program_cache import Program
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.state import State
-from pftwin.kept.program import Program
 from pftwin.scene import Scene
 from pftwin.spatial import Scalar
 from pftwin.studies.audit.step import frame_time, guide_over, one_step, step_length

@@ -13,7 +13,7 @@ from jax.dtypes import canonicalize_dtype
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from pftwin.kept.values import kept
+from pftwin.base.program_cache import cached
 from pftwin.surfaces.bvh import discs
 from pftwin.surfaces.bvh.order import depth_for, median_order
 from pftwin.surfaces.bvh.tree import ROUNDING
@@ -38,7 +38,7 @@ class CornerTree(eqx.Module):
 
 def corner_tree(points: Floats, normals: Floats) -> CornerTree:
     """The tree of corners (n, 3) [m] with unit outward normals (n, 3)."""
-    index, levels = kept(_arrays, points, normals, files=())
+    index, levels = cached(_arrays, points, normals, files=())
     dtype = canonicalize_dtype(float)
     p, n = (jax.device_put(x[index].astype(dtype)) for x in (points, normals))
     return CornerTree(p, n, jax.device_put(index), tuple(jax.device_put(x) for x in levels))

@@ -19,9 +19,9 @@ from jax.dtypes import canonicalize_dtype
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from pftwin.base.program_cache import cached
 from pftwin.errors import InputError
 from pftwin.file_limits import MESH_TRIANGLES
-from pftwin.kept.values import kept
 from pftwin.surfaces.bvh import boxes, discs
 from pftwin.surfaces.bvh.order import depth_for, median_order
 from pftwin.surfaces.mesh import SurfaceMesh
@@ -87,7 +87,7 @@ def build_tree(mesh: SurfaceMesh, *, kind: Kind = "disc", leaf: int = 4, depth: 
     if depth is not None and depth < deep:
         raise InputError(f"a depth of {depth}", where="depth", expected=f"{deep} or more for this mesh")
     corners = np.ascontiguousarray(mesh.vertices[mesh.faces])
-    triangles, index, levels = kept(tree_arrays, corners, kind, leaf, deep if depth is None else depth, files=())
+    triangles, index, levels = cached(tree_arrays, corners, kind, leaf, deep if depth is None else depth, files=())
     own = triangles.astype(canonicalize_dtype(float))
     return MeshTree(jax.device_put(own), jax.device_put(index), tuple(jax.device_put(a) for a in levels), kind)
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from pftwin.base import cache_folder as folder
+from pftwin.base import program_cache as values
+from pftwin.base.program_cache import cached
 from pftwin.errors import PftwinWarning
-from pftwin.kept import folder, values
-from pftwin.kept.values import kept
 
 CALLS = []
 
@@ -29,8 +30,9 @@ def place(tmp_path, monkeypatch):
     before = folder.chosen()
     folder.use(tmp_path / "kept")
     # Functions of a test are code from elsewhere; here they stand for pftwin's own.
-    monkeypatch.setattr(values, "reach", lambda function: function.__qualname__)
-    monkeypatch.setattr(values, "source", lambda: "source")
+    for function in (size, worried):
+        monkeypatch.setattr(function, "__module__", "pftwin.tested")
+    monkeypatch.setattr(values, "_source", lambda: "source")
     CALLS.clear()
     yield tmp_path
     folder.use(before)
@@ -39,16 +41,16 @@ def place(tmp_path, monkeypatch):
 def test_a_value_is_derived_once(place):
     file = place / "a.txt"
     file.write_text("four")
-    assert [kept(size, str(file), files=[file]) for _ in range(3)] == [4, 4, 4]
+    assert [cached(size, str(file), files=[file]) for _ in range(3)] == [4, 4, 4]
     assert len(CALLS) == 1
-    assert kept(size, str(file), 2, files=[file]) == 8  # other arguments
+    assert cached(size, str(file), 2, files=[file]) == 8  # other arguments
 
 
 def test_another_content_is_another_value(place):
     file = place / "a.txt"
     for text in ("four", "fourfour"):
         file.write_text(text)
-        assert kept(size, str(file), files=[file]) == len(text)
+        assert cached(size, str(file), files=[file]) == len(text)
     assert len(CALLS) == 2
 
 
@@ -56,21 +58,21 @@ def test_other_code_is_another_value(place, monkeypatch):
     file = place / "a.txt"
     file.write_text("four")
     for source in ("old", "new"):
-        monkeypatch.setattr(values, "source", lambda source=source: source)
-        kept(size, str(file), files=[file])
+        monkeypatch.setattr(values, "_source", lambda source=source: source)
+        cached(size, str(file), files=[file])
     assert len(CALLS) == 2
 
 
 def test_a_damaged_value_is_derived_anew(place):
     file = place / "a.txt"
     file.write_text("four")
-    kept(size, str(file), files=[file])
+    cached(size, str(file), files=[file])
     (path,) = (place / "kept" / "values").iterdir()
     folder.write("values", path.name, b"whole, but no value")
-    assert kept(size, str(file), files=[file]) == 4
+    assert cached(size, str(file), files=[file]) == 4
     assert len(CALLS) == 2
     path.write_bytes(path.read_bytes()[:20])
-    assert kept(size, str(file), files=[file]) == 4
+    assert cached(size, str(file), files=[file]) == 4
     assert len(CALLS) == 3
 
 
@@ -79,18 +81,18 @@ def test_warnings_come_every_time(place):
     file.write_text("four")
     for _ in range(2):
         with pytest.warns(PftwinWarning, match="odd file"):
-            assert kept(worried, str(file), files=[file]) == 4
+            assert cached(worried, str(file), files=[file]) == 4
     assert len(CALLS) == 2
 
 
-def test_code_from_elsewhere_is_not_kept(tmp_path):
+def test_code_from_elsewhere_is_not_cached(tmp_path):
     before = folder.chosen()
     folder.use(tmp_path / "kept")
     try:
         file = tmp_path / "a.txt"
         file.write_text("four")
         CALLS.clear()
-        assert [kept(size, str(file), files=[file]) for _ in range(2)] == [4, 4]
+        assert [cached(size, str(file), files=[file]) for _ in range(2)] == [4, 4]
     finally:
         folder.use(before)
     assert len(CALLS) == 2
@@ -99,4 +101,4 @@ def test_code_from_elsewhere_is_not_kept(tmp_path):
 
 def test_a_missing_file_is_the_functions_own_error(place):
     with pytest.raises(FileNotFoundError):
-        kept(size, str(place / "none"), files=[place / "none"])
+        cached(size, str(place / "none"), files=[place / "none"])

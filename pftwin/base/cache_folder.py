@@ -1,8 +1,7 @@
-"""The folder in which things are kept: files that are there whole and unharmed, or not at all.
+"""The folder in which programs and derived values persist; off until `use` names one.
 
 Compiled programs are machine code, which is run: a folder that someone else owns or can write to is not used. Where
-there is none it is made, for its owner alone. Beyond that nobody checks where a file comes from; who can write as this
-user can do so anyway. Systems without owners of POSIX's kind (Windows) rely on the rights of the user's profile.
+there is none it is made, for its owner alone. Systems without POSIX owners (Windows) rely on the user's profile.
 """
 
 from __future__ import annotations
@@ -10,25 +9,25 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import platform
 import stat
 import warnings
+from functools import cache
 from pathlib import Path
 
 from pftwin.errors import OutputError, PftwinWarning
 from pftwin.output import written_whole
 
 MOST = 500_000_000  # [bytes] in one kind's folder; beyond, what was used least recently goes until half is left
-KINDS = ("answers", "programs", "values")
-_MARK = b"pftwin kept 2\n"
-
+_KINDS = ("programs", "values")
 _chosen: list[Path] = []  # the folder, or nothing
 
 
 def use(folder: str | os.PathLike[str] | None) -> bool:
-    """Keep things in this folder from now on; None: keep nothing.
+    """Caches in this folder from now on; None: not at all.
 
     Returns:
-        Whether it is used: a folder of others, or that others can write to, is worth a warning, and nothing is kept.
+        Whether it is used: where another user owns it or can write to it, a warning says so and nothing is cached.
     """
     _chosen[:] = []
     if folder is None:
@@ -48,10 +47,10 @@ def use(folder: str | os.PathLike[str] | None) -> bool:
 
 
 def _unsafe(path: Path) -> str | None:
-    """What is wrong with a folder that is there, and with the kinds' in it."""
+    """What is wrong with a folder that exists, and with those in it."""
     if not hasattr(os, "getuid"):
         return None
-    for place in (path, *(path / kind for kind in KINDS)):
+    for place in (path, *(path / kind for kind in _KINDS), compiled_folder(path)):
         try:
             found = place.stat()
         except OSError:  # it will be made
@@ -64,23 +63,31 @@ def _unsafe(path: Path) -> str | None:
 
 
 def chosen() -> Path | None:
-    """The folder, None where nothing is kept."""
+    """The folder; None where nothing is cached."""
     return _chosen[0] if _chosen else None
 
 
+@cache
+def compiled_folder(base: Path) -> Path:
+    """Where JAX's cache goes: its keys do not tell processors apart, and a home folder may serve several."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+        able = [x for x in lines if x.split(":")[0].strip() in ("flags", "Features", "model name")]
+    except OSError:
+        able = [platform.node(), platform.processor()]
+    processor = " ".join((platform.system(), platform.machine(), *able))
+    return base / f"compiled-{hashlib.sha256(processor.encode()).hexdigest()[:12]}"
+
+
 def read(kind: str, key: str) -> bytes | None:
-    """What was kept under a key; None where there is nothing, or something damaged."""
+    """The bytes of a file; None where there is none."""
     base = chosen()
     if base is None:
         return None
     path = base / kind / key
     try:
-        content = path.read_bytes()
+        body = path.read_bytes()
     except OSError:
-        return None
-    start = len(_MARK) + 32
-    body = content[start:]
-    if content[:start] != _MARK + hashlib.sha256(body).digest():
         return None
     with contextlib.suppress(OSError):
         os.utime(path)  # used now
@@ -88,7 +95,7 @@ def read(kind: str, key: str) -> bytes | None:
 
 
 def write(kind: str, key: str, body: bytes) -> None:
-    """Keeps it. A folder that cannot be written to is worth a warning, no more."""
+    """Writes a file, whole or not at all. A folder that cannot be written to is worth a warning, no more."""
     base = chosen()
     if base is None:
         return
@@ -98,7 +105,7 @@ def write(kind: str, key: str, body: bytes) -> None:
         base.mkdir(mode=0o700, exist_ok=True)
         place.mkdir(mode=0o700, exist_ok=True)
         with written_whole(place / key) as path:
-            path.write_bytes(_MARK + hashlib.sha256(body).digest() + body)
+            path.write_bytes(body)
         _make_room(place)
     except (OSError, OutputError) as error:
         warnings.warn(f"{place}: nothing can be kept here for the next process: {error}", PftwinWarning, stacklevel=2)
@@ -107,10 +114,8 @@ def write(kind: str, key: str, body: bytes) -> None:
 def _make_room(place: Path) -> None:
     found = []
     for entry in os.scandir(place):
-        try:
+        with contextlib.suppress(OSError):  # another process was quicker
             found.append((entry.stat().st_mtime, entry.stat().st_size, entry.path))
-        except OSError:  # another process was quicker
-            continue
     total = sum(size for _, size, _ in found)
     if total <= MOST:
         return

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 
+from pftwin.base import cache_folder as folder
 from pftwin.errors import PftwinWarning
-from pftwin.kept import folder
 
 
 @pytest.fixture
@@ -23,14 +24,6 @@ def test_what_was_kept_is_read(place):
     assert folder.read("things", "a") == b"content"
     assert folder.read("things", "b") is None
     assert [p.name for p in (place / "things").iterdir()] == ["a"]  # no temporary file is left
-
-
-@pytest.mark.parametrize("damage", [lambda b: b[:-1], lambda b: b[:3], lambda b: b"", lambda b: b[:-1] + b"x"])
-def test_a_damaged_file_is_no_file(place, damage):
-    folder.write("things", "a", b"content")
-    path = place / "things" / "a"
-    path.write_bytes(damage(path.read_bytes()))
-    assert folder.read("things", "a") is None
 
 
 def test_without_a_folder_nothing_is_kept(place):
@@ -51,6 +44,17 @@ def test_what_was_not_used_for_longest_makes_room(place, monkeypatch):
         folder.write("things", name, bytes(1000))
         os.utime(place / "things" / name, (i, i))
     folder.read("things", "a")  # used now
-    monkeypatch.setattr(folder, "MOST", 4500)
+    monkeypatch.setattr(folder, "MOST", 4100)
     folder.write("things", "e", bytes(1000))
     assert sorted(os.listdir(place / "things")) == ["a", "e"]
+
+
+def test_processors_do_not_share_compiled_programs(tmp_path, monkeypatch):
+    """A program for one processor may hold instructions that another one lacks."""
+    found = []
+    for flags in ("sse avx", "sse avx avx512f"):
+        folder.compiled_folder.cache_clear()
+        monkeypatch.setattr(Path, "read_text", lambda *_, flags=flags: f"processor: 0\nflags : {flags}\n\n")
+        found.append(folder.compiled_folder(tmp_path))
+    folder.compiled_folder.cache_clear()
+    assert found[0] != found[1]

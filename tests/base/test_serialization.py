@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import enum
+import io
 import json
 import pickle
-import zlib
+import zipfile
 from pathlib import Path
 
 import jax
@@ -16,23 +18,22 @@ from small_scene import small_scene
 
 import fitting
 import pftwin
+from pftwin.base import cache_folder as folder
+from pftwin.base.serialization import NotPlainError, fingerprint, packed, unpacked
 from pftwin.errors import PftwinWarning
-from pftwin.kept import folder
-from pftwin.kept.identity import CannotKeepError
-from pftwin.kept.plain import packed, unpacked
-from pftwin.spatial import Vec3
 
 
-def content(text: object, numbers: bytes = b"") -> bytes:
+def content(text: object, *arrays: np.ndarray) -> bytes:
     """Bytes as `packed` makes them, of any text."""
-    written = json.dumps(text).encode()
-    return zlib.compress(len(written).to_bytes(8, "little") + written + numbers)
+    file = io.BytesIO()
+    np.savez(file, np.frombuffer(json.dumps(text).encode(), np.uint8), *arrays)
+    return file.getvalue()
 
 
 @pytest.mark.parametrize(
     "value",
     [
-        None, True, -3, 0.1, float("inf"), "text", [1, (2.0, None)], {"a": [1], 2: "b"}, (), Path("folder/file"), Vec3,
+        None, True, -3, 0.1, float("inf"), "text", [1, (2.0, None)], {"a": [1], 2: "b"}, (), Path("folder/file"),
         np.float32(0.1), np.int64(4),
     ],
 )  # fmt: skip
@@ -48,7 +49,6 @@ def test_arrays_come_back(array):
     np.testing.assert_array_equal(again[0], array)
     assert again[0].dtype == array.dtype
     assert again[0].shape == array.shape
-    assert again[0] is again[1]  # written once
     assert again[0].flags.writeable
 
 
@@ -70,7 +70,7 @@ def test_a_scene_comes_back():
 
 @pytest.mark.parametrize("value", [len, object(), np.array([object()]), {1, 2}, jax.random.key(0), lambda: None])
 def test_what_is_not_plain_is_not_kept(value):
-    with pytest.raises(CannotKeepError):
+    with pytest.raises(NotPlainError):
         packed([value])
 
 
@@ -88,8 +88,10 @@ def test_a_pickle_in_a_kept_file_is_not_run(tmp_path):
     sprung = pickle.dumps(Sprung(tmp_path / "run"))
     pickle.loads(sprung)
     (tmp_path / "run").unlink()  # so it does run where it is unpickled
-    for body in (sprung, zlib.compress(sprung)):
-        with pytest.raises((ValueError, zlib.error)):
+    array = io.BytesIO()
+    np.savez(array, np.array([Sprung(tmp_path / "run")], dtype=object))
+    for body in (sprung, array.getvalue()):
+        with pytest.raises(ValueError, match="allow_pickle="):
             unpacked(body)
     assert not (tmp_path / "run").exists()
 
@@ -98,32 +100,47 @@ def test_a_pickle_in_a_kept_file_is_not_run(tmp_path):
     "node",
     [
         ["fields", "subprocess:Popen", ["args", "true"]],
-        ["fields", "pftwin.kept.folder:os.system"],
-        ["fields", "pftwin.kept.folder:Path"],
+        ["fields", "pftwin.base.cache_folder:os.system"],
+        ["fields", "pftwin.base.cache_folder:Path"],
         ["fields", "pftwin.errors:InputError"],
         ["fields", "pftwin.spatial:Vec3", ["__class__", 1]],
-        ["type", "builtins:eval"],
         ["named", "pftwin.spatial:Vec3", 1],
         ["enum", "pftwin.spatial:Vec3", "x"],
-        ["array", "|O", [1], 0],
-        ["array", "<f8", [10**12], 0],
-        ["array", "<f8", [-1], 0],
-        ["again", 3],
+        ["array", 7],
         ["call", "os.system"],
-        {"a": 1},
         [],
     ],
 )
 def test_no_other_type_is_made(node):
     with pytest.raises((ValueError, TypeError, KeyError, IndexError, AttributeError, ImportError)):
-        unpacked(content(node, bytes(8)))
+        unpacked(content(node, np.zeros(1)))
 
 
-def test_a_bomb_is_not_unpacked_whole(monkeypatch):
-    body = zlib.compress(bytes(10_000_000))
-    monkeypatch.setattr("pftwin.kept.plain.MOST_BYTES", 1_000_000)
-    with pytest.raises(ValueError, match="too large"):
-        unpacked(body)
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b.replace(b"0123", b"0124")])
+def test_damaged_bytes_are_noticed(damage):
+    body = packed(["text 0123", np.arange(100.0)])
+    with pytest.raises((ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile)):
+        unpacked(damage(body))
+
+
+class Colour(enum.Enum):
+    RED = 1
+
+
+def test_values_that_differ_have_fingerprints_that_differ():
+    values = [
+        None, True, 1, 1.0, "1", (), [], (1,), [1], ((1,),), (1, 2), ("1, 2",), {1: 2}, {"1": 2}, 0.0, -0.0,
+        float("nan"), np.ones(2), np.ones(3), np.ones(2, np.float32), np.zeros(2), np.ones((2, 1)), np.float64(1),
+        np.float32(1), jnp.ones(2), ["array", 1], ("ab", "c"), ("a", "bc"),
+        jax.ShapeDtypeStruct((2,), float), jax.ShapeDtypeStruct((2,), float, weak_type=True),
+    ]  # fmt: skip
+    assert len({fingerprint(v) for v in values}) == len(values)
+
+
+@pytest.mark.parametrize("value", [lambda: 0, object(), Colour.RED, np.array([None]), (1, object())])
+def test_what_cannot_be_told_apart_is_refused(value):
+    with pytest.raises(NotPlainError):
+        fingerprint(value)
 
 
 def test_nothing_in_the_packages_unpickles_or_evaluates():

@@ -1,0 +1,219 @@
+"""Programs and values derived from files, cached for later processes (`pftwin.configure(cache_dir=...)`).
+
+A program is stored as `jax.export` writes it, so that another process need not trace it; its machine code lies in JAX's
+own compilation cache. What is stored is found by pftwin's source files, the versions of the libraries, and the
+arguments. The source files do not show what someone assigns to names in pftwin's modules while it runs: who does that
+does it before `configure`, without a folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import time
+import warnings
+from collections.abc import Callable, Hashable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.export
+import numpy as np
+from jax.core import Tracer
+
+import pftwin
+from pftwin.base import cache_folder
+from pftwin.base.serialization import NotPlainError, fingerprint, packed, unpacked
+from pftwin.file_limits import MESH_BYTES
+
+T = TypeVar("T")
+_LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy", "trimesh")
+_SETTINGS = (
+    "jax_enable_x64",
+    "jax_default_device",
+    "jax_default_matmul_precision",
+    "jax_numpy_dtype_promotion",
+    "jax_numpy_rank_promotion",
+)
+_DEBUGGING = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_enable_checks", "jax_check_tracer_leaks")
+
+
+class Timed(NamedTuple):
+    """An answer and what it took."""
+
+    answer: Any
+    run: float  # [s]
+    preparation: float  # compiling, or loading what was cached; 0 where neither was needed [s]
+
+
+class _Kind(NamedTuple):
+    """What decides the program for some arguments."""
+
+    structure: Any
+    fixed: tuple[Any, ...]  # of every leaf None, or for one that is no array its type and itself
+    arrays: tuple[Hashable, ...]  # shape, type, and whether that is weak
+    settings: tuple[Any, ...]
+
+
+class Program:
+    """A function of pytrees, compiled once for each kind of argument; compilation is timed apart from running.
+
+    Arrays are its variables; all other leaves and the structure decide the program.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function, self._jitted = function, eqx.filter_jit(function)
+        self._ready: dict[_Kind, tuple[Callable[..., Any], Any]] = {}  # the program and its answer's structure
+        functools.update_wrapper(self, function)
+
+    def __call__(self, *args: Any) -> Any:
+        """The answer."""
+        return self.timed(*args).answer
+
+    def timed(self, *args: Any) -> Timed:
+        """The answer, which is there when this returns, and what it took."""
+        kind, arrays = _kind_of(args)
+        began = prepared = time.perf_counter()
+        if any(getattr(jax.config, name) for name in _DEBUGGING) or any(isinstance(a, Tracer) for a in arrays):
+            return Timed(jax.block_until_ready(self._jitted(*args)), time.perf_counter() - began, 0.0)
+        if kind not in self._ready:
+            self.prepare(*args)
+            prepared = time.perf_counter()
+        call, structure = self._ready[kind]
+        out = jax.block_until_ready(call(*arrays))
+        return Timed(jax.tree.unflatten(structure, out), time.perf_counter() - prepared, prepared - began)
+
+    def at_hand(self, *args: Any) -> bool:
+        """Whether this process has compiled it for arguments of this kind."""
+        return _kind_of(args)[0] in self._ready
+
+    def prepare(self, *args: Any) -> None:
+        """Compiles for arguments of this kind, or loads what was cached. Arrays may be `jax.ShapeDtypeStruct`s."""
+        self.begin(*args)()
+
+    def begin(self, *args: Any) -> Callable[[], None]:
+        """The first part of `prepare`, tracing, which two threads cannot do at once; what it returns does the rest."""
+        kind, arrays = _kind_of(args)
+        if kind in self._ready:
+            return lambda: None
+        lowered, structure = self._lowered(kind, arrays, self._key(kind, args))
+
+        def finish() -> None:
+            self._ready[kind] = lowered.compile(), structure
+
+        return finish
+
+    def _lowered(self, kind: _Kind, arrays: list[Any], key: str | None) -> tuple[Any, Any]:
+        """The program before it is compiled, read if it was stored, and its answer's structure."""
+        structures = []
+
+        def flat(*arrays: Any) -> list[Any]:
+            rest = iter(arrays)
+            args = jax.tree.unflatten(kind.structure, [next(rest) if f is None else f[1] for f in kind.fixed])
+            out, structure = jax.tree.flatten(self._function(*args))
+            structures.append(structure)
+            return out
+
+        flat.__name__ = self._function.__name__
+        if key is not None:
+            with contextlib.suppress(Exception):  # damaged or missing: it is made anew
+                stored, example = unpacked(cache_folder.read("programs", key) or b"")
+                program = jax.jit(jax.export.deserialize(bytearray(stored)).call)
+                return program.lower(*arrays), jax.tree.structure(example)
+            with contextlib.suppress(ValueError, NotImplementedError, NotPlainError):  # what export does not support
+                exported = jax.export.export(jax.jit(flat))(*arrays)
+                example = jax.tree.unflatten(structures[0], range(structures[0].num_leaves))
+                stored = packed((np.frombuffer(exported.serialize(), np.uint8), example))
+                cache_folder.write("programs", key, stored)
+                return jax.jit(exported.call).lower(*arrays), structures[0]
+        return jax.jit(flat).lower(*arrays), structures[-1]
+
+    def _key(self, kind: _Kind, args: tuple[Any, ...]) -> str | None:
+        """What the program is stored as; None where it is not."""
+        shapes = jax.tree.map(lambda a: _shape(a) if _is_array(a) else a, args)
+        return _key(self._function, (shapes, repr(kind.settings), jax.default_backend()))
+
+
+def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
+    """function(*args), or what it once gave for the same arguments, the same content of the files and the same code.
+
+    The value must be plain (`serialization.packed`; others are not stored) and depend on nothing else. What came with
+    a warning is not stored, so that the warning comes again.
+    """
+    key = _key(function, args, files)
+    if key is None:
+        return function(*args)
+    body = cache_folder.read("values", key)
+    if body is not None:
+        with contextlib.suppress(Exception):  # whatever is wrong with it, it can be made anew
+            return unpacked(body)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        value = function(*args)
+    for w in warned:
+        warnings.warn_explicit(w.message, w.category, w.filename, w.lineno)
+    if not warned and _key(function, args, files) == key:  # the files are still those that were read
+        with contextlib.suppress(NotPlainError):
+            cache_folder.write("values", key, packed(value))
+    return value
+
+
+def settings() -> tuple[Any, ...]:
+    """The settings of JAX that a block of code may have to itself (`with jax.enable_x64(True): ...`)."""
+    return tuple(getattr(jax.config, name) for name in _SETTINGS)
+
+
+@functools.cache
+def versions() -> str:
+    """Of the libraries that numbers come from."""
+    return ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
+
+
+def _key(function: Callable[..., Any], args: Any, files: Sequence[Path] = ()) -> str | None:
+    """None where there is no folder, or where it cannot be told what the answer depends on."""
+    if cache_folder.chosen() is None or not function.__module__.startswith("pftwin."):
+        return None
+    if "<locals>" in function.__qualname__ or any(file.stat().st_size > MESH_BYTES for file in files if file.is_file()):
+        return None
+    try:
+        contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        name = f"{function.__module__}.{function.__qualname__}"
+        return fingerprint([_source(), versions(), name, contents, args])
+    except (NotPlainError, OSError):
+        return None
+
+
+def _source() -> str:
+    """A hash of pftwin's source files; refused where one changed after this process had begun to import them."""
+    files = sorted(Path(pftwin.__path__[0]).rglob("*.py"))
+    if max(file.stat().st_mtime for file in files) > pftwin.imported_at:
+        raise NotPlainError("the source changed after this process began")
+    return _hash_of(tuple(files))
+
+
+@functools.cache
+def _hash_of(files: tuple[Path, ...]) -> str:
+    total = hashlib.sha256()
+    for file in files:
+        content = file.read_bytes()
+        total.update(f"{file.relative_to(pftwin.__path__[0])} {len(content)} ".encode() + content)
+    return total.hexdigest()
+
+
+def _is_array(leaf: Any) -> bool:
+    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+
+
+def _shape(array: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(array.shape, array.dtype, weak_type=getattr(array, "weak_type", False))
+
+
+def _kind_of(args: tuple[Any, ...]) -> tuple[_Kind, list[Any]]:
+    """The arguments' kind, and those that are arrays."""
+    leaves, structure = jax.tree.flatten(args)
+    arrays = [a for a in leaves if _is_array(a)]
+    fixed = tuple(None if _is_array(a) else (type(a), a) for a in leaves)
+    return _Kind(structure, fixed, tuple(map(_shape, arrays)), settings()), arrays

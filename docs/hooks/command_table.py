@@ -19,7 +19,10 @@ def filled(markdown: str) -> str:
     if MARK not in markdown:
         raise ValueError(f"{PAGE} has no place for its table of commands: {MARK}")
     lines = ["| | command | what for |", "|---|---|---|"]
-    for panel, commands in COMMANDS.items():
-        for i, (name, _, words) in enumerate(commands):
-            lines.append(f"| {'' if i else panel} | `pftwin {name}` | {words} |")
+    before = ""
+    for command in COMMANDS:
+        lines.append(
+            f"| {'' if command.panel == before else command.panel} | `pftwin {command.name}` | {command.line} |"
+        )
+        before = command.panel
     return markdown.replace(MARK, "\n".join(lines))

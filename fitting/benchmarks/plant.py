@@ -1,6 +1,6 @@
 """Fits of case 2 as it was measured, by a plant that differs from the twin, and case 1 predicted from them.
 
-The study itself is `fitting.paper_study`; here its figures stand beside the paper's.
+The study itself is `fitting.demo.paper_study`; here its figures stand beside the paper's.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ MEAN_DISTANCE = 2.6  # of the treated case's predicted path from the measured on
 
 def rows(quick: bool) -> list[Row]:
     """Errors of the springs with both objectives, and what is predicted of the treated case."""
-    from fitting.paper_study import FITS, PAPER, PATHOLOGY, TREATMENT, paper_study
+    from fitting.demo.paper_study import FITS, PAPER, PATHOLOGY, TREATMENT, paper_study
 
     study = paper_study(starts=4) if quick else paper_study()
     out = []

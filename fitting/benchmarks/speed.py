@@ -53,7 +53,7 @@ def _genetic(scene: Any, measured: Any, budget: dict[str, Any]) -> Callable[[], 
 
 def _row(what: str, target: float, fit: Callable[[], Estimate], runs: int) -> Row:
     from fitting.benchmarks.memory import peak
-    from fitting.paper_study import PAPER
+    from fitting.demo.paper_study import PAPER
 
     cpu: list[float] = []
     found: list[Estimate] = []

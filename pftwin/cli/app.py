@@ -4,82 +4,16 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from pftwin.cli import (
-    accuracy,
-    audit,
-    cohort,
-    contact_map,
-    demo,
-    doctor,
-    doctor_mesh,
-    equilibrium,
-    explain,
-    export,
-    fit,
-    fit_surface,
-    hard_cases,
-    import_model,
-    init,
-    optimise,
-    plan_experiment,
-    simulate,
-    treat,
-    validate,
-    view,
-)
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
-from pftwin.cli.live import command as live
-from pftwin.cli.report import command as report
+from pftwin.cli.plugins import installed_commands
 from pftwin.cli.scenes import allow_outside
 from pftwin.cli.terminal import err
 from pftwin.errors import PftwinError, PftwinWarning
-
-# The help's table of contents: by panel, each command with a line that fits a terminal of 80 columns.
-COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
-    "Start": (
-        ("demo", demo.demo, "The whole story on the virtual rig, beside the paper"),
-        ("init", init.init, "Write a commented scene with a laboratory's files"),
-        ("doctor", doctor.doctor, "Is this installation sound? Versions and a self-test"),
-    ),
-    "Simulate": (
-        ("simulate", simulate.simulate, "The patella through the recorded motion"),
-        ("equilibrium", equilibrium.equilibrium, "Where the patella rests at the first frame"),
-        ("validate", validate.validate, "Simulate, and compare with measurements"),
-        ("contact-map", contact_map.contact_map, "Pressures where recorded poses press two meshes"),
-    ),
-    "Fit": (
-        ("fit", fit.fit, "Tendons from motion capture, with intervals"),
-        ("plan-experiment", plan_experiment.plan_experiment, "What an experiment can tell, before it is made"),
-        ("fit-surface", fit_surface.fit_surface, "Trochlear patches from a mesh of the implant"),
-    ),
-    "Treat": (
-        ("treat", treat.treat, "Predict outcomes of treatments, with bands"),
-        ("optimise", optimise.optimise, "The smallest treatment that meets stated limits"),
-        ("cohort", cohort.cohort, "Many patients: fits, treatments, one summary"),
-        ("app", live.app, "Treatments by sliders, live in the browser"),
-    ),
-    "Look": (
-        ("view", view.view, "Results in three dimensions: a page, offline"),
-        ("report", report.report, "One offline page that a clinician can read"),
-        ("explain", explain.explain, "What each effect of a scene adds"),
-        ("audit", audit.audit, "What each effect is worth, left out in turn"),
-    ),
-    "Check": (
-        ("doctor-mesh", doctor_mesh.doctor_mesh, "What is wrong with a mesh; repair what is safe"),
-        ("accuracy", accuracy.accuracy, "What accuracy costs in time"),
-        ("hard-cases", hard_cases.hard_cases, "Scenes that break simulators, judged"),
-    ),
-    "Exchange": (
-        ("export", export.export, "A result as .mot, .sto, .glb or .csv"),
-        ("import", import_model.import_model, "An OpenSim model as a scene folder"),
-    ),
-}
 
 
 class _Commands(TyperGroup):
@@ -138,9 +72,9 @@ def _options(
     allow_outside.set(outside)
 
 
-for _panel, _commands in COMMANDS.items():
-    for _name, _command, _line in _commands:
-        app.command(_name, short_help=_line, rich_help_panel=_panel)(_command)
+COMMANDS = installed_commands()
+for _command in COMMANDS:
+    app.command(_command.name, short_help=_command.line, rich_help_panel=_command.panel)(_command.run)
 
 
 def main() -> None:

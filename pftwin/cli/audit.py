@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pftwin.cli.demo import check_folder
 from pftwin.cli.exit_codes import Interrupted, keeping
 from pftwin.cli.explain import MarkdownOption, show
 from pftwin.cli.scenes import (
@@ -20,7 +19,7 @@ from pftwin.cli.scenes import (
     chosen_scene,
     integrator_of,
 )
-from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
+from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, out, working, write_json
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:

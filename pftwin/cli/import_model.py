@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pftwin.cli.demo import check_folder
 from pftwin.cli.exit_codes import flagged
-from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
+from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, out, start_computing, working, write_json
 from pftwin.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pftwin.cli.demo import check_folder
-from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
+from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, out, start_computing, working, write_json
 
 
 def init(

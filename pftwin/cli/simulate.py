@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from pftwin.cli.amounts import Given, treated, with_amounts
 from pftwin.cli.exit_codes import check_trust, keeping
+from pftwin.cli.plugins import with_scene_changes
 from pftwin.cli.scenes import (
     CaseOption,
     ContactOption,
@@ -24,7 +25,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 from pftwin.errors import OutputError
 
 
-@with_amounts("VALUE")
+@with_scene_changes
 def simulate(
     scene: SceneArgument = None,
     *,
@@ -34,7 +35,7 @@ def simulate(
     integrator: IntegratorOption = None,
     dt: StepOption = None,
     tolerance: ToleranceOption = None,
-    amounts: Given,
+    change: Callable[[Any], Any] | None = None,
     csv: Annotated[bool, typer.Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
     sto: Annotated[bool, typer.Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
     json: JsonOption = None,
@@ -48,7 +49,7 @@ def simulate(
     table, storage = (output.with_suffix(".csv") if csv else None), (output.with_suffix(".sto") if sto else None)
     check_outputs(output, table, storage, json)
     chosen = chosen_scene(scene, case, contact)
-    chosen = replace(chosen, scene=treated(chosen.scene, amounts))
+    chosen = chosen if change is None else replace(chosen, scene=change(chosen.scene))
     result, first = simulated(chosen, integrator, dt, tolerance)
     with keeping(output, table, storage), working("writing"):
         result.save(output)

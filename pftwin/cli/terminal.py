@@ -99,6 +99,21 @@ def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
         seen.add(place)
 
 
+def check_folder(folder: Path) -> None:
+    """Refuses a folder that is not there and cannot be made, or cannot be written to; makes nothing.
+
+    Raises:
+        OutputError: saying why.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: is a file; try: another name for the folder")
+    there = folder.absolute()
+    while not there.exists():
+        there = there.parent
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise OutputError(f"{folder}: cannot be made: no permission to write in {there}")
+
+
 def write_json(value: Any, to: str | None) -> None:
     """Writes JSON to a file or stdout ("-"); None: not at all. Numbers that are not finite become null.
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from itertools import groupby
 from pathlib import Path
 
 import pytest
 
+from pftwin.cli import plugins
 from pftwin.cli.app import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,18 +31,35 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
 def test_every_command_has_a_panel_and_one_line_of_80_columns():
     text = run("--help").stdout
     lines = text.splitlines()
-    for panel, commands in COMMANDS.items():
+    for panel, commands in groupby(COMMANDS, lambda c: c.panel):
         head = next(i for i, line in enumerate(lines) if line.startswith(f"╭─ {panel} "))
-        for k, (name, _, words) in enumerate(commands, start=1):
-            assert lines[head + k].strip("│ ").split(maxsplit=1) == [name, words], lines[head + k]
+        for k, command in enumerate(commands, start=1):
+            assert lines[head + k].strip("│ ").split(maxsplit=1) == [command.name, command.line], lines[head + k]
 
 
 def test_no_command_is_left_out_of_the_table():
-    folder = ROOT / "pftwin" / "cli"
-    named = {command.__module__ for commands in COMMANDS.values() for _, command, _ in commands}
-    commands = [p for p in folder.rglob("*.py") if p.read_text(encoding="utf-8").startswith('"""`pftwin ')]
-    written = {".".join(["pftwin", "cli", *p.relative_to(folder).with_suffix("").parts]) for p in commands}
-    assert written == named
+    named = {inspect.unwrap(command.run).__module__ for command in COMMANDS}
+    files = [p for package in ("pftwin", "fitting") for p in (ROOT / package / "cli").rglob("*.py")]
+    commands = [p for p in files if p.read_text(encoding="utf-8").startswith('"""`pftwin ')]
+    assert {".".join(p.relative_to(ROOT).with_suffix("").parts) for p in commands} == named
+
+
+def test_a_package_whose_commands_cannot_be_loaded_is_named_and_the_others_stay(monkeypatch, capsys):
+    broken = EntryPoint("theirs", "no_such_package.cli:COMMANDS", plugins.COMMANDS)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [broken, *entry_points(group=group)])
+    assert {c.name for c in plugins.installed_commands()} == {c.name for c in COMMANDS}
+    assert "'theirs' (no_such_package.cli:COMMANDS) of pftwin.commands cannot be loaded" in capsys.readouterr().err
+
+
+def test_simulate_does_without_the_options_of_others(monkeypatch):
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [])
+
+    def command(scene: str, *, change: Callable[[str], str] | None = None) -> str:
+        return scene if change is None else change(scene)
+
+    plain = plugins.with_scene_changes(command)
+    assert list(inspect.signature(plain).parameters) == ["scene"]
+    assert plain("knee") == "knee"
 
 
 def test_version():

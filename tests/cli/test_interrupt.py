@@ -89,7 +89,7 @@ def test_fit_keeps_the_best_so_far_and_its_checkpoint(toy, tmp_path):
 
 def test_treat_keeps_the_variants_that_are_done(toy, tmp_path):
     before = (
-        "import pftwin.cli.treat as t, fitting.predicting as p\nt._BLOCK = 2\nreal, calls = p.predict, []\n"
+        "import fitting.cli.treat as t, fitting.predicting as p\nt._BLOCK = 2\nreal, calls = p.predict, []\n"
         f"def predict(*a, **k):\n    calls.append(1)\n    if len(calls) == 3: {PAUSE}\n    return real(*a, **k)\n"
         "p.predict = predict"
     )
@@ -237,7 +237,7 @@ def test_blocks_change_no_outcome(toy, tmp_path, monkeypatch):
     from pftwin.result_files import load_dataset
 
     for name, block in (("whole.nc", 4096), ("blocks.nc", 2)):
-        monkeypatch.setattr("pftwin.cli.treat._BLOCK", block)
+        monkeypatch.setattr("fitting.cli.treat._BLOCK", block)
         options = [
             "-o",
             str(tmp_path / name),

@@ -14,9 +14,8 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / command_table.PAGE
 
 def test_every_command_stands_in_it():
     page = command_table.filled(PAGE.read_text(encoding="utf-8"))
-    for commands in COMMANDS.values():
-        for name, _, words in commands:
-            assert f"| `pftwin {name}` | {words} |" in page
+    for command in COMMANDS:
+        assert f"| `pftwin {command.name}` | {command.line} |" in page
 
 
 def test_a_page_without_a_place_for_it_is_refused():

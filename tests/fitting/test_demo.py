@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fitting.paper_study import LINES, NOMINAL
+from fitting.demo.paper_study import LINES, NOMINAL
 from pftwin.cli import app
 
 PUBLISHED = [156.0, 0.1432, 629.0, 0.0714]

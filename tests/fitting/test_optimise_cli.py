@@ -10,8 +10,8 @@ from made_estimates import made_estimate
 from toy_scene_files import write_toy
 from typer.testing import CliRunner, Result
 
+from fitting.cli.amounts import limits
 from pftwin.cli import app
-from pftwin.cli.amounts import limits
 from pftwin.cli.exit_codes import ExitCode
 from pftwin.errors import InputError
 

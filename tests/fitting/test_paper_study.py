@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from made_estimates import made_estimate
 
-from fitting.estimate import Estimate
-from fitting.paper_study import (
+from fitting.demo.paper_study import (
     CASES,
     FITS,
     LINES,
@@ -23,8 +22,9 @@ from fitting.paper_study import (
     simulated,
     values_of,
 )
-from fitting.paper_study_files import save
-from fitting.paper_study_tables import facts, notes, outcome_rows, spring_rows, table_2
+from fitting.demo.paper_study_files import save
+from fitting.demo.paper_study_tables import facts, notes, outcome_rows, spring_rows, table_2
+from fitting.estimate import Estimate
 from fitting.straight_springs import nearest_line, recorded_line, recorded_pulls
 from pftwin import rig
 from pftwin.tracking import follow

@@ -9,8 +9,8 @@ import pytest
 from made_estimates import made_estimate
 from typer.testing import CliRunner
 
+from fitting.cli.amounts import values
 from pftwin.cli import app
-from pftwin.cli.amounts import values
 from pftwin.errors import InputError
 from pftwin.labels import SYNTHETIC
 from pftwin.result_files import load_dataset

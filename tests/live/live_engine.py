@@ -5,7 +5,7 @@ from __future__ import annotations
 import equinox as eqx
 from small_scene import polynomial, small_scene
 
-from pftwin.cli.live.engine import Engine
+from fitting.cli.live.engine import Engine
 from pftwin.errors import InputError
 from pftwin.scene import Scene
 

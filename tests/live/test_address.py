@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from pftwin.cli.live.address import check_address, loopback
+from fitting.cli.live.address import check_address, loopback
 from pftwin.errors import InputError
 
 

@@ -11,9 +11,9 @@ from live_engine import live_engine, load
 from small_scene import small_scene
 
 import pftwin
-from pftwin.cli.live.engine import Engine
-from pftwin.cli.live.knobs import KNOBS, neutral, turned
-from pftwin.cli.live.shown import Shown
+from fitting.cli.live.engine import Engine
+from fitting.cli.live.knobs import KNOBS, neutral, turned
+from fitting.cli.live.shown import Shown
 from pftwin.errors import InputError
 from pftwin.viewer.matrices import of_poses
 

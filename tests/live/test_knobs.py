@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_scene import small_scene
 
+from fitting.cli.live.knobs import KNOBS, neutral, turned, usable
 from fitting.treatments import patellar_tendon_length_change, quadriceps_lengthening, tibial_tuberosity_transfer
-from pftwin.cli.live.knobs import KNOBS, neutral, turned, usable
 from pftwin.errors import InputError
 
 

@@ -15,15 +15,15 @@ from live_engine import live_engine
 from small_scene import small_scene
 
 import pftwin
-from pftwin.cli.live.clock import KEPT
-from pftwin.cli.live.knobs import KNOBS, neutral, turned
+from fitting.cli.live.clock import KEPT
+from fitting.cli.live.knobs import KNOBS, neutral, turned
 from pftwin.errors import MissingExtraError
 
 pytest.importorskip("viser")
 from page_client import PageClient
 from websockets.exceptions import InvalidStatus
 
-from pftwin.cli.live.server import LiveServer
+from fitting.cli.live.server import LiveServer
 
 MEDIALISE = "medialisation [mm]"
 

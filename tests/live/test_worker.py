@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from pftwin.cli.live.worker import Worker
+from fitting.cli.live.worker import Worker
 
 
 @pytest.fixture

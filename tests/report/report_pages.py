@@ -10,9 +10,9 @@ import numpy as np
 from made_estimates import made_estimate
 from small_scene import small_result, small_scene
 
+from fitting.cli.report.material import Material
+from fitting.cli.report.run import Run
 from fitting.estimate import Estimate
-from pftwin.cli.report.material import Material
-from pftwin.cli.report.run import Run
 from pftwin.cli.scenes import Chosen
 from pftwin.measured import Measured
 

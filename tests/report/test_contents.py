@@ -10,10 +10,10 @@ import pytest
 from report_pages import VALUES, Seen, estimate, fitted, prediction
 from small_scene import small_result
 
-from pftwin.cli.report import contents
-from pftwin.cli.report.contents import report
-from pftwin.cli.report.material import Material
-from pftwin.cli.report.run import Run
+from fitting.cli.report import contents
+from fitting.cli.report.contents import report
+from fitting.cli.report.material import Material
+from fitting.cli.report.run import Run
 from pftwin.labels import SYNTHETIC
 
 

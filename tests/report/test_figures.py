@@ -7,9 +7,9 @@ import pytest
 from report_pages import estimate, fitted, measured
 from small_scene import small_result
 
-from pftwin.cli.report import figures, fit
-from pftwin.cli.report.material import Material
-from pftwin.cli.report.run import Run
+from fitting.cli.report import figures, fit
+from fitting.cli.report.material import Material
+from fitting.cli.report.run import Run
 
 
 @pytest.fixture

@@ -1,0 +1,150 @@
+"""Amounts of treatments as options: the same names and units for every command that takes them."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from fitting.ranges import numbers, values
+from pftwin.errors import InputError
+
+if TYPE_CHECKING:
+    from pftwin.scene import Scene
+
+
+class Amount(NamedTuple):
+    """One option, and the amount that it stands for."""
+
+    flag: str
+    kind: str  # of treatment
+    name: str  # of the amount
+    words: str
+    unit: str = "mm"
+
+    @property
+    def parameter(self) -> str:
+        """As Python spells the option."""
+        return self.flag.removeprefix("--").replace("-", "_")
+
+
+AMOUNTS = (
+    Amount("--medialise", "tibial_tuberosity_transfer", "medialisation", "Tibial tuberosity medially"),
+    Amount("--anteriorise", "tibial_tuberosity_transfer", "anteriorisation", "Tibial tuberosity anteriorly"),
+    Amount("--distalise", "tibial_tuberosity_transfer", "distalisation", "Tibial tuberosity distally"),
+    Amount("--lengthen-tendon", "patellar_tendon_length_change", "lengthening", "Patellar tendon longer"),
+    Amount("--lengthen-quadriceps", "quadriceps_lengthening", "lengthening", "Quadriceps tendon longer"),
+    Amount("--deepen", "trochleoplasty", "deepening", "Trochleoplasty: groove deeper"),
+    Amount(
+        "--rotate-component",
+        "femoral_component_rotation",
+        "external_rotation",
+        "Femoral component turned externally",
+        "deg",
+    ),
+    Amount("--medialise-component", "femoral_component_translation", "medialisation", "Femoral component medially"),
+    Amount("--medialise-button", "button_position", "medialisation", "Button medially"),
+    Amount("--release", "lateral_release", "release", "Lateral strands released", "%"),
+    Amount("--tighten-mpfl", "mpfl_graft", "shortening", "MPFL graft shorter"),
+)
+
+Given = list[tuple[Amount, str]]  # what the user wrote, in the order of `AMOUNTS`
+
+
+def with_amounts(
+    metavar: str, more: str = "", *, argument: str = "amounts", made: Callable[[Given], Any] = lambda given: given
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Gives a command, one of whose arguments takes what the user wrote, an option for every amount.
+
+    Args:
+        metavar: form of the options' values.
+        more: about them, behind the unit.
+        argument: the command's name of it.
+        made: what the command gets, from what the user wrote.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        options = [
+            inspect.Parameter(
+                a.parameter,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=None,
+                annotation=Annotated[
+                    str | None, typer.Option(a.flag, metavar=metavar, help=f"{a.words} [{a.unit}]{more}.")
+                ],
+            )
+            for a in AMOUNTS
+        ]
+
+        @functools.wraps(command)
+        def run(**given: Any) -> None:
+            written = [(a, given.pop(a.parameter)) for a in AMOUNTS]
+            command(**given, **{argument: made([(a, text) for a, text in written if text is not None])})
+
+        signature = inspect.signature(command, eval_str=True)
+        own = list(signature.parameters.values())
+        place = next(i for i, p in enumerate(own) if p.name == argument)
+        run.__signature__ = signature.replace(  # pyright: ignore[reportAttributeAccessIssue]
+            parameters=[*own[:place], *options, *own[place + 1 :]]
+        )
+        return run
+
+    return decorate
+
+
+def with_treatment(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives `pftwin simulate`, whose argument `change` is a function from a scene to a scene, these options."""
+    return with_amounts("VALUE", argument="change", made=lambda given: lambda scene: treated(scene, given))(command)
+
+
+def limits(text: str, option: str) -> tuple[float, float]:
+    """The least and the most from "0:20".
+
+    Raises:
+        InputError: anything else.
+    """
+    parts = numbers(text.split(":"))
+    if len(parts) != 2 or not parts[0] < parts[1]:
+        raise InputError(f"found {text!r}", where=option, expected="FROM:TO, such as 0:20")
+    return parts[0], parts[1]
+
+
+def by_kind(given: Given) -> dict[str, list[tuple[Amount, str]]]:
+    """Treatments in the order of `AMOUNTS`, each with its amounts.
+
+    Raises:
+        InputError: none was given.
+    """
+    if not given:
+        raise InputError("no treatment given", expected="at least one amount", remedy="--medialise 0:20")
+    return {k: [(a, t) for a, t in given if a.kind == k] for k in dict.fromkeys(a.kind for a, _ in given)}
+
+
+def treated(scene: Scene, given: Given) -> Scene:
+    """The scene after a treatment with one value for each amount, which its name then tells.
+
+    Raises:
+        InputError: several values, or a part that the scene lacks.
+    """
+    if not given:
+        return scene
+    from fitting.treatments import KINDS, Treatment
+
+    words = []
+    for kind, amounts in by_kind(given).items():
+        shown = {a.name: _only(values(text, a.flag), a) for a, text in amounts}
+        scene = Treatment.of(kind, {n: KINDS[kind].amounts[n].from_shown(v) for n, v in shown.items()})(scene)
+        words += [f"{a.flag.removeprefix('--')} {shown[a.name]:g} {a.unit}" for a, _ in amounts]
+    return dataclasses.replace(scene, name=", ".join([scene.name, *words]))
+
+
+def _only(found: list[float], amount: Amount) -> float:
+    if len(found) > 1:
+        raise InputError(
+            f"{len(found)} values", where=amount.flag, expected="one", remedy="pftwin treat runs through many"
+        )
+    return found[0]

@@ -1,0 +1,100 @@
+"""`pftwin app`."""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pftwin.cli.scenes import CaseOption, SceneArgument, chosen_scene
+from pftwin.cli.terminal import err, out, working
+
+if TYPE_CHECKING:
+    from pftwin.scene import Scene
+
+
+def app(
+    scene: SceneArgument = None,
+    *,
+    case: CaseOption = None,
+    contact: Annotated[
+        str | None,
+        typer.Option("--contact", metavar="NAME", help="Contact to begin with; the page can choose others."),
+    ] = None,
+    host: Annotated[
+        str, typer.Option("--host", metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option("--port", min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")
+    ] = 8080,
+    origin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--origin", metavar="URL", help="Origin of pages that may use it besides its own; again for more."
+        ),
+    ] = None,
+    browser: Annotated[bool, typer.Option("--open", help="Show the page in the browser.")] = False,
+) -> None:
+    """Turn treatments by sliders in the browser: every move simulates the whole motion anew.
+
+    Example: `pftwin app --case 2 --open`
+    """
+    began = time.perf_counter()
+    from fitting.cli.live.address import check_address, loopback
+    from fitting.cli.live.origin import checked_origins
+
+    check_address(host, port)
+    origins = checked_origins(origin or ())
+    chosen = chosen_scene(scene, case, contact)
+    from fitting.cli.live.engine import Engine
+    from fitting.cli.live.server import LiveServer, viser
+
+    viser()
+    own = chosen.contact or "as in the file"
+
+    def load(name: str) -> Scene:
+        return chosen.scene if name == own else chosen_scene(scene, case, name).scene
+
+    engine = Engine(load, contacts_of(case, chosen.contact))
+    with working(f"compiling {chosen.scene.name}, half a minute the first time"):
+        engine.prepare(own)
+    server = LiveServer(engine, host, port, origins)
+    try:
+        _tell(server.address, host, time.perf_counter() - began, safe=loopback(host))
+        if browser:
+            typer.launch(server.address)
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        out().print("ended", markup=False)
+    finally:
+        server.stop()
+
+
+def contacts_of(case: int | None, own: str | None) -> tuple[str, ...]:
+    """Names of the contacts that the page offers, the scene's own first."""
+    from pftwin.rig.contacts import ON_MESHES
+    from pftwin.surfaces.spline_or_polynomial import SPLINE
+
+    smooth = ("P2", "P4", "P5", SPLINE)
+    if own is None:
+        return ("as in the file",)
+    if case is not None:
+        return tuple(dict.fromkeys((own, *smooth, *ON_MESHES)))
+    fitted = own == SPLINE or re.fullmatch(r"P\d+", own)  # a file's mesh, which others can be fitted to as well
+    return tuple(dict.fromkeys((own, *smooth))) if fitted else (own,)
+
+
+def _tell(address: str, host: str, seconds: float, *, safe: bool) -> None:
+    out().print(f"ready after {seconds:.1f} s: {address}  (Ctrl-C ends it)", markup=False, highlight=False)
+    if not safe:
+        err().print(
+            f"warning: {host} can be reached from other machines, and whoever reaches it can use this page: there is"
+            " no password and no encryption. Without --host it is for this machine alone.",
+            style="yellow",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )

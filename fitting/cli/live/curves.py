@@ -1,0 +1,82 @@
+"""Tilt, shift and contact force over time, untreated and treated, with a mark at the time that is shown."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.cli.live.answer import Answer
+from pftwin.plots import COLOURS
+
+if TYPE_CHECKING:
+    from viser import GuiApi
+
+HEIGHT = 142  # of a chart [pixels]
+ROUND = 5.0  # edges of the charts are multiples of this, in degrees, mm or newtons
+BEFORE, AFTER = COLOURS[:2]
+Floats = NDArray[np.float64]
+
+
+class Curves:
+    """The charts."""
+
+    def __init__(self, gui: GuiApi, before: Answer) -> None:
+        self._before = self._after = before
+        names = (("tilt", "tilt [°]"), ("shift", "shift [mm]"), ("force", "contact force [N]"))
+        self._drawn = {name: self._scales(name) for name, _ in names}
+        self._charts = {
+            name: gui.add_uplot(
+                self._data(name, 0),
+                (
+                    {"label": "time [s]"},
+                    {"label": "untreated", "stroke": BEFORE, "width": 1.5},
+                    {"label": "treated", "stroke": AFTER, "width": 2},
+                    {"label": "now", "stroke": "#222222", "points": {"show": True, "size": 9, "fill": AFTER}},
+                ),
+                title=f"{title} over time [s]",
+                scales=self._drawn[name],
+                axes=({"size": 24}, {"size": 42}),
+                legend={"show": False},
+                cursor={"drag": {"x": False, "y": False}},
+                height=HEIGHT,
+                padding=(4, 14, 0, 0),
+            )
+            for name, title in names
+        }
+
+    def set(self, before: Answer, after: Answer) -> None:
+        """Takes other motions, which are drawn with the next mark."""
+        self._before, self._after = before, after
+        for name, chart in self._charts.items():
+            if (scales := self._scales(name)) != self._drawn[name]:  # other scales make a page build its chart anew
+                chart.scales = self._drawn[name] = scales
+
+    def mark(self, k: int) -> None:
+        """Moves the mark to a frame of the treated motion."""
+        for name, chart in self._charts.items():
+            chart.data = self._data(name, k)
+
+    def _scales(self, name: str) -> Any:
+        """Both axes, the values' rounded outwards: it stays as it is while a slider is moved a little.
+
+        They are told because a mark that is in one place alone, and missing (NaN) elsewhere, has no range of its own.
+        """
+        values = np.concatenate([getattr(a, name) for a in (self._before, self._after)])
+        there = values[np.isfinite(values)]
+        low, high = (float(there.min()), float(there.max())) if there.size else (0.0, 1.0)
+        edges = ROUND * np.floor(low / ROUND - 0.05), ROUND * np.ceil(high / ROUND + 0.05)
+        return {"x": {"time": False}, "y": {"range": tuple(float(e) for e in edges)}}
+
+    def _data(self, name: str, k: int) -> tuple[Floats, ...]:
+        series: list[Any] = [getattr(a, name) for a in (self._before, self._after)]
+        times = self._after.times
+        mark = np.full_like(times, np.nan)
+        mark[k] = series[1][k]
+        return times, _at(times, self._before.times, series[0]), series[1], mark
+
+
+def _at(times: Floats, own: Floats, values: Floats) -> Floats:
+    """Values at other times, where their own ones are not the same."""
+    return values if own.shape == times.shape and np.allclose(own, times) else np.interp(times, own, values)

@@ -1,0 +1,113 @@
+"""Which pages may speak to the server: its own alone.
+
+A browser lets every page that it shows, of whatever site, open a websocket to every address, this machine's own among
+them, and says in `Origin` whose page it is. A site can also give its name this machine's address (DNS rebinding): then
+`Host` and `Origin` agree, and the name is not one of this machine's.
+"""
+
+from __future__ import annotations
+
+import inspect
+import ipaddress
+import socket
+import sys
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import urlsplit
+
+from fitting.cli.live.address import loopback
+from pftwin.errors import InputError, PftwinError
+
+Allowed = Callable[[list[str], str], bool]
+
+
+def checked_origins(given: Collection[str]) -> frozenset[str]:
+    """Origins as browsers send them.
+
+    Raises:
+        InputError: something else.
+    """
+    for text in given:
+        parts = urlsplit(text)
+        if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
+            raise InputError(f"found {text!r}", where="--origin", expected="such as https://hub.example.org")
+    return frozenset(text.rstrip("/").lower() for text in given)
+
+
+def own_pages(host: str, also: Collection[str] = ()) -> Allowed:
+    """Whether a connection is of this server's own page, by its `Origin` headers and its `Host`.
+
+    No browser leaves `Origin` out; other programs say what they like, and are let in.
+
+    Args:
+        host: the address that is served.
+        also: origins that are let in besides.
+    """
+    names = {"localhost", host.lower()}
+    if not loopback(host):
+        names |= {socket.gethostname().lower(), socket.getfqdn().lower()}
+
+    def allowed(origins: list[str], asked: str) -> bool:
+        if len(origins) > 1:
+            return False
+        if not origins or origins[0].lower() in also:
+            return True
+        try:
+            parts = urlsplit(origins[0].lower())
+            name = parts.hostname or ""
+        except ValueError:  # brackets that hold no address
+            return False
+        if parts.scheme not in ("http", "https") or parts.netloc != asked.lower():
+            return False
+        return loopback(name) if loopback(host) else name in names or _number(name)
+
+    return allowed
+
+
+@contextmanager
+def guarded(allowed: Allowed) -> Iterator[None]:
+    """Servers that viser starts inside let in whom `allowed` lets in. viser has no setting for it.
+
+    Raises:
+        PftwinError: none was started by the way that is guarded.
+    """
+    import websockets.asyncio.server as module
+
+    real, started = module.serve, False
+
+    def serve(*arguments: Any, process_request: Any, **options: Any) -> Any:
+        nonlocal started
+        started = True
+
+        async def checked(connection: Any, request: Any) -> Any:
+            origins, asked = request.headers.get_all("Origin"), request.headers.get_all("Host")
+            if "Upgrade" in request.headers and not allowed(origins, asked[0] if asked else ""):
+                sys.stderr.write(_refusal(origins))
+                return connection.respond(HTTPStatus.FORBIDDEN, "This page is of another origin.\n")
+            answer = process_request(connection, request)
+            return await answer if inspect.isawaitable(answer) else answer
+
+        return real(*arguments, process_request=checked, **options)
+
+    module.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        module.serve = real
+    if not started:
+        raise PftwinError("this version of viser starts its server in a way that pftwin cannot guard; try: viser 1.1.1")
+
+
+def _number(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _refusal(origins: list[str]) -> str:
+    said = ", ".join(origins)[:120].encode("ascii", "backslashreplace").decode()
+    return f"a page of another origin was refused: {said}; if it is yours: pftwin app --origin {said}\n"

@@ -1,0 +1,190 @@
+"""The page: sliders, buttons, curves, words and the drawing of one client; what is moved is told to its session."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fitting.cli.live import words
+from fitting.cli.live.answer import Answer
+from fitting.cli.live.clock import Clock
+from fitting.cli.live.curves import AFTER, BEFORE, Curves
+from fitting.cli.live.drawing import Bones, Knee, component_of
+from fitting.cli.live.engine import TREATED, Engine, Model
+from fitting.cli.live.knobs import Knob
+from fitting.cli.live.shown import Shown
+from pftwin.viewer.assembly import per_centimetre
+from pftwin.viewer.views import views
+from pftwin.viewer.words import legend, notes, readout
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+    from fitting.cli.live.session import Session
+
+GHOST = 0.45  # how opaque the untreated knee is beside the treated one
+
+
+class Page:
+    """What a client sees."""
+
+    def __init__(self, client: ClientHandle, engine: Engine, model: Model, session: Session) -> None:
+        self._client, self._gui, self._session = client, client.gui, session
+        self.newtons = per_centimetre([model.before.recorded])
+        self._contact: str | None = None
+        self._ghost: Shown | None = None
+        self._after = self._before = model.before
+        self._bones = Bones(client.scene, model.before.recorded, None)
+        self._treated = Knee(client.scene, "/treated", AFTER)
+        self._untreated = Knee(client.scene, "/untreated", BEFORE, GHOST)
+        self._gui.main_panel.dock_right()
+        self._gui.set_panel_label("Treatment")
+        self._state = self._gui.add_html("")
+        self._knobs = self._sliders(engine)
+        self._model(engine)
+        self._pace = self._gui.add_html(words.pace(Clock(), Clock(), 0.0))
+        self._views(model)
+        self._gui.add_html(words.boxed(self._legend(model)))
+        panel = self._gui.add_panel()
+        with panel.add_tab("Motion"):
+            self._playing(model)
+            self._numbers = self._gui.add_html("")
+            self._whole = self._gui.add_html("")
+            self._curves = Curves(self._gui, model.before)
+        panel.dock_left()
+        panel.set_width(400)
+
+    def tell(self, model: Model, after: Answer) -> None:
+        """Another motion: the table, and the curves, which its next numbers bring."""
+        self._before, self._after = model.before, after
+        self._curves.set(model.before, after)
+        self._whole.content = words.comparison(model.before, after)
+
+    def draw(self, model: Model, shown: Shown) -> None:
+        """Another motion: the knee and its continued surface."""
+        if self._contact != model.contact:
+            self._contact = model.contact
+            self._bones.set_component(component_of(model.before.recorded))
+            self._ghost = Shown(model.before.recorded, self.newtons)
+            self._untreated.set(self._ghost)
+        self._shown = shown
+        self._treated.set(shown)
+        self._bones.set_beyond(model.still.continued(shown.touched))
+
+    def frame(self, k: int) -> None:
+        """Sets the drawing to a frame."""
+        self._bones.frame(self._shown, k)
+        self._treated.frame(k)
+        if self._compared.value:
+            self._untreated.frame(k)
+
+    def number(self, k: int, at: float) -> None:
+        """Writes the numbers of a time, and marks it in the curves."""
+        both = [self._before.recorded, self._after.recorded]
+        self._numbers.content = words.boxed(readout(both, [BEFORE, AFTER], at))
+        self._curves.mark(k)
+
+    def say(self, text: str) -> None:
+        """How it stands."""
+        self._state.content = text
+
+    def say_pace(self, text: str) -> None:
+        """How long it took."""
+        self._pace.content = text
+
+    def set_knob(self, knob: Knob, value: float) -> None:
+        """Moves a slider."""
+        self._knobs[knob.name].value = value
+
+    def set_contact(self, contact: str) -> None:
+        """Chooses a contact."""
+        self._contacts.value = contact
+
+    def set_time(self, at: float) -> None:
+        """Moves the time slider."""
+        self._time.value = at
+
+    def set_playing(self, playing: bool) -> None:
+        """What the button says."""
+        self._play.label = "Pause" if playing else "Play"
+
+    def set_ghost(self, visible: bool) -> None:
+        """Shows or hides the untreated knee."""
+        self._untreated.show(visible)
+
+    def _legend(self, model: Model) -> str:
+        one = model.before.recorded
+        said = [*notes([one], self.newtons), words.NOT_FOR_PATIENTS]
+        return legend([one, replace(one, name=TREATED)], [BEFORE, AFTER], said).replace("max-width:290px", "")
+
+    def _sliders(self, engine: Engine) -> dict[str, Any]:
+        found = {}
+        for group in dict.fromkeys(k.group for k in engine.knobs):
+            with self._gui.add_folder(group):
+                for knob in (k for k in engine.knobs if k.group == group):
+                    found[knob.name] = self._slider(knob)
+        for group, why in engine.missing.items():
+            self._gui.add_html(words.state("doubt", f"{group}: cannot be changed", why))
+        return found
+
+    def _slider(self, knob: Knob) -> Any:
+        slider = self._gui.add_slider(
+            knob.label, knob.least, knob.most, knob.step, knob.neutral, hint=knob.hint, marks=(knob.neutral,)
+        )
+
+        @slider.on_update
+        async def _(event: Any) -> None:
+            if event.client is not None:  # else it was moved from here
+                self._session.turn(knob, slider.value)
+
+        return slider
+
+    def _model(self, engine: Engine) -> None:
+        with self._gui.add_folder("Model"):
+            self._contacts = self._gui.add_dropdown("contact", engine.contacts, initial_value=engine.contacts[0])
+            self._compared = self._gui.add_checkbox("compare with untreated", False)
+            reset = self._gui.add_button("Reset")
+        self._untreated.show(False)
+
+        @self._contacts.on_update
+        async def _(event: Any) -> None:
+            if event.client is not None:
+                self._session.choose(self._contacts.value)
+
+        @self._compared.on_update
+        async def _(event: Any) -> None:
+            if event.client is not None:
+                self._session.compare(bool(self._compared.value))
+
+        @reset.on_click
+        async def _(_: Any) -> None:
+            self._session.reset()
+
+    def _playing(self, model: Model) -> None:
+        times = model.before.times
+        begin, end = float(times[0]), float(times[-1])
+        self._time = self._gui.add_slider("time [s]", begin, end, round(float(np.diff(times).min()), 4), begin)
+        self._play = self._gui.add_button("Play")
+
+        @self._time.on_update
+        async def _(event: Any) -> None:
+            if event.client is not None:
+                self._session.seek(self._time.value)
+
+        @self._play.on_click
+        async def _(_: Any) -> None:
+            self._session.play_or_pause()
+
+    def _views(self, model: Model) -> None:
+        found = views(model.before.recorded)
+        buttons = self._gui.add_button_group("view", tuple(name.capitalize() for name in found))
+
+        @buttons.on_click
+        async def _(_: Any) -> None:
+            numbers = found.get(str(buttons.value).lower())
+            if numbers is not None:
+                camera, place = self._client.camera, np.asarray(numbers)
+                with self._client.atomic():
+                    camera.position, camera.look_at, camera.up_direction = place[:3], place[3:6], place[6:]

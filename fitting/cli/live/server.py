@@ -1,0 +1,168 @@
+"""The web server: who may reach it, what it does with messages that are nonsense, and how it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import sys
+import threading
+import traceback
+import warnings
+from collections.abc import Collection, Iterator
+from typing import Any
+
+from fitting.cli.live.address import check_address
+from fitting.cli.live.engine import Engine
+from fitting.cli.live.origin import guarded, own_pages
+from fitting.cli.live.session import Session
+from fitting.cli.live.worker import Worker
+from pftwin.errors import MissingExtraError
+from pftwin.viewer.views import views
+
+
+def viser() -> Any:
+    """The package.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import viser as package
+    except ImportError as error:
+        raise MissingExtraError("viser", extra="app", feature="the live page") from error
+    return package
+
+
+class LiveServer:
+    """Serves a page to every client, until it is stopped."""
+
+    def __init__(
+        self, engine: Engine, host: str = "127.0.0.1", port: int = 8080, origins: Collection[str] = ()
+    ) -> None:
+        """Begins to serve an engine whose first contact is prepared.
+
+        Args:
+            engine: what simulates.
+            host, port: where; a port that is taken is passed over.
+            origins: whose pages may connect, besides the server's own; see `fitting.cli.live.origin`.
+
+        Raises:
+            InputError: no such address.
+            MissingExtraError: the extra `app` is not installed.
+        """
+        package = viser()
+        check_address(host, port)
+        self._engine = engine
+        self._simulating, self._preparing = Worker("simulating"), Worker("preparing")
+        self._sessions: dict[int, Session] = {}
+        self._lock = threading.Lock()
+        _quiet_about_broken_messages()
+
+        class Private(package.ViserServer):
+            """Never opens the way to the public internet that viser's pages can ask for."""
+
+            def request_share_url(self, verbose: bool = True) -> str | None:
+                del verbose
+                return None
+
+        with _silent(), guarded(own_pages(host, origins)):
+            self._server = Private(host=host, port=port, verbose=False)
+        self.host, self.port = host, int(self._server.get_port())
+        loop = self._server.get_event_loop()
+        loop.call_soon_threadsafe(loop.set_exception_handler, self._nonsense)
+        self._look(engine)
+        self._server.on_client_connect(self._joined)
+        self._server.on_client_disconnect(self._left)
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        host = "localhost" if self.host in ("0.0.0.0", "::") else self.host
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}"
+
+    @property
+    def sessions(self) -> tuple[Session, ...]:
+        """Those of the clients that are there."""
+        with self._lock:
+            return tuple(self._sessions.values())
+
+    def stop(self) -> None:
+        """Ends: pages are told, threads end."""
+        for session in self.sessions:
+            session.close()
+        with _silent():
+            self._server.stop()
+        self._simulating.stop()
+        self._preparing.stop()
+
+    def _look(self, engine: Engine) -> None:
+        server = self._server
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        server.scene.set_up_direction("+x")
+        server.scene.configure_default_lights(True, cast_shadow=False)
+        camera = views(engine.model(engine.contacts[0]).before.recorded)["anterior"]
+        first = server.initial_camera
+        first.position, first.look_at, first.up = camera[:3], camera[3:6], camera[6:]
+        first.fov, first.near, first.far = 0.52, 1.0, 5000.0
+
+    def _joined(self, client: Any) -> None:
+        session = Session(client, self._engine, self._simulating, self._preparing)
+        with self._lock:
+            self._sessions[client.client_id] = session
+        if client.client_id not in self._server.get_clients():  # left while its page was made
+            self._left(client)
+
+    def _left(self, client: Any) -> None:
+        with self._lock:
+            session = self._sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+    def _nonsense(self, loop: Any, context: dict[str, Any]) -> None:
+        """A message of a page that made no sense: one line here, words on its page, and everything goes on."""
+        error = context.get("exception")
+        if error is None:
+            loop.default_exception_handler(context)
+            return
+        sys.stderr.write(f"a page sent what makes no sense, and nothing was done: {_line(error)}\n")
+        session = self._sessions.get(_client_of(error))
+        if session is not None:
+            session.refuse(f"the page sent what makes no sense: {_line(error)}")
+
+
+def _line(error: BaseException) -> str:
+    return f"{type(error).__name__}: {str(error)[:120]}" if str(error) else type(error).__name__
+
+
+def _client_of(error: BaseException) -> Any:
+    """The client whose message was handled where the error arose; viser's handlers have its number."""
+    numbers = [f.f_locals.get("client_id") for f, _ in traceback.walk_tb(error.__traceback__)]
+    return next((n for n in reversed(numbers) if n is not None), None)
+
+
+class _OneLine(logging.Formatter):
+    """Without the traceback: a message that cannot be read is the page's mistake, not the program's."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        error = record.exc_info[1] if record.exc_info else None
+        why = "" if error is None else f": {_line(error)}"
+        return f"a connection was closed, {record.getMessage()}{why}"
+
+
+def _quiet_about_broken_messages() -> None:
+    """Connections that break, or send no message at all, are told in one line each; one that ends, not at all."""
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
+    logger = logging.getLogger("websockets.server")
+    if not logger.handlers:
+        handler = logging.StreamHandler()
+        handler.setFormatter(_OneLine())
+        logger.addHandler(handler)
+        logger.propagate = False
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Without the box that viser prints: the command says where the page is."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield

@@ -1,0 +1,213 @@
+"""One page: its sliders' values, its motion, its drawing. Nothing of it is shared with other pages."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fitting.cli.live import words
+from fitting.cli.live.answer import Answer
+from fitting.cli.live.clock import Clock
+from fitting.cli.live.engine import TREATED, Engine, Model
+from fitting.cli.live.knobs import Knob, neutral
+from fitting.cli.live.page import Page
+from fitting.cli.live.player import Player
+from fitting.cli.live.shown import Shown
+from fitting.cli.live.worker import Worker
+from pftwin.errors import InputError
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+_NUMBERS_EVERY = 0.1  # while it plays, numbers and marks in the curves are written so seldom [s]
+
+
+class Session:
+    """The page of one client.
+
+    Events come in on the server's event loop, simulations are made by the worker's thread, frames by the player's: what
+    they share is changed under a lock.
+    """
+
+    def __init__(self, client: ClientHandle, engine: Engine, simulating: Worker, preparing: Worker) -> None:
+        self._client, self._engine = client, engine
+        self._simulating, self._preparing = simulating, preparing
+        self._lock = threading.RLock()
+        self._closed, self._numbered = False, 0.0
+        self._values = neutral(engine.knobs)
+        self._wanted = self._contact = engine.contacts[0]
+        self.motions, self.drawings = Clock(), Clock()
+        model = engine.model(self._contact)
+        self._after, self._now = model.before.named(TREATED), float(model.before.times[0])
+        with self._lock, client.atomic():
+            self._page = Page(client, engine, model, self)
+            self._player = Player(self._played, self._now, float(model.before.times[-1]))
+            self._told(model, self._after)
+            self._drawn(model, Shown(model.before.recorded, self._page.newtons).drawn_now())
+
+    def turn(self, knob: Knob, value: Any) -> None:
+        """A slider was moved."""
+        began = time.perf_counter()
+        try:
+            self._values[knob.name] = knob.checked(value)
+        except InputError as error:
+            self.refuse(str(error))
+            self._page.set_knob(knob, self._values[knob.name])
+            return
+        self._ask(began)
+
+    def reset(self) -> None:
+        """All sliders back to where the scene is untreated."""
+        began = time.perf_counter()
+        self._values = neutral(self._engine.knobs)
+        for knob in self._engine.knobs:
+            self._page.set_knob(knob, knob.neutral)
+        self._ask(began)
+
+    def choose(self, contact: Any) -> None:
+        """Another contact; where it has to be compiled first, everything goes on with the one before."""
+        began = time.perf_counter()
+        if contact not in self._engine.contacts:
+            self.refuse(f"no contact {str(contact)[:40]!r}")
+            self._page.set_contact(self._wanted)
+            return
+        self._wanted = contact
+        if self._engine.ready(contact):
+            self._ask(began)
+            return
+        self._say(words.waiting(contact, self._contact))
+        self._preparing.submit(self, lambda: self._prepare(contact))
+
+    def seek(self, at: Any) -> None:
+        """The time slider was moved."""
+        self.pause()
+        begin, end = self._after.times[[0, -1]]
+        if isinstance(at, int | float) and begin - 1e-3 <= at <= end + 1e-3:
+            self._frame(float(at), numbers=True)
+        else:
+            self.refuse(f"no time {str(at)[:40]} in the motion, which goes from {begin:g} to {end:g} s")
+            self._page.set_time(self._now)
+
+    def play_or_pause(self) -> None:
+        """The button."""
+        if self._player.playing:
+            self.pause()
+        else:
+            self._player.play(self._now)
+            self._page.set_playing(True)
+
+    def pause(self) -> None:
+        """Stops where it is."""
+        self._player.pause()
+        self._page.set_playing(False)
+        self._frame(self._now, numbers=True)
+
+    def compare(self, visible: bool) -> None:
+        """Shows or hides the untreated knee."""
+        self._page.set_ghost(visible)
+        self._frame(self._now, numbers=False)
+
+    def refuse(self, why: str) -> None:
+        """Says in words why nothing new is drawn."""
+        self._say(words.refused(why))
+
+    def close(self) -> None:
+        """The client has left: frees what was its own."""
+        with self._lock:
+            self._closed = True
+        self._player.pause()
+        self._simulating.forget(self)
+        self._preparing.forget(self)
+
+    def _prepare(self, contact: str) -> None:
+        """In the preparing worker's thread."""
+        try:
+            self._engine.prepare(contact)
+        except Exception as error:
+            if self._wanted == contact:
+                self._wanted = self._contact
+                self._page.set_contact(self._contact)
+                self._failed(error)
+            if not isinstance(error, InputError):
+                raise
+        else:
+            if self._wanted == contact:
+                self._ask(time.perf_counter())
+
+    def _ask(self, began: float) -> None:
+        """For a motion of the values that there are when its turn comes: never of older ones."""
+        self._simulating.submit(self, lambda: self._answer(began))
+
+    def _answer(self, began: float) -> None:
+        """In the worker's thread: simulates and draws, what is quickly said first."""
+        contact = self._wanted if self._engine.ready(self._wanted) else self._contact
+        try:
+            model = self._engine.model(contact)
+            after = self._engine.run(contact, dict(self._values))
+        except Exception as error:
+            self._failed(error)
+            if not isinstance(error, InputError):
+                raise
+            return
+        moved = time.perf_counter()
+        with self._lock:
+            if self._closed:
+                return
+            with self._client.atomic():
+                self._told(model, after)
+            self._client.flush()
+            shown = Shown(after.recorded, self._page.newtons).drawn_now()
+            with self._client.atomic():
+                self._drawn(model, shown)
+            self._client.flush()
+            self.motions.add(moved - began)
+            self.drawings.add(time.perf_counter() - began)
+            self._page.say_pace(words.pace(self.motions, self.drawings, after.seconds))
+            if self._wanted != contact:
+                self._page.say(words.waiting(self._wanted, contact))
+
+    def _told(self, model: Model, after: Answer) -> None:
+        self._contact, self._after = model.contact, after
+        self._page.tell(model, after)
+        self._page.say(words.outcome(after))
+        self._numbered = time.perf_counter()
+        self._page.number(self._nearest(self._now), self._now)
+
+    def _drawn(self, model: Model, shown: Shown) -> None:
+        self._page.draw(model, shown)
+        self._frame(self._now, numbers=False)
+
+    def _played(self, at: float) -> None:
+        now = time.perf_counter()
+        self._frame(at, numbers=now - self._numbered > _NUMBERS_EVERY, slider=True)
+
+    def _frame(self, at: float, *, numbers: bool, slider: bool = False) -> None:
+        with self._lock:
+            if self._closed:
+                return
+            self._now = at
+            k = self._nearest(at)
+            with self._client.atomic():
+                self._page.frame(k)
+                if numbers:
+                    self._numbered = time.perf_counter()
+                    self._page.number(k, at)
+                if slider and numbers:
+                    self._page.set_time(at)
+
+    def _nearest(self, at: float) -> int:
+        """The frame of a time."""
+        return int(np.argmin(np.abs(self._after.times - at)))
+
+    def _failed(self, error: Exception) -> None:
+        """Says why; of a mistake in the program itself, where to read more."""
+        own = isinstance(error, InputError)
+        self.refuse(str(error) if own else f"an error in the program, {type(error).__name__}: see the terminal")
+
+    def _say(self, text: str) -> None:
+        with self._lock:
+            if not self._closed:
+                self._page.say(text)

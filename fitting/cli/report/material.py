@@ -1,0 +1,201 @@
+"""What a report is made of, and where it comes from: a fit, a result's file, or the demo's folder."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fitting.cli.report.run import Run
+from pftwin.cli.scenes import Chosen, chosen_scene
+from pftwin.cli.terminal import working
+from pftwin.errors import InputError
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from fitting.estimate import Estimate
+
+_RIG = re.compile(r"rig case ([1-4]), (\w+)")
+_WHICH = "fit.json of `pftwin fit`, the folder of `pftwin demo`, or the NetCDF file of `pftwin simulate`"
+_NAME_IT = "--scene knee/scene.toml or --case N"
+DEMO_FIT = "fit.json"
+
+
+@dataclass(eq=False)
+class Material:
+    """What there is to tell."""
+
+    source: Path
+    title: str
+    estimates: dict[str, Estimate] = field(default_factory=dict)  # by what they are called
+    chosen: Chosen | None = None  # the scene, and its measurements
+    runs: list[Run] = field(default_factory=list)
+    treatment: Dataset | None = None
+    treatment_file: Path | None = None
+    demo: Path | None = None  # the folder, where it is one
+    files: list[Path] = field(default_factory=list)  # that were read
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The first of the estimates."""
+        return next(iter(self.estimates.values()), None)
+
+    def synthetic(self) -> list[str]:
+        """What has to be said of synthetic data, each once."""
+        from pftwin.labels import SYNTHETIC
+
+        said = [r.note for r in self.runs if "synthetic" in r.note]
+        if self.chosen is not None and self.chosen.scene.synthetic:
+            said.append(SYNTHETIC)
+        if any(e.synthetic for e in self.estimates.values()):
+            said.append("the measurements are synthetic")
+        if self.treatment is not None:
+            note = str(self.treatment.attrs.get("note", ""))
+            said += [part for part in note.split("; ") if "synthetic" in part]
+            if int(self.treatment.attrs.get("synthetic", 0)) and not note:
+                said.append("the parameters of the prediction were estimated from synthetic measurements")
+        return list(dict.fromkeys(said))
+
+
+def gathered(
+    source: Path, *, treatment: Path | None, scene: Path | None, case: int | None, contact: str | None
+) -> Material:
+    """Reads everything; simulates what an estimate's report shows.
+
+    Args:
+        source: fit.json, the demo's folder, or a result.
+        treatment: what `pftwin treat` wrote.
+        scene: file of the source's scene; by default the case of the rig that was fitted to its own measurements.
+        case: or the rig's case.
+        contact: patch in place of the scene's own.
+
+    Raises:
+        InputError: none of these files; a scene that cannot be found, or is another one.
+    """
+    given = None
+    if scene is not None or case is not None:
+        given = chosen_scene(scene, case, contact)
+    elif contact is not None:
+        raise InputError("--contact without a scene", expected=_NAME_IT)
+    predicted = None if treatment is None else _prediction(treatment)
+    if source.is_dir():
+        found = _of_demo(source, given)
+    elif not source.exists():
+        raise InputError("there is no such file", where=source, expected=_WHICH)
+    elif source.suffix.lower() == ".json":
+        found = _of_estimate(source, given)
+    elif source.suffix.lower() == ".nc":
+        run = Run.of_file(source)
+        _check_same(str(run.data.attrs.get("scene", "")), given, source)
+        found = Material(source, f"Simulated knee: {run.name}", chosen=given, runs=[run], files=[source])
+    else:
+        raise InputError("not a file that a report is made of", where=source, expected=_WHICH)
+    found.treatment, found.treatment_file = predicted, treatment
+    if treatment is not None:
+        found.files.append(treatment)
+    return found
+
+
+def _of_estimate(path: Path, given: Chosen | None) -> Material:
+    """An estimate, its scene, and both as they move: nominal and fitted."""
+    from fitting.estimate import Estimate
+    from pftwin.dynamics.simulate import simulate
+
+    estimate = Estimate.load(path)
+    chosen = _scene_of(estimate, given, path)
+    estimate.nominal_scene, estimate.measured = chosen.scene, chosen.measured
+    scenes = {"nominal": chosen.scene, "fitted": estimate.scene}
+    with working("compiling and simulating"):
+        runs = [Run.of_result(simulate(scene), name) for name, scene in scenes.items()]
+    title = f"Fitted knee: {estimate.scene_name}"
+    return Material(path, title, {"the fit": estimate}, chosen, runs, files=[path])
+
+
+def _of_demo(folder: Path, given: Chosen | None) -> Material:
+    """The demo's fits, its results before and after the treatment, and its tables and figures."""
+    from fitting.demo.paper_study import PATHOLOGY, TREATMENT
+    from fitting.estimate import Estimate
+
+    if not (folder / DEMO_FIT).is_file():
+        raise InputError(
+            f"there is no {DEMO_FIT} in this folder",
+            where=folder,
+            expected="the folder of `pftwin demo`, or a file",
+            remedy="pftwin demo --out demo",
+        )
+    fits = {"the paper's objective": folder / DEMO_FIT, "likelihood": folder / "fit_likelihood.json"}
+    present = {name: path for name, path in fits.items() if path.is_file()}
+    estimates = {name: Estimate.load(path) for name, path in present.items()}
+    first = next(iter(estimates.values()))
+    chosen = _scene_of(first, given, folder / DEMO_FIT)
+    for estimate in estimates.values():
+        estimate.nominal_scene, estimate.measured = chosen.scene, chosen.measured
+    named = _case_of(first)
+    contact = named[1] if named else "P5"
+    words = {PATHOLOGY: "pathology", TREATMENT: "treatment"}
+    results = {folder / f"case{n}_{contact}.nc": f"case {n}, {what}" for n, what in words.items()}
+    runs = [Run.of_file(path, name) for path, name in results.items() if path.is_file()]
+    files = [*present.values(), *(p for p in results if p.is_file())]
+    return Material(folder, "The demo on the virtual rig", estimates, chosen, runs, demo=folder, files=files)
+
+
+def _scene_of(estimate: Estimate, given: Chosen | None, path: Path) -> Chosen:
+    """The scene that was named, else the case of the rig that was fitted."""
+    if given is None:
+        named = _case_of(estimate)
+        if named is None:
+            raise InputError(
+                f"the estimate is of the scene {estimate.scene_name!r}, which is not in its file",
+                where=path,
+                expected="the scene beside it",
+                remedy=_NAME_IT,
+            )
+        return chosen_scene(None, *named)
+    _check_same(estimate.scene_name, given, path)
+    return given
+
+
+def _case_of(estimate: Estimate) -> tuple[int, str] | None:
+    """Number and contact of the rig's case that was fitted to its own measurements; None of any other estimate.
+
+    A name alone would not do: a user's scene may have any.
+    """
+    from pftwin.rig.recording import source_of
+
+    named = _RIG.fullmatch(estimate.scene_name)
+    if named is None or estimate.source != source_of(int(named.group(1))):
+        return None
+    return int(named.group(1)), named.group(2)
+
+
+def _check_same(name: str, given: Chosen | None, path: Path) -> None:
+    """Refuses a scene that the file is not of: its numbers would stand beside those of another knee."""
+    if given is not None and given.scene.name != name:
+        raise InputError(
+            f"is of the scene {name!r}, and the scene that was named is {given.scene.name!r}",
+            where=path,
+            expected="the scene that was simulated or fitted",
+            remedy=f"{_NAME_IT}, with --contact where the scene's own was replaced",
+        )
+
+
+def _prediction(path: Path) -> Dataset:
+    """What `pftwin treat` wrote.
+
+    Raises:
+        InputError: something else.
+    """
+    from pftwin.result_files import load_dataset
+
+    data = load_dataset(path)
+    needed = ("dislocations", "largest_offset", "peak_contact_force", "mean_tilt", "medial_share", "failed")
+    if "variant" not in data.dims or any(n not in data for n in needed):
+        raise InputError(
+            "no prediction of treatments in it",
+            where=path,
+            expected="what `pftwin treat` wrote",
+            remedy="pftwin treat --case 2 --estimate fit.json --medialise 0:20:4 -o variants.nc",
+        )
+    return data

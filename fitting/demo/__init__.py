@@ -1,0 +1,1 @@
+"""The demonstration: the virtual rig's cases beside measurements and the paper, its fit and its treatment."""

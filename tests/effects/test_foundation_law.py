@@ -78,3 +78,32 @@ def test_apart_nothing_is_borne_and_gradients_are_finite(law):
 def test_layers_that_make_no_sense_are_refused(bad):
     with pytest.raises(InputError, match="femur's layer"):
         checked_layer(*bad, where="femur's layer")
+
+
+def test_unlike_linear_layers_give_way_one_after_the_other():
+    """Springs in series: the depths add up at one pressure, so it is the thin and the hard layer that count least."""
+    thin = checked_layer(10e6, 0.0, 1e-3)  # K = E without a Poisson ratio
+    thick = checked_layer(40e6, 0.0, 8e-3)
+    answer = LinearFoundation(thin, thick).press(jnp.asarray([3e-4]))
+    pressure = 3e-4 / (1e-3 / 10e6 + 8e-3 / 40e6)  # 1 MPa: 0.1 mm of the one and 0.2 mm of the other
+    np.testing.assert_allclose(answer.pressure, [1e6], rtol=1e-12)
+    np.testing.assert_allclose(pressure, 1e6, rtol=1e-12)
+    np.testing.assert_allclose(answer.slope, [1e6 / 3e-4], rtol=1e-12)
+    np.testing.assert_allclose(answer.energy, [0.5 * 1e6 * 3e-4], rtol=1e-12)
+    np.testing.assert_allclose(thick.confined_modulus(), 40e6, rtol=1e-14)
+
+
+def test_unlike_logarithmic_layers_store_what_each_of_them_does():
+    """At a pressure p a layer stores the integral of p over its depth, here by quadrature."""
+    one, two = checked_layer(10e6, 0.0, 1e-3), checked_layer(40e6, 0.0, 8e-3)
+    p = 6e6
+    depth = sum(h * -np.expm1(-p / k) for k, h in ((10e6, 1e-3), (40e6, 8e-3)))
+    answer = LogarithmicFoundation(one, two).press(jnp.asarray([depth]))
+    stored = 0.0
+    for k, h in ((10e6, 1e-3), (40e6, 8e-3)):
+        end = h * -np.expm1(-p / k)
+        nodes, weights = np.polynomial.legendre.leggauss(40)
+        d = 0.5 * end * (nodes + 1)
+        stored += 0.5 * end * (weights @ (-k * np.log1p(-d / h)))
+    np.testing.assert_allclose(answer.pressure, [p], rtol=1e-10)
+    np.testing.assert_allclose(answer.energy, [stored], rtol=1e-10)

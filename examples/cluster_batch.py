@@ -20,9 +20,9 @@ import jax
 import numpy as np
 
 import pftwin
-from pftwin.errors import PftwinError
-from pftwin.result_files import save_dataset
-from pftwin.spatial import Vec3
+from pftwin.base.errors import PftwinError
+from pftwin.base.spatial import Vec3
+from pftwin.files.result_files import save_dataset
 
 FARTHEST_MEDIAL, FARTHEST_DISTAL = 0.015, 0.010  # [m]
 

@@ -15,12 +15,12 @@ from pathlib import Path
 from dm_knee import build
 
 import pftwin
+from pftwin.base.errors import PftwinError
+from pftwin.base.text_files import write_text
 from pftwin.cli.explain import show
 from pftwin.cli.terminal import out
-from pftwin.errors import PftwinError
-from pftwin.mocap.text_files import write_text
-from pftwin.plots import save_figure
-from pftwin.result_files import save_dataset
+from pftwin.files.result_files import save_dataset
+from pftwin.results.plots import save_figure
 from pftwin.studies.audit.audit import audit
 from pftwin.studies.audit.explain import explain
 from pftwin.studies.audit.figure import audit_figure

@@ -16,14 +16,14 @@ from dm_knee import Knee, array, vec3
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pftwin.effects.base import Instant, Load
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tendon import Tendon
-from pftwin.effects.tension import PrescribedTension
-from pftwin.errors import InputError
-from pftwin.mocap import PoseSeries
-from pftwin.scene import Scene
-from pftwin.spatial import Scalar, Vec3
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.files.mocap import PoseSeries
+from pftwin.model.effects.base import Instant, Load
+from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import Tendon
+from pftwin.model.effects.tension import PrescribedTension
+from pftwin.model.scene import Scene
 
 Floats = NDArray[np.float64]
 

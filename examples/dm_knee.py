@@ -24,18 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation as Turn
 
 import pftwin
-from pftwin.cap import check_cap
+from pftwin.base.errors import InputError, PftwinError
+from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
 from pftwin.dynamics.state import Guide
-from pftwin.effects.base import Patella
-from pftwin.effects.contact_law import Hertz
-from pftwin.effects.elastic_foundation import ElasticFoundation
-from pftwin.effects.foundation_law import LinearFoundation, checked_layer
-from pftwin.effects.gravity import Gravity
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tension import PrescribedTension
-from pftwin.errors import InputError, PftwinError
-from pftwin.mocap import (
+from pftwin.files.mocap import (
     PoseSeries,
     Table,
     butterworth_lowpass,
@@ -46,15 +38,23 @@ from pftwin.mocap import (
     read_trc,
     segment_poses,
 )
-from pftwin.motion import KneeMotion
-from pftwin.result import Result
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion, Rotation, Vec3
-from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
-from pftwin.surfaces.fit import PatchFit, fit_patch
-from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
-from pftwin.surfaces.region import trochlear_region
-from pftwin.surfaces.sphere import SphereFit, fit_sphere
+from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
+from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
+from pftwin.geometry.patch.polynomial_fit import PatchFit, fit_patch
+from pftwin.geometry.patch.region import trochlear_region
+from pftwin.geometry.patch.sphere import SphereFit, fit_sphere
+from pftwin.model.effects.base import Patella
+from pftwin.model.effects.contact_law import Hertz
+from pftwin.model.effects.elastic_foundation import ElasticFoundation
+from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tension import PrescribedTension
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import PatellaBody, Scene
+from pftwin.results.button_cap import check_cap
+from pftwin.results.result import Result
 
 # Rows: proximal, lateral and anterior in the data's axes (-x anterior, +y proximal, +z medial: the MPFL's side).
 AXES = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])

@@ -20,8 +20,8 @@ import dm_treatments
 from dm_patient_fit import FITS, fit, ideal, judge, prepare, tension_bands
 
 import pftwin
-from pftwin.errors import PftwinError
-from pftwin.runtime import default_cache_dir
+from pftwin.base.errors import PftwinError
+from pftwin.base.runtime import default_cache_dir
 
 
 def main(arguments: list[str] | None = None) -> int:

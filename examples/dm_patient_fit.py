@@ -17,9 +17,9 @@ from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
 from fitting.parameters import free_parameters
 from fitting.uncertainty import NORMAL_95
-from pftwin.measured import Measured
-from pftwin.result import Result
-from pftwin.scene import Scene
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+from pftwin.results.result import Result
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pftwin.dynamics.status import Status
-from pftwin.plots import COLOURS, STYLE, save_figure
+from pftwin.results.plots import COLOURS, STYLE, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -23,9 +23,9 @@ from rich.table import Table
 import fitting
 import pftwin
 from fitting.treatments import Treatment
-from pftwin.errors import PftwinError
-from pftwin.runtime import default_cache_dir
-from pftwin.scene import Scene
+from pftwin.base.errors import PftwinError
+from pftwin.base.runtime import default_cache_dir
+from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,7 +52,7 @@ def predicted(scene: Scene) -> Dataset:
 
 def report(scene: Scene, out: Path) -> None:
     """Prints the table and draws the figure."""
-    from pftwin.plots import save_figure
+    from pftwin.results.plots import save_figure
 
     data = predicted(scene)
     Console(soft_wrap=True).print(_table(data))
@@ -82,8 +82,8 @@ def _figure(scene: Scene, data: Dataset) -> Figure:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from fitting.course import knee_flexion
-    from pftwin.plots import STYLE
+    from fitting.prediction.course import knee_flexion
+    from pftwin.results.plots import STYLE
 
     knee = np.degrees(np.asarray(knee_flexion(scene)))
     groups = {

@@ -13,33 +13,34 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fitting import outcomes, treatments
+    from fitting import treatments
     from fitting.channels import channels_of
     from fitting.estimate import Estimate
     from fitting.fit import fit_tendons
     from fitting.identifiability import plan_experiment, profile_likelihood
     from fitting.objective import Objective
-    from fitting.optimise import optimise_treatment
     from fitting.parameters import Parameter, Parameters, free_parameters
-    from fitting.posterior import Posterior, sample_posterior
-    from fitting.predicting import predict
+    from fitting.posterior.sampling import Posterior, sample_posterior
+    from fitting.prediction import outcomes
+    from fitting.prediction.predicting import predict
+    from fitting.treatments.optimise import optimise_treatment
 
 _HOME = {
     "Estimate": "estimate",
     "Objective": "objective",
     "Parameter": "parameters",
     "Parameters": "parameters",
-    "Posterior": "posterior",
+    "Posterior": "posterior.sampling",
     "channels_of": "channels",
     "fit_tendons": "fit",
     "free_parameters": "parameters",
-    "optimise_treatment": "optimise",
+    "optimise_treatment": "treatments.optimise",
     "plan_experiment": "identifiability",
-    "predict": "predicting",  # a module of the same name would hide the function
+    "predict": "prediction.predicting",  # a module of the same name would hide the function
     "profile_likelihood": "identifiability",
-    "sample_posterior": "posterior",
+    "sample_posterior": "posterior.sampling",
 }
-_MODULES = ("outcomes", "treatments")
+_MODULES = {"outcomes": "prediction.outcomes", "treatments": "treatments"}
 
 __all__ = [
     "Estimate",
@@ -62,13 +63,13 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        from pftwin.runtime import use_defaults
+        from pftwin.base.runtime import use_defaults
 
         use_defaults()
     if name in _HOME:
         value = getattr(import_module(f"fitting.{_HOME[name]}"), name)
     elif name in _MODULES:
-        value = import_module(f"fitting.{name}")
+        value = import_module(f"fitting.{_MODULES[name]}")
     else:
         raise AttributeError(f"module 'fitting' has no attribute {name!r}")
     globals()[name] = value

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.scene import Scene
-from pftwin.scene_parameters import numbered_elements
+from pftwin.model.scene import Scene
+from pftwin.model.scene_parameters import numbered_elements
 
 POSITION, ORIENTATION = "position", "orientation"
 

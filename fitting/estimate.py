@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.applied import Applied
+from fitting.prediction.applied import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
-from pftwin.errors import InputError
-from pftwin.json_files import read_json
-from pftwin.output import written_whole
-from pftwin.scene import Scene
+from pftwin.base.errors import InputError
+from pftwin.base.json_files import read_json
+from pftwin.base.output import written_whole
+from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
     from fitting.plots import EstimatePlots
@@ -113,7 +113,7 @@ class Estimate:
         """How sure it is, in plain words."""
         from types import SimpleNamespace
 
-        from pftwin.scene_parameters import Place
+        from pftwin.model.scene_parameters import Place
 
         places = tuple(Place("", (_field(n),), None, "value") for n in self.names)
         named: Any = SimpleNamespace(names=self.names, places=places, lower=self.lower, upper=self.upper)

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from fitting import programs
 from fitting.channels import POSITION, columns_of, widths
 from fitting.parameters import Parameters
-from pftwin.batch.devices import Devices, chosen_devices, feeding_threads
+from pftwin.base.spatial import Pose
+from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.frame_states import substeps_for
-from pftwin.scene import Scene
-from pftwin.spatial import Pose
+from pftwin.model.scene import Scene
 
 CHUNK = 32  # variants evaluated at once by default
 _WITH_SLOPES = 16  # the same with derivatives

@@ -9,19 +9,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fitting import checkpoint as checkpoints
 from fitting.channels import POSITION, channels_of
 from fitting.estimate import Estimate
-from fitting.method import Method, State
+from fitting.methods import checkpoint as checkpoints
+from fitting.methods.method import Method, State
+from fitting.methods.problem import Problem, Request
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, free_parameters
-from fitting.problem import Problem, Request
 from fitting.uncertainty import uncertainty
-from pftwin.batch.devices import Devices
-from pftwin.errors import InputError, PftwinError
-from pftwin.measured import Measured
-from pftwin.output import check_place
-from pftwin.scene import Scene, check
+from pftwin.base.errors import InputError, PftwinError
+from pftwin.base.output import check_place
+from pftwin.dynamics.batch.devices import Devices
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene, check
 
 METHODS = ("least_squares", "gradient", "genetic", "cma_es", "differential_evolution")
 SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
@@ -205,15 +205,15 @@ def first_look(problem: Problem, first: Request | None = None) -> None:
 
 def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> Method:
     if name == "least_squares":
-        from fitting.least_squares import LeastSquares as Chosen
+        from fitting.methods.least_squares import LeastSquares as Chosen
     elif name == "gradient":
-        from fitting.gradient import Gradient as Chosen
+        from fitting.methods.gradient import Gradient as Chosen
     elif name == "genetic":
-        from fitting.genetic import Genetic as Chosen
+        from fitting.methods.genetic import Genetic as Chosen
     elif name == "cma_es":
-        from fitting.strategies import CmaEs as Chosen
+        from fitting.methods.strategies import CmaEs as Chosen
     else:
-        from fitting.strategies import DifferentialEvolution as Chosen
+        from fitting.methods.strategies import DifferentialEvolution as Chosen
     known = Chosen.options
     for key, value in options.items():
         if key not in known:

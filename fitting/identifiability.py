@@ -14,13 +14,13 @@ from fitting.channels import ORIENTATION, POSITION, channels_of
 from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
 from fitting.fit import SPRING_PARAMETERS, measured_of
+from fitting.methods.problem import Problem, Request
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, Parameters, free_parameters
-from fitting.problem import Problem, Request
 from fitting.uncertainty import in_words, inverted, percent
-from pftwin.errors import InputError
-from pftwin.measured import Measured
-from pftwin.scene import Scene, check
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene, check
 
 Floats = NDArray[np.float64]
 

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from fitting.channels import ORIENTATION, POSITION
 from fitting.evaluation import Prediction
-from pftwin.errors import InputError
-from pftwin.measured import Measured
-from pftwin.scene import Scene
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
 
 Floats = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pftwin.errors import InputError
-from pftwin.scene import Scene
-from pftwin.scene_parameters import Place, find
-from pftwin.spatial import Scalar
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Scalar
+from pftwin.model.scene import Scene
+from pftwin.model.scene_parameters import Place, find
 
 Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3

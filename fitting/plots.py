@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from fitting.estimate import Estimate
-    from fitting.posterior_result import Posterior
-    from pftwin.scene import Scene
+    from fitting.posterior.result import Posterior
+    from pftwin.model.scene import Scene
 
 DRAWS = 20  # of the estimate's uncertainty, each a simulation
 SAMPLES = 50  # of a prediction, side by side
@@ -35,7 +35,7 @@ class EstimatePlots:
             InputError: an estimate from a file, which holds neither scene nor measurements.
         """
         import pftwin
-        from pftwin.plots import case_figure
+        from pftwin.results.plots import case_figure
 
         e = self._estimate
         if e.nominal_scene is None or e.measured is None:
@@ -54,8 +54,8 @@ class EstimatePlots:
         """
         from matplotlib.figure import Figure
 
-        from pftwin.plots.panels import figure_of, given_axes
-        from pftwin.plots.style import PAGE, house_style, title
+        from pftwin.results.plots.panels import figure_of, given_axes
+        from pftwin.results.plots.style import PAGE, house_style, title
 
         own = given_axes(axes, 2, "for the correlations, and for the values")
         with house_style(axes__grid=False):
@@ -77,7 +77,7 @@ class EstimatePlots:
         Raises:
             InputError: a posterior of other parameters.
         """
-        from fitting.posterior_plots import corner_figure
+        from fitting.posterior.plots import corner_figure
 
         return corner_figure(self._estimate, sampled)
 
@@ -88,16 +88,16 @@ class EstimatePlots:
         """Outcomes against the amount of a treatment, with 95 % bands from the estimate's uncertainty.
 
         Args:
-            variants: a grid of treatments (`fitting.variants.grid`), as `fitting.predict` takes it.
+            variants: a grid of treatments (`fitting.prediction.variants.grid`), as `fitting.predict` takes it.
             scene: untreated; by default the one that was fitted.
             samples: draws from the estimate's uncertainty; 0 gives lines without bands.
-            title, axes: as in `fitting.prediction_plots.outcome_figure`, which draws a prediction that is there.
+            title, axes: as in `fitting.prediction.plots.outcome_figure`, which draws a prediction that is there.
 
         Raises:
             InputError: an estimate from a file without `scene`; no amount varies; what `fitting.predict` refuses.
         """
-        from fitting.predicting import predict
-        from fitting.prediction_plots import outcome_figure
+        from fitting.prediction.plots import outcome_figure
+        from fitting.prediction.predicting import predict
 
         data = predict(self._scene(scene), variants, self._estimate, samples=samples)
         return outcome_figure(data, title, axes=axes)
@@ -109,13 +109,13 @@ class EstimatePlots:
             scene: by default the one that was fitted.
             draws: simulations besides the estimate's own.
             seed: of the draws.
-            more: for `pftwin.plots.against_flexion`.
+            more: for `pftwin.results.plots.against_flexion`.
 
         Raises:
             InputError: an estimate from a file without `scene`; fewer than one draw; a knee that does not bend.
         """
         import pftwin
-        from pftwin.plots import against_flexion
+        from pftwin.results.plots import against_flexion
 
         if draws < 1:
             raise InputError(f"found {draws!r}", where="draws", expected="a whole number, at least 1")
@@ -129,8 +129,8 @@ class EstimatePlots:
         """The best objective so far against the evaluations."""
         from matplotlib.figure import Figure
 
-        from pftwin.plots.panels import figure_of
-        from pftwin.plots.style import COLOURS, house_style
+        from pftwin.results.plots.panels import figure_of
+        from pftwin.results.plots.style import COLOURS, house_style
 
         e = self._estimate
         with house_style():
@@ -146,7 +146,7 @@ class EstimatePlots:
         Raises:
             OutputError: the folder is missing or cannot be written to.
         """
-        from pftwin.plots import save_figure
+        from pftwin.results.plots import save_figure
 
         drawn: dict[str, Any] = {"fit": self.fit, "correlation": self.correlation, "history": self.history}
         written: list[Path] = []
@@ -183,7 +183,7 @@ def _correlations(ax: Axes, e: Estimate) -> None:
 
 def _values(ax: Axes, e: Estimate) -> None:
     """In percent of the nominal values, since units differ; of 1 unit where a nominal value is zero."""
-    from pftwin.plots.style import COLOURS
+    from pftwin.results.plots.style import COLOURS
 
     rows = np.arange(len(e.names))
     scale = np.where(e.nominal == 0, 1.0, np.abs(e.nominal))

@@ -19,15 +19,15 @@ from jaxtyping import Array
 
 from fitting.channels import ORIENTATION, POSITION
 from fitting.parameters import applied
-from pftwin.batch.laid import AXIS, SPLIT, laid
-from pftwin.batches import batched
+from pftwin.base.spatial import Pose, Scalar
+from pftwin.dynamics.batch.batched import batched
+from pftwin.dynamics.batch.shard_over import AXIS, SPLIT, laid
 from pftwin.dynamics.frame_states import starting_equilibrium, watched
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import placed
 from pftwin.dynamics.state import Guide, State
-from pftwin.scene import Scene
-from pftwin.scene_parameters import Place
-from pftwin.spatial import Pose, Scalar
+from pftwin.model.scene import Scene
+from pftwin.model.scene_parameters import Place
 
 _COLUMNS = PartitionSpec(None, AXIS)
 

@@ -92,7 +92,7 @@ assert result.dislocations().events
 assert not after.dislocations().events
 
 # %%
-pftwin.plots.against_flexion({"untreated": result, "16 mm medially": after}, strokes="together")
+pftwin.results.plots.against_flexion({"untreated": result, "16 mm medially": after}, strokes="together")
 
 # %%
 after.plot.trajectory()

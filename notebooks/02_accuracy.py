@@ -43,11 +43,11 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.benchmarks.machine import describe
+from pftwin.base.machine import describe
+from pftwin.base.runtime import default_cache_dir
 from pftwin.dynamics import tolerance
-from pftwin.metrics import PAPER_TABLE_1
-from pftwin.plots import COLOURS, STYLE
-from pftwin.runtime import default_cache_dir
+from pftwin.results.metrics import PAPER_TABLE_1
+from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies.accuracy.figure import work_precision
 from pftwin.studies.accuracy.plan import Setting
 from pftwin.studies.accuracy.run import measure_all

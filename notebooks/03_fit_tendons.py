@@ -38,9 +38,9 @@ from IPython.display import Markdown
 
 import fitting
 import pftwin
-from fitting.straight_springs import recorded_line, recorded_pulls
-from pftwin.plots import compared
-from pftwin.runtime import default_cache_dir
+from fitting.demo.straight_springs import recorded_line, recorded_pulls
+from pftwin.base.runtime import default_cache_dir
+from pftwin.results.plots import compared
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 mpl.rcParams["figure.dpi"] = 72  # small files

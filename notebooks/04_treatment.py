@@ -36,14 +36,14 @@ from matplotlib.figure import Figure
 
 import fitting
 import pftwin
-from fitting.clinical_indices import clinical_indices
-from fitting.limits import Limit
-from fitting.outcomes import outcomes
-from fitting.prediction_plots import outcome_figure
+from fitting.prediction.clinical_indices import clinical_indices
+from fitting.prediction.outcomes import outcomes
+from fitting.prediction.plots import outcome_figure
+from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
-from fitting.variants import grid
-from pftwin.plots import STYLE, against_flexion
-from pftwin.runtime import default_cache_dir
+from fitting.treatments.limits import Limit
+from pftwin.base.runtime import default_cache_dir
+from pftwin.results.plots import STYLE, against_flexion
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 mpl.rcParams["figure.dpi"] = 72  # small files

@@ -43,15 +43,15 @@ from matplotlib.figure import Figure
 
 import fitting
 import pftwin
-from pftwin.mocap import cluster_poses, find_gaps, read_trc
-from pftwin.plots import COLOURS, STYLE
+from pftwin.base.runtime import default_cache_dir
+from pftwin.files.mocap import cluster_poses, find_gaps, read_trc
+from pftwin.files.scene_file import load_scene_file
+from pftwin.geometry.mesh.mesh import load_mesh
+from pftwin.geometry.patch.polynomial_fit import fit_patch
+from pftwin.geometry.patch.region import plot_region, trochlear_region
+from pftwin.results.plots import COLOURS, STYLE
 from pftwin.rig import geometry
-from pftwin.runtime import default_cache_dir
-from pftwin.scene_file import load_scene_file
-from pftwin.scene_template import write_example
-from pftwin.surfaces.fit import fit_patch
-from pftwin.surfaces.mesh import load_mesh
-from pftwin.surfaces.region import plot_region, trochlear_region
+from pftwin.rig.scene_template import write_example
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 mpl.rcParams["figure.dpi"] = 72  # small files

@@ -36,8 +36,8 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.plots import COLOURS, STYLE
-from pftwin.runtime import default_cache_dir
+from pftwin.base.runtime import default_cache_dir
+from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies import hard_cases
 from pftwin.studies.hard_cases import table as tables
 

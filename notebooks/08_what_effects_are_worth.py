@@ -31,8 +31,8 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.plots import COLOURS, STYLE
-from pftwin.runtime import default_cache_dir
+from pftwin.base.runtime import default_cache_dir
+from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies.audit.audit import audit
 from pftwin.studies.audit.explain import explain
 from pftwin.studies.audit.figure import audit_figure

@@ -15,9 +15,12 @@ from time import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pftwin import effects, interchange, mocap, plots, rig, surfaces, viewer
-    from pftwin.batch.simulate_batch import simulate_batch
-    from pftwin.batch.variants import Variants
+    from pftwin import geometry as surfaces
+    from pftwin import rig
+    from pftwin.base.errors import InputError, OutputError, PftwinError
+    from pftwin.base.runtime import configure
+    from pftwin.dynamics.batch.simulate_batch import simulate_batch
+    from pftwin.dynamics.batch.variants import Variants
     from pftwin.dynamics.integrators import (
         ALI3P,
         BDF2,
@@ -31,48 +34,57 @@ if TYPE_CHECKING:
     from pftwin.dynamics.simulate import equilibrium, simulate
     from pftwin.dynamics.status import Status
     from pftwin.dynamics.trajectory import Trajectory, trajectory
-    from pftwin.errors import InputError, OutputError, PftwinError
-    from pftwin.measured import Measured
-    from pftwin.metrics import validate
-    from pftwin.result import Result
-    from pftwin.runtime import configure
-    from pftwin.scene import Scene
-    from pftwin.scene_file import load_scene
-    from pftwin.scene_file.registry import register_effect
+    from pftwin.files import interchange, mocap
+    from pftwin.files.scene_file import load_scene
+    from pftwin.files.scene_file.registry import register_effect
+    from pftwin.model import effects
+    from pftwin.model.measured import Measured
+    from pftwin.model.scene import Scene
+    from pftwin.results import plots, viewer
+    from pftwin.results.metrics import validate
+    from pftwin.results.result import Result
 
     __version__: str
 
 imported_at = time()  # [s] since the epoch: source that is newer is not what this process runs
 
 _HOME = {
-    "InputError": "errors",
+    "InputError": "base.errors",
     "ALI3P": "dynamics.integrators",
     "BDF2": "dynamics.integrators",
     "Diffrax": "dynamics.integrators",
     "Integrator": "dynamics.integrators",
     "LinearImplicit": "dynamics.integrators",
-    "Measured": "measured",
+    "Measured": "model.measured",
     "Newmark": "dynamics.integrators",
     "QuasiStatic": "dynamics.integrators",
     "SymplecticEuler": "dynamics.integrators",
     "Trajectory": "dynamics.trajectory",
-    "OutputError": "errors",
-    "PftwinError": "errors",
-    "Result": "result",
-    "Scene": "scene",
+    "OutputError": "base.errors",
+    "PftwinError": "base.errors",
+    "Result": "results.result",
+    "Scene": "model.scene",
     "Status": "dynamics.status",
-    "Variants": "batch.variants",
-    "configure": "runtime",
+    "Variants": "dynamics.batch.variants",
+    "configure": "base.runtime",
     "equilibrium": "dynamics.simulate",
-    "load_scene": "scene_file",
-    "register_effect": "scene_file.registry",
+    "load_scene": "files.scene_file",
+    "register_effect": "files.scene_file.registry",
     "simulate": "dynamics.simulate",
-    "simulate_batch": "batch.simulate_batch",
+    "simulate_batch": "dynamics.batch.simulate_batch",
     "trajectory": "dynamics.trajectory",
-    "validate": "metrics",
+    "validate": "results.metrics",
 }
 _NO_JAX = ("InputError", "Measured", "OutputError", "PftwinError", "configure")  # all others may compute
-_PACKAGES = ("effects", "interchange", "mocap", "plots", "rig", "surfaces", "viewer")
+_PACKAGES = {
+    "effects": "model.effects",
+    "interchange": "files.interchange",
+    "mocap": "files.mocap",
+    "plots": "results.plots",
+    "rig": "rig",
+    "surfaces": "geometry",
+    "viewer": "results.viewer",
+}
 
 __all__ = [
     "ALI3P",
@@ -113,7 +125,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in __all__ and name not in _NO_JAX and name != "__version__":
-        from pftwin.runtime import use_defaults
+        from pftwin.base.runtime import use_defaults
 
         use_defaults()
     if name == "__version__":
@@ -121,7 +133,7 @@ def __getattr__(name: str) -> Any:
     elif name in _HOME:
         value = getattr(import_module(f"pftwin.{_HOME[name]}"), name)
     elif name in _PACKAGES:
-        value = import_module(f"pftwin.{name}")
+        value = import_module(f"pftwin.{_PACKAGES[name]}")
     else:
         raise AttributeError(f"module 'pftwin' has no attribute {name!r}")
     globals()[name] = value

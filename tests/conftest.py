@@ -10,7 +10,7 @@ import jax
 import pytest
 
 from pftwin.base.program_cache import Program
-from pftwin.runtime import configure
+from pftwin.base.runtime import configure
 
 _ROOT = Path(__file__).resolve().parents[1]
 configure(cache_dir=os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache")))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pftwin.surfaces.mesh import SurfaceMesh
+from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 
 def level(u: np.ndarray, v: np.ndarray) -> np.ndarray:

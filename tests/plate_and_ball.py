@@ -6,8 +6,8 @@ from pathlib import Path
 
 from height_meshes import plate
 
-from pftwin.surfaces.icosphere import icosphere
-from pftwin.surfaces.mesh import save_mesh
+from pftwin.geometry.mesh.icosphere import icosphere
+from pftwin.geometry.mesh.mesh import save_mesh
 
 RADIUS = 0.02
 PARTS = ("px_m", "py_m", "pz_m", "qw", "qx", "qy", "qz")

@@ -6,13 +6,13 @@ import numpy as np
 from height_meshes import plate
 from scenes import J, gravity, knee_motion, tendon, vec
 
-from pftwin.effects.damping import LinearDamping
-from pftwin.effects.elastic_foundation import ElasticFoundation
-from pftwin.effects.foundation_law import LinearFoundation, checked_layer
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion
-from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
-from pftwin.surfaces.mesh import SurfaceMesh
+from pftwin.base.spatial import Pose, Quaternion
+from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.effects.elastic_foundation import ElasticFoundation
+from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
+from pftwin.model.scene import PatellaBody, Scene
 
 DOME, REACH = 0.025, 0.006  # the dome's radius of curvature and half its width [m]
 MASS, HEAVY = 0.12, 2.0

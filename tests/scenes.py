@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
@@ -14,17 +15,16 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State, System
-from pftwin.effects.base import Effect, Ground, Instant, Patella
-from pftwin.effects.contact_law import ContactLaw, Flores
-from pftwin.effects.gravity import Gravity
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.effects.tendon import Tendon
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import Frame, KneeMotion
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion, Rotation, Vec3
-from pftwin.surfaces.charts import Chart, PlaneChart
-from pftwin.surfaces.patch import PolynomialPatch, exponents
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.patch.charts import Chart, PlaneChart
+from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
+from pftwin.model.effects.base import Effect, Ground, Instant, Patella
+from pftwin.model.effects.contact_law import ContactLaw, Flores
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.effects.tendon import Tendon
+from pftwin.model.motion import Frame, KneeMotion
+from pftwin.model.scene import PatellaBody, Scene
 
 MASS, RADIUS, G = 0.12, 0.022, 9.81
 OPTIMISED = {"xla_backend_optimization_level": 3}  # of `jax.jit`, for programs that run longer than they compile

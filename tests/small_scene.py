@@ -8,18 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 
 import pftwin
-from pftwin.effects.contact_law import Flores
-from pftwin.effects.gravity import Gravity
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.effects.tendon import Tendon
-from pftwin.leaves import number
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.rotations import tibiofemoral_orientation
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion, Rotation, Vec3
-from pftwin.surfaces.charts import PlaneChart
-from pftwin.surfaces.patch import PolynomialPatch, exponents
+from pftwin.base.leaves import number
+from pftwin.base.rotations import tibiofemoral_orientation
+from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.patch.charts import PlaneChart
+from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
+from pftwin.model.effects.contact_law import Flores
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.effects.tendon import Tendon
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import PatellaBody, Scene
 
 HALF_U, HALF_V = 0.030, 0.020
 GROOVE_AT = 0.001  # lateral place of the groove's bottom [m]

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pftwin.benchmarks import accuracy, extrapolation
-from pftwin.benchmarks.__main__ import app
-from pftwin.benchmarks.clock import Times, measure
-from pftwin.benchmarks.report import from_json, markdown, to_json
-from pftwin.benchmarks.row import Row
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
+from pftwin.studies.clock import Times, measure
+from tests.benchmarks import accuracy, extrapolation
+from tests.benchmarks.__main__ import app
+from tests.benchmarks.report import from_json, markdown, to_json
+from tests.benchmarks.row import Row
 
 RUNNER = CliRunner()
 MACHINE = {"cpu": "some", "cores": 2, "dtype": "float64", "jax": "0", "date": "2026-01-01T00:00"}

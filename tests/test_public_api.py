@@ -13,7 +13,7 @@ import pftwin
 
 OWN = ("pftwin", "fitting")
 # JAX has no public name for the client of its coordination service, and its collectives neither wait for a process that
-# is slow nor go on without one that died: see pftwin/batch/processes.py.
+# is slow nor go on without one that died: see pftwin/dynamics/batch/processes.py.
 EXCUSED = ("batch/processes.py", "jax._src.distributed")
 NOT_FOR_US = {"jax.config.values", "jax.interpreters.partial_eval.dce_jaxpr", "jax.interpreters.partial_eval"}
 FILES = [(Path(p.__path__[0]), f) for p in (pftwin, fitting) for f in sorted(Path(p.__path__[0]).rglob("*.py"))]

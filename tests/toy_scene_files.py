@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pftwin.errors import InputError
-from pftwin.mocap import MarkerTrajectories, PoseSeries, Table, write_trc
-from pftwin.scene import Scene
-from pftwin.scene_file import load_scene
-from pftwin.surfaces.implant import rig_implant
-from pftwin.surfaces.mesh import save_mesh
+from pftwin.base.errors import InputError
+from pftwin.files.mocap import MarkerTrajectories, PoseSeries, Table, write_trc
+from pftwin.files.scene_file import load_scene
+from pftwin.geometry.mesh.mesh import save_mesh
+from pftwin.geometry.patch.implant import rig_implant
+from pftwin.model.scene import Scene
 
 CLUSTERS = {
     "femur": {"F1": (0.20, 0.05, 0.03), "F2": (0.25, -0.04, 0.05), "F3": (0.15, 0.01, 0.08)},

@@ -1,7 +1,7 @@
 """Draws the frames and the signs of the angles with pftwin's own rotations: `python docs/drawings/conventions.py`.
 
-Outlines are sketches of a right knee. What is turned is turned by `pftwin.rotations`, so a drawing cannot show another
-sign than the code has.
+Outlines are sketches of a right knee. What is turned is turned by `pftwin.base.rotations`, so a drawing cannot show
+another sign than the code has.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 
-from pftwin.plots import COLOURS, STYLE
-from pftwin.rotations import patellar_orientation, tibiofemoral_orientation
+from pftwin.base.rotations import patellar_orientation, tibiofemoral_orientation
+from pftwin.results.plots import COLOURS, STYLE
 
 BLUE, RED, GREEN = COLOURS[0], COLOURS[1], COLOURS[2]
 BONE, MOVED = "#e8e2d4", "#bcd3e6"

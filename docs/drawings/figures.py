@@ -17,10 +17,10 @@ from PIL import Image
 
 import fitting
 import pftwin
+from fitting.prediction.variants import grid
 from fitting.treatments import tibial_tuberosity_transfer
-from fitting.variants import grid
-from pftwin.plots import against_flexion, compared, house_style
-from pftwin.runtime import default_cache_dir
+from pftwin.base.runtime import default_cache_dir
+from pftwin.results.plots import against_flexion, compared, house_style
 from pftwin.studies.accuracy.figure import work_precision
 from pftwin.studies.accuracy.table import read_csv
 

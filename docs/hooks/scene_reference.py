@@ -10,9 +10,9 @@ from typing import Any
 from pydantic_core import PydanticUndefined
 from spelled_types import sections_of, spelled
 
-from pftwin.scene_file import loading
-from pftwin.scene_file.registry import EFFECTS
-from pftwin.scene_file.section import ONE_OR_MANY, Section
+from pftwin.files.scene_file import loading
+from pftwin.files.scene_file.registry import EFFECTS
+from pftwin.files.scene_file.section import ONE_OR_MANY, Section
 
 PAGE = "scene_file.md"
 _UNIT = re.compile(r"\s*\[(-|deg|s|m|kg|kg m\^2|m/s|m/s\^2|s/m|Hz|MPa|samples|N[^\]]*)\]")

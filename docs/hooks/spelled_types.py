@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BeforeValidator
 from pydantic.fields import FieldInfo
 
-from pftwin.scene_file import section, side
-from pftwin.scene_file.section import Section
+from pftwin.files.scene_file import section, side
+from pftwin.files.scene_file.section import Section
 
 _PLAIN: dict[Any, str] = {float: "number", int: "whole number", str: "text", bool: "true or false"}
 _CHECKED = {  # validators that narrow a value further

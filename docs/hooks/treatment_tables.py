@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from fitting.clinical_norms import USUAL
-from fitting.outcomes import MEASURES
+from fitting.prediction.clinical_norms import USUAL
+from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import KINDS
 
 PAGE = "treatments.md"

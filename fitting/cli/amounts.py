@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from fitting.ranges import numbers, values
-from pftwin.errors import InputError
+from fitting.prediction.ranges import numbers, values
+from pftwin.base.errors import InputError
 
 if TYPE_CHECKING:
-    from pftwin.scene import Scene
+    from pftwin.model.scene import Scene
 
 
 class Amount(NamedTuple):

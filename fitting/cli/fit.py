@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fitting.cli.posterior import check_posterior, with_posterior
+from pftwin.base.errors import InputError, OutputError
 from pftwin.cli.exit_codes import Interrupted, keeping
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, working, write_json
-from pftwin.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -9,16 +9,16 @@ import typer
 
 from fitting.cli.amounts import Given, by_kind, limits, with_amounts
 from fitting.cli.treat import EstimateOption, loaded_estimate
+from pftwin.base.labels import SYNTHETIC
 from pftwin.cli.exit_codes import flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
-from pftwin.labels import SYNTHETIC
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fitting.treatment_plan import Plan
     from fitting.treatments import Treatment
+    from fitting.treatments.plan import Plan
 
 
 @with_amounts("FROM:TO", ", within these limits")
@@ -54,8 +54,8 @@ def optimise(
     pairs = {f"{k}.{a.name}": limits(text, a.flag) for k, given in wanted.items() for a, text in given}
     check_outputs(output, json)
     start_computing(batches=True)
-    from fitting.limits import Limit
-    from fitting.optimise import optimise_treatment
+    from fitting.treatments.limits import Limit
+    from fitting.treatments.optimise import optimise_treatment
 
     stated = [Limit.parsed(text) for text in limit]
     found = None if estimate is None else loaded_estimate(estimate)
@@ -111,7 +111,7 @@ def _table(plan: Plan, scene: str) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from fitting.limits import in_units
+    from fitting.treatments.limits import in_units
 
     table = Table(title=escape(f"{scene}: {plan.treatment.describe()}"))
     for name in ("limit", "value", "holds"):

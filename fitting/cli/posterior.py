@@ -6,12 +6,12 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pftwin.base.errors import InputError
 from pftwin.cli.terminal import err
-from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
-    from fitting.posterior import Posterior
+    from fitting.posterior.sampling import Posterior
 
 
 def check_posterior(objective: str) -> None:
@@ -21,7 +21,7 @@ def check_posterior(objective: str) -> None:
         InputError: an objective that is no likelihood.
         MissingExtraError: blackjax is not installed.
     """
-    from fitting.independence import accepting
+    from fitting.posterior.independence import accepting
 
     if objective == "paper":
         raise InputError("the paper's objective is no likelihood", where="--posterior", remedy="--objective likelihood")
@@ -30,8 +30,8 @@ def check_posterior(objective: str) -> None:
 
 def with_posterior(estimate: Estimate, draws: int, seed: int, output: Path) -> Posterior:
     """Samples, with progress on stderr, and writes the estimate's file again with the posterior in it."""
-    from fitting.posterior import sample_posterior
-    from pftwin.output import written_whole
+    from fitting.posterior.sampling import sample_posterior
+    from pftwin.base.output import written_whole
 
     with err().status("sampling the posterior ...") as spinner:
         found = sample_posterior(

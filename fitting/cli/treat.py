@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fitting.cli.amounts import Given, by_kind, values, with_amounts
+from pftwin.base.errors import InputError, OutputError
 from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
-from pftwin.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from fitting.estimate import Estimate
     from fitting.treatments import Treatment
-    from pftwin.scene import Scene
+    from pftwin.model.scene import Scene
 
 _MOST_ROWS = 40
 _MOST_VARIANTS = 1_000_000
@@ -61,7 +61,7 @@ def treat(
     variants = _variants(numbers)
     found = None if estimate is None else loaded_estimate(estimate)
     chosen = chosen_scene(scene, case, contact)
-    from pftwin.result_files import save_dataset
+    from pftwin.files.result_files import save_dataset
 
     draws = samples if found is not None else 0
     data, whole = _predicted(chosen.scene, variants, found, samples=draws, seed=seed, dt=dt)
@@ -83,8 +83,8 @@ def treat(
 
 def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **options: Any) -> tuple[Dataset, bool]:
     """Outcomes, block by block of variants, and whether they are all there: after Ctrl-C, those of the blocks done."""
-    from fitting.predicting import predict
-    from fitting.variants import amounts_of
+    from fitting.prediction.predicting import predict
+    from fitting.prediction.variants import amounts_of
 
     amounts = amounts_of(variants)
     draws = 1 + options["samples"]
@@ -127,7 +127,7 @@ def _variants(numbers: dict[str, dict[str, list[float]]]) -> Treatment:
     """All combinations."""
     import math
 
-    from fitting.variants import combinations
+    from fitting.prediction.variants import combinations
 
     count = math.prod(len(v) for amounts in numbers.values() for v in amounts.values())
     if count > _MOST_VARIANTS:
@@ -143,20 +143,20 @@ def loaded_estimate(path: Path) -> Estimate:
 
 
 def _draw(data: Dataset, output: Path, name: str) -> list[Path]:
-    from fitting.prediction_plots import outcome_figure
-    from pftwin.plots import save_figure
+    from fitting.prediction.plots import outcome_figure
+    from pftwin.results.plots import save_figure
 
     return list(save_figure(outcome_figure(data, f"{name}: predicted outcomes"), output.with_suffix("")))
 
 
 def _finding(data: Dataset) -> str:
-    from fitting.prediction_table import finding
+    from fitting.prediction.table import finding
 
     return finding(data)
 
 
 def _facts(data: Dataset) -> dict[str, Any]:
-    from fitting.prediction_table import facts
+    from fitting.prediction.table import facts
 
     return facts(data)
 
@@ -165,7 +165,7 @@ def _table(data: Dataset) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from fitting.prediction_table import rows
+    from fitting.prediction.table import rows
 
     headings, lines = rows(data)
     left_out = len(lines) - _MOST_ROWS

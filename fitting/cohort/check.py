@@ -9,7 +9,7 @@ from typing import NamedTuple
 from fitting.cohort.description import Cohort
 from fitting.cohort.manifest import SUMMARY, Manifest, fault
 from fitting.cohort.units import file_digest, units_of
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 SOUND, DAMAGED, OUTDATED, ABSENT, LEFT_OVER = "sound", "damaged", "out of date", "not there yet", "no longer asked for"
 

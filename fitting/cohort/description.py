@@ -12,10 +12,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from fitting.cohort.tables import CohortTable, PatientTable
-from pftwin.errors import InputError
-from pftwin.scene_file.document import Document
-from pftwin.scene_file.problems import scene_error
-from pftwin.scene_file.section import Reading
+from pftwin.base.errors import InputError
+from pftwin.files.scene_file.document import Document
+from pftwin.files.scene_file.problems import scene_error
+from pftwin.files.scene_file.section import Reading
 
 _MOST_MEMBERS = 1_000_000  # variants and draws of a patient
 

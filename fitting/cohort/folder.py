@@ -12,8 +12,8 @@ from typing import IO
 
 from fitting.cohort.manifest import NAME, SUMMARY, Manifest
 from fitting.cohort.units import PATIENTS
-from pftwin.errors import InputError, OutputError
-from pftwin.output import make_folder, remove_unfinished
+from pftwin.base.errors import InputError, OutputError
+from pftwin.base.output import make_folder, remove_unfinished
 
 LOCK = ".lock"
 _ANOTHER = "another folder, with --out"

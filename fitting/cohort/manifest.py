@@ -9,9 +9,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from fitting.cohort.units import PATIENTS, Unit, file_digest, versions
-from pftwin.errors import InputError
-from pftwin.json_files import read_json
-from pftwin.output import written_whole
+from pftwin.base.errors import InputError
+from pftwin.base.json_files import read_json
+from pftwin.base.output import written_whole
 
 NAME = "manifest.json"
 SUMMARY = "summary.parquet"

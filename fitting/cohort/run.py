@@ -20,7 +20,7 @@ from fitting.cohort.summary import require_pyarrow
 from fitting.cohort.summary_file import SummaryFile
 from fitting.cohort.units import PATIENTS, Unit, units_of
 from fitting.cohort.work import ByPftwin, Work
-from pftwin.errors import InputError, PftwinError
+from pftwin.base.errors import InputError, PftwinError
 
 if TYPE_CHECKING:
     from fitting.estimate import Estimate

@@ -40,7 +40,7 @@ def write_store(
     """
     from xarray import Dataset
 
-    from pftwin.result_files import save_dataset
+    from pftwin.files.result_files import save_dataset
 
     about = {"title": f"patient {unit.patient}", "patient": unit.patient, "key": unit.key, **versions(), **scene}
     groups = {} if estimate is None else {"fit": fit_dataset(estimate)}
@@ -91,7 +91,7 @@ def read_store(path: Path) -> tuple[dict[str, Any], Dataset | None, Dataset | No
     Raises:
         InputError: no store.
     """
-    from pftwin.result_files import load_dataset
+    from pftwin.files.result_files import load_dataset
 
     about = dict(load_dataset(path).attrs)
     groups = str(about.get("groups", "")).split()

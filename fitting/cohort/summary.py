@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitting.cohort.manifest import Failure
 from fitting.cohort.store import read_store
-from pftwin.errors import MissingExtraError
+from pftwin.base.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -114,7 +114,7 @@ def _fitted(fit: Dataset, units: Units) -> Row:
 
 def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
     """Of the estimate itself, and with samples the 95 % band of the draws."""
-    from fitting.prediction_table import facts
+    from fitting.prediction.table import facts
 
     found = facts(data)
     for name, unit in found["units"].items():

@@ -9,7 +9,7 @@ from fitting.cohort.description import Cohort
 from fitting.cohort.manifest import SUMMARY, Announced, Failure, Manifest
 from fitting.cohort.summary import Row, Units, row_without, rows_of, table
 from fitting.cohort.units import Unit, file_digest, versions
-from pftwin.output import written_whole
+from pftwin.base.output import written_whole
 
 
 class SummaryFile:

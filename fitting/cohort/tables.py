@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
-from fitting.ranges import values
+from fitting.prediction.ranges import values
 from fitting.treatments import KINDS
 from fitting.treatments.kinds import Way
-from pftwin.errors import InputError
-from pftwin.scene_file.section import FileName, Positive, Section, problem
+from pftwin.base.errors import InputError
+from pftwin.files.scene_file.section import FileName, Positive, Section, problem
 
 _UNITS = {"mm": "mm", "deg": "deg", "%": "percent"}  # as names of fields spell them
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}

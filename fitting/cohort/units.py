@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fitting.cohort.description import Cohort, Patient
-from pftwin.errors import InputError
-from pftwin.file_limits import MESH_BYTES
+from pftwin.base.errors import InputError
+from pftwin.base.file_limits import MESH_BYTES
 
 PATIENTS = "patients"  # folder of the units' files
 _CHUNK = 2**20
@@ -79,7 +79,7 @@ def _inputs(patient: Patient, allow_outside: bool) -> dict[str, str]:
 
         assert patient.case is not None
         return {f"case {patient.case}: {p.name}": _digest(p) for p in recording_files(patient.case)}
-    from pftwin.scene_file.document import Document
+    from pftwin.files.scene_file.document import Document
 
     document = Document.read(patient.scene, allow_outside=allow_outside)
     first, *named = document.files()

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
 from fitting.cohort.description import Cohort, Patient
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
     from fitting.estimate import Estimate
-    from pftwin.scene import Scene
+    from pftwin.model.scene import Scene
 
 Tell = Callable[[float], None]  # how far a unit is: the share that is done
 
@@ -71,8 +71,8 @@ class ByPftwin:
         """
         if not self.cohort.treatments:
             return None
-        from fitting.predicting import predict
-        from fitting.variants import combinations
+        from fitting.prediction.predicting import predict
+        from fitting.prediction.variants import combinations
 
         settings = dict(self.cohort.predict)
         if estimate is None:
@@ -100,6 +100,6 @@ class ByPftwin:
 
             assert patient.case is not None
             return rig.case(patient.case, contact=patient.contact or "P5")
-        from pftwin.scene_file import load_scene
+        from pftwin.files.scene_file import load_scene
 
         return load_scene(patient.scene, contact=patient.contact, allow_outside=self.cohort.allow_outside)

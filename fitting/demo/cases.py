@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from pftwin.metrics import Row, Validation
-    from pftwin.result import Result
+    from pftwin.results.metrics import Row, Validation
+    from pftwin.results.result import Result
 
 CASES = (1, 2, 3, 4)
 CONTACTS = ("P2", "P4", "P5")
@@ -35,7 +35,7 @@ def run_demo(folder: Path, console: Console, *, full: bool = False) -> dict[str,
 
     from pftwin import rig
     from pftwin.dynamics.simulate import simulate
-    from pftwin.metrics import mean_of, validate
+    from pftwin.results.metrics import mean_of, validate
 
     folder.mkdir(parents=True, exist_ok=True)
     results: dict[int, dict[str, Result]] = {n: {} for n in CASES}
@@ -88,7 +88,7 @@ def narrow_table(title: str) -> Table:
 
 def _table(means: dict[str, Validation]) -> Table:
     """The paper's Table 1, ours and theirs side by side where they have it."""
-    from pftwin.metrics import PAPER_TABLE_1
+    from pftwin.results.metrics import PAPER_TABLE_1
 
     table = narrow_table(
         "Means over the four cases: pftwin against the virtual rig's SYNTHETIC measurements,\n"
@@ -109,7 +109,7 @@ def _table(means: dict[str, Validation]) -> Table:
 
 def _rows(means: dict[str, Validation]) -> list[tuple[Row, ...]]:
     """The rows of all contacts, the paper's figures in them where it has any."""
-    from pftwin.metrics import PAPER_TABLE_1
+    from pftwin.results.metrics import PAPER_TABLE_1
 
     return list(zip(*(v.to_rows(c if c in PAPER_TABLE_1 else None) for c, v in means.items()), strict=True))
 
@@ -154,14 +154,14 @@ def _outcome_table(outcomes: list[dict[str, Any]]) -> Table:
 
 def _draw(results: dict[str, Result], n: int, folder: Path) -> tuple[Path, ...]:
     from pftwin import rig
-    from pftwin.plots import case_figure, save_figure
+    from pftwin.results.plots import case_figure, save_figure
 
     figure = case_figure(results, rig.measured(n), f"Case {n} of the virtual rig")
     return save_figure(figure, folder / f"case{n}")
 
 
 def _write_csv(means: dict[str, Validation], path: Path) -> None:
-    from pftwin.output import written_whole
+    from pftwin.base.output import written_whole
 
     lines = ["row,unit," + ",".join(f"{c},paper_{c}" for c in means)]
     for rows in _rows(means):

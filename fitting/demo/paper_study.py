@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fitting.fit import SPRING_PARAMETERS, fit_tendons
-from fitting.straight_springs import (
+from fitting.demo.straight_springs import (
     PATELLAR_TENDON,
     QUADRICEPS,
     StraightSpring,
@@ -23,12 +22,13 @@ from fitting.straight_springs import (
     recorded_line,
     recorded_pulls,
 )
-from pftwin.tracking import Tracking, follow, groove_offset
+from fitting.fit import SPRING_PARAMETERS, fit_tendons
+from pftwin.results.tracking import Tracking, follow, groove_offset
 
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
-    from pftwin.metrics import Validation
-    from pftwin.result import Result
+    from pftwin.results.metrics import Validation
+    from pftwin.results.result import Result
 
 PATHOLOGY, TREATMENT = 2, 1  # cases of the rig
 CASES = (PATHOLOGY, TREATMENT)
@@ -42,7 +42,7 @@ class PaperFigures(NamedTuple):
 
     errors: dict[str, float]  # of the fitted springs, without signs [% of the nominal value]
     seconds: float  # that the fit took
-    table_2: dict[int, dict[str, float]]  # by case, and by the fields of `pftwin.metrics.Validation`
+    table_2: dict[int, dict[str, float]]  # by case, and by the fields of `pftwin.results.metrics.Validation`
     outcomes: dict[int, str]
 
 
@@ -155,9 +155,9 @@ def paper_study(*, dt: float = STEP, progress: Callable[[str], None] | None = No
 
 def compile_fit() -> float:
     """Compiles the one program that both fits run, by a look at the nominal springs; the seconds that it took."""
+    from fitting.methods.problem import Problem
     from fitting.objective import Objective
     from fitting.parameters import free_parameters
-    from fitting.problem import Problem
     from pftwin import rig
 
     scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitting.demo.paper_study import CASES, FITS, NOMINAL, PATHOLOGY, PaperStudy
 from fitting.demo.paper_study_tables import SPRINGS, SpringRow, spring_rows, table_2
-from pftwin.output import written_whole
+from pftwin.base.output import written_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ def save(study: PaperStudy, folder: Path) -> list[Path]:
     Raises:
         OutputError: the folder is missing or cannot be written to.
     """
-    from pftwin.plots import save_figure
+    from pftwin.results.plots import save_figure
 
     headings = [
         "row",
@@ -48,7 +48,7 @@ def save(study: PaperStudy, folder: Path) -> list[Path]:
 def figure(study: PaperStudy, case: int) -> Figure:
     """A case as measured, and simulated with fitted and with nominal springs."""
     from pftwin import rig
-    from pftwin.plots import case_figure
+    from pftwin.results.plots import case_figure
 
     results = {SPRINGS[s]: study.runs[s][case].result for s in (*FITS, NOMINAL)}
     what = "pathology, the springs fitted to its motion" if case == PATHOLOGY else "treatment, predicted"

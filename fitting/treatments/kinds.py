@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from fitting.treatments import patella, tendons, trochlea
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
 
 _SHOWN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "1": (100.0, "%")}  # at the edges
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pftwin.effects.contact import Contact
-from pftwin.effects.strings import ElasticLine, Strung
-from pftwin.errors import InputError
-from pftwin.scene import Scene
-from pftwin.spatial import Scalar, Vec3
-from pftwin.surfaces.closest import Surface
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.patch.closest import Surface
+from pftwin.model.effects.contact import Contact
+from pftwin.model.effects.line_elements import ElasticLine, Strung
+from pftwin.model.scene import Scene
 
 Amount = Scalar | float
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fitting.treatments.parts import LATERAL, MPFL, Amount, contact_of, elastic, toward
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
 
 _LEFT = 1e-6  # share of its stiffness that a strand keeps when all is released: a scene's strands have some
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, Amount, elastic, line_element, toward
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
 
 
 def tibial_tuberosity_transfer(

@@ -14,9 +14,9 @@ from jaxtyping import Array, ArrayLike
 
 from fitting.treatments import trochlea
 from fitting.treatments.kinds import KINDS, Way
-from pftwin.errors import InputError
-from pftwin.scene import Scene
-from pftwin.spatial import Scalar
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Scalar
+from pftwin.model.scene import Scene
 
 
 class Step(eqx.Module):

@@ -12,12 +12,12 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from fitting.treatments.parts import Amount, contact_of, fitted_surface, toward
-from pftwin.errors import InputError
-from pftwin.scene import Scene
-from pftwin.spatial import Quaternion, Rotation, Vec3
-from pftwin.surfaces.closest import Surface
-from pftwin.surfaces.patch import PolynomialPatch, exponents
-from pftwin.tracking import groove_line
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Quaternion, Rotation, Vec3
+from pftwin.geometry.patch.closest import Surface
+from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
+from pftwin.model.scene import Scene
+from pftwin.results.tracking import groove_line
 
 LOWEST_DEGREE = 4  # of a patch that can be deepened in its groove and stay as it is at its ridges
 _GRID = 61  # points to a side on which the shape is fitted

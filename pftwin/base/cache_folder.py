@@ -15,8 +15,8 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-from pftwin.errors import OutputError, PftwinWarning
-from pftwin.output import written_whole
+from pftwin.base.errors import OutputError, PftwinWarning
+from pftwin.base.output import written_whole
 
 MOST = 500_000_000  # [bytes] in one kind's folder; beyond, what was used least recently goes until half is left
 _KINDS = ("programs", "values")

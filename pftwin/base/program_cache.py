@@ -26,8 +26,8 @@ from jax.core import Tracer
 
 import pftwin
 from pftwin.base import cache_folder
+from pftwin.base.file_limits import MESH_BYTES
 from pftwin.base.serialization import NotPlainError, fingerprint, packed, unpacked
-from pftwin.file_limits import MESH_BYTES
 
 T = TypeVar("T")
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy", "trimesh")

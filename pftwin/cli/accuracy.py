@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from pftwin.base.errors import InputError, OutputError
 from pftwin.cli.exit_codes import keeping
 from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
-from pftwin.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from pftwin.measured import Measured
-    from pftwin.scene import Scene
+    from pftwin.model.measured import Measured
+    from pftwin.model.scene import Scene
     from pftwin.studies.accuracy.measure import Row, SceneOf
 
 OWN = "as it is"  # a scene file's contact
@@ -49,7 +49,7 @@ def accuracy(
         raise OutputError(f"{folder}: there is a file of that name; try: another folder")
     check_outputs(json)
     start_computing()
-    from pftwin.benchmarks.machine import describe
+    from pftwin.base.machine import describe
     from pftwin.studies.accuracy.plan import COMMON, FLOATS, chosen, everything
     from pftwin.studies.accuracy.run import measure_all, write
     from pftwin.studies.accuracy.table import advice, overview
@@ -75,7 +75,7 @@ def _tell(line: str) -> None:
 
 def _keep(rows: list[Row], folder: Path) -> None:
     """What there is so far, should anything happen to the rest."""
-    from pftwin.output import written_whole
+    from pftwin.base.output import written_whole
     from pftwin.studies.accuracy.table import columns
     from pftwin.studies.tables import to_csv
 
@@ -95,7 +95,7 @@ class _Source(NamedTuple):
 
 def _source(scene: Path | None, case: int | None) -> _Source:
     if scene is not None:
-        from pftwin.scene_file import load_scene_file
+        from pftwin.files.scene_file import load_scene_file
 
         allowed = allow_outside.get()
 

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from pftwin.base.errors import PftwinError, PftwinWarning
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
 from pftwin.cli.plugins import installed_commands
 from pftwin.cli.scenes import allow_outside
 from pftwin.cli.terminal import err
-from pftwin.errors import PftwinError, PftwinWarning
 
 
 class _Commands(TyperGroup):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, keeping
 from pftwin.cli.explain import MarkdownOption, show
 from pftwin.cli.scenes import (
@@ -20,7 +21,6 @@ from pftwin.cli.scenes import (
     integrator_of,
 )
 from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, out, working, write_json
-from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from pftwin.studies.audit.audit import Audit
@@ -62,7 +62,7 @@ def audit(
     if files:
         with keeping(*files.values()):
             written = _write(found, files)
-    from pftwin.benchmarks.machine import describe
+    from pftwin.base.machine import describe
 
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in written]}
     write_json({**found.to_dict(), **about}, json)
@@ -84,9 +84,9 @@ def _files(folder: Path | None) -> dict[str, Path]:
 
 def _write(found: Audit, files: dict[str, Path]) -> list[Path]:
     """What was written: after an interrupt the tables alone, for someone is waiting."""
-    from pftwin.mocap.text_files import write_text
-    from pftwin.plots import save_figure
-    from pftwin.result_files import save_dataset
+    from pftwin.base.text_files import write_text
+    from pftwin.files.result_files import save_dataset
+    from pftwin.results.plots import save_figure
     from pftwin.studies.audit.figure import audit_figure
     from pftwin.studies.audit.table import dataset, table
     from pftwin.studies.tables import to_csv

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pftwin.base.errors import InputError, OutputError
 from pftwin.cli.exit_codes import Interrupted, flagged, keeping
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
-from pftwin.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from pftwin.effects.foundation_law import FoundationLaw
-    from pftwin.mocap.poses import PoseSeries
+    from pftwin.files.mocap.poses import PoseSeries
+    from pftwin.model.effects.foundation_law import FoundationLaw
     from pftwin.studies.contact_map.mapping import ContactMap
 
 _FIGURES = (".png", ".svg", ".pdf")
@@ -59,9 +59,9 @@ def contact_map(
         raise InputError(f"{proximity:g} mm", where="--proximity-mm", expected="0 to 10")
     start_computing()
     rule = _law(law, modulus, poisson, thickness)
+    from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
     from pftwin.studies.contact_map.checks import check_outcome, check_sides, load_pair
     from pftwin.studies.contact_map.mapping import map_contact
-    from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
 
     with working("reading"):
         thigh, button = load_pair(femur, patella, units=units, patella_units=patella_units)
@@ -106,7 +106,7 @@ def contact_map(
 
 
 def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw:
-    from pftwin.effects.foundation_law import LAWS, checked_layer
+    from pftwin.model.effects.foundation_law import LAWS, checked_layer
 
     if name not in LAWS:
         raise InputError(f"no law {name!r}", where="--law", expected=" or ".join(LAWS))
@@ -132,7 +132,7 @@ def _two(option: str, text: str, factor: float) -> list[float]:
 
 def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> PoseSeries:
     """Of the patella in the femur's frame, within the times asked for."""
-    from pftwin.mocap import read_poses_csv
+    from pftwin.files.mocap import read_poses_csv
 
     names = bodies.split(",")
     if len(names) != 2:
@@ -161,7 +161,7 @@ def _progress(frames: int) -> Any:
 
 def _write(path: Path, found: ContactMap, button: Any, settings: dict[str, Any]) -> None:
     from pftwin import __version__
-    from pftwin.result_files import save_dataset
+    from pftwin.files.result_files import save_dataset
     from pftwin.studies.contact_map.dataset import compressed, dataset
 
     data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
@@ -169,7 +169,7 @@ def _write(path: Path, found: ContactMap, button: Any, settings: dict[str, Any])
 
 
 def _draw(path: Path, found: ContactMap, femur: Any, button: Any, title: str) -> None:
-    from pftwin.output import written_whole
+    from pftwin.base.output import written_whole
     from pftwin.studies.contact_map.figures import map_figure
 
     figure = map_figure(found, femur, button, title)

@@ -30,8 +30,8 @@ def doctor(*, quick: QuickOption = False, json: JsonOption = None) -> None:
     Example: `pftwin doctor`
     """
     check_outputs(json)
+    from pftwin.base.runtime import default_cache_dir
     from pftwin.cli import installation
-    from pftwin.runtime import default_cache_dir
 
     with working("looking"):
         findings = _looked("installation", lambda: [installation.python(), *installation.packages()])
@@ -71,7 +71,7 @@ def _computing() -> list[Finding]:
     import jax
     import jax.numpy as jnp
 
-    from pftwin.runtime import fast_cpu_flags
+    from pftwin.base.runtime import fast_cpu_flags
 
     devices = [f"{d.platform}:{d.id} {d.device_kind}" for d in jax.devices()]
     precision = str(jnp.zeros(1).dtype)

@@ -13,7 +13,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pftwin.surfaces.mesh_doctor import Diagnosis
+    from pftwin.geometry.mesh.doctor import Diagnosis
 
 _SEVERITIES = {"safe": "can be repaired", "left": "stays as it is", "fatal": "makes it unusable"}
 
@@ -35,8 +35,8 @@ def doctor_mesh(
 
     Example: `pftwin doctor-mesh femur.stl --units mm --repair femur_repaired.stl`
     """
-    from pftwin.surfaces.mesh_doctor import examine_file
-    from pftwin.surfaces.mesh_files import check_format
+    from pftwin.geometry.mesh.doctor import examine_file
+    from pftwin.geometry.mesh.files import check_format
 
     if repair is not None:
         check_format(repair)
@@ -47,8 +47,8 @@ def doctor_mesh(
     facts = found.facts()
     _show(console, found, units)
     if repair is not None:
-        from pftwin.surfaces.mesh import save_mesh
-        from pftwin.surfaces.mesh_repair import repaired_file
+        from pftwin.geometry.mesh.mesh import save_mesh
+        from pftwin.geometry.mesh.repair import repaired_file
 
         with working("repairing"):
             healed, after = repaired_file(mesh, units=units)

@@ -11,7 +11,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pftwin.equilibrium_report import EquilibriumReport
+    from pftwin.dynamics.equilibrium_report import EquilibriumReport
 
 
 def equilibrium(

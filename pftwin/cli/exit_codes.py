@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NoReturn
 
 import typer
 
+from pftwin.base.errors import InputError, MissingExtraError, OutputError, PftwinError
 from pftwin.cli.terminal import err
-from pftwin.errors import InputError, MissingExtraError, OutputError, PftwinError
 
 if TYPE_CHECKING:
-    from pftwin.result import Result
+    from pftwin.results.result import Result
 
 
 class ExitCode(enum.IntEnum):

@@ -30,8 +30,8 @@ def export(
 
     Example: `pftwin export case2.nc -o case2.mot -o case2.glb`
     """
-    from pftwin.interchange.exporting import check_format
-    from pftwin.interchange.exporting import export as write
+    from pftwin.files.interchange.exporting import check_format
+    from pftwin.files.interchange.exporting import export as write
 
     for path in output:
         check_format(path)

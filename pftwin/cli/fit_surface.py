@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pftwin.base.errors import InputError, OutputError
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
-from pftwin.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pftwin.surfaces.fit import PatchFit
+    from pftwin.geometry.patch.polynomial_fit import PatchFit
 
 _SIGNS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _FIGURES = (".png", ".svg", ".pdf")
@@ -58,9 +58,9 @@ def fit_surface(
     start_computing()
     import numpy as np
 
-    from pftwin.surfaces.mesh import load_mesh
-    from pftwin.surfaces.region import trochlear_region
-    from pftwin.surfaces.spline_or_polynomial import fit_named
+    from pftwin.geometry.mesh.mesh import load_mesh
+    from pftwin.geometry.patch.region import trochlear_region
+    from pftwin.geometry.patch.spline_or_polynomial import fit_named
 
     with working(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
@@ -81,7 +81,7 @@ def fit_surface(
 
 def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:
     """The patches' names, and what else is asked of them."""
-    from pftwin.surfaces.spline_or_polynomial import SPLINE, parse_name
+    from pftwin.geometry.patch.spline_or_polynomial import SPLINE, parse_name
 
     if kind not in ("polynomial", SPLINE):
         raise InputError(f"no patch {kind!r}", where="--kind", expected=f"polynomial or {SPLINE}")
@@ -110,8 +110,8 @@ def _direction(text: str, name: str) -> tuple[float, ...]:
 
 
 def _draw(region: Any, surface: Any, output: Path) -> None:
-    from pftwin.output import written_whole
-    from pftwin.surfaces.region import plot_region
+    from pftwin.base.output import written_whole
+    from pftwin.geometry.patch.region import plot_region
 
     figure = plot_region(region, surface)
     with written_whole(output) as temporary:
@@ -125,7 +125,7 @@ def _coefficients(name: str) -> str:
 
 def _chart(chart: Any) -> dict[str, Any]:
     """The chart as a scene file has it."""
-    from pftwin.spatial import Quaternion
+    from pftwin.base.spatial import Quaternion
 
     radius = getattr(chart, "radius", None)
     return {

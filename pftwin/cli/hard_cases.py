@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, write_json
-from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from pftwin.studies.hard_cases import Case
@@ -99,7 +99,7 @@ def hard_cases(
     order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
     cells = pieces.merged(found, order)
     if markdown is not None:
-        from pftwin.mocap.text_files import write_text
+        from pftwin.base.text_files import write_text
 
         write_text(markdown, table.markdown(cells, cases, found))
     out(json).print(table.summary(cells).table())
@@ -112,7 +112,7 @@ def _run(cases: tuple[Case, ...], chosen: Selected, json: str | None) -> Piece:
     """Runs what was chosen, contact by contact; says how far it has come. Ctrl-C keeps the contacts that are done."""
     import time
 
-    from pftwin.benchmarks.machine import describe
+    from pftwin.base.machine import describe
     from pftwin.studies.hard_cases import run_matrix
     from pftwin.studies.hard_cases.pieces import Piece
     from pftwin.studies.runs import run_each

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import flagged
 from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, out, start_computing, working, write_json
-from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pftwin.interchange.osim_scene import Imported
+    from pftwin.files.interchange.osim_scene import Imported
 
 _MOST_NAMES = 60  # letters of them in a row at the terminal; the file has all
 
@@ -48,7 +48,7 @@ def import_model(
     """
     check_folder(folder)
     check_outputs(json)
-    from pftwin.interchange.osim_scene import import_osim
+    from pftwin.files.interchange.osim_scene import import_osim
 
     with working(f"reading {model}"):
         found = import_osim(
@@ -77,7 +77,7 @@ def import_model(
 def _trouble(found: Imported) -> str | None:
     """Why the scene cannot be loaded as it is; None where it can."""
     start_computing()
-    from pftwin.scene_file import load_scene_file
+    from pftwin.files.scene_file import load_scene_file
 
     with working("loading the scene"):
         try:
@@ -99,7 +99,7 @@ def _table(found: Imported) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from pftwin.interchange.osim_toml import rows
+    from pftwin.files.interchange.osim_toml import rows
 
     table = Table(title="not imported")
     for name in ("what", "names", "why"):

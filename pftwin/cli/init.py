@@ -22,7 +22,7 @@ def init(
     """
     check_folder(folder)
     check_outputs(json)
-    from pftwin.scene_template import write_example
+    from pftwin.rig.scene_template import write_example
 
     start_computing()
     with working(f"writing the example to {folder}"):

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pftwin.base.errors import InputError
 from pftwin.cli.terminal import err, start_computing, working
-from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from pftwin.dynamics.integrator import Integrator
-    from pftwin.measured import Measured
-    from pftwin.result import Result
-    from pftwin.scene import Scene
-    from pftwin.surfaces.sphere import SphereFit
+    from pftwin.geometry.patch.sphere import SphereFit
+    from pftwin.model.measured import Measured
+    from pftwin.model.scene import Scene
+    from pftwin.results.result import Result
 
 SceneArgument = Annotated[
     Path | None, typer.Argument(metavar="[SCENE.toml]", help="Scene file; `pftwin init` writes an example.")
@@ -103,7 +103,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
             )
     start_computing()
     if scene is not None:
-        from pftwin.scene_file import load_scene_file
+        from pftwin.files.scene_file import load_scene_file
 
         with working(f"reading {scene}"):
             loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get())
@@ -150,7 +150,7 @@ def simulated(
         if tolerance is None:  # the run that was chosen for a tolerance is a warm one
             result = simulate(scene, integrator=method, dt=dt)
     if chosen.button is not None:
-        from pftwin.cap import check_cap
+        from pftwin.results.button_cap import check_cap
 
         check_cap(result, chosen.button)
     return result, first
@@ -158,7 +158,7 @@ def simulated(
 
 def _contact(scene: Scene) -> str | None:
     """What the button touches by: the patch's name, or the method of meshes."""
-    from pftwin.surfaces.spline_or_polynomial import name_of
+    from pftwin.geometry.patch.spline_or_polynomial import name_of
 
     method = "" if scene.contact is None else scene.contact.method
     return method or (None if scene.surface is None else name_of(scene.surface))

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pftwin.base.errors import OutputError
 from pftwin.cli.exit_codes import check_trust, keeping
 from pftwin.cli.plugins import with_scene_changes
 from pftwin.cli.scenes import (
@@ -22,7 +23,6 @@ from pftwin.cli.scenes import (
     simulated,
 )
 from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
-from pftwin.errors import OutputError
 
 
 @with_scene_changes

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pftwin.errors import InputError, OutputError
+from pftwin.base.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -64,7 +64,7 @@ def start_computing(*, batches: bool = False) -> None:
         settings: Any = jax.config
         if settings.jax_enable_x64 and settings.jax_compilation_cache_dir:
             return
-    from pftwin.runtime import configure, default_cache_dir
+    from pftwin.base.runtime import configure, default_cache_dir
 
     configure(cache_dir=default_cache_dir(), cpu_devices=devices)
 
@@ -82,7 +82,7 @@ def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
     Raises:
         OutputError: a folder that is missing or read-only, a path that is a folder, two outputs to one file.
     """
-    from pftwin.output import check_place
+    from pftwin.base.output import check_place
 
     seen: set[Path] = set()
     for path in paths:
@@ -126,7 +126,7 @@ def write_json(value: Any, to: str | None) -> None:
     if to == "-":
         sys.stdout.write(text)
         return
-    from pftwin.mocap.text_files import write_text
+    from pftwin.base.text_files import write_text
 
     write_text(to, text)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import check_trust
 from pftwin.cli.scenes import (
     CaseOption,
@@ -16,12 +17,11 @@ from pftwin.cli.scenes import (
     simulated,
 )
 from pftwin.cli.terminal import JsonOption, check_outputs, out, write_json
-from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pftwin.metrics import Validation
+    from pftwin.results.metrics import Validation
 
 
 def validate(
@@ -42,8 +42,8 @@ def validate(
     chosen = chosen_scene(scene, case, contact)
     if chosen.measured is None:
         raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
-    from pftwin.metrics import PAPER_TABLE_1
-    from pftwin.metrics import validate as compare
+    from pftwin.results.metrics import PAPER_TABLE_1
+    from pftwin.results.metrics import validate as compare
 
     result, first = simulated(chosen, integrator, dt, tolerance)
     names = {e.name for e in chosen.scene.effects}

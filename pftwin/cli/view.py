@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pftwin.base.errors import InputError, OutputError
 from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
-from pftwin.errors import InputError, OutputError
 
 
 def view(
@@ -37,7 +37,7 @@ def view(
     if names and len(names) != len(results):
         raise InputError(f"{len(names)} names for {len(results)} results", where="--name", expected="one for each")
     check_outputs(page, json)
-    from pftwin.viewer import view as draw
+    from pftwin.results.viewer import view as draw
 
     with working("drawing"):
         draw(list(zip(names, results, strict=True)) if names else results, html=page)

@@ -23,10 +23,10 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from pftwin.base.spatial import Pose, Scalar, safe_sqrt
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.state import Guide, System
 from pftwin.dynamics.static_load import Surroundings, look_around, moved, residual, still
-from pftwin.spatial import Pose, Scalar, safe_sqrt
 
 REACH = 2e-3  # longest step [m]
 SEARCH_STEPS = 4  # loads at rest that make rough memories right

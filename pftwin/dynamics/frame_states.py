@@ -11,15 +11,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.equilibrium import Solution, solve_equilibrium, unsolved
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State, System
-from pftwin.errors import InputError
-from pftwin.scene import Scene
-from pftwin.spatial import Pose, Scalar
+from pftwin.model.scene import Scene
 
 Carry = tuple[State, Ledger | None]
 

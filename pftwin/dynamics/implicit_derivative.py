@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.dynamics.sweep import swept
-from pftwin.spatial import Scalar, Vec3
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.dynamics.inverse_with_pivots import swept
 
 Six = list[Scalar]
 

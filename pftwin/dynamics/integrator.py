@@ -9,11 +9,11 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
-from pftwin.effects.base import Effect
-from pftwin.errors import InputError
-from pftwin.spatial import Scalar
+from pftwin.model.effects.base import Effect
 
 
 class Diagnostics(NamedTuple):

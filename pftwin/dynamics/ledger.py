@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 
+from pftwin.base.spatial import Scalar, Twist, Vec3
 from pftwin.dynamics.state import State
-from pftwin.effects.base import Bed, Drag, Load
-from pftwin.spatial import Scalar, Twist, Vec3
+from pftwin.model.effects.base import Bed, Drag, Load
 
 
 class Ledger(eqx.Module):

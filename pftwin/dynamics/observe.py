@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import FrameStates, watched
 from pftwin.dynamics.integrator import Integrator
@@ -18,9 +19,8 @@ from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import map_rows
 from pftwin.dynamics.state import Guide, State
 from pftwin.dynamics.status import status_of_all, status_of_frame
-from pftwin.effects.base import Instant
-from pftwin.scene import Scene
-from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
+from pftwin.model.effects.base import Instant
+from pftwin.model.scene import Scene
 
 
 class Observation(eqx.Module):

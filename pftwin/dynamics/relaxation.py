@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.integrators.linear_implicit import LinearImplicit
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.dynamics.static_load import LEVER
-from pftwin.effects.damping import LinearDamping
-from pftwin.spatial import Pose, Scalar
+from pftwin.model.effects.damping import LinearDamping
 
 STEPS = 1500
 STEP = 2e-3  # [s]

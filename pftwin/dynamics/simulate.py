@@ -13,8 +13,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
+from pftwin.base.errors import InputError
 from pftwin.base.program_cache import Program, Timed
 from pftwin.base.program_cache import settings as jax_settings
+from pftwin.base.spatial import Pose
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import (
     first_guide,
@@ -31,13 +33,11 @@ from pftwin.dynamics.relaxation import relax, thrown
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Path, coarsest, settings_of, tolerance_in_metres
 from pftwin.dynamics.trajectory import checked_integrator
-from pftwin.errors import InputError
-from pftwin.scene import Scene, check
-from pftwin.spatial import Pose
+from pftwin.model.scene import Scene, check
 
 if TYPE_CHECKING:
-    from pftwin.equilibrium_report import EquilibriumReport
-    from pftwin.result import Result
+    from pftwin.dynamics.equilibrium_report import EquilibriumReport
+    from pftwin.results.result import Result
 
 
 @Program
@@ -190,7 +190,7 @@ def _step(scene: Scene, substeps: int) -> dict[str, float | int]:
 
 
 def _result(scene: Scene, start: Timed, relaxed: bool, ran: Timed, ahead: float, settings: dict[str, Any]) -> Result:
-    from pftwin.result import Result
+    from pftwin.results.result import Result
 
     seen, ledger = ran.answer
     timing = {
@@ -211,7 +211,7 @@ def equilibrium(scene: Scene) -> EquilibriumReport:
     Raises:
         InputError: a parameter of the scene that cannot give a right answer.
     """
-    from pftwin.equilibrium_report import EquilibriumReport
+    from pftwin.dynamics.equilibrium_report import EquilibriumReport
 
     refuse_traced(scene, "equilibrium", "trajectory")
     check(scene)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
-from pftwin.spatial import Scalar
+from pftwin.base.spatial import Scalar
 
 Lower = list[list[Scalar]]  # row i holds columns 0..i
 

@@ -8,9 +8,9 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from pftwin.effects.base import Effect, Ground, Instant, Load, Patella
-from pftwin.motion import Frame, KneeMotion, MotionPiece
-from pftwin.spatial import Pose, Quaternion, Scalar, Twist, Vec3, Wrench
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Twist, Vec3, Wrench
+from pftwin.model.effects.base import Effect, Ground, Instant, Load, Patella
+from pftwin.model.motion import Frame, KneeMotion, MotionPiece
 
 
 class State(eqx.Module):

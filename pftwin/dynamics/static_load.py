@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
 from pftwin.dynamics.solve import Lower, add_outer
 from pftwin.dynamics.state import Guide, System
-from pftwin.effects.base import Bed, Drag, Instant, Patella, StiffTerm
-from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
+from pftwin.model.effects.base import Bed, Drag, Instant, Patella, StiffTerm
 
 LEVER = 0.02  # turns moments into forces and angles into lengths: about the patella's half width [m]
 

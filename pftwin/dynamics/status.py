@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.state import State
-from pftwin.scene import Scene
-from pftwin.spatial import Scalar
+from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
     from pftwin.dynamics.equilibrium import Solution

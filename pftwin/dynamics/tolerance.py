@@ -18,7 +18,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.errors import InputError, PftwinWarning
+from pftwin.base.errors import InputError, PftwinWarning
 
 Floats = NDArray[np.float64]
 Run = TypeVar("Run")

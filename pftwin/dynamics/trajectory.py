@@ -13,15 +13,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.errors import InputError
+from pftwin.base.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium, substeps_for
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.observe import observe
-from pftwin.errors import InputError
-from pftwin.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
-from pftwin.scene import Scene
-from pftwin.spatial import Pose, Quaternion, Scalar, Vec3
+from pftwin.model.scene import Scene
 
 DEFAULT_STEP = 1e-3  # [s]
 

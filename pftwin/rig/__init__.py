@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pftwin.measured import Measured
-    from pftwin.scene import Scene
+    from pftwin.model.measured import Measured
+    from pftwin.model.scene import Scene
 
 __all__ = ["case", "measured", "with_retinacula", "write_files"]
 
@@ -52,7 +52,7 @@ def write_files(n: int, folder: Path) -> list[Path]:
         InputError: no such case.
         OutputError: a file cannot be written.
     """
-    from pftwin.output import written_whole
+    from pftwin.base.output import written_whole
     from pftwin.rig.cases import recording
     from pftwin.rig.recording import IMPLANT_FILE, data_folder
 

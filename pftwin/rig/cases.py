@@ -8,19 +8,19 @@ from typing import Literal
 import numpy as np
 from jax.dtypes import canonicalize_dtype
 
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
 from pftwin.base.program_cache import cached
-from pftwin.effects.base import Effect
-from pftwin.effects.damping import LinearDamping
-from pftwin.effects.gravity import Gravity
-from pftwin.effects.tendon import Tendon
-from pftwin.errors import InputError
-from pftwin.leaves import number, vector
-from pftwin.motion import KneeMotion
+from pftwin.base.spatial import Pose, Quaternion
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.tendon import Tendon
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import PatellaBody, Scene
 from pftwin.rig import geometry as rig
 from pftwin.rig.contacts import contact_effect, contact_fit, implant_mesh
 from pftwin.rig.recording import Recording, read_recording, recording_files
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion
 
 __all__ = ["case", "contact_fit", "effects", "implant_mesh", "patella_body", "recording", "springs"]
 

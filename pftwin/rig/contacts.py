@@ -19,18 +19,18 @@ import numpy as np
 from jax.dtypes import canonicalize_dtype
 from numpy.typing import NDArray
 
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
 from pftwin.base.program_cache import cached
-from pftwin.effects.base import Effect
-from pftwin.effects.contact_law import ContactLaw, Flores
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.errors import InputError
-from pftwin.leaves import number, vector
+from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
+from pftwin.geometry.patch.fit_quality import PatchFit
+from pftwin.geometry.patch.implant import rig_implant, rig_region
+from pftwin.geometry.patch.spline_or_polynomial import SPLINE, fit_named, parse_name
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.contact_law import ContactLaw, Flores
+from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.rig import geometry as rig
 from pftwin.rig.recording import IMPLANT_FILE, data_folder
-from pftwin.surfaces.fit_quality import PatchFit
-from pftwin.surfaces.implant import rig_implant, rig_region
-from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
-from pftwin.surfaces.spline_or_polynomial import SPLINE, fit_named, parse_name
 
 MESHES = ("CM", "FM")
 VOLUME = "volume"
@@ -106,9 +106,9 @@ def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> Pa
 
 
 def _of_meshes(name: str, law: ContactLaw) -> Effect:
-    from pftwin.effects.mesh_contact import MeshContact
-    from pftwin.surfaces.contact_mesh import contact_mesh
-    from pftwin.surfaces.resolution import button_mesh, resolution
+    from pftwin.geometry.contact.contact_mesh import contact_mesh
+    from pftwin.geometry.mesh.resolution import button_mesh, resolution
+    from pftwin.model.effects.mesh_contact import MeshContact
 
     mesh, lateral = _femur(name)
     button = button_mesh(rig.BUTTON_RADIUS, resolution(name))
@@ -117,8 +117,8 @@ def _of_meshes(name: str, law: ContactLaw) -> Effect:
 
 
 def _by_volume(law: ContactLaw) -> Effect:
-    from pftwin.effects.mesh_volume_contact import MeshVolumeContact
-    from pftwin.surfaces.patch_mesh import patch_mesh
+    from pftwin.geometry.contact.patch_mesh import patch_mesh
+    from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
 
     mesh, lateral = _femur("FM")
     made = patch_mesh(mesh, rig.BUTTON_RADIUS, lateral)
@@ -134,9 +134,9 @@ def _femur(name: str) -> tuple[SurfaceMesh, NDArray[np.bool_]]:
 
 
 def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-    from pftwin.surfaces.mesh_facets import lateral_of_groove
-    from pftwin.surfaces.resolution import implant_mesh as meshed
-    from pftwin.surfaces.resolution import resolution
+    from pftwin.geometry.contact.mesh_facets import lateral_of_groove
+    from pftwin.geometry.mesh.resolution import implant_mesh as meshed
+    from pftwin.geometry.mesh.resolution import resolution
 
     with jax.enable_x64(True):
         mesh = meshed(resolution(name), replace(rig_implant(), half_width=_WIDE))
@@ -149,8 +149,8 @@ def gap_radius() -> float:
 
 
 def _measured_gap_radius() -> float:
-    from pftwin.surfaces.effective_radius import beside_groove, effective_radius
-    from pftwin.surfaces.patch_mesh import patch_mesh
+    from pftwin.geometry.contact.effective_radius import beside_groove, effective_radius
+    from pftwin.geometry.contact.patch_mesh import patch_mesh
 
     with jax.enable_x64(True):
         mesh, lateral = _femur("FM")

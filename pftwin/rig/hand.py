@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.mocap.poses import PoseSeries
+from pftwin.files.mocap.poses import PoseSeries
 from pftwin.rig.geometry import DURATION, HIP, RATE
 
 # Turning points: time [s], knee flexion [deg].

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.mocap.csv_files import write_csv
-from pftwin.mocap.markers import MarkerTrajectories
-from pftwin.mocap.poses import PoseSeries
-from pftwin.mocap.tables import Table
-from pftwin.mocap.trc import write_trc
+from pftwin.files.mocap.csv_files import write_csv
+from pftwin.files.mocap.markers import MarkerTrajectories
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.files.mocap.tables import Table
+from pftwin.files.mocap.trc import write_trc
+from pftwin.geometry.mesh.mesh import save_mesh
+from pftwin.geometry.patch.implant import rig_implant
 from pftwin.rig import geometry as rig
 from pftwin.rig.hand import hand_motion
 from pftwin.rig.recording import FORCES, IMPLANT_FILE, data_folder
-from pftwin.surfaces.implant import rig_implant
-from pftwin.surfaces.mesh import save_mesh
 
 FINE = 6e-6  # chordal deviation of the implant's mesh: the paper's FM [m]
 MARKER_NOISE = 0.2e-3  # white, each coordinate [m]
@@ -71,7 +71,7 @@ def _load_cells(times: NDArray, truth: dict[str, NDArray], random: np.random.Gen
 
 def main() -> None:
     """Regenerates the rig's files."""
-    from pftwin.runtime import configure
+    from pftwin.base.runtime import configure
 
     configure()
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else data_folder()

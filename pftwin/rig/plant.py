@@ -14,22 +14,22 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
 from pftwin.dynamics.equilibrium import solve_equilibrium
 from pftwin.dynamics.frame_states import FrameStates, first_guide
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State, System, gyroscopic
-from pftwin.effects.base import Effect, Instant, Load, applied_at
-from pftwin.effects.contact_law import HuntCrossley
-from pftwin.effects.damping import LinearDamping
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.effects.tendon import Tendon
-from pftwin.motion import KneeMotion
+from pftwin.geometry.patch.implant import rig_implant
+from pftwin.model.effects.base import Effect, Instant, Load, applied_at
+from pftwin.model.effects.contact_law import HuntCrossley
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.effects.tendon import Tendon
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
 from pftwin.rig.cases import effects, number, patella_body, vector
 from pftwin.rig.hand import hand_motion
-from pftwin.scene import Scene
-from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
-from pftwin.surfaces.implant import rig_implant
 
 FRICTION = 0.02  # coefficient of the lubricated contact
 STICTION_SPEED = 2e-3  # below it friction fades [m/s]

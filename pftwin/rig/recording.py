@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pftwin.measured import Measured
-from pftwin.mocap import (
+from pftwin.files.mocap import (
     MarkerTrajectories,
     PoseSeries,
     butterworth_lowpass,
@@ -19,6 +18,7 @@ from pftwin.mocap import (
     segment_poses,
     singular_spectrum_filter,
 )
+from pftwin.model.measured import Measured
 from pftwin.rig import geometry as rig
 
 CUTOFF = 12.0  # second-order Butterworth low-pass of the markers [Hz], as in the paper

@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.effects.strands import StrandGroup
-from pftwin.errors import InputError
-from pftwin.leaves import number, vector
-from pftwin.scene import Scene
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
+from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.scene import Scene
 
 STRANDS = 5
 TOE_STRAIN = 0.06

@@ -12,9 +12,9 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.result import Result
-from pftwin.rotations import patellar_angles
-from pftwin.spatial import Quaternion
+from pftwin.base.rotations import patellar_angles
+from pftwin.base.spatial import Quaternion
+from pftwin.results.result import Result
 
 Floats = NDArray[np.float64]
 V = TypeVar("V")

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_type_hints
 
 import numpy as np
 
-from pftwin.errors import InputError
-from pftwin.json_files import read_json
-from pftwin.mocap.text_files import read_lines
+from pftwin.base.errors import InputError
+from pftwin.base.json_files import read_json
+from pftwin.base.text_files import read_lines
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -97,7 +97,7 @@ def to_dataset(columns: Sequence[Column], dimension: str, attributes: dict[str, 
     """
     from xarray import Dataset
 
-    from pftwin.result_dataset import plain_attribute
+    from pftwin.results.result_dataset import plain_attribute
 
     def about(c: Column) -> dict[str, str]:
         return {"units": c.unit, "long_name": c.long_name} if c.unit else {}

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pftwin.base import cache_folder as folder
-from pftwin.errors import PftwinWarning
+from pftwin.base.errors import PftwinWarning
 
 
 @pytest.fixture

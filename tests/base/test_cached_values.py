@@ -9,8 +9,8 @@ import pytest
 
 from pftwin.base import cache_folder as folder
 from pftwin.base import program_cache as values
+from pftwin.base.errors import PftwinWarning
 from pftwin.base.program_cache import cached
-from pftwin.errors import PftwinWarning
 
 CALLS = []
 

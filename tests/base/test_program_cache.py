@@ -19,8 +19,8 @@ from small_scene import small_scene
 import pftwin
 from pftwin.base import cache_folder as folder
 from pftwin.base.program_cache import Program
+from pftwin.base.spatial import Vec3, safe_sqrt
 from pftwin.dynamics.simulate import simulate
-from pftwin.spatial import Vec3, safe_sqrt
 
 PACKAGE = Path(pftwin.__file__).parent
 COUNT = """
@@ -38,7 +38,7 @@ TINY = (
     COUNT
     + """
 from pftwin.base.program_cache import Program
-from pftwin.spatial import safe_sqrt
+from pftwin.base.spatial import safe_sqrt
 place = os.path.join(sys.argv[1], "programs")
 before = len(os.listdir(place)) if os.path.isdir(place) else 0
 answer = Program(safe_sqrt).timed(np.array([4.0, 9.0])).answer

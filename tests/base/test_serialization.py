@@ -19,8 +19,8 @@ from small_scene import small_scene
 import fitting
 import pftwin
 from pftwin.base import cache_folder as folder
+from pftwin.base.errors import PftwinWarning
 from pftwin.base.serialization import NotPlainError, fingerprint, packed, unpacked
-from pftwin.errors import PftwinWarning
 
 
 def content(text: object, *arrays: np.ndarray) -> bytes:
@@ -102,10 +102,10 @@ def test_a_pickle_in_a_kept_file_is_not_run(tmp_path):
         ["fields", "subprocess:Popen", ["args", "true"]],
         ["fields", "pftwin.base.cache_folder:os.system"],
         ["fields", "pftwin.base.cache_folder:Path"],
-        ["fields", "pftwin.errors:InputError"],
-        ["fields", "pftwin.spatial:Vec3", ["__class__", 1]],
-        ["named", "pftwin.spatial:Vec3", 1],
-        ["enum", "pftwin.spatial:Vec3", "x"],
+        ["fields", "pftwin.base.errors:InputError"],
+        ["fields", "pftwin.base.spatial:Vec3", ["__class__", 1]],
+        ["named", "pftwin.base.spatial:Vec3", 1],
+        ["enum", "pftwin.base.spatial:Vec3", "x"],
         ["array", 7],
         ["call", "os.system"],
         [],

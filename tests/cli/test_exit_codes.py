@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from pftwin.base.errors import InputError, MissingExtraError, OutputError, PftwinError
 from pftwin.cli import app
 from pftwin.cli.exit_codes import ExitCode, Interrupted, code_of, keeping
-from pftwin.errors import InputError, MissingExtraError, OutputError, PftwinError
-from pftwin.surfaces.mesh import SurfaceMesh, save_mesh
+from pftwin.geometry.mesh.mesh import SurfaceMesh, save_mesh
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "command_line.md"
 
@@ -37,7 +37,7 @@ def test_mistakes_of_our_own_are_code_1(monkeypatch):
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("pftwin.surfaces.mesh_doctor.examine_file", broken)
+    monkeypatch.setattr("pftwin.geometry.mesh.doctor.examine_file", broken)
     assert pftwin("doctor-mesh", "any.stl").exit_code == ExitCode.UNEXPECTED
 
 

@@ -74,7 +74,7 @@ class Run:
 def test_fit_keeps_the_best_so_far_and_its_checkpoint(toy, tmp_path):
     options = ["-o", "fit.json", "--free", "K1,L1", "--method", "genetic", "--checkpoint", "state.npz"]
     slow = (
-        "import fitting.genetic as g\nold = g.Genetic.tell\n"
+        "import fitting.methods.genetic as g\nold = g.Genetic.tell\n"
         "def tell(*a):\n    old(*a); time.sleep(0.3)\ng.Genetic.tell = tell"
     )
     run = Run(slow, "fit", toy, *options, cwd=tmp_path)
@@ -89,14 +89,14 @@ def test_fit_keeps_the_best_so_far_and_its_checkpoint(toy, tmp_path):
 
 def test_treat_keeps_the_variants_that_are_done(toy, tmp_path):
     before = (
-        "import fitting.cli.treat as t, fitting.predicting as p\nt._BLOCK = 2\nreal, calls = p.predict, []\n"
+        "import fitting.cli.treat as t, fitting.prediction.predicting as p\nt._BLOCK = 2\nreal, calls = p.predict, []\n"
         f"def predict(*a, **k):\n    calls.append(1)\n    if len(calls) == 3: {PAUSE}\n    return real(*a, **k)\n"
         "p.predict = predict"
     )
     run = Run(before, "treat", toy, "-o", "v.nc", "--medialise", "0:5:1", "--dt", "0.005", cwd=tmp_path)
     run.until_ready()
     assert "saved so far: v.nc" in run.interrupted()
-    from pftwin.result_files import load_dataset
+    from pftwin.files.result_files import load_dataset
 
     data = load_dataset(tmp_path / "v.nc")
     assert data["tibial_tuberosity_transfer_medialisation"].values.tolist() == pytest.approx([0, 1e-3, 2e-3, 3e-3])
@@ -197,12 +197,12 @@ def test_contact_map_keeps_the_frames_that_are_done(tmp_path):
 
 @pytest.mark.slow
 def test_simulate_names_the_files_that_are_whole(toy, tmp_path):
-    before = f"import pftwin.result as r\ndef to_csv(*a): {PAUSE}\nr.Result.to_csv = to_csv"
+    before = f"import pftwin.results.result as r\ndef to_csv(*a): {PAUSE}\nr.Result.to_csv = to_csv"
     run = Run(before, "simulate", toy, "-o", "out.nc", "--csv", cwd=tmp_path)
     run.until_ready()
     assert "saved so far: out.nc" in run.interrupted()
     assert [p.name for p in tmp_path.iterdir()] == ["out.nc"]
-    from pftwin.result_files import load_dataset
+    from pftwin.files.result_files import load_dataset
 
     assert load_dataset(tmp_path / "out.nc").attrs["scene"] == "toy"
 
@@ -234,7 +234,7 @@ def test_blocks_change_no_outcome(toy, tmp_path, monkeypatch):
     from typer.testing import CliRunner
 
     from pftwin.cli import app
-    from pftwin.result_files import load_dataset
+    from pftwin.files.result_files import load_dataset
 
     for name, block in (("whole.nc", 4096), ("blocks.nc", 2)):
         monkeypatch.setattr("fitting.cli.treat._BLOCK", block)

@@ -14,9 +14,9 @@ import pytest
 from small_scene import small_scene
 
 import pftwin
-from pftwin.effects.base import Ground, Instant, Patella
-from pftwin.motion import Frame
-from pftwin.spatial import Quaternion, Vec3
+from pftwin.base.spatial import Quaternion, Vec3
+from pftwin.model.effects.base import Ground, Instant, Patella
+from pftwin.model.motion import Frame
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
 

@@ -7,8 +7,8 @@ import re
 import pytest
 import scene_reference
 
-from pftwin.scene_file.loading import scene_file_model
-from pftwin.scene_file.registry import EFFECTS
+from pftwin.files.scene_file.loading import scene_file_model
+from pftwin.files.scene_file.registry import EFFECTS
 
 _FIELD = re.compile(r"^\| `(\w+)` \|", re.MULTILINE)
 

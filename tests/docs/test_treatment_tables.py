@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import treatment_tables
 
-from fitting.clinical_values import ClinicalIndices
-from fitting.outcomes import MEASURES
+from fitting.prediction.clinical_values import ClinicalIndices
+from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import KINDS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "treatments.md"

@@ -46,11 +46,11 @@ from pftwin.dynamics.integrators import ALI3P, Newmark
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide
 from pftwin.dynamics.status import Status
-from pftwin.effects.contact_law import Flores
-from pftwin.effects.viscoelastic_tendon import ViscoelasticTendon
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.scene import Scene
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.effects.contact_law import Flores
+from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import Scene
 
 FRAMES = 11
 

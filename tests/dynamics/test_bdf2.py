@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scenes import RADIUS, G, J, contact, gravity, record, state_at, still_guide, still_guide_at, system, vec
 
+from pftwin.base.spatial import Twist
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.integrators.bdf2 import LEVER, ROUGH
-from pftwin.effects.contact_law import Hertz
-from pftwin.spatial import Twist
+from pftwin.model.effects.contact_law import Hertz
 
 STEP = 1e-3
 FREE = system(gravity())

@@ -13,7 +13,7 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
 
 DURATION = 0.2
 COUNTS = (200, 400, 800, 1600)

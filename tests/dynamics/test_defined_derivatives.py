@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from scenes import J, gravity, still_guide, still_guide_at, tendon, vec
 
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
 from pftwin.dynamics.equilibrium import solve_equilibrium
 from pftwin.dynamics.integrators import Newmark
 from pftwin.dynamics.state import System
 from pftwin.dynamics.static_load import LEVER, look_around, moved, still
-from pftwin.effects.base import Effect, Instant, Load
-from pftwin.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
+from pftwin.model.effects.base import Effect, Instant, Load
 
 
 class Follower(Effect):

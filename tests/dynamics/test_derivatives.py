@@ -22,13 +22,13 @@ from scenes import (
     vec,
 )  # fmt: skip
 
+from pftwin.base.spatial import Pose, Quaternion
 from pftwin.dynamics.frame_states import FrameStates, frame_states
 from pftwin.dynamics.observe import observe
-from pftwin.effects.contact_law import Flores
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.effects.contact_law import Flores
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import PatellaBody, Scene
 
 N_FRAMES, INTERVAL, SUBSTEPS = 61, 2e-3, 10
 GROOVE = groove_patch(4)

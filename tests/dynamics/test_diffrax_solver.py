@@ -22,11 +22,11 @@ from scenes import (
     tendon,
 )
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrators import Diffrax, Newmark, diffrax_solver, integrator_from_text
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.errors import InputError
 
 J = jnp.asarray
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pftwin.dynamics.end_of_step import Push, end_of_step
+from pftwin.dynamics.integrators.end_of_step import Push, end_of_step
 
 TERMS = 4  # two of them unilateral
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scenes import J, contact, flat_patch, knee, run, settled, starting_as_it_is, vec
 
+from pftwin.base.spatial import Pose, Quaternion
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.effects.contact_law import Hertz
-from pftwin.effects.damping import LinearDamping
-from pftwin.spatial import Pose, Quaternion
+from pftwin.model.effects.contact_law import Hertz
+from pftwin.model.effects.damping import LinearDamping
 
 
 @eqx.filter_jit

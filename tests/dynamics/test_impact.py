@@ -10,7 +10,7 @@ from scenes import MASS, RADIUS, G, J, contact, energies, gravity, march, order_
 from scipy.integrate import solve_ivp
 
 from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
-from pftwin.effects.contact_law import Flores, Hertz, HuntCrossley
+from pftwin.model.effects.contact_law import Flores, Hertz, HuntCrossley
 
 K, V0 = 2e8, 0.2
 FLORES = "flores"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scenes import J, march, record, state_at, system, tendon, vec
 
-from pftwin.dynamics.implicit_solve import FEW, LEVER, SPAN, Span, change_of_velocity, load_at_end
+from pftwin.base.spatial import Quaternion, Vec3, Wrench
 from pftwin.dynamics.integrators import BDF2, LinearImplicit
+from pftwin.dynamics.integrators.implicit_solve import FEW, LEVER, SPAN, Span, change_of_velocity, load_at_end
 from pftwin.dynamics.state import System
-from pftwin.effects.base import Bed, Drag, Load, StiffTerm
-from pftwin.spatial import Quaternion, Vec3, Wrench
+from pftwin.model.effects.base import Bed, Drag, Load, StiffTerm
 
 MASS, INERTIA = 0.12, (3e-5, 5e-5, 4e-5)
 SYSTEM = System(J(MASS), vec(*INERTIA), ())

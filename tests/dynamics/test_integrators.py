@@ -24,13 +24,13 @@ from scenes import (
     tendon,
 )
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_state
 from pftwin.dynamics.integrators import Diagnostics, Newmark, integrator_from_text, newmark
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.effects.friction import Friction
-from pftwin.errors import InputError
-from pftwin.scene import Scene
+from pftwin.model.effects.friction import Friction
+from pftwin.model.scene import Scene
 
 J = jnp.asarray
 NAMES = ("linear_implicit", "linear_implicit_bdf2", "symplectic_euler", "newmark", "newmark:rho=0.5", "ali3p")

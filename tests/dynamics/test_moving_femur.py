@@ -9,12 +9,12 @@ from scenes import MASS, RADIUS, G, J, contact, flat_patch, gravity, knee, run, 
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from pftwin.effects.contact_law import HuntCrossley
-from pftwin.effects.damping import LinearDamping
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion
+from pftwin.base.spatial import Pose, Quaternion
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.effects.contact_law import HuntCrossley
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import PatellaBody, Scene
 
 FRAMES = 41
 T = np.arange(FRAMES, dtype=np.float64) * 0.01

@@ -10,12 +10,12 @@ import pytest
 from scenes import J, contact, flat_patch, knee, starting_as_it_is
 
 from pftwin.dynamics.frame_states import first_guide, frame_states
-from pftwin.effects.contact_law import Flores, Hertz
-from pftwin.effects.damping import LinearDamping
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.scene import Scene
-from pftwin.surfaces.patch import PolynomialPatch
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.patch.polynomial import PolynomialPatch
+from pftwin.model.effects.contact_law import Flores, Hertz
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import Scene
 
 
 def equations(jaxpr) -> int:

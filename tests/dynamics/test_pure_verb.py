@@ -13,7 +13,7 @@ import pftwin
 from pftwin.dynamics import simulate as simulate_module
 from pftwin.dynamics.frame_states import start_before_search
 from pftwin.dynamics.integrators import Newmark
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
 
 STEP = 2.5e-3  # [s]
 

@@ -25,18 +25,18 @@ from scenes import (
     tendon,
 )
 
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrators import Newmark, QuasiStatic
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.quasi_static import newton as quasi_static_newton
 from pftwin.dynamics.status import Status
-from pftwin.effects.contact_law import Hertz
-from pftwin.errors import InputError
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion, Vec3
-from pftwin.surfaces.patch import exponents
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.patch.polynomial import exponents
+from pftwin.model.effects.contact_law import Hertz
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import PatellaBody, Scene
 
 J = jnp.asarray
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scenes import march, state_at, system
 
+from pftwin.base.spatial import Scalar, Vec3, Wrench
 from pftwin.dynamics.integrators import QuasiStatic
 from pftwin.dynamics.quasi_static.stability import NEUTRAL, stable
-from pftwin.effects.base import Effect, Instant, Load
-from pftwin.effects.damping import LinearDamping
-from pftwin.spatial import Scalar, Vec3, Wrench
+from pftwin.model.effects.base import Effect, Instant, Load
+from pftwin.model.effects.damping import LinearDamping
 
 J = jnp.asarray
 _stable = jax.jit(stable)

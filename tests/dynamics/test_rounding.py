@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution, tolerance_of, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide, starting_equilibrium
 from pftwin.dynamics.static_load import moved, residual
-from pftwin.spatial import Pose, Quaternion, Vec3
 from pftwin.studies.hard_cases import case_named
 from pftwin.studies.hard_cases.batch import built
 

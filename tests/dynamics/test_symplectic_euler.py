@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scenes import J, state_at, still_guide, system, vec
 
+from pftwin.base.spatial import Vec3
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.dynamics.integrators.symplectic_euler import LIMIT, _stiffest
-from pftwin.effects.base import Load, StiffTerm
-from pftwin.effects.tendon import Tendon
-from pftwin.spatial import Vec3
+from pftwin.model.effects.base import Load, StiffTerm
+from pftwin.model.effects.tendon import Tendon
 
 MASS, INERTIA = 0.12, (3e-5, 3e-5, 4e-5)
 

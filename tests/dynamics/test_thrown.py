@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from scenes import vec
 
+from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.relaxation import THROWN, thrown
-from pftwin.spatial import Pose, Quaternion, Vec3
 
 PUT = Pose(vec(0.0, 0.0, 0.05), Quaternion.identity())
 

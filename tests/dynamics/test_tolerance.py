@@ -10,15 +10,15 @@ import pytest
 from scenes import OPTIMISED, knee
 
 from pftwin import rig
-from pftwin.batches import batched
-from pftwin.benchmarks.problem import with_springs
+from pftwin.base.errors import InputError, PftwinWarning
+from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrators import BDF2, LinearImplicit, Newmark
 from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.tolerance import Path, coarsest, distance, tolerance_in_metres
-from pftwin.errors import InputError, PftwinWarning
-from pftwin.result_files import load_dataset
-from pftwin.scene import Scene
+from pftwin.files.result_files import load_dataset
+from pftwin.model.scene import Scene
+from tests.benchmarks.problem import with_springs
 
 J, slow = jnp.asarray, pytest.mark.slow
 EACH, REFERENCE = 50, 256  # variants of each case; steps between two frames, of 0.04 ms
@@ -76,7 +76,7 @@ def scenes() -> Scenes:
     "tolerance",
     [pytest.param(t, id=f"{1e3 * t:g} mm", marks=marks) for t, marks in ((1e-4, slow), (5e-5, ()), (1e-5, slow))],
 )
-@pytest.mark.filterwarnings("ignore::pftwin.errors.PftwinWarning")
+@pytest.mark.filterwarnings("ignore::pftwin.base.errors.PftwinWarning")
 def test_the_estimate_bounds_the_error(tolerance, scenes):
     """Of 200 varied scenes 95 in 100, with a factor of 2 allowed; and what was promised is kept as often."""
     order = BDF2().order

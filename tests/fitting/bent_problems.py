@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from fitting.evaluation import Prediction
+from fitting.methods.problem import Problem
 from fitting.objective import Objective
 from fitting.parameters import Parameter, Parameters
-from fitting.problem import Problem
 
 
 def problem(

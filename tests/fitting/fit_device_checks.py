@@ -19,7 +19,7 @@ def main(cache: str) -> None:
     from small_scene import small_scene
 
     import fitting
-    from pftwin.measured import Measured
+    from pftwin.model.measured import Measured
 
     scene = small_scene(12)
     truth = pftwin.simulate(scene, dt=1 / 600).center

@@ -10,8 +10,8 @@ from lifting_scene import lifting_scene
 import fitting
 import pftwin
 from fitting.estimate import Estimate
-from pftwin.measured import Measured
-from pftwin.scene import Scene
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
 
 SPRINGS = ("K1", "L1", "K2", "L2")
 TRUTH = np.array([156.0, 0.1432, 629.0, 0.0714]) * np.array([1.1, 0.97, 0.92, 1.02])

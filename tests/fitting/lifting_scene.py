@@ -6,10 +6,10 @@ import equinox as eqx
 import numpy as np
 from small_scene import small_scene
 
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.rotations import tibiofemoral_orientation
-from pftwin.scene import Scene
+from pftwin.base.rotations import tibiofemoral_orientation
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import Scene
 
 
 def lifting_scene(n_frames: int = 41, height: float = 0.1) -> Scene:

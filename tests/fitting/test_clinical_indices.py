@@ -8,16 +8,16 @@ import pytest
 import scenes
 from scipy.spatial.transform import Rotation
 
-from fitting.clinical_indices import Landmarks, clinical_indices
-from fitting.clinical_norms import USUAL
+from fitting.prediction.clinical_indices import Landmarks, clinical_indices
+from fitting.prediction.clinical_norms import USUAL
 from fitting.treatments import femoral_component_rotation, tibial_tuberosity_transfer, trochleoplasty
 from pftwin import rig
-from pftwin.errors import InputError
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.scene import Scene
-from pftwin.spatial import Pose, Quaternion
-from pftwin.surfaces.patch import PolynomialPatch, exponents
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Pose, Quaternion
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import Scene
 
 DEPTH, WIDTH, HALF = 0.006, 0.015, 0.020  # of the groove, to its ridges, of the patch [m]
 FLEXION = np.radians(np.linspace(50, 20, 7))

@@ -12,19 +12,19 @@ from small_scene import polynomial, small_scene, vec
 
 import fitting
 import pftwin
-from fitting.course import Groove, groove_surface
 from fitting.objective import Objective
+from fitting.prediction.course import Groove, groove_surface
+from pftwin.base.leaves import number
+from pftwin.base.spatial import Vec3
 from pftwin.dynamics.status import Status, status_of_frame
-from pftwin.effects.mesh_contact import MeshContact
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tension import PrescribedTension
-from pftwin.effects.toe_tendon import ToeTendon
-from pftwin.leaves import number
-from pftwin.measured import Measured
-from pftwin.scene import Scene
-from pftwin.spatial import Vec3
-from pftwin.surfaces.contact_mesh import contact_mesh
-from pftwin.surfaces.icosphere import icosphere
+from pftwin.geometry.contact.contact_mesh import contact_mesh
+from pftwin.geometry.mesh.icosphere import icosphere
+from pftwin.model.effects.mesh_contact import MeshContact
+from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tension import PrescribedTension
+from pftwin.model.effects.toe_tendon import ToeTendon
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
 
 
 def with_toe() -> Scene:

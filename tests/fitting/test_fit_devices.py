@@ -17,9 +17,9 @@ from small_scene import small_scene
 import fitting
 from fitting import programs
 from pftwin.base import cache_folder
-from pftwin.batch.laid import AXIS
-from pftwin.errors import InputError
-from pftwin.measured import Measured
+from pftwin.base.errors import InputError
+from pftwin.dynamics.batch.shard_over import AXIS
+from pftwin.model.measured import Measured
 
 
 @pytest.mark.parametrize("program", ["plain", pytest.param("with_slopes", marks=pytest.mark.slow)])

@@ -11,7 +11,7 @@ from lifted_fits import NOISE, TRUTH, estimate, noisy, scene
 import fitting
 import fitting.fit
 from fitting.uncertainty import serial_correlation
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 
 @pytest.mark.slow

@@ -16,12 +16,12 @@ from lifted_fits import FEW, SPRINGS, clean, noisy, scene, truth
 
 import fitting
 import fitting.fit
-from fitting.genetic import Genetic
+from fitting.methods.genetic import Genetic
+from fitting.methods.problem import Problem
 from fitting.objective import Objective
-from fitting.problem import Problem
 from pftwin.base import cache_folder
-from pftwin.errors import InputError
-from pftwin.measured import Measured
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
 
 
 def test_genetic_batches_have_one_size():
@@ -81,12 +81,12 @@ _KILLED = """
 import sys, time
 from pathlib import Path
 sys.path[:0] = {paths!r}
-from pftwin.runtime import configure
+from pftwin.base.runtime import configure
 configure(cache_dir={cache!r})
 import numpy as np, fitting, fitting.fit
 from lifting_scene import lifting_scene
 from small_scene import small_scene
-from pftwin.measured import Measured
+from pftwin.model.measured import Measured
 fitting.fit._BETWEEN_CHECKPOINTS = 0.0
 data = np.load({data!r})
 fitting.fit_tendons(lifting_scene(), Measured(data["t"], data["c"]), method="genetic", generations=12, population=24,

@@ -10,11 +10,11 @@ from lifted_fits import FEW, SPRINGS, clean, scene, truth
 
 import fitting
 import fitting.fit
-from fitting.least_squares import LeastSquares
+from fitting.methods.least_squares import LeastSquares
+from fitting.methods.problem import Problem, Request
 from fitting.objective import Objective
-from fitting.problem import Problem, Request
-from pftwin.errors import InputError, PftwinError
-from pftwin.measured import Measured
+from pftwin.base.errors import InputError, PftwinError
+from pftwin.model.measured import Measured
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_an_unusable_prediction_is_infinitely_bad():
 
 
 def test_a_missing_extra_is_named(monkeypatch):
-    from fitting import strategies
+    from fitting.methods import strategies
 
     strategies._algorithm.cache_clear()
     monkeypatch.setitem(sys.modules, "evosax", None)

@@ -11,7 +11,7 @@ import fitting
 import fitting.fit
 import pftwin
 from fitting.evaluation import Evaluator
-from pftwin.measured import Measured
+from pftwin.model.measured import Measured
 
 
 @pytest.mark.parametrize("objective", ["likelihood", "paper"])

@@ -15,23 +15,23 @@ from typer.testing import CliRunner
 
 import fitting
 import pftwin
-from fitting.benchmarks import efficiency, memory, page
-from fitting.benchmarks.__main__ import app, chosen
-from fitting.benchmarks.efficiency import KINDS, Found
-from fitting.benchmarks.methods.comparison import Setting, compared, runs
-from fitting.benchmarks.methods.entrants import ENTRANTS
-from fitting.benchmarks.methods.figure import best_so_far, comparison_figure
-from fitting.benchmarks.methods.mapped_starts import Residuals
-from fitting.benchmarks.methods.meter import FAILED, Best, Budget, Course, Meter, OneStepEvaluator, SpentError
-from fitting.benchmarks.methods.table import COLUMNS, comma_separated, courses_of, markdown, rows_of
-from fitting.benchmarks.side_by_side import Seat, WideEvaluator, fitted
-from fitting.least_squares import LeastSquares
+from fitting.methods.least_squares import LeastSquares
+from fitting.methods.problem import Answer, Problem, Request
 from fitting.objective import Objective
-from fitting.problem import Answer, Problem, Request
-from pftwin.benchmarks.report import from_json, to_json
-from pftwin.benchmarks.row import Row
-from pftwin.errors import InputError
-from pftwin.measured import Measured
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from tests.benchmarks.fitting import efficiency, memory, page
+from tests.benchmarks.fitting.__main__ import app, chosen
+from tests.benchmarks.fitting.efficiency import KINDS, Found
+from tests.benchmarks.fitting.methods.comparison import Setting, compared, runs
+from tests.benchmarks.fitting.methods.entrants import ENTRANTS
+from tests.benchmarks.fitting.methods.figure import best_so_far, comparison_figure
+from tests.benchmarks.fitting.methods.mapped_starts import Residuals
+from tests.benchmarks.fitting.methods.meter import FAILED, Best, Budget, Course, Meter, OneStepEvaluator, SpentError
+from tests.benchmarks.fitting.methods.table import COLUMNS, comma_separated, courses_of, markdown, rows_of
+from tests.benchmarks.fitting.side_by_side import Seat, WideEvaluator, fitted
+from tests.benchmarks.report import from_json, to_json
+from tests.benchmarks.row import Row
 
 RUNNER = CliRunner()
 SPRINGS = ("K1", "L1", "K2", "L2")

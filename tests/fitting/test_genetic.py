@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitting.genetic import (
+from fitting.methods.genetic import (
     STALL,
     Genetic,
     children_of,
@@ -17,7 +17,7 @@ from fitting.genetic import (
     stalled,
     stochastic_uniform,
 )
-from fitting.problem import Answer
+from fitting.methods.problem import Answer
 
 seeds = st.integers(0, 2**32 - 1)
 LOWER, UPPER = np.array([1.0, -2.0, 10.0]), np.array([2.0, -1.0, 1e3])

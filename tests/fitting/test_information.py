@@ -14,8 +14,8 @@ from fitting import identifiability
 from fitting.channels import widths
 from fitting.evaluation import Prediction
 from fitting.identifiability import _crossings as crossings
-from fitting.problem import Problem
-from pftwin.measured import Measured
+from fitting.methods.problem import Problem
+from pftwin.model.measured import Measured
 
 FRAMES, FREE = 41, ("K1", "L1", "K2")
 NOISE = {"position": 3e-4, "orientation": 4e-3, "quadriceps": 0.2, "contact": 0.7}

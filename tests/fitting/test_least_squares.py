@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from linear_problems import NOMINAL, design, parameters, problem, scaled
 
-from fitting.least_squares import LeastSquares
-from fitting.problem import Answer
+from fitting.methods.least_squares import LeastSquares
+from fitting.methods.problem import Answer
 
 
 def searched(ours, seed=0, starts=6):

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fitting.evaluation import Prediction
-from fitting.problem import Request
+from fitting.methods.problem import Request
 
 SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import scenes
 
-from fitting.optimise import Limit, optimise_treatment
-from fitting.outcomes import outcomes
+from fitting.prediction.outcomes import outcomes
 from fitting.treatments import Treatment
+from fitting.treatments.optimise import Limit, optimise_treatment
 from pftwin import rig, simulate
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 DT = 5e-3
 

@@ -11,9 +11,9 @@ from toy_scene_files import write_toy
 from typer.testing import CliRunner, Result
 
 from fitting.cli.amounts import limits
+from pftwin.base.errors import InputError
 from pftwin.cli import app
 from pftwin.cli.exit_codes import ExitCode
-from pftwin.errors import InputError
 
 SOUND = ["--limit", "dislocation_margin>=3 mm", "--medialise", "0:20"]
 

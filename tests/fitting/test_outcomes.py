@@ -1,4 +1,4 @@
-"""Outcome measures against `pftwin.tracking` and plain numpy, on real runs and on made-up ones."""
+"""Outcome measures against `pftwin.results.tracking` and plain numpy, on real runs and on made-up ones."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitting.course import Course, dislocated
-from fitting.outcomes import MEASURES, measure, outcomes, running_median
+from fitting.prediction.course import Course, dislocated
+from fitting.prediction.outcomes import MEASURES, measure, outcomes, running_median
 from pftwin import rig, simulate
+from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
-from pftwin.errors import InputError
-from pftwin.motion import KneeMotion
-from pftwin.tracking import follow
+from pftwin.model.motion import KneeMotion
+from pftwin.results.tracking import follow
 
 
 @pytest.fixture(scope="module", params=[1, 2])

@@ -24,10 +24,10 @@ from fitting.demo.paper_study import (
 )
 from fitting.demo.paper_study_files import save
 from fitting.demo.paper_study_tables import facts, notes, outcome_rows, spring_rows, table_2
+from fitting.demo.straight_springs import nearest_line, recorded_line, recorded_pulls
 from fitting.estimate import Estimate
-from fitting.straight_springs import nearest_line, recorded_line, recorded_pulls
 from pftwin import rig
-from pftwin.tracking import follow
+from pftwin.results.tracking import follow
 
 NAMES = ("K1", "L1", "K2", "L2")
 PUBLISHED = np.array([156.0, 0.1432, 629.0, 0.0714])

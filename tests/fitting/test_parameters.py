@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_scene import small_scene
 
 from fitting import free_parameters
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 SPRINGS = ("K1", "L1", "K2", "L2")
 

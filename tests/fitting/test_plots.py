@@ -12,10 +12,10 @@ from small_scene import small_scene
 
 import pftwin
 from fitting.estimate import Estimate
-from fitting.posterior_result import Posterior
-from fitting.prediction_plots import outcome_figure
-from fitting.variants import grid
-from pftwin.errors import InputError
+from fitting.posterior.result import Posterior
+from fitting.prediction.plots import outcome_figure
+from fitting.prediction.variants import grid
+from pftwin.base.errors import InputError
 
 SD = np.array([2.0, 1e-3, 20.0])
 CORRELATION = np.array([[1.0, 0.8, -0.3], [0.8, 1.0, -0.1], [-0.3, -0.1, 1.0]])
@@ -213,7 +213,7 @@ def test_what_an_estimate_from_a_file_lacks_is_named(estimate):
 
 
 def test_no_global_setting_is_changed_and_vectors_are_written(estimate, posterior, prediction, tmp_path):
-    from pftwin.plots import save_figure
+    from pftwin.results.plots import save_figure
 
     before = settings()
     drawn = [estimate.plot.correlation(), estimate.plot.posterior(posterior), outcome_figure(prediction)]

@@ -10,11 +10,11 @@ from small_scene import small_scene
 
 import fitting
 import pftwin
-from fitting import independence
 from fitting.evaluation import Evaluator
-from pftwin.errors import InputError, MissingExtraError
-from pftwin.measured import Measured
-from pftwin.result_files import load_dataset
+from fitting.posterior import independence
+from pftwin.base.errors import InputError, MissingExtraError
+from pftwin.files.result_files import load_dataset
+from pftwin.model.measured import Measured
 
 SPRINGS = ("K1", "L1", "K2", "L2")
 TRUTH = np.array([156.0, 0.1432, 629.0, 0.0714]) * np.array([1.05, 0.98, 0.96, 1.01])

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import scenes
 
-from fitting.outcomes import MEASURES, outcomes
-from fitting.predicting import predict
+from fitting.prediction.outcomes import MEASURES, outcomes
+from fitting.prediction.predicting import predict
+from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
-from fitting.variants import grid
 from pftwin import rig, simulate
+from pftwin.base.errors import InputError
+from pftwin.base.labels import SYNTHETIC
 from pftwin.dynamics.status import Status
-from pftwin.errors import InputError
-from pftwin.labels import SYNTHETIC
 
 TRANSFER = "tibial_tuberosity_transfer"
 MEDIAL = f"{TRANSFER}_medialisation"
@@ -196,7 +196,7 @@ def test_what_is_wrong_is_named(knee, call, message):
 
 def test_the_verb_is_not_hidden_by_a_module():
     import fitting
-    from fitting.optimise import optimise_treatment
+    from fitting.treatments.optimise import optimise_treatment
 
     assert callable(fitting.predict)
     assert fitting.optimise_treatment is optimise_treatment

@@ -7,11 +7,11 @@ import pytest
 from bent_problems import bent, cubic, linear, problem
 from scipy import stats
 
-from fitting.density import Density, tempering
-from fitting.independence import sampled
-from fitting.randomised import proposals
+from fitting.posterior.density import Density, tempering
+from fitting.posterior.independence import sampled
+from fitting.posterior.randomised import proposals
 from fitting.uncertainty import uncertainty
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ import fitting
 from fitting.fit import measured_of
 from fitting.treatments import Treatment
 from pftwin import rig
-from pftwin.errors import InputError
-from pftwin.measured import Measured
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
 
 NOTHING = "nothing to compare with"
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import look, tendon
 
-from fitting.straight_springs import (
+from fitting.demo.straight_springs import (
     PATELLAR_TENDON,
     QUADRICEPS,
     nearest_line,
@@ -16,7 +16,7 @@ from fitting.straight_springs import (
     straight_line,
     stretch_under,
 )
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 from pftwin.rig.plant import STIFFENING, StiffeningTendon, plant_scene
 
 K, L0 = 156.0, 0.1432

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fitting.problem import Answer
-from fitting.strategies import CmaEs, DifferentialEvolution, mirrored
+from fitting.methods.problem import Answer
+from fitting.methods.strategies import CmaEs, DifferentialEvolution, mirrored
 
 pytest.importorskip("evosax")
 LOWER, UPPER = np.array([1.0, -2.0]), np.array([3.0, 6.0])

@@ -10,10 +10,10 @@ from made_estimates import made_estimate
 from typer.testing import CliRunner
 
 from fitting.cli.amounts import values
+from pftwin.base.errors import InputError
+from pftwin.base.labels import SYNTHETIC
 from pftwin.cli import app
-from pftwin.errors import InputError
-from pftwin.labels import SYNTHETIC
-from pftwin.result_files import load_dataset
+from pftwin.files.result_files import load_dataset
 
 RUNNER = CliRunner(env={"COLUMNS": "200"})
 

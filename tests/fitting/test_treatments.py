@@ -22,12 +22,12 @@ from fitting.treatments import (
     trochleoplasty,
 )
 from pftwin import rig
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.tension import PrescribedTension
-from pftwin.errors import InputError
-from pftwin.scene import Scene
-from pftwin.spatial import Vec3
-from pftwin.tracking import groove_line
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Vec3
+from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tension import PrescribedTension
+from pftwin.model.scene import Scene
+from pftwin.results.tracking import groove_line
 
 
 def strands(name: str, y: float) -> StrandGroup:

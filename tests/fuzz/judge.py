@@ -14,7 +14,7 @@ from pathlib import Path
 
 from fuzz.readers import Reader
 
-from pftwin.errors import PftwinError
+from pftwin.base.errors import PftwinError
 
 MOST_SECONDS = 5
 MOST_MEMORY = 10**9  # bytes beyond what the process has

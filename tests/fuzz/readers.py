@@ -47,14 +47,14 @@ def _markers() -> Any:
 
 
 def _trc(name: str, folder: Path) -> Reader:
-    from pftwin.mocap import read_trc, write_trc
+    from pftwin.files.mocap import read_trc, write_trc
 
     write_trc(folder / "a.trc", _markers())
     return _written(name, folder / "a.trc", read_trc)
 
 
 def _marker_csv(name: str, folder: Path) -> Reader:
-    from pftwin.mocap import read_markers, write_csv
+    from pftwin.files.mocap import read_markers, write_csv
 
     write_csv(folder / "a.csv", _markers())
     return _written(name, folder / "a.csv", read_markers)
@@ -63,7 +63,7 @@ def _marker_csv(name: str, folder: Path) -> Reader:
 def _c3d(name: str, folder: Path) -> Reader:
     import ezc3d
 
-    from pftwin.mocap import read_c3d
+    from pftwin.files.mocap import read_c3d
 
     markers, file = _markers(), ezc3d.c3d()
     data = np.ones((4, len(markers.names), markers.times.size))
@@ -76,7 +76,7 @@ def _c3d(name: str, folder: Path) -> Reader:
 
 
 def _sto(name: str, folder: Path) -> Reader:
-    from pftwin.mocap import read_sto
+    from pftwin.files.mocap import read_sto
 
     rows = "\n".join(f"{i / 100}\t{i}\t{-i}.5\tnan" for i in range(5))
     head = "walk\nversion=1\nnRows=5\nnColumns=4\ninDegrees=yes\nendheader\ntime\tknee_angle\tknee_tx\tforce_vx\n"
@@ -85,7 +85,7 @@ def _sto(name: str, folder: Path) -> Reader:
 
 
 def _csv(name: str, folder: Path) -> Reader:
-    from pftwin.mocap import read_csv
+    from pftwin.files.mocap import read_csv
 
     rows = "\n".join(f"{i / 100},{i},{-i}.5," for i in range(5))
     (folder / "a.csv").write_text(f'# a comment\ntime_s,force_N,"angle [deg]",Fz (kN)\n{rows}\n')
@@ -95,7 +95,7 @@ def _csv(name: str, folder: Path) -> Reader:
 def _poses(name: str, folder: Path) -> Reader:
     from toy_scene_files import tibia_poses, write_poses
 
-    from pftwin.mocap import read_poses_csv
+    from pftwin.files.mocap import read_poses_csv
 
     write_poses(folder / "a.csv", {"tibia": tibia_poses(7)})
     return _written(name, folder / "a.csv", lambda path: read_poses_csv(path, ["tibia"]))
@@ -104,7 +104,7 @@ def _poses(name: str, folder: Path) -> Reader:
 def _mesh(name: str, folder: Path) -> Reader:
     import trimesh
 
-    from pftwin.surfaces.mesh import load_mesh
+    from pftwin.geometry.mesh.mesh import load_mesh
 
     kind = name.removeprefix("ascii_")
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.02)
@@ -118,7 +118,7 @@ def _mesh(name: str, folder: Path) -> Reader:
 def _scene(name: str, folder: Path) -> Reader:
     from toy_scene_files import LIGHT, write_toy
 
-    from pftwin.scene_file import load_scene
+    from pftwin.files.scene_file import load_scene
 
     return _written(name, write_toy(folder, LIGHT), load_scene)
 
@@ -126,7 +126,7 @@ def _scene(name: str, folder: Path) -> Reader:
 def _result(name: str, folder: Path) -> Reader:
     import xarray
 
-    from pftwin.result_files import GEOMETRY, load_dataset, save_dataset
+    from pftwin.files.result_files import GEOMETRY, load_dataset, save_dataset
 
     times = np.arange(8.0)
     data = xarray.Dataset(
@@ -153,7 +153,7 @@ def _estimate(name: str, folder: Path) -> Reader:
 
 
 def _checkpoint(name: str, folder: Path) -> Reader:
-    from fitting.checkpoint import load, save
+    from fitting.methods.checkpoint import load, save
 
     state = {"values": np.arange(6.0).reshape(2, 3), "count": 3, "deep": [{"best": np.float64(0.1)}, None, "text"]}
     save(folder / "a.json", "problem", state)
@@ -161,9 +161,9 @@ def _checkpoint(name: str, folder: Path) -> Reader:
 
 
 def _osim(name: str, folder: Path) -> Reader:
-    from interchange.knee_models import ligaments, model
+    from files.interchange.knee_models import ligaments, model
 
-    from pftwin.interchange import import_osim
+    from pftwin.files.interchange import import_osim
 
     def read(path: Path) -> Any:
         out = folder / "imported"
@@ -175,7 +175,7 @@ def _osim(name: str, folder: Path) -> Reader:
 
 
 def _strands(name: str, folder: Path) -> Reader:
-    from pftwin.scene_file.strands_table import read_strands
+    from pftwin.files.scene_file.strands_table import read_strands
 
     strand = {
         "points": [["patella", [0, 0, 0.01]], ["femur", [0.1, 0, 0]]],

@@ -15,9 +15,9 @@ from fuzz.readers import FORMATS, reader
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pftwin.errors import InputError
-from pftwin.mocap.c3d_structure import check_c3d_structure
-from pftwin.scene_file.document import Document
+from pftwin.base.errors import InputError
+from pftwin.files.mocap.c3d_structure import check_c3d_structure
+from pftwin.files.scene_file.document import Document
 
 # A crash of ezc3d or HDF5 would end the whole run of tests: these are left to the script, which takes processes.
 IN_C = ("c3d", "result")
@@ -38,7 +38,7 @@ def readers(tmp_path_factory):
     return of
 
 
-@pytest.mark.filterwarnings("ignore::pftwin.errors.PftwinWarning")
+@pytest.mark.filterwarnings("ignore::pftwin.base.errors.PftwinWarning")
 @pytest.mark.parametrize("name", FORMATS)
 def test_the_valid_file_is_read(readers, name):
     one, folder = readers(name)

@@ -12,10 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pftwin import rig
+from pftwin.base.errors import InputError
 from pftwin.dynamics.simulate import simulate
-from pftwin.errors import InputError
+from pftwin.files.scene_file import load_scene
 from pftwin.rig.retinacula import REFERENCE_POSITION, REFERENCE_QUATERNION, STRANDS, ligament, with_retinacula
-from pftwin.scene_file import load_scene
 
 
 @pytest.mark.parametrize(("name", "stiffness"), [("mpfl", 42.5e3), ("lpfl", 16.0e3)])
@@ -115,7 +115,7 @@ def test_what_is_not_there_is_refused():
 
 def test_the_documented_tables_are_the_rigs_ligaments(tmp_path: Path):
     """The scene file's text in the documentation, added to that of case 2."""
-    from pftwin.scene_template import write_example
+    from pftwin.rig.scene_template import write_example
 
     write_example(tmp_path, 2)
     page = (Path(__file__).resolve().parents[2] / "docs" / "optional_effects.md").read_text()

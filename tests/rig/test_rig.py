@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from pftwin import rig
+from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.simulate import simulate
-from pftwin.errors import InputError
-from pftwin.metrics import validate
-from pftwin.mocap import read_trc
+from pftwin.files.mocap import read_trc
+from pftwin.results.metrics import validate
 from pftwin.rig import geometry
 from pftwin.rig.cases import contact_fit, recording
 from pftwin.rig.hand import hand_motion

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_scene import small_result
 
-from pftwin.errors import InputError
-from pftwin.spatial import Quaternion
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Quaternion
 from pftwin.studies.runs import difference, rms, run_each
 from pftwin.studies.tables import Column, Sheet, read_csv, short, to_csv, to_dataset
 

@@ -6,7 +6,7 @@ import errno
 import ipaddress
 import socket
 
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 
 def loopback(host: str) -> bool:

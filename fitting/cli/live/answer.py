@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.errors import InputError
-from pftwin.viewer.recorded import Recorded
+from pftwin.base.errors import InputError
+from pftwin.results.viewer.recorded import Recorded
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-    from pftwin.result import Result
+    from pftwin.results.result import Result
 
 _REMEDY = "other values"
 

@@ -12,7 +12,7 @@ from pftwin.cli.scenes import CaseOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import err, out, working
 
 if TYPE_CHECKING:
-    from pftwin.scene import Scene
+    from pftwin.model.scene import Scene
 
 
 def app(
@@ -75,8 +75,8 @@ def app(
 
 def contacts_of(case: int | None, own: str | None) -> tuple[str, ...]:
     """Names of the contacts that the page offers, the scene's own first."""
+    from pftwin.geometry.patch.spline_or_polynomial import SPLINE
     from pftwin.rig.contacts import ON_MESHES
-    from pftwin.surfaces.spline_or_polynomial import SPLINE
 
     smooth = ("P2", "P4", "P5", SPLINE)
     if own is None:

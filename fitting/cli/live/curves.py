@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.cli.live.answer import Answer
-from pftwin.plots import COLOURS
+from pftwin.results.plots import COLOURS
 
 if TYPE_CHECKING:
     from viser import GuiApi

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from fitting.cli.live.shown import Shown, Track
-from pftwin.viewer import bones
-from pftwin.viewer.drawing import darker, paler
-from pftwin.viewer.knee import BONE, METAL, PLASTIC
-from pftwin.viewer.recorded import Recorded
-from pftwin.viewer.shapes import Shape, arrow, behind_plane, button_cap, ellipsoid, shell, surface
+from pftwin.results.viewer import bones
+from pftwin.results.viewer.drawing import darker, paler
+from pftwin.results.viewer.knee import BONE, METAL, PLASTIC
+from pftwin.results.viewer.recorded import Recorded
+from pftwin.results.viewer.shapes import Shape, arrow, behind_plane, button_cap, ellipsoid, shell, surface
 
 if TYPE_CHECKING:
     from viser import SceneApi

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from fitting.cli.live.answer import Answer
 from fitting.cli.live.knobs import neutral, turned, usable
 from fitting.cli.live.still import Still
+from pftwin.base.errors import InputError
 from pftwin.dynamics.simulate import prepare_relaxation, simulate
-from pftwin.errors import InputError
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
 
 UNTREATED, TREATED = "untreated", "treated"
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from pftwin.errors import InputError
-from pftwin.scene import Scene
+from pftwin.base.errors import InputError
+from pftwin.model.scene import Scene
 
 QUADRICEPS, PATELLAR_TENDON = "quadriceps", "patellar_tendon"
 _ROUNDING = 1e-9  # of a value that a browser sends

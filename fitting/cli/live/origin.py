@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from fitting.cli.live.address import loopback
-from pftwin.errors import InputError, PftwinError
+from pftwin.base.errors import InputError, PftwinError
 
 Allowed = Callable[[list[str], str], bool]
 

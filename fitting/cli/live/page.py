@@ -15,9 +15,9 @@ from fitting.cli.live.drawing import Bones, Knee, component_of
 from fitting.cli.live.engine import TREATED, Engine, Model
 from fitting.cli.live.knobs import Knob
 from fitting.cli.live.shown import Shown
-from pftwin.viewer.assembly import per_centimetre
-from pftwin.viewer.views import views
-from pftwin.viewer.words import legend, notes, readout
+from pftwin.results.viewer.assembly import per_centimetre
+from pftwin.results.viewer.views import views
+from pftwin.results.viewer.words import legend, notes, readout
 
 if TYPE_CHECKING:
     from viser import ClientHandle

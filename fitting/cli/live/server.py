@@ -17,8 +17,8 @@ from fitting.cli.live.engine import Engine
 from fitting.cli.live.origin import guarded, own_pages
 from fitting.cli.live.session import Session
 from fitting.cli.live.worker import Worker
-from pftwin.errors import MissingExtraError
-from pftwin.viewer.views import views
+from pftwin.base.errors import MissingExtraError
+from pftwin.results.viewer.views import views
 
 
 def viser() -> Any:

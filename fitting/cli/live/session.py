@@ -17,7 +17,7 @@ from fitting.cli.live.page import Page
 from fitting.cli.live.player import Player
 from fitting.cli.live.shown import Shown
 from fitting.cli.live.worker import Worker
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 if TYPE_CHECKING:
     from viser import ClientHandle

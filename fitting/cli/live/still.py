@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.drawn_surface import continuation, has_rectangle
-from pftwin.scene import Scene
-from pftwin.scene_geometry import geometry
-from pftwin.spatial import Vec3
-from pftwin.viewer.matrices import MM
-from pftwin.viewer.shapes import Shape
+from pftwin.base.spatial import Vec3
+from pftwin.model.scene import Scene
+from pftwin.results.drawn_surface import continuation, has_rectangle
+from pftwin.results.scene_geometry import geometry
+from pftwin.results.viewer.matrices import MM
+from pftwin.results.viewer.shapes import Shape
 
 if TYPE_CHECKING:
     from xarray import Dataset

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
+from pftwin.base.errors import OutputError
 from pftwin.cli.scenes import CaseOption, ContactOption
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
-from pftwin.errors import OutputError
 
 
 def report(
@@ -40,7 +40,7 @@ def report(
     start_computing()
     from fitting.cli.report.contents import report as told
     from fitting.cli.report.material import gathered
-    from pftwin.mocap.text_files import write_text
+    from pftwin.base.text_files import write_text
 
     material = gathered(source, treatment=treatment, scene=scene, case=case, contact=contact)
     asked = ["pftwin", "report", str(source), *_given(treatment, scene, case, contact), "-o", output.name]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fitting.cli.report.html import Section, drawn, frame, paragraph
 from fitting.cli.report.material import Material
-from pftwin.errors import InputError, MissingExtraError
+from pftwin.base.errors import InputError, MissingExtraError
 
 
 def section(material: Material) -> Section:
@@ -21,8 +21,8 @@ def view(material: Material) -> Section:
     """The page of the viewer within the page; without its extra, how to install it."""
     title = "In three dimensions"
     try:
-        from pftwin.viewer import view as draw
-        from pftwin.viewer.page import page
+        from pftwin.results.viewer import view as draw
+        from pftwin.results.viewer.page import page
 
         inside = page(draw([(r.name, r.source) for r in material.runs]))
     except (MissingExtraError, InputError) as error:
@@ -35,8 +35,8 @@ def view(material: Material) -> Section:
 
 
 def _case(material: Material) -> str:
-    from pftwin.plots import case_figure
-    from pftwin.plots.quantities import provenance
+    from pftwin.results.plots import case_figure
+    from pftwin.results.plots.quantities import provenance
 
     measured = None if material.demo is not None or material.chosen is None else material.chosen.measured
     names = " and ".join(r.name for r in material.runs)
@@ -53,7 +53,7 @@ def _case(material: Material) -> str:
 
 
 def _against_flexion(material: Material) -> str:
-    from pftwin.plots import against_flexion
+    from pftwin.results.plots import against_flexion
 
     names = " and ".join(r.name for r in material.runs)
     try:
@@ -66,7 +66,7 @@ def _against_flexion(material: Material) -> str:
 
 def _over_the_trochlea(material: Material) -> str:
     """Of the last run that is in memory: files do not keep the surface as a function."""
-    from pftwin.result import Result
+    from pftwin.results.result import Result
 
     here = [r for r in material.runs if isinstance(r.source, Result) and r.source.surface is not None]
     if not here:

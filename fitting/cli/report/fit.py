@@ -9,7 +9,7 @@ from fitting.cli.report.material import Material
 
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
-    from pftwin.scene import Scene
+    from pftwin.model.scene import Scene
 
 
 def section(material: Material) -> Section:
@@ -43,7 +43,7 @@ def doubts(e: Estimate, scene: Scene | None) -> list[str]:
     """Where the scene's numbers are not those that the fit began from: it may be another scene of the same name."""
     if scene is None:
         return []
-    from pftwin.scene_parameters import find
+    from pftwin.model.scene_parameters import find
 
     here = [float(find(scene, name)[0].read(scene)) for name in e.names]
     off = [n for n, x, began in zip(e.names, here, e.nominal, strict=True) if abs(x - began) > 1e-6 * abs(began)]
@@ -53,7 +53,7 @@ def doubts(e: Estimate, scene: Scene | None) -> list[str]:
 
 
 def _table(e: Estimate, scene: Scene | None) -> str:
-    from pftwin.plots.quantities import as_read
+    from pftwin.results.plots.quantities import as_read
 
     rows = []
     for i, name in enumerate(e.names):
@@ -71,7 +71,7 @@ def meaning(scene: Scene | None, name: str) -> str:
     """A parameter in words; its name where the scene is not known."""
     if scene is None:
         return name
-    from pftwin.scene_parameters import find
+    from pftwin.model.scene_parameters import find
 
     found = find(scene, name)[0]
     return found.name.replace("_", " ").replace(".", ", ", 1)

@@ -84,7 +84,7 @@ def picture(data: bytes, kind: str, alternative: str, caption: str) -> str:
 
 def drawn(figure: Figure, alternative: str, caption: str) -> str:
     """A figure of matplotlib's, as SVG inside the page."""
-    from pftwin.plots import house_style
+    from pftwin.results.plots import house_style
 
     target = io.BytesIO()
     with house_style():

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fitting.cli.report.run import Run
+from pftwin.base.errors import InputError
 from pftwin.cli.scenes import Chosen, chosen_scene
 from pftwin.cli.terminal import working
-from pftwin.errors import InputError
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -44,7 +44,7 @@ class Material:
 
     def synthetic(self) -> list[str]:
         """What has to be said of synthetic data, each once."""
-        from pftwin.labels import SYNTHETIC
+        from pftwin.base.labels import SYNTHETIC
 
         said = [r.note for r in self.runs if "synthetic" in r.note]
         if self.chosen is not None and self.chosen.scene.synthetic:
@@ -187,7 +187,7 @@ def _prediction(path: Path) -> Dataset:
     Raises:
         InputError: something else.
     """
-    from pftwin.result_files import load_dataset
+    from pftwin.files.result_files import load_dataset
 
     data = load_dataset(path)
     needed = ("dislocations", "largest_offset", "peak_contact_force", "mean_tilt", "medial_share", "failed")

@@ -10,8 +10,8 @@ import numpy as np
 
 from fitting.cli.report.html import Section, bullets, drawn, number, paragraph, picture, subtitle, table
 from fitting.cli.report.material import Material
-from pftwin.errors import InputError
-from pftwin.mocap.text_files import read_bytes, read_lines
+from pftwin.base.errors import InputError
+from pftwin.base.text_files import read_bytes, read_lines
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -36,7 +36,7 @@ def section(material: Material) -> Section:
 
 def finding_of(data: Dataset) -> str:
     """What the prediction comes to, as a sentence."""
-    from fitting.prediction_table import finding
+    from fitting.prediction.table import finding
 
     words = finding(data)
     return f"{words[:1].upper()}{words[1:]}."
@@ -60,8 +60,8 @@ def doubts(material: Material, data: Dataset) -> list[str]:
 
 
 def _given(data: Dataset, said: list[str]) -> str:
-    from fitting.prediction_plots import amount_names, outcome_figure
-    from fitting.prediction_table import rows
+    from fitting.prediction.plots import amount_names, outcome_figure
+    from fitting.prediction.table import rows
 
     headings, lines = rows(data)
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]

@@ -12,7 +12,7 @@ from fitting.cli.report.material import Material
 if TYPE_CHECKING:
     from fitting.cli.report.run import Run
     from fitting.estimate import Estimate
-    from pftwin.measured import Measured
+    from pftwin.model.measured import Measured
 
 _CHANNELS = {
     "position of the button's centre": "center",

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-    from pftwin.result import Result
+    from pftwin.results.result import Result
 
 _ANGLES = ("flexion", "rotation", "tilt")
 
@@ -43,7 +43,7 @@ class Run:
         Raises:
             InputError: no such file, not NetCDF, or not a result.
         """
-        from pftwin.result_files import load_dataset
+        from pftwin.files.result_files import load_dataset
 
         data = load_dataset(path)
         if "variant" in data.dims:

@@ -12,7 +12,7 @@ from fitting.cli.report.material import Material
 
 if TYPE_CHECKING:
     from fitting.cli.report.run import Run
-    from pftwin.scene import Scene
+    from pftwin.model.scene import Scene
 
 # Fields of effects: words, what the number is multiplied by, and the unit then.
 _FIELDS: dict[str, tuple[str, float, str]] = {
@@ -81,8 +81,8 @@ def parameters(effect: Any) -> Iterator[tuple[str, str, str]]:
     """Quantity, value and unit of every parameter of an effect; shapes in a word."""
     import jax
 
-    from pftwin.spatial import Vec3
-    from pftwin.surfaces.spline_or_polynomial import name_of
+    from pftwin.base.spatial import Vec3
+    from pftwin.geometry.patch.spline_or_polynomial import name_of
 
     if (patch := name_of(getattr(effect, "surface", None))) is not None:
         yield ("surface of the trochlea", f"fitted patch {patch}", "")

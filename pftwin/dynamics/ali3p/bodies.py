@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.spatial import Quaternion, Scalar, Twist, Vec3, Wrench
 from pftwin.dynamics.ali3p.natural_coordinates import (
     LENGTH,
     Driven,
@@ -23,9 +24,8 @@ from pftwin.dynamics.ali3p.natural_coordinates import (
     wrench_map,
 )
 from pftwin.dynamics.state import Guide, GuideAt, State, System
-from pftwin.effects.base import Instant, Load, Patella, StiffTerm
-from pftwin.motion import Frame
-from pftwin.spatial import Quaternion, Scalar, Twist, Vec3, Wrench
+from pftwin.model.effects.base import Instant, Load, Patella, StiffTerm
+from pftwin.model.motion import Frame
 
 
 def masses(system: System) -> Array:

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.spatial import Quaternion, Rotation, Twist, Vec3
+from pftwin.base.spatial import Quaternion, Rotation, Twist, Vec3
 
 LENGTH = 0.02  # of the three vectors: about the patella's half width [m]
 

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.leaves import all_changes
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.ali3p.bodies import Bodies, masses
 from pftwin.dynamics.ali3p.natural_coordinates import LENGTH, Driven, constraints, directions, jacobian
 from pftwin.dynamics.ali3p.projection import constrained, solved, with_penalty
-from pftwin.effects.base import Load
-from pftwin.leaves import all_changes
-from pftwin.spatial import Scalar
+from pftwin.model.effects.base import Load
 
 GAMMA, BETA = 0.5, 0.25  # Newmark's average acceleration
 MOST_ITERATIONS = 20

@@ -20,6 +20,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Scalar, Twist
 from pftwin.dynamics.ali3p.bodies import Bodies, driven, guided, masses
 from pftwin.dynamics.ali3p.natural_coordinates import (
     Driven,
@@ -36,8 +38,6 @@ from pftwin.dynamics.ali3p.projection import constrained
 from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
-from pftwin.errors import InputError
-from pftwin.spatial import Scalar, Twist
 
 
 class ALI3PStep(NamedTuple):

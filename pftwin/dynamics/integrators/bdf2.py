@@ -6,12 +6,12 @@ With d the displacement over a step and D the change of velocity,
 
 (the first step, with no past, is d_end = h v_end, D_end = h M^-1 F_end) is the backward differentiation formula BDF2,
 in rotations up to terms of third order. Forces are evaluated where the step would end if the velocity changed as it did
-over the last one, and every stiff term is linearised from there (`pftwin.dynamics.implicit_solve`). What that leaves
-out, the turning of forces and of the body, is of third order in the step, so one Newton iteration is enough, and the
-step costs what `linear_implicit` costs. After an impact the past is no guide: a third of the change of velocity would
-go on into the next step and make energy of nothing. Where the change of velocity has changed by more than half of
-itself and by more than `ROUGH` allows, the next step starts afresh. Source of the formula: Curtiss & Hirschfelder 1952,
-PNAS 38:235; Hairer & Wanner, Solving Ordinary Differential Equations II, V.1.
+over the last one, and every stiff term is linearised from there (`pftwin.dynamics.integrators.implicit_solve`). What
+that leaves out, the turning of forces and of the body, is of third order in the step, so one Newton iteration is
+enough, and the step costs what `linear_implicit` costs. After an impact the past is no guide: a third of the change of
+velocity would go on into the next step and make energy of nothing. Where the change of velocity has changed by more
+than half of itself and by more than `ROUGH` allows, the next step starts afresh. Source of the formula: Curtiss &
+Hirschfelder 1952, PNAS 38:235; Hairer & Wanner, Solving Ordinary Differential Equations II, V.1.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from pftwin.dynamics.implicit_solve import Span, change_of_velocity, load_at_end
+from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
 from pftwin.dynamics.integrator import Integrator, carrying
+from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity, load_at_end
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, gyroscopic, moved
-from pftwin.spatial import Scalar, Twist, Vec3, Wrench
 
 ROUGH = 20.0  # change of the acceleration between two steps above which it may be that of an impact [m/s^2]
 LEVER = 0.02  # [m] turns angles into lengths

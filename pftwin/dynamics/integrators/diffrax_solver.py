@@ -15,11 +15,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Quaternion, Scalar, Vec3
 from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
-from pftwin.errors import InputError
-from pftwin.spatial import Quaternion, Scalar, Vec3
 
 if TYPE_CHECKING:
     import diffrax

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from typing import Any
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.ali3p.step import ALI3P
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators.bdf2 import BDF2
@@ -14,7 +15,6 @@ from pftwin.dynamics.integrators.linear_implicit import LinearImplicit
 from pftwin.dynamics.integrators.newmark import Newmark
 from pftwin.dynamics.integrators.symplectic_euler import SymplecticEuler
 from pftwin.dynamics.quasi_static.step import QuasiStatic
-from pftwin.errors import InputError
 
 INTEGRATORS: dict[str, type[Integrator]] = {
     kind.name: kind for kind in (LinearImplicit, BDF2, SymplecticEuler, Newmark, QuasiStatic, ALI3P)

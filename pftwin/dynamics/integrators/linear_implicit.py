@@ -2,8 +2,8 @@ r"""The linearly implicit step: one force evaluation, every stiff direction of e
 
 Forces are evaluated where the step would end at the present velocity, with the guided bodies at the step's end; so the
 lag of a slow, guided motion is of second order. From there every stiff term is linearised in the change of velocity
-(`pftwin.dynamics.implicit_solve`): one Newton iteration of backward Euler, and none beyond that. Any number of terms,
-unconditionally stable along their directions; order one.
+(`pftwin.dynamics.integrators.implicit_solve`): one Newton iteration of backward Euler, and none beyond that. Any number
+of terms, unconditionally stable along their directions; order one.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from typing import ClassVar
 
 import jax
 
-from pftwin.dynamics.implicit_solve import Span, change_of_velocity, load_at_end
+from pftwin.base.spatial import Scalar, Vec3, Wrench
 from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity, load_at_end
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import GuideAt, State, System, advance, gyroscopic
-from pftwin.spatial import Scalar, Vec3, Wrench
 
 
 @dataclass(frozen=True)

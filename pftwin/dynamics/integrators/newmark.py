@@ -22,14 +22,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
 from pftwin.dynamics.implicit_derivative import changed_by, six, solution_changes, tangent_of
-from pftwin.dynamics.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
+from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, gyroscopic, moved
-from pftwin.effects.base import Load
-from pftwin.errors import InputError
-from pftwin.spatial import Scalar, Twist, Vec3, Wrench
+from pftwin.model.effects.base import Load
 
 MOST_ITERATIONS = 20
 LEVER = 0.02  # [m] turns angles into lengths

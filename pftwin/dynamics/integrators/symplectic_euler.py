@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
+from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, advance, gyroscopic
-from pftwin.effects.base import Load
-from pftwin.spatial import Scalar, Vec3
+from pftwin.model.effects.base import Load
 
 LIMIT = 4.0  # of (h^2 k + 2 h c) / m
 

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
+from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
 from pftwin.dynamics.state import Guide, State, System, moved
 from pftwin.dynamics.static_load import LEVER, Surroundings, components, look_around
-from pftwin.effects.base import Instant
-from pftwin.spatial import Scalar, Twist, Vec3, Wrench
+from pftwin.model.effects.base import Instant
 
 Six = list[Scalar]  # displacements in metres and angles * lever, or forces and moments / lever
 

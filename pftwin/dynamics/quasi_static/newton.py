@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.equilibrium import REACH, tolerance_of
 from pftwin.dynamics.quasi_static.branch import Branch, Six, norm
 from pftwin.dynamics.quasi_static.stability import stable
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.static_load import Surroundings
-from pftwin.spatial import Scalar
 
 MOST_ITERATIONS = 20  # that look around
 MOST_SINGLE = 8  # that look at one pose

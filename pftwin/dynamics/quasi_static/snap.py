@@ -7,10 +7,10 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
+from pftwin.base.spatial import Twist
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.quasi_static.branch import Branch
 from pftwin.dynamics.state import State
-from pftwin.spatial import Twist
 
 
 def carried_along(branch: Branch, state: State) -> Twist:

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.equilibrium import RIDGE
 from pftwin.dynamics.implicit_derivative import changed_by, solution_changes, tangent_of
 from pftwin.dynamics.quasi_static.branch import Branch, Six, components_of
 from pftwin.dynamics.quasi_static.newton import newton
 from pftwin.dynamics.relaxation import come_to_rest
 from pftwin.dynamics.state import State, moved
-from pftwin.spatial import Scalar
 
 LEAST_HELD = 1e-9  # stiffness of every direction, for derivatives alone [N/m]
 

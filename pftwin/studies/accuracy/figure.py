@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pftwin.errors import InputError
-from pftwin.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
+from pftwin.base.errors import InputError
+from pftwin.results.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
 from pftwin.studies.accuracy.measure import Row
 from pftwin.studies.accuracy.table import front
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.dynamics.simulate import settle
-from pftwin.measured import Measured
-from pftwin.metrics import validate
-from pftwin.result import Result
-from pftwin.scene import Scene
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+from pftwin.results.metrics import validate
+from pftwin.results.result import Result
 from pftwin.studies.accuracy.plan import MESHES, REFERENCE, REFERENCE_ON_MESHES, Setting
 from pftwin.studies.accuracy.programs import VARIANTS, Programs, programs
 from pftwin.studies.runs import Difference, difference, rms, time_in_turn

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.integrators import integrator_from_text
-from pftwin.errors import InputError
 
 SUBSTEPS = (1, 2, 5, 10, 20, 50)  # of 10 ms frames: 10 to 0.2 ms
 SHORT = (10, 20, 50, 100, 200)  # explicit steps are unstable in contact above 0.4 ms

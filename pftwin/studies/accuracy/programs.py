@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.batches import batched
+from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.dynamics.observe import Observation, observe, tracked_center
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
 
 VARIANTS = 64
 SPREAD = 0.02  # of the variants' mass, to either side

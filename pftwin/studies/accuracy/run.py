@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pftwin.measured import Measured
-from pftwin.metrics import PAPER_TABLE_1, Validation, validate
-from pftwin.output import written_whole
-from pftwin.plots import save_figure
-from pftwin.result_files import save_dataset
+from pftwin.base.output import written_whole
+from pftwin.files.result_files import save_dataset
+from pftwin.model.measured import Measured
+from pftwin.results.metrics import PAPER_TABLE_1, Validation, validate
+from pftwin.results.plots import save_figure
 from pftwin.studies.accuracy.figure import work_precision
 from pftwin.studies.accuracy.measure import Converged, Row, SceneOf, compiling_anew, converged, float_type, rows
 from pftwin.studies.accuracy.plan import Setting

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import jax
 
-from pftwin.effects.base import Change
-from pftwin.scene import Scene
+from pftwin.model.effects.base import Change
+from pftwin.model.scene import Scene
 from pftwin.studies.audit.femur_inertia import without_femur_inertia
 from pftwin.studies.audit.parts import parts
 from pftwin.studies.audit.variant import Kind, NotApplicable, Variant

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.program_cache import Program
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import FrameStates, starting_state
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State
-from pftwin.scene import Scene
-from pftwin.spatial import Scalar
+from pftwin.model.scene import Scene
 from pftwin.studies.audit.parts import Part, load_of, parts
 from pftwin.studies.audit.step import frame_time, guide_over, one_step, step_length
 from pftwin.studies.audit.stiffness import Rates, rates

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import equinox as eqx
 
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number
+from pftwin.base.spatial import Rotation, Vec3
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, QuasiStatic
-from pftwin.effects.friction import Friction
-from pftwin.effects.gravity import Gravity
-from pftwin.effects.strings import TOE
-from pftwin.errors import InputError
-from pftwin.leaves import number
-from pftwin.scene import Scene
-from pftwin.spatial import Rotation, Vec3
+from pftwin.model.effects.friction import Friction
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.line_elements import TOE
+from pftwin.model.scene import Scene
 from pftwin.studies.audit.ablations import together
 from pftwin.studies.audit.variant import NotApplicable, Variant
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import jax
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.trajectory import checked_integrator
-from pftwin.errors import InputError
-from pftwin.result import Result
-from pftwin.scene import Scene, check
+from pftwin.model.scene import Scene, check
+from pftwin.results.result import Result
 from pftwin.studies.audit.ablations import ablations
 from pftwin.studies.audit.additions import additions
 from pftwin.studies.audit.changes import Changes, changes, lost

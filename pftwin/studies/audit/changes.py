@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pftwin.dynamics.status import Status
-from pftwin.result import Result
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
+from pftwin.results.result import Result
 from pftwin.studies.runs import Floats, difference, rms
 
 LOST = 0.1  # [m] from its own path: no patella goes so far

@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Jaxpr, Var, jaxprs_in_params
 
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.frame_states import first_guide, start_before_search, starting_state
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.state import State, System
-from pftwin.motion import MotionPiece
-from pftwin.scene import Scene
-from pftwin.spatial import Scalar
+from pftwin.model.motion import MotionPiece
+from pftwin.model.scene import Scene
 from pftwin.studies.audit.step import guide_over, one_step, step_length
 
 # A call is what is in it, however JAX's versions name it.

@@ -15,7 +15,7 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.simulate import settle
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import checked_integrator
-from pftwin.scene import Scene, check
+from pftwin.model.scene import Scene, check
 from pftwin.studies.audit.account import Account, Sums, account
 from pftwin.studies.audit.equations import equations
 from pftwin.studies.audit.parts import Part, parts

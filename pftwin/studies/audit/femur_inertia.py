@@ -14,10 +14,10 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion, SegmentMotion
-from pftwin.scene import Scene
-from pftwin.spatial import Pose, Quaternion
+from pftwin.base.spatial import Pose, Quaternion
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.motion import KneeMotion, SegmentMotion
+from pftwin.model.scene import Scene
 from pftwin.studies.audit.variant import NotApplicable, Variant
 
 NAME = "moving-femur inertia"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pftwin.plots.style import COLOURS, SMALL, WIDE, house_style
+from pftwin.results.plots.style import COLOURS, SMALL, WIDE, house_style
 from pftwin.studies.audit.audit import Audit, Worth
 from pftwin.studies.audit.table import columns
 from pftwin.studies.tables import Column

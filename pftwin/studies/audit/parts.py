@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from pftwin.effects.base import Change, Effect, Instant, Load
-from pftwin.scene import Scene
+from pftwin.model.effects.base import Change, Effect, Instant, Load
+from pftwin.model.scene import Scene
 
 Memories = tuple[Any, ...]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pftwin.labels import SYNTHETIC
+from pftwin.base.labels import SYNTHETIC
 from pftwin.studies.audit.audit import Audit
 from pftwin.studies.audit.explain import Explanation, PartCost
 from pftwin.studies.audit.table import columns, interruption

@@ -17,8 +17,8 @@ from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.simulate import settle
-from pftwin.result import Result
-from pftwin.scene import Scene, check
+from pftwin.model.scene import Scene, check
+from pftwin.results.result import Result
 from pftwin.studies.audit.variant import Variant
 
 Leaves = tuple[Any, ...]

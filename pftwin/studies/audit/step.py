@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.state import Guide, GuideAt, State, System
-from pftwin.motion import KneeMotion, MotionPiece
-from pftwin.spatial import Scalar
+from pftwin.model.motion import KneeMotion, MotionPiece
 
 
 def guide_over(piece: MotionPiece, began: Scalar, step: Scalar) -> GuideAt:

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.base.program_cache import Program
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.state import State
-from pftwin.scene import Scene
-from pftwin.spatial import Scalar
+from pftwin.model.scene import Scene
 from pftwin.studies.audit.step import frame_time, guide_over, one_step, step_length
 
 

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.state import System
-from pftwin.effects.base import Load, StiffTerm
-from pftwin.spatial import Scalar, Vec3
+from pftwin.model.effects.base import Load, StiffTerm
 
 
 class Rates(NamedTuple):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from pftwin.dynamics.integrator import Integrator
-from pftwin.scene import Scene
+from pftwin.model.scene import Scene
 
 Kind = Literal["left out", "put in", "changed", "yardstick"]
 KINDS: tuple[Kind, ...] = get_args(Kind)  # in the order of tables

@@ -8,13 +8,13 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.errors import InputError, PftwinWarning
-from pftwin.mocap.poses import PoseSeries
+from pftwin.base.errors import InputError, PftwinWarning
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.contact.depths import DEEPEST
+from pftwin.geometry.contact.mutual_place import MutualPlace, mutual_place
+from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
+from pftwin.geometry.mesh.units import PLAUSIBLE, UNITS, plausible_units
 from pftwin.studies.contact_map.mapping import ContactMap
-from pftwin.surfaces.depths import DEEPEST
-from pftwin.surfaces.mesh import SurfaceMesh, load_mesh
-from pftwin.surfaces.mesh_units import PLAUSIBLE, UNITS, plausible_units
-from pftwin.surfaces.mutual_place import MutualPlace, mutual_place
 
 _LOOKS = 5  # frames that are looked at before anything is computed
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.studies.contact_map.checks import status
 from pftwin.studies.contact_map.mapping import ContactMap
-from pftwin.surfaces.mesh import SurfaceMesh
 
 if TYPE_CHECKING:
     from xarray import Dataset

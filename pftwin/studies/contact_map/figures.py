@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.plots.style import COLOURS, WIDE, house_style
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.results.plots.style import COLOURS, WIDE, house_style
 from pftwin.studies.contact_map.mapping import ContactMap
-from pftwin.surfaces.mesh import SurfaceMesh
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

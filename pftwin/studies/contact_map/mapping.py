@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from pftwin.effects.foundation_law import FoundationLaw
-from pftwin.mocap.poses import PoseSeries
-from pftwin.spatial import Quaternion, Scalar, Vec3
+from pftwin.base.spatial import Quaternion, Scalar, Vec3
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
+from pftwin.geometry.contact.depths import DEEPEST, Depths, depths
+from pftwin.model.effects.foundation_law import FoundationLaw
 from pftwin.studies.runs import run_each
-from pftwin.surfaces.depth_sides import PressedSurface, PressingSurface
-from pftwin.surfaces.depths import DEEPEST, Depths, depths
 
 BAND = 1e-3  # [m] how far from the femur a triangle's distance is still told
 

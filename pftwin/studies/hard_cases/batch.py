@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import substeps_for
-from pftwin.errors import InputError
-from pftwin.scene import Scene, check
+from pftwin.model.scene import Scene, check
 from pftwin.studies.hard_cases.case import Case
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.integrators import Method

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.mesh.repair import repaired
 from pftwin.studies.hard_cases.ground import Ground, mesh_on
-from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.mesh_repair import repaired
 
 _PLACE = (0.004, 0.006)  # below the button, inside of a triangle [m]
 _OVER_HOLE = (-0.005, 0.011)  # over the triangle that the hole takes out [m]

@@ -9,8 +9,8 @@ from functools import cache, reduce
 from importlib.resources import files
 from typing import Any
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
-from pftwin.errors import InputError
 from pftwin.studies.hard_cases.broken_meshes import MESH_MAKERS
 from pftwin.studies.hard_cases.case import RELEASED, Case, Expected
 from pftwin.studies.hard_cases.contacts import CONTACTS, MESHES, PATCHES

@@ -10,18 +10,18 @@ import numpy as np
 from jax.dtypes import canonicalize_dtype
 from numpy.typing import NDArray
 
-from pftwin.effects.base import Effect
-from pftwin.effects.mesh_contact import MeshContact
-from pftwin.effects.mesh_volume_contact import MeshVolumeContact
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.leaves import number, vector
+from pftwin.base.leaves import number, vector
+from pftwin.geometry.bvh.corners import corner_tree
+from pftwin.geometry.contact.contact_mesh import ContactMesh, contact_mesh
+from pftwin.geometry.contact.patch_mesh import PatchMesh, patch_mesh
+from pftwin.geometry.mesh.icosphere import icosphere
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.mesh_contact import MeshContact
+from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
+from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.studies.hard_cases.ground import lateral_of, patch_on
 from pftwin.studies.hard_cases.knee import Knee
-from pftwin.surfaces.bvh.corners import corner_tree
-from pftwin.surfaces.contact_mesh import ContactMesh, contact_mesh
-from pftwin.surfaces.icosphere import icosphere
-from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.patch_mesh import PatchMesh, patch_mesh
 
 PATCHES = ("P2", "P4", "P5", "P5 cylinder", "P8", "spline")
 MESHES = ("contours", "volume")

@@ -9,15 +9,15 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.errors import InputError
-from pftwin.leaves import number, vector
-from pftwin.spatial import Rotation
-from pftwin.surfaces.charts import Chart, CylindricalChart, PlaneChart
-from pftwin.surfaces.fit import parse_degree
-from pftwin.surfaces.mesh import SurfaceMesh
-from pftwin.surfaces.patch import PolynomialPatch, exponents
-from pftwin.surfaces.spline import SplinePatch
-from pftwin.surfaces.spline_basis import cell_of, cubic_basis
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
+from pftwin.base.spatial import Rotation
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.patch.charts import Chart, CylindricalChart, PlaneChart
+from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
+from pftwin.geometry.patch.polynomial_fit import parse_degree
+from pftwin.geometry.patch.spline import SplinePatch
+from pftwin.geometry.patch.spline_basis import cell_of, cubic_basis
 
 Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats], Floats]

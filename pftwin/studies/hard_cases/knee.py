@@ -12,17 +12,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.effects.base import Effect
-from pftwin.effects.contact_law import Flores
-from pftwin.effects.gravity import Gravity
-from pftwin.effects.tendon import Tendon
-from pftwin.leaves import number, vector
-from pftwin.mocap.poses import PoseSeries
-from pftwin.motion import KneeMotion
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion
+from pftwin.base.leaves import number, vector
+from pftwin.base.spatial import Pose, Quaternion
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.contact_law import Flores
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.tendon import Tendon
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import PatellaBody, Scene
 from pftwin.studies.hard_cases.ground import Ground, mesh_on
-from pftwin.surfaces.mesh import SurfaceMesh
 
 Triple = tuple[float, float, float]
 Floats = NDArray[np.float64]

@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.integrators import integrator_from_text
-from pftwin.errors import InputError
 from pftwin.studies.hard_cases import derivatives
 from pftwin.studies.hard_cases.batch import Batch, batches, member, part, short_enough, steps_of
+from pftwin.studies.hard_cases.batch_independence import batch_mates
 from pftwin.studies.hard_cases.case import Case
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
 from pftwin.studies.hard_cases.integrators import INTEGRATORS, Method
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.limits import limit_of
-from pftwin.studies.hard_cases.mates import batch_mates
 from pftwin.studies.hard_cases.programs import PARAMETERS, Run, compiled, depths, poses, run, slopes
 from pftwin.studies.hard_cases.starts import Starts, starts_of, starts_part
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict

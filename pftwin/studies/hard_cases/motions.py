@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from pftwin.mocap.poses import PoseSeries
+from pftwin.files.mocap.poses import PoseSeries
 from pftwin.studies.hard_cases.knee import FRAMES, RATE, Floats, flexed, flexion, standing, swinging
 
 _NOISE = (0.5e-3, 0.3)  # of positions [m] and of flexion [deg], standard deviations

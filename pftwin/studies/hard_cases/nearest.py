@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.effects.base import Effect
-from pftwin.effects.mesh_contact import MeshContact
-from pftwin.effects.mesh_volume_contact import MeshVolumeContact
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.spatial import Scalar, Vec3
-from pftwin.surfaces.charts import CylindricalChart
-from pftwin.surfaces.triangle import Triangle, closest_on_triangle
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
+from pftwin.geometry.patch.charts import CylindricalChart
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.mesh_contact import MeshContact
+from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
+from pftwin.model.effects.sphere_contact import SphereContact
 
 SAMPLES = 61  # along each side of a square about the point below the centre
 WIDE = 1.5  # half that square's side at first, in radii

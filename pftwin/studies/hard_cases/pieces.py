@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 from pftwin.studies.hard_cases.verdict import Cell
 from pftwin.studies.tables import Sheet, read_rows
 
@@ -18,7 +18,7 @@ class Piece(NamedTuple):
 
     rows: tuple[Cell, ...]
     seconds: float  # compiling included
-    machine: dict[str, Any]  # as `pftwin.benchmarks.machine.describe` has it, date included
+    machine: dict[str, Any]  # as `pftwin.base.machine.describe` has it, date included
     quick: bool  # neither derivatives nor batches side by side
 
     def as_dict(self) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.spatial import Pose, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
@@ -23,12 +24,11 @@ from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.state import State
 from pftwin.dynamics.static_load import still
-from pftwin.effects.base import Effect
-from pftwin.effects.sphere_contact import SphereContact
-from pftwin.scene import Scene
-from pftwin.spatial import Pose, Vec3
+from pftwin.geometry.patch.polynomial import PolynomialPatch
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.scene import Scene
 from pftwin.studies.hard_cases.nearest import depth_everywhere
-from pftwin.surfaces.patch import PolynomialPatch
 
 # Compiled without LLVM's optimisations, which takes a third of the time: the runs are short.
 OPTIONS = {"xla_backend_optimization_level": 0}

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from pftwin.geometry.patch.polynomial import exponents
 from pftwin.studies.hard_cases.ground import Ground
 from pftwin.studies.hard_cases.knee import PATELLAR_TENDON, QUADRICEPS, TROCHLEA, Knee, Law
-from pftwin.surfaces.patch import exponents
 
 DEGREE, BUMPS = 5, 4e-4  # of the bumps that are added to the trochlea, and their coefficients' size [m]
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
+from pftwin.base.errors import InputError
 from pftwin.dynamics.integrators import integrator_from_text
-from pftwin.errors import InputError
-from pftwin.result import Result
+from pftwin.results.result import Result
 from pftwin.studies.hard_cases.batch import batches, built, member, steps_of
 from pftwin.studies.hard_cases.case import Case
 from pftwin.studies.hard_cases.integrators import method_named

@@ -91,7 +91,7 @@ def _poses(solution: Solution) -> np.ndarray:
 
 def _patella_frame(scenes: Any, solution: Solution) -> Any:
     """The equilibria as poses of the patella's frame."""
-    from pftwin.spatial import Pose
+    from pftwin.base.spatial import Pose
 
     pose = solution.pose
     return jax.vmap(lambda p, c: Pose(p.apply(-c), p.orientation))(pose, scenes.patella.center_of_mass)

@@ -12,10 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from pftwin import rig
+from pftwin.base.errors import InputError
 from pftwin.cli.app import app
-from pftwin.errors import InputError
-from pftwin.metrics import validate
-from pftwin.result_files import load_dataset
+from pftwin.files.result_files import load_dataset
+from pftwin.results.metrics import validate
 from pftwin.studies.accuracy.measure import Row, compiling_anew, converged, float_type, rows
 from pftwin.studies.accuracy.plan import COMMON, FLOATS, MESHES, SMOOTH, Setting, chosen, everything
 from pftwin.studies.accuracy.run import Found, report, write

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pftwin.errors import InputError
-from pftwin.plots.style import COLOURS, MARKERS
+from pftwin.base.errors import InputError
+from pftwin.results.plots.style import COLOURS, MARKERS
 from pftwin.studies.accuracy.figure import work_precision
 from pftwin.studies.accuracy.table import front, read_csv
 

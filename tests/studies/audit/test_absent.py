@@ -15,7 +15,7 @@ import pytest
 from scenes import knee, settled, tendon
 
 from pftwin.dynamics.frame_states import frame_states
-from pftwin.effects.base import Effect, Load
+from pftwin.model.effects.base import Effect, Load
 
 ANALYTIC = """
 import sys
@@ -66,8 +66,8 @@ def test_what_other_scenes_have_changes_no_bit():
             return Load(energy=jnp.zeros(())), memory
 
     assert Elsewhere(name="elsewhere").name == "elsewhere"
-    import pftwin.effects.elastic_foundation
-    import pftwin.scene_file.registry  # noqa: F401
+    import pftwin.files.scene_file.registry
+    import pftwin.model.effects.elastic_foundation  # noqa: F401
 
     assert np.isfinite(before[0]).all()
     assert not np.array_equal(before[0], unlike[0])

@@ -14,14 +14,14 @@ from small_scene import small_result, small_scene
 from test_variants import hung
 from typer.testing import CliRunner
 
+from pftwin.base.errors import InputError
+from pftwin.base.labels import SYNTHETIC
+from pftwin.base.spatial import Quaternion
 from pftwin.cli import app
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.status import Status
-from pftwin.errors import InputError
-from pftwin.labels import SYNTHETIC
-from pftwin.result import Result
-from pftwin.scene import Scene
-from pftwin.spatial import Quaternion
+from pftwin.model.scene import Scene
+from pftwin.results.result import Result
 from pftwin.studies.audit.audit import Audit, _outcome, _verdict, audit
 from pftwin.studies.audit.changes import changes, lost
 from pftwin.studies.audit.figure import audit_figure

@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import pytest
 from scenes import J, contact, gravity, knee, tendon, trochlea
 
+from pftwin.base.spatial import Vec3
 from pftwin.dynamics.frame_states import start_before_search, starting_state
 from pftwin.dynamics.integrators import LinearImplicit
-from pftwin.effects.contact_law import Flores
-from pftwin.effects.friction import Friction
-from pftwin.effects.strands import StrandGroup
-from pftwin.effects.toe_tendon import ToeTendon
-from pftwin.effects.viscoelastic_tendon import ViscoelasticTendon
-from pftwin.scene import Scene
-from pftwin.spatial import Vec3
+from pftwin.model.effects.contact_law import Flores
+from pftwin.model.effects.friction import Friction
+from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.toe_tendon import ToeTendon
+from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
+from pftwin.model.scene import Scene
 from pftwin.studies.audit.equations import count, equations
 from pftwin.studies.audit.parts import parts
 

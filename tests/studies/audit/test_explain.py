@@ -10,9 +10,9 @@ from scenes import MASS, G, J, gravity, knee, look, system, tendon
 
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.simulate import settle
-from pftwin.effects.damping import LinearDamping
-from pftwin.effects.friction import Friction
-from pftwin.scene import Scene
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.effects.friction import Friction
+from pftwin.model.scene import Scene
 from pftwin.studies.audit import explain as module
 from pftwin.studies.audit.account import account
 from pftwin.studies.audit.equations import equations

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scenes import knee, look, tendon
 
-from pftwin.benchmarks import growth
-from pftwin.effects.damping import LinearDamping
-from pftwin.scene import Scene
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.scene import Scene
 from pftwin.studies.audit.equations import equations
+from tests.benchmarks import growth
 
 
 def whole() -> Scene:

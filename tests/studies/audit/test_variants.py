@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scenes import MASS, J, gravity, knee, knee_motion, look, tendon, vec
 
+from pftwin.base.spatial import Pose, Quaternion, Vec3, Wrench
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrators import LinearImplicit, Newmark, QuasiStatic
-from pftwin.effects.base import Change, Effect, Load
-from pftwin.effects.gravity import Gravity
-from pftwin.effects.strands import StrandGroup
-from pftwin.mocap.poses import PoseSeries
-from pftwin.scene import PatellaBody, Scene
-from pftwin.spatial import Pose, Quaternion, Vec3, Wrench
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.effects.base import Change, Effect, Load
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.scene import PatellaBody, Scene
 from pftwin.studies.audit.ablations import ablations
 from pftwin.studies.audit.additions import additions
 from pftwin.studies.audit.femur_inertia import without_femur_inertia

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from wrapped_line import Ellipsoid
 
-from pftwin.mocap import PoseSeries, read_csv
+from pftwin.files.mocap import PoseSeries, read_csv
 
 Floats = NDArray[np.float64]
 MUSCLES = ("recfem", "vasint", "vaslat", "vasmed")

@@ -12,8 +12,8 @@ from plate_and_ball import RADIUS, write_plate_and_ball, write_poses
 from typer.testing import CliRunner
 
 from pftwin.cli.app import app
-from pftwin.surfaces.icosphere import icosphere
-from pftwin.surfaces.mesh import save_mesh
+from pftwin.geometry.mesh.icosphere import icosphere
+from pftwin.geometry.mesh.mesh import save_mesh
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_what_cannot_be_is_refused_in_a_line(files, changes, options, words):
     assert "Traceback" not in told.output
 
 
-@pytest.mark.filterwarnings("default::pftwin.errors.PftwinWarning")
+@pytest.mark.filterwarnings("default::pftwin.base.errors.PftwinWarning")
 def test_single_frames_that_are_too_deep_are_flagged(files, tmp_path):
     import xarray as xr
 

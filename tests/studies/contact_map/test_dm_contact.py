@@ -7,11 +7,11 @@ import pytest
 from recorded_pulls import Recording
 from wrapped_line import Ellipsoid
 
-from pftwin.effects.foundation_law import LinearFoundation, checked_layer
-from pftwin.mocap import read_csv, read_poses_csv
+from pftwin.files.mocap import read_csv, read_poses_csv
+from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
+from pftwin.geometry.mesh.mesh import load_mesh
+from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
 from pftwin.studies.contact_map.mapping import ContactMap, map_contact
-from pftwin.surfaces.depth_sides import pressed_surface, pressing_surface
-from pftwin.surfaces.mesh import load_mesh
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 import pytest
 
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 from pftwin.studies.hard_cases import (
     CONTACTS,
     DTYPES,

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import pftwin
+from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrators import Newmark, QuasiStatic
 from pftwin.dynamics.status import Status
-from pftwin.errors import InputError
 from pftwin.studies.audit.additions import additions
 from pftwin.studies.audit.variant import NotApplicable
 from pftwin.studies.hard_cases import CONTACTS, case_named

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import vec
 
-from pftwin.effects.sphere_contact import SphereContact
+from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.studies.hard_cases import Selection, case_named, method_named, run_matrix
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.ground import axis_below, patch_on

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from pftwin.errors import InputError
+from pftwin.base.errors import InputError
 from pftwin.studies.hard_cases import case_named, method_named
 from pftwin.studies.hard_cases.batch import batches, short_enough
 from pftwin.studies.hard_cases.pieces import Piece, merged, read_piece, read_pieces, runs

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import strategies as st
 
 from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.geometry.patch.polynomial import exponents
 from pftwin.studies.hard_cases.batch import built, member, stacked
 from pftwin.studies.hard_cases.case import Case
 from pftwin.studies.hard_cases.invariants import CHECKS
@@ -19,7 +20,6 @@ from pftwin.studies.hard_cases.knee import Knee
 from pftwin.studies.hard_cases.look import TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import compiled, depths, rest, run
 from pftwin.studies.hard_cases.random_knees import BUMPS, DEGREE, bumpy
-from pftwin.surfaces.patch import exponents
 
 COEFFICIENTS = st.lists(
     st.floats(-2 * BUMPS, 2 * BUMPS), min_size=len(exponents(DEGREE)), max_size=len(exponents(DEGREE))

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.spatial import Pose, Quaternion, Vec3
 from pftwin.studies.hard_cases import starts
 from pftwin.studies.hard_cases.batch import Batch
 from pftwin.studies.hard_cases.programs import Rest, relaxed

@@ -1,0 +1,105 @@
+"""The straight-line springs that come nearest to the rig's stiffening ones over the forces that occur.
+
+The twin's springs pull with F = K (L - L0); those of the plant that makes the rig's measurements stiffen as they are
+stretched (`pftwin.rig.plant`), F = K s (1 + 0.05 s / (L0 / 4)) over the stretch s = L - L0. So the twin cannot match
+the measurements with the plant's own K and L0: the line nearest to the plant's curve is steeper and starts later.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.model.effects.line_elements import ElasticLine
+
+QUADRICEPS, PATELLAR_TENDON = "quadriceps", "patellar_tendon"
+Floats = NDArray[np.float64]
+
+
+class StraightSpring(NamedTuple):
+    """A spring F = K (L - L0)."""
+
+    stiffness: float  # K [N/m]
+    slack_length: float  # L0 [m]
+    misfit: float  # root mean square force by which what it stands for is off the line [N]
+
+
+def straight_line(lengths: ArrayLike, forces: ArrayLike) -> StraightSpring:
+    """The line nearest to forces over lengths, by least squares in force.
+
+    Args:
+        lengths: (n,) [m].
+        forces: (n,) [N]; missing ones (NaN) and those of a slack spring (0) are left out.
+
+    Raises:
+        InputError: fewer than two different lengths under load; forces that do not grow with length.
+    """
+    x, f = np.asarray(lengths, dtype=np.float64), np.asarray(forces, dtype=np.float64)
+    taut = np.isfinite(x) & np.isfinite(f) & (f > 0)
+    x, f = x[taut], f[taut]
+    if x.size == 0 or np.ptp(x) == 0:
+        raise InputError("no line through forces at one length", where="forces", expected="two lengths under load")
+    off = x - x.mean()
+    slope = float(off @ f / (off @ off))
+    if slope <= 0:
+        raise InputError("forces fall as the spring is stretched", where="forces", expected="those of a spring")
+    slack = float(x.mean() - f.mean() / slope)
+    return StraightSpring(slope, slack, float(np.sqrt(np.mean((f - slope * (x - slack)) ** 2))))
+
+
+def stretch_under(force: ArrayLike, stiffness: float, slack_length: float) -> Floats:
+    """The stretch [m] at which a spring of the plant pulls with a force [N]: the positive root of its law."""
+    from pftwin.rig.plant import STIFFENING
+
+    more = STIFFENING / (0.25 * slack_length)
+    return (np.sqrt(1 + 4 * more * np.asarray(force, dtype=np.float64) / stiffness) - 1) / (2 * more)
+
+
+class Pull(NamedTuple):
+    """What was recorded of a spring."""
+
+    spring: ElasticLine  # as the twin has it, with the nominal parameters
+    lengths: Floats  # between the attachments where the twin has them (n,) [m]
+    forces: Floats  # without the damper's share (n,) [N]
+
+
+def recorded_pulls(case: int) -> dict[str, Pull]:
+    """Lengths and elastic forces of both springs in a case of the rig, by the springs' names.
+
+    Raises:
+        InputError: no such case.
+    """
+    from pftwin import rig
+    from pftwin.rig.cases import recording
+
+    scene, recorded = rig.case(case), recording(case)
+    measured, patella = recorded.measured, recorded.patella
+    bodies = {"femur": recorded.femur, "tibia": recorded.tibia}
+    pulls = {}
+    for name, forces in ((QUADRICEPS, measured.femoral_spring_force), (PATELLAR_TENDON, measured.tibial_spring_force)):
+        spring: Any = scene.effect(name)  # the rig's own, which has a damper
+        body = bodies[spring.body]
+        origin = body.positions + body.matrices() @ np.asarray(spring.origin.array())
+        insertion = patella.positions + patella.matrices() @ np.asarray(spring.insertion.array())
+        lengths = np.linalg.norm(origin - insertion, axis=1)
+        damper = float(spring.damping) * np.gradient(lengths, measured.times)
+        pulls[name] = Pull(spring, lengths, np.asarray(forces) - damper)
+    return pulls
+
+
+def nearest_line(pull: Pull) -> StraightSpring:
+    """The line nearest to the law of the plant's spring over the forces recorded, each as often as it occurs."""
+    stiffness, slack = float(pull.spring.stiffness), float(pull.spring.slack_length)
+    return straight_line(slack + stretch_under(pull.forces, stiffness, slack), pull.forces)
+
+
+def recorded_line(pull: Pull) -> StraightSpring:
+    """The line through the recorded forces over the recorded lengths: what calibrating on the rig would find.
+
+    The plant's attachments are misplaced, so its springs are longer or shorter than the twin has them. The slack length
+    shifts along, unlike that of `nearest_line`.
+    """
+    return straight_line(pull.lengths, pull.forces)

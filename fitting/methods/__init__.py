@@ -1,0 +1,1 @@
+"""Methods of fitting. Each asks for evaluations and is told their answers."""

@@ -1,0 +1,184 @@
+"""Multi-start Levenberg-Marquardt: all starts at once, coarse steps first, the wanted accuracy last.
+
+Written out rather than optimistix's solver: that runs one start inside one compiled program, its trial points, its
+residuals and their Jacobian with it. Mapped over starts it takes the Jacobian of every start as often as the slowest
+needs, in the slower order of loops, with the number of time steps fixed; and nothing of it can be seen, saved or
+interrupted on the way. Here the host asks for a batch with derivatives and does the small algebra itself.
+
+The batch of the compiled program never changes its size, so there is one program. Where fewer starts are left than it
+has lanes, each tries several dampings at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.methods.method import Method, State
+from fitting.methods.problem import Answer, Problem, Request
+
+Floats = NDArray[np.float64]
+
+
+class Phase(NamedTuple):
+    """A stretch of the search."""
+
+    keep: int  # how many of the best go on
+    fine: bool
+    iterations: int  # at most
+    worth: float  # a gain of the best start not worth another iteration, in tolerances of the objective
+
+
+PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 6, 1e3), Phase(4, True, 20, 1.0))
+_DAMPING = 1e-2  # to start with, of a diagonal's share
+_STUCK = 1e7  # a damping with which nothing moves any more
+_LONGEST = 2.0  # step of an unbounded parameter: from the middle to 88 % of the range
+_FARTHEST = 16.0  # of an unbounded parameter: 1e-7 of the range from a bound
+_SAME = 1e-2  # share of the range within which two starts have met
+
+
+class LeastSquares(Method):
+    """Levenberg-Marquardt from many starts, with the nominal point among them."""
+
+    name = "least_squares"
+    options = ("starts",)
+
+    def __init__(self, problem: Problem, seed: int, starts: int = 32) -> None:
+        super().__init__(problem, seed)
+        self.starts = starts
+        self.most_iterations = sum(p.iterations for p in PHASES)
+
+    def settings(self) -> tuple[Any, ...]:
+        """What decides its course."""
+        return (self.starts, PHASES)
+
+    def begin(self) -> State:
+        """All starts, not looked at yet."""
+        p = self.problem.parameters
+        others = p.spread(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
+        u = p.to_unbounded(np.concatenate([p.nominal[None], others]))
+        n, k = u.shape
+        return {
+            **self.blank(),
+            "phase": 0,
+            "in_phase": 0,
+            "looking": True,  # at the points themselves, rather than at steps from them
+            "u": u,
+            "value": np.full(n, np.inf),
+            "gradient": np.zeros((n, k)),
+            "hessian": np.zeros((n, k, k)),
+            "damping": np.full(n, _DAMPING),
+            "done": np.zeros(n, bool),
+        }
+
+    def ask(self, state: State) -> Request:
+        """The points themselves, or steps from them with several dampings."""
+        fine = PHASES[state["phase"]].fine
+        substeps = self.problem.evaluator.fine if fine else self.problem.evaluator.coarse
+        u = state["u"][:, None] if state["looking"] else self._trials(state)[0]
+        return Request(self.problem.parameters.to_bounded(u.reshape(-1, u.shape[-1])), substeps, "normal")
+
+    def tell(self, state: State, request: Request, answer: Answer) -> None:
+        """Accepts what is better."""
+        assert answer.gradient is not None
+        assert answer.hessian is not None
+        gradient, hessian = self._unbounded(request.theta, answer)
+        if state["looking"]:
+            state.update(value=answer.value.copy(), gradient=gradient, hessian=hessian, looking=False)
+            if state["phase"] == 0:
+                alive = np.isfinite(answer.value)
+                state["dropped"] += int((~alive).sum())
+                self._keep(state, np.flatnonzero(alive))
+        else:
+            self._accept(state, answer.value, gradient, hessian)
+            state["in_phase"] += 1
+        self._note_best(state)
+        if len(state["u"]) == 0:
+            state["stopped"] = "all starts failed"
+        elif self._best_done(state) or state["in_phase"] >= PHASES[state["phase"]].iterations:
+            self._next_phase(state)
+
+    def spread(self, state: State) -> float:
+        """Of the objective over the starts."""
+        return float(np.ptp(state["value"])) if len(state["value"]) else np.inf
+
+    def _unbounded(self, theta: Floats, answer: Answer) -> tuple[Floats, Floats]:
+        """Gradient and Hessian by the unbounded parameters."""
+        s = self.problem.parameters.slope(theta)
+        assert answer.gradient is not None
+        assert answer.hessian is not None
+        return answer.gradient * s, answer.hessian * s[:, :, None] * s[:, None, :]
+
+    def _trials(self, state: State) -> tuple[Floats, Floats, Floats]:
+        """Points (P, L, p), their dampings (P, L), and the decrease that the quadratic model promises (P, L)."""
+        u, g, h = state["u"], state["gradient"], state["hessian"]
+        lanes = max(1, self.problem.evaluator.slope_chunk // len(u))
+        ladder = 10.0 ** (np.arange(lanes) - lanes // 2)
+        damping = state["damping"][:, None] * ladder
+        diagonal = np.diagonal(h, axis1=1, axis2=2)
+        diagonal = diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
+        matrix = h[:, None] + damping[..., None, None] * (diagonal[:, None, :, None] * np.eye(u.shape[1]))
+        step = -np.linalg.solve(matrix, np.broadcast_to(g[:, None, :, None], (*damping.shape, u.shape[1], 1)))[..., 0]
+        step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=-1, keepdims=True), 1e-300))
+        step = np.where(state["done"][:, None, None], 0.0, step)
+        at = np.clip(u[:, None] + step, -_FARTHEST, _FARTHEST)
+        step = at - u[:, None]
+        promised = -np.einsum("plk,pk->pl", step, g) - 0.5 * np.einsum("plk,pkj,plj->pl", step, h, step)
+        return at, damping, promised
+
+    def _accept(self, state: State, value: Floats, gradient: Floats, hessian: Floats) -> None:
+        at, damping, promised = self._trials(state)
+        parents, lanes = damping.shape
+        table = value.reshape(parents, lanes)
+        lane = np.argmin(table, axis=1)
+        rows = np.arange(parents)
+        which, new = rows * lanes + lane, table[rows, lane]
+        better = (new < state["value"]) & ~state["done"]
+        tolerance = self.problem.objective.tolerance(float(np.min(state["value"]))) * PHASES[state["phase"]].worth
+        gained = np.where(better, state["value"] - np.where(better, new, 0.0), 0.0)
+        state["u"] = np.where(better[:, None], at[rows, lane], state["u"])
+        state["gradient"] = np.where(better[:, None], gradient[which], state["gradient"])
+        state["hessian"] = np.where(better[:, None, None], hessian[which], state["hessian"])
+        state["value"] = np.where(better, new, state["value"])
+        used = damping[rows, lane]
+        raised = damping[:, -1] * 10.0
+        state["damping"] = np.clip(np.where(better, used / 5, raised), 1e-9, 10 * _STUCK)
+        small = np.max(promised, axis=1) < tolerance
+        state["done"] |= (better & (gained < tolerance)) | small | (state["damping"] > _STUCK)
+
+    def _keep(self, state: State, which: NDArray[np.intp]) -> None:
+        for key in ("u", "value", "gradient", "hessian", "damping", "done"):
+            state[key] = state[key][which]
+
+    @staticmethod
+    def _best_done(state: State) -> bool:
+        return bool(state["done"][int(np.argmin(state["value"]))])
+
+    def _note_best(self, state: State) -> None:
+        if len(state["value"]) and np.isfinite(state["value"].min()):
+            i = int(np.argmin(state["value"]))
+            state["best_value"] = float(state["value"][i])
+            state["best_theta"] = self.problem.parameters.to_bounded(state["u"][i])
+
+    def _next_phase(self, state: State) -> None:
+        if state["phase"] == len(PHASES) - 1:
+            converged = self._best_done(state)
+            state["stopped"] = "converged" if converged else "iterations ran out before the best start converged"
+            return
+        before = PHASES[state["phase"]]
+        state["phase"] += 1
+        phase = PHASES[state["phase"]]
+        share = self.problem.parameters.to_bounded(state["u"])
+        share = (share - self.problem.parameters.lower) / (
+            self.problem.parameters.upper - self.problem.parameters.lower
+        )
+        chosen: list[int] = []
+        for i in np.argsort(state["value"], kind="stable"):
+            if len(chosen) < phase.keep and all(np.abs(share[i] - share[j]).max() > _SAME for j in chosen):
+                chosen.append(int(i))
+        self._keep(state, np.array(chosen))
+        state["in_phase"], state["looking"] = 0, phase.fine != before.fine
+        state["done"] = np.zeros(len(chosen), bool)
+        state["damping"] = np.minimum(state["damping"], _DAMPING)

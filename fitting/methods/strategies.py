@@ -1,0 +1,160 @@
+"""evosax's CMA-ES and differential evolution behind the same asking and telling. Needs the extra `evosax`.
+
+They search the box scaled to unit sides; what they put outside is mirrored back at the bounds.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.methods.genetic import STALL, TOLERANCE, default_population, stalled
+from fitting.methods.method import Method, State, lenient
+from fitting.methods.problem import Answer, Problem, Request
+from pftwin.base.errors import MissingExtraError
+
+Floats = NDArray[np.float64]
+
+_SPREAD = 0.3  # of CMA-ES's first generation, as a share of the range
+
+
+@lru_cache(maxsize=8)
+def _algorithm(name: str, population: int, parameters: int) -> Any:
+    """One object for each kind, since its programs are compiled for it alone."""
+    try:
+        from evosax import algorithms
+    except ImportError as error:
+        raise MissingExtraError("evosax", extra="evosax", feature=f"the method {name!r}") from error
+    kind = algorithms.CMA_ES if name == "cma_es" else algorithms.DifferentialEvolution
+    with lenient():  # evosax mixes types and ranks
+        return kind(population_size=population, solution=jnp.zeros(parameters))
+
+
+class _Strategy(Method):
+    """An evosax algorithm; its state is kept as plain arrays."""
+
+    options = ("population", "generations")
+
+    def __init__(
+        self, problem: Problem, seed: int, population: int | None = None, generations: int | None = None
+    ) -> None:
+        super().__init__(problem, seed)
+        p = len(problem.parameters)
+        self.population = max(4, default_population(p) if population is None else population)
+        self.most_iterations = 1 + (100 * p if generations is None else generations)
+        self.starts = self.widest = self.population
+        self._algorithm = _algorithm(self.name, self.population, p)
+        with lenient():
+            self._params = self._algorithm.default_params
+            if self.name == "cma_es":
+                self._params = self._params.replace(std_init=jnp.asarray(_SPREAD))
+
+    def settings(self) -> tuple[Any, ...]:
+        """What decides its course."""
+        return (self.population, self.most_iterations)
+
+    def begin(self) -> State:
+        """A first population all over the box; CMA-ES draws its own about the nominal point."""
+        random = np.random.default_rng(self.seed)
+        first = random.uniform(size=(self.population, len(self.problem.parameters)))
+        state = {**self.blank(), "leaves": None, "trial": first, "bests": [], "scores": np.zeros(0), "generation": 0}
+        if self.name == "cma_es":
+            with lenient():
+                mean = jnp.asarray(self._share(self.problem.parameters.nominal), dtype=float)
+                self._store(state, self._algorithm.init(self._key(0, 0), mean, self._params))
+            state["trial"] = None
+        return state
+
+    def ask(self, state: State) -> Request:
+        """The next population."""
+        if state["trial"] is None:
+            with lenient():
+                trial, inner = self._algorithm.ask(self._key(state["generation"], 1), self._inner(state), self._params)
+            self._store(state, inner)
+            state["trial"] = np.asarray(trial, dtype=np.float64)
+        p = self.problem.parameters
+        return Request(p.lower + (p.upper - p.lower) * mirrored(state["trial"]), self.problem.evaluator.coarse)
+
+    def tell(self, state: State, request: Request, answer: Answer) -> None:
+        """Hands the fitness on; what is not finite ranks last."""
+        value = np.where(np.isfinite(answer.value), answer.value, np.inf)
+        finite = np.isfinite(value)
+        fitness = jnp.asarray(np.where(finite, value, 1e30), dtype=float)
+        trial, key = jnp.asarray(state["trial"], dtype=float), self._key(state["generation"], 2)
+        with lenient():
+            if state["leaves"] is None:
+                inner = self._algorithm.init(key, trial, fitness, self._params)
+            else:
+                inner, _ = self._algorithm.tell(key, trial, fitness, self._inner(state), self._params)
+        self._store(state, inner)
+        if state["generation"] == 0:
+            state["dropped"] = int((~finite).sum())
+        state["generation"] += 1
+        state["trial"], state["scores"] = None, value
+        if finite.any() and value.min() < state["best_value"]:
+            state["best_value"], state["best_theta"] = float(value.min()), request.theta[int(np.argmin(value))].copy()
+        state["bests"].append(state["best_value"])
+        if not np.isfinite(state["best_value"]):
+            state["stopped"] = "all starts failed"
+        elif stalled(np.array(state["bests"])):
+            state["stopped"] = f"the best changed by less than {TOLERANCE:g} a generation over {STALL} generations"
+        elif state["generation"] >= self.most_iterations:
+            state["stopped"] = f"{self.most_iterations - 1} generations, the most allowed"
+
+    def spread(self, state: State) -> float:
+        """Of the finite scores of the last generation."""
+        scores = state["scores"][np.isfinite(state["scores"])]
+        return float(np.ptp(scores)) if scores.size else np.inf
+
+    def _share(self, theta: Floats) -> Floats:
+        p = self.problem.parameters
+        return (theta - p.lower) / (p.upper - p.lower)
+
+    def _key(self, generation: int, purpose: int) -> Any:
+        return jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), generation), purpose)
+
+    @staticmethod
+    def _store(state: State, inner: Any) -> None:
+        state["leaves"] = [np.asarray(leaf) for leaf in jax.tree.leaves(inner)]
+
+    def _inner(self, state: State) -> Any:
+        leaves = [jnp.asarray(leaf) for leaf in state["leaves"]]
+        return jax.tree.unflatten(self._structure, leaves)
+
+    @property
+    def _structure(self) -> Any:
+        return _structure(self.name, self.population, len(self.problem.parameters))
+
+
+@lru_cache(maxsize=8)
+def _structure(name: str, population: int, parameters: int) -> Any:
+    algorithm = _algorithm(name, population, parameters)
+    with lenient():
+        params, key = algorithm.default_params, jax.random.key(0)
+        if name == "cma_es":
+            return jax.tree.structure(algorithm.init(key, jnp.zeros(parameters), params))
+        members = jnp.zeros((population, parameters))
+        return jax.tree.structure(algorithm.init(key, members, jnp.zeros(population), params))
+
+
+class CmaEs(_Strategy):
+    """Covariance matrix adaptation (Hansen 2016), from the nominal point."""
+
+    name = "cma_es"
+
+
+class DifferentialEvolution(_Strategy):
+    """Differential evolution (Storn and Price 1997), with the best member as base."""
+
+    name = "differential_evolution"
+
+
+def mirrored(x: Floats) -> Floats:
+    """Points of the unit box from any: mirrored at its sides as often as needed."""
+    folded = np.mod(x, 2.0)
+    return np.where(folded > 1, 2 - folded, folded)

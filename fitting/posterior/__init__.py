@@ -1,0 +1,1 @@
+"""The posterior of an estimate's parameters, sampled."""

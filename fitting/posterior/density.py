@@ -1,0 +1,160 @@
+"""The posterior density of an estimate's parameters: a likelihood with the estimate's noise, its priors, its bounds.
+
+It is exp(-|f|^2 / 2) within the bounds, f the residuals in units of their noise, priors among them. Noise that is taken
+to be independent makes it too sure where neighbouring residuals are correlated. There the density is tempered as the
+estimate's covariance C is (Newey and West): it is f(m + A (theta - m)) in place of f(theta), with m the estimate and A
+so that the curvature at m becomes that of C. This is the curvature adjustment of Ribatet, Cooley and Davison
+(arXiv:0911.5357); a profile of it is scaled as `fitting.profile_likelihood` scales its own.
+Priors are tempered along with the likelihood, as they are there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimate import Estimate
+from fitting.fit import measured_of
+from fitting.methods.problem import Problem
+from fitting.objective import SPRINGS, Objective
+from fitting.parameters import free_parameters
+from fitting.uncertainty import SERIAL
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+
+Floats = NDArray[np.float64]
+
+BLOCK = 128  # points whose residuals are held at once
+_SMALLEST = 1e-12  # eigenvalue of scaled information, relative to the largest: less is rounding
+
+
+class Seen(NamedTuple):
+    """A density at N points, and its residuals in a frame of p directions."""
+
+    theta: Floats  # (N, p)
+    log_density: Floats  # (N,) up to a constant: -|f|^2 / 2
+    along: Floats  # (N, p): Q'f
+    slope: Floats  # (N, p, p): its derivatives, Q' df/dtheta
+    usable: NDArray[np.bool_]  # (N,) whether the motion could be simulated
+
+
+@dataclass(frozen=True, eq=False)
+class Density:
+    """The residuals whose squares make a posterior density; from `Density.of`."""
+
+    problem: Problem
+    centre: Floats  # m (p,)
+    squeeze: Floats  # A (p, p)
+    frame: Floats  # Q (k, p): orthonormal, the directions in which residuals at the centre react to parameters
+
+    @staticmethod
+    def of(estimate: Estimate, measured: Measured | None) -> Density:
+        """The density that belongs to an estimate.
+
+        Args:
+            estimate: of a likelihood, with its scene.
+            measured: the measurements; by default those of the estimate, or of its scene.
+
+        Raises:
+            InputError: an estimate without a scene or of the paper's objective, which is no likelihood; what
+                `Objective.of` has against the measurements; parameters that they do not fix at all.
+        """
+        scene = estimate.nominal_scene
+        if scene is None:
+            raise InputError(
+                "an estimate from a file holds no scene", where="estimate", remedy="Estimate.load(path, scene)"
+            )
+        if estimate.objective == "paper":
+            remedy = "objective='likelihood'"
+            raise InputError("the paper's objective is no likelihood", where="estimate", remedy=remedy)
+        data = measured or estimate.measured or measured_of(scene)
+        limits: dict[str, Any] = {
+            n: (lo, up) for n, lo, up in zip(estimate.names, estimate.lower, estimate.upper, strict=True)
+        }
+        parameters = free_parameters(scene, estimate.names, limits, estimate.priors)
+        springs = estimate.springs or SPRINGS
+        target = Objective.of(scene, data, use=estimate.channels, noise=estimate.noise, springs=springs)
+        problem = Problem.of(scene, parameters, target)
+        problem.evaluator.prepare(None)
+        centre = np.asarray(estimate.values, dtype=np.float64)
+        covariance = estimate.covariance if estimate.serial_correlation > SERIAL else None
+        return Density.about(problem, centre, covariance)
+
+    @staticmethod
+    def about(problem: Problem, centre: Floats, covariance: Floats | None = None) -> Density:
+        """The density of a problem, tempered to a covariance (p, p) where one is given.
+
+        Raises:
+            InputError: the motion at the centre cannot be simulated, or leaves a combination of parameters open.
+        """
+        p = len(centre)
+        _, slopes, usable = _residuals(problem, centre[None])
+        if not usable[0]:
+            raise InputError("the motion at the estimate cannot be simulated", where="estimate")
+        information = slopes[0].T @ slopes[0]
+        scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+        values = np.linalg.eigvalsh(information / np.outer(scale, scale))
+        if not values[0] > _SMALLEST * values[-1]:
+            raise _open()
+        squeeze = np.eye(p) if covariance is None else tempering(information, covariance)
+        return Density(problem, centre, squeeze, np.linalg.qr(slopes[0] @ squeeze)[0])
+
+    def __call__(self, theta: Floats) -> Seen:
+        """At points (N, p), within the bounds or not."""
+        residuals, slopes, usable = _residuals(self.problem, self.centre + (theta - self.centre) @ self.squeeze.T)
+        log_density = np.where(usable, -0.5 * np.sum(residuals**2, axis=1), -np.inf)
+        slope = np.einsum("kq,nkp->nqp", self.frame, slopes) @ self.squeeze
+        return Seen(theta, log_density, residuals @ self.frame, slope, usable)
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Of the parameters."""
+        return self.problem.parameters.lower, self.problem.parameters.upper
+
+
+def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """In units of their noise, priors' last: (N, k), derivatives (N, k, p), and which motions could be simulated."""
+    target, parameters = problem.objective, problem.parameters
+    assert target.noise is not None
+    seen = problem.evaluator.with_slopes(theta, problem.evaluator.fine)
+    assert seen.slopes is not None
+    sigma = np.array([target.noise[g] for g in target.groups])[target.group_of]
+    values = np.where(seen.usable[:, None, None], seen.values, 0.0)
+    n, p = theta.shape
+    r = (target.residuals(values) / sigma).reshape(n, -1)
+    j = target.slopes(np.where(seen.usable[:, None, None, None], seen.slopes, 0.0), values) / sigma[:, None]
+    j = j.reshape(n, -1, p)
+    known = [i for i, item in enumerate(parameters.items) if item.prior is not None]
+    if known:
+        mean, sd = np.array([parameters.items[i].prior for i in known], dtype=np.float64).T
+        r = np.concatenate([r, (theta[:, known] - mean) / sd], axis=1)
+        j = np.concatenate([j, np.broadcast_to(np.eye(p)[known] / sd[:, None], (n, len(known), p))], axis=1)
+    return r, j, seen.usable
+
+
+def tempering(information: Floats, covariance: Floats) -> Floats:
+    """A (p, p) with A' H A = the inverse of C, the same whatever units parameters are in; H information, C covariance.
+
+    Raises:
+        InputError: the covariance leaves a combination of parameters open.
+    """
+    scale = np.sqrt(np.diagonal(information))
+    spread = np.linalg.eigvalsh(covariance * np.outer(scale, scale))
+    if not (np.isfinite(spread).all() and spread[0] > _SMALLEST * spread[-1]):
+        raise _open()
+    root = np.linalg.cholesky(information / np.outer(scale, scale)) * scale[:, None]  # H = root root'
+    widths, vectors = np.linalg.eigh(root.T @ covariance @ root)
+    shrunk = (vectors / np.sqrt(widths)) @ vectors.T
+    return np.asarray(np.linalg.solve(root.T, shrunk @ root.T), dtype=np.float64)
+
+
+def _open() -> InputError:
+    return InputError(
+        "the measurements leave a combination of the parameters open",
+        where="estimate",
+        expected="parameters that they fix",
+        remedy="fewer parameters, or priors",
+    )

@@ -1,0 +1,149 @@
+"""Figures of a posterior: all pairs of parameters, with the estimate's normal distribution over them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.results.plots.quantities import as_read
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from fitting.estimate import Estimate
+    from fitting.posterior.result import Posterior
+
+Floats = NDArray[np.float64]
+
+_BINS = 40
+_TWICE = (1.0, 2.0)  # ellipses drawn of the estimate, in standard deviations
+_SIDE = 1.6  # of a panel [in]
+
+
+class PosteriorPlots:
+    """`posterior.plot`: each method gives a matplotlib figure."""
+
+    def __init__(self, posterior: Posterior) -> None:
+        self._posterior = posterior
+
+    def corner(self) -> Figure:
+        """Histograms of every parameter, draws of every pair; lines and ellipses are the estimate's."""
+        return corner_figure(self._posterior.estimate, self._posterior)
+
+    def save(self, stem: Path) -> list[Path]:
+        """The figure as STEM_posterior.png and STEM_posterior.svg.
+
+        Raises:
+            OutputError: the folder is missing or cannot be written to.
+        """
+        from pftwin.results.plots import save_figure
+
+        return list(save_figure(self.corner(), stem.with_name(f"{stem.name}_posterior")))
+
+
+def corner_figure(estimate: Estimate, posterior: Posterior | None = None) -> Figure:
+    """Every parameter and every pair of an estimate's normal distribution, over a posterior's draws if there are any.
+
+    Raises:
+        InputError: a posterior of other parameters.
+    """
+    from matplotlib.figure import Figure
+
+    from fitting.plots import fitted_to
+    from pftwin.results.plots.style import PAGE, house_style, title
+
+    if posterior is not None and posterior.names != estimate.names:
+        raise InputError(
+            f"a posterior of {', '.join(posterior.names)}",
+            where="posterior",
+            expected=f"of {', '.join(estimate.names)}",
+        )
+    count = len(estimate.names)
+    scales, units = zip(*(as_read(unit) for unit in estimate.units), strict=True)
+    scale = np.array(scales)
+    draws = None if posterior is None else scale * posterior.draws.reshape(-1, count)
+    with house_style(axes__grid=False):
+        side = max(PAGE, 1.0 + _SIDE * count)
+        figure = Figure(figsize=(side, side))
+        panels = figure.subplots(count, count, squeeze=False, sharex="col")
+        for (i, j), axes in np.ndenumerate(panels):
+            if j > i:
+                axes.set_axis_off()
+            elif i == j:
+                _marginal(axes, estimate, i, float(scale[i]), None if draws is None else draws[:, i])
+            else:
+                _pair(axes, estimate, (j, i), scale, draws)
+            _name(axes, i, j, [f"{n} [{u or '-'}]" for n, u in zip(estimate.names, units, strict=True)])
+        figure.align_labels()
+        what = "normal distribution about the estimate, not sampled" if posterior is None else posterior.sentence()
+        title(figure, fitted_to(estimate), what)
+        handles, labels = _legend(posterior is not None)
+        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    return figure
+
+
+def _marginal(axes: Axes, e: Estimate, i: int, scale: float, draws: Floats | None) -> None:
+    from pftwin.results.plots.style import BAND, COLOURS
+
+    if draws is not None:
+        axes.hist(draws, bins=_BINS, density=True, color=COLOURS[0], alpha=0.5)
+    mean, sd = scale * e.values[i], scale * e.standard_deviations[i]
+    x = np.linspace(mean - 4 * sd, mean + 4 * sd, 200)
+    x = x[(x >= scale * e.lower[i]) & (x <= scale * e.upper[i])]
+    density = np.exp(-0.5 * ((x - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi))
+    axes.plot(x, density, color=COLOURS[1])
+    if draws is None:
+        axes.fill_between(x, density, color=COLOURS[1], **BAND)
+    axes.set_ylim(bottom=0)
+    axes.set_yticks([])
+
+
+def _pair(axes: Axes, e: Estimate, pair: tuple[int, int], scale: Floats, draws: Floats | None) -> None:
+    from pftwin.results.plots.style import COLOURS
+
+    j, i = pair
+    if draws is not None:
+        dots = {"linestyle": "none", "marker": ".", "markersize": 1.5, "markeredgewidth": 0, "alpha": 0.5}
+        axes.plot(draws[:, j], draws[:, i], color=COLOURS[0], rasterized=True, **dots)
+    covariance = e.covariance * np.outer(scale, scale)
+    for size in _TWICE:
+        axes.plot(*_ellipse(scale * e.values, covariance, j, i, size), color=COLOURS[1])
+
+
+def _name(axes: Axes, i: int, j: int, labels: list[str]) -> None:
+    """Names and numbers at the left and below alone."""
+    if i == len(labels) - 1:
+        axes.set_xlabel(labels[j])
+        axes.tick_params(axis="x", labelrotation=45)
+    axes.locator_params(axis="x", nbins=4)
+    if i > j:
+        axes.locator_params(axis="y", nbins=4)
+        axes.tick_params(labelleft=j == 0)
+        if j == 0:
+            axes.set_ylabel(labels[i])
+
+
+def _legend(sampled: bool) -> tuple[list[Any], list[str]]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    from pftwin.results.plots.style import COLOURS
+
+    line, draws = Line2D([], [], color=COLOURS[1]), Patch(color=COLOURS[0], alpha=0.5)
+    words = "estimate: normal; 1 and 2 standard deviations"
+    return ([draws, line], ["posterior", words]) if sampled else ([line], [words])
+
+
+def _ellipse(mean: Any, covariance: Any, i: int, j: int, size: float) -> tuple[Any, Any]:
+    """Of two parameters' normal distribution, at so many standard deviations."""
+    part = covariance[np.ix_([i, j], [i, j])]
+    values, vectors = np.linalg.eigh(part)
+    angle = np.linspace(0, 2 * np.pi, 100)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    x, y = size * (vectors * np.sqrt(np.maximum(values, 0))) @ circle
+    return mean[i] + x, mean[j] + y

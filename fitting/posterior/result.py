@@ -1,0 +1,181 @@
+"""What sampling a posterior found, and how it compares with the estimate that it checks."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimate import Estimate
+from fitting.uncertainty import percent
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from fitting.posterior.plots import PosteriorPlots
+
+Floats = NDArray[np.float64]
+
+LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
+AGREES = 0.15  # of an interval's half width: ends that differ less confirm it
+_UNSOLVED = 0.02  # per draw: worth a remark
+_MIXED, _ENOUGH = 1.02, 400  # R-hat at most, effective draws at least (Vehtari et al. 2021: 1.01, and 100 a chain)
+
+
+@dataclass(eq=False)
+class Posterior:
+    """Draws from the posterior of p parameters, and how they compare with the estimate. In the order of `names`."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    draws: Floats  # (chains, draws, p)
+    log_density: Floats  # (chains, draws), up to a constant
+    acceptance: Floats  # (chains,) share of accepted proposals
+    r_hat: Floats  # (p,) rank-normalised and split
+    effective: Floats  # (p,) independent draws that these are worth: in the bulk or in the tails, whichever are fewer
+    estimate: Estimate = field(repr=False)
+    tempered: bool  # as the estimate's covariance, where residuals are correlated
+    evaluations: int
+    outside: int  # further proposals that were beyond the bounds
+    unsolved: int  # further proposals that were not found
+    seed: int
+    seconds: float
+
+    @property
+    def means(self) -> Floats:
+        """(p,)."""
+        return self.draws.mean(axis=(0, 1))
+
+    @property
+    def standard_deviations(self) -> Floats:
+        """(p,)."""
+        return self.draws.std(axis=(0, 1), ddof=1)
+
+    @property
+    def intervals(self) -> Floats:
+        """95 % intervals between quantiles (p, 2)."""
+        return self.quantiles((LEVELS[0], LEVELS[-1])).T
+
+    def quantiles(self, levels: tuple[float, ...] = LEVELS) -> Floats:
+        """(levels, p)."""
+        return np.quantile(self.draws, levels, axis=(0, 1))
+
+    @property
+    def ratio(self) -> Floats:
+        """Standard deviations in units of the estimate's (p,)."""
+        return self.standard_deviations / np.maximum(self.estimate.standard_deviations, 1e-300)
+
+    @property
+    def disagreement(self) -> Floats:
+        """By how much the farther end of each interval is off the estimate's, as a share of its half width (p,)."""
+        theirs = self.estimate.intervals
+        half = np.maximum(0.5 * (theirs[:, 1] - theirs[:, 0]), 1e-300)
+        return np.abs(self.intervals - theirs).max(axis=1) / half
+
+    @property
+    def converged(self) -> bool:
+        """Whether the chains agree with each other and are worth enough independent draws."""
+        return bool(self.r_hat.max() <= _MIXED and self.effective.min() >= _ENOUGH)
+
+    def sentence(self) -> str:
+        """What the comparison says, in plain words."""
+        if not self.converged:
+            return (
+                f"the chains tell little yet (R-hat {self.r_hat.max():.3f}, worth {self.effective.min():.0f} "
+                "independent draws): more draws"
+            )
+        worst = int(np.argmax(self.disagreement))
+        off, name = self.disagreement[worst], self.names[worst]
+        if off <= AGREES:
+            return (
+                f"the posterior agrees with the estimate's 95 % intervals within {percent(off)} ({name} the farthest)"
+            )
+        return (
+            f"the posterior differs from the estimate's 95 % intervals by up to {percent(off)} of their half width "
+            f"({name}: standard deviation {self.ratio[worst]:.2f} times the estimate's): trust the posterior's"
+        )
+
+    def remarks(self) -> list[str]:
+        """What to keep in mind about the numbers."""
+        out, e = [], self.estimate
+        if e.synthetic:
+            out.append("the measurements are synthetic")
+        if self.tempered:
+            out.append(
+                f"neighbouring residuals are correlated ({e.serial_correlation:.2f}): the likelihood is tempered to "
+                "the estimate's covariance, so this checks whether intervals are that straight, not the covariance"
+            )
+        cut = (e.intervals[:, 0] < e.lower) | (e.intervals[:, 1] > e.upper)
+        if cut.any():
+            out.append(f"the bounds cut the posterior of {', '.join(np.array(self.names)[cut])}")
+        if self.unsolved > _UNSOLVED * self.draws[..., 0].size:
+            out.append(f"{self.unsolved} more proposals were not found: where the motion jumps, draws may be missing")
+        return out
+
+    def summary(self) -> str:
+        """A table in text."""
+        low, _, middle, _, high = self.quantiles()
+        lines = [f"{self.estimate.scene_name}: posterior, {self.draws.shape[0]} chains of {self.draws.shape[1]} draws"]
+        for i, name in enumerate(self.names):
+            lines.append(
+                f"  {name:<12} {middle[i]:.6g} (95 %: {low[i]:.6g} to {high[i]:.6g}) {self.units[i]}; standard "
+                f"deviation {self.standard_deviations[i]:.2g}, {self.ratio[i]:.2f} times the estimate's; R-hat "
+                f"{self.r_hat[i]:.3f}, {self.effective[i]:.0f} effective draws"
+            )
+        return "\n".join([*lines, self.sentence(), *self.remarks()])
+
+    @property
+    def plot(self) -> PosteriorPlots:
+        """Figures."""
+        from fitting.posterior.plots import PosteriorPlots
+
+        return PosteriorPlots(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values without the draws, for JSON."""
+        return {
+            "names": list(self.names),
+            "units": list(self.units),
+            "chains": self.draws.shape[0],
+            "draws": self.draws.shape[1],
+            "means": self.means.tolist(),
+            "standard_deviations": self.standard_deviations.tolist(),
+            "levels": list(LEVELS),
+            "quantiles": self.quantiles().tolist(),
+            "standard_deviations_in_the_estimates": self.ratio.tolist(),
+            "disagreement": self.disagreement.tolist(),
+            "r_hat": self.r_hat.tolist(),
+            "effective_sample_size": self.effective.tolist(),
+            "acceptance": self.acceptance.tolist(),
+            "converged": self.converged,
+            "tempered": self.tempered,
+            "evaluations": self.evaluations,
+            "outside": self.outside,
+            "unsolved": self.unsolved,
+            "seed": self.seed,
+            "seconds": self.seconds,
+            "sentence": self.sentence(),
+            "remarks": self.remarks(),
+        }
+
+    def to_dataset(self) -> Dataset:
+        """Draws over (chain, draw, parameter), the estimate and the diagnostics beside them; SI units."""
+        from fitting.posterior.dataset import dataset
+
+        return dataset(self)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the dataset as NetCDF.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        from pftwin.files.result_files import save_dataset
+
+        target = Path(path)
+        save_dataset(self.to_dataset(), target)
+        return target

@@ -1,0 +1,1 @@
+"""What treatments would do: outcomes of many variants, with an estimate's uncertainty."""

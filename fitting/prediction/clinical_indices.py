@@ -1,0 +1,189 @@
+"""Clinical indices of a scene, as radiologists define them, as far as the scene has their landmarks.
+
+Where a landmark is not part of a scene the index is None with a reason; nothing is put in its place in silence.
+
+TT-TG             Goutallier et al. 1978; Dejour et al. 1994, KSSTA 2:19; on MR images Schoettle
+                  et al. 2006, Knee 13:26. It falls as the knee bends: Dietrich et al. 2014, KSSTA 22:214
+Q-angle           Brattström 1964, Acta Orthop Scand 35 (Suppl 68)
+Caton-Deschamps   Caton et al. 1982, Rev Chir Orthop 68:317
+sulcus angle      Brattström 1964; Merchant et al. 1974, J Bone Joint Surg Am 56:1391
+inclination       Carrillon et al. 2000 (lateral trochlear inclination)
+
+Where this differs from radiology: distances and inclinations refer to the femur's medial-lateral axis, not to the
+tangent of the posterior condyles, which a scene does not hold; the tuberosity is where the patellar tendon is attached;
+and the trochlea is cut at a given share of its groove, while TT-TG and inclination are read in the most proximal slice
+that shows it whole, and Merchant's view looks along it at 45 deg of flexion. What is usual:
+`fitting.prediction.clinical_norms`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.prediction.clinical_values import ClinicalIndices, Index, Landmarks
+from fitting.prediction.course import groove_surface, knee_flexion
+from fitting.prediction.trochlear_section import Section, section
+from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, line_element
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Vec3
+from pftwin.model.scene import Scene
+
+LEVEL = 0.25  # of the groove's length from its proximal end: where trochleae are judged
+_NEAREST = np.radians(2.0)  # a recorded frame must come this near to a flexion that is asked for
+Floats = NDArray[np.float64]
+
+
+def clinical_indices(
+    scene: Scene,
+    *,
+    flexion: float | None = None,
+    level: float = LEVEL,
+    landmarks: Landmarks | None = None,
+    tendon: str = PATELLAR_TENDON,
+    quadriceps: str = QUADRICEPS,
+) -> ClinicalIndices:
+    """The indices of a scene, on the host.
+
+    Args:
+        scene: whose femur and tibia have x proximal, y lateral, z anterior. The femur's y axis stands for the posterior
+            condylar line.
+        flexion: of the knee at which TT-TG is taken [rad]; by default the least that was recorded.
+        level: of the axial section through the trochlea: 0 the groove's proximal end, 1 its distal end.
+        landmarks: points that are not part of a scene.
+        tendon: name of the patellar tendon, whose origin is the tibial tuberosity.
+        quadriceps: name of the quadriceps tendon.
+
+    Raises:
+        InputError: a level outside 0 to 1, a flexion that was not recorded, landmarks that are no points.
+    """
+    if not 0 <= level <= 1:
+        raise InputError(f"found {level!r}", where="level", expected="a number from 0 (proximal) to 1 (distal)")
+    known = landmarks or Landmarks()
+    for name in known.__dataclass_fields__:
+        point = getattr(known, name)
+        if point is not None and (np.shape(point) != (3,) or not np.isfinite(np.asarray(point, dtype=float)).all()):
+            raise InputError(f"found {point!r}", where=f"landmarks.{name}", expected="three finite numbers [m]")
+    cut, missing = _section(scene, level)
+    return ClinicalIndices(
+        _tt_tg(scene, cut, missing, flexion, tendon),
+        _q_angle(scene, known, tendon, quadriceps),
+        _caton_deschamps(scene, known),
+        Index(None, "deg", missing) if cut is None else _sulcus_angle(cut),
+        Index(None, "deg", missing) if cut is None else _inclination(cut),
+    )
+
+
+def _section(scene: Scene, level: float) -> tuple[Section | None, str]:
+    try:
+        return section(groove_surface(scene), level), ""
+    except InputError as error:
+        return None, error.problem
+
+
+def _tt_tg(scene: Scene, cut: Section | None, missing: str, flexion: float | None, tendon: str) -> Index:
+    angles = np.asarray(knee_flexion(scene), dtype=np.float64)
+    frame = int(np.argmin(angles if flexion is None else np.abs(angles - flexion)))
+    if flexion is not None and abs(angles[frame] - flexion) > _NEAREST:
+        low, high = np.degrees([angles.min(), angles.max()])
+        raise InputError(
+            f"a knee flexion of {np.degrees(flexion):.1f} deg was not recorded",
+            where="flexion",
+            expected=f"radians from {np.radians(low):.3f} to {np.radians(high):.3f} ({low:.0f} to {high:.0f} deg)",
+        )
+    if cut is None:
+        return Index(None, "mm", missing)
+    tuberosity = _tuberosity(scene, tendon, frame)
+    if isinstance(tuberosity, str):
+        return Index(None, "mm", tuberosity)
+    note = f"at {np.degrees(angles[frame]):.1f} deg of knee flexion, along the femur's medial-lateral axis; {cut.note}"
+    return Index(1e3 * float(tuberosity[1] - cut.bottom[1]), "mm", note)
+
+
+def _tuberosity(scene: Scene, tendon: str, frame: int) -> Floats | str:
+    """The patellar tendon's origin (of strands: their middle) in the femur's frame, (3,); or why it is not known."""
+    try:
+        element = line_element(scene, tendon, "clinical_indices", body="tibia")
+        origin = _middle(element.origin_at(scene.motion.times[frame]))
+    except InputError as error:
+        return error.problem
+    femur, tibia = scene.motion.frames(scene.motion.times[frame])
+    world = tibia.point(Vec3(*origin))
+    return _row(world if femur is None else femur.to_local(world))
+
+
+def _q_angle(scene: Scene, known: Landmarks, tendon: str, quadriceps: str) -> Index:
+    """In the frontal plane at the first frame, at the scene's start pose of the patella."""
+    if known.asis is not None:
+        above, line = np.asarray(known.asis, dtype=np.float64), "from the anterior superior iliac spine"
+    else:
+        pulls = [e.line_element() for e in scene.effects if e.name == quadriceps]
+        pull = pulls[0] if pulls else None
+        if pull is None or pull.line_ends[1] != "femur":
+            return Index(None, "deg", "neither the iliac spine nor a quadriceps tendon from the femur is in the scene")
+        above, line = (
+            _middle(pull.origin_at(scene.motion.start_time)),
+            "along the quadriceps' line of pull: the iliac spine is not in the scene",
+        )
+    below = _tuberosity(scene, tendon, 0)
+    if isinstance(below, str):
+        return Index(None, "deg", below)
+    up, down = above - _patella(scene, scene.tracked_point()), _patella(scene, scene.tracked_point()) - below
+    angle = np.arctan2(up[1], up[0]) - np.arctan2(down[1], down[0])
+    at = np.degrees(float(np.asarray(knee_flexion(scene))[0]))
+    return Index(float(np.degrees(angle)), "deg", f"{line}; at the start pose, {at:.1f} deg of knee flexion")
+
+
+def _caton_deschamps(scene: Scene, known: Landmarks) -> Index:
+    points = {
+        "tibial_plateau": known.tibial_plateau,
+        "articular_inferior": known.articular_inferior,
+        "articular_superior": known.articular_superior,
+    }
+    if absent := [n.replace("_", " ") for n, p in points.items() if p is None]:
+        return Index(None, "", f"not in the scene and not given as landmarks: {', '.join(absent)}")
+    plateau, low, high = (np.asarray(p, dtype=np.float64) for p in points.values())
+    femur, tibia = scene.motion.frames(scene.motion.times[0])
+    world = tibia.point(Vec3(*plateau))
+    corner = _row(world if femur is None else femur.to_local(world))
+    ratio = np.linalg.norm(_patella(scene, Vec3(*low)) - corner) / np.linalg.norm(high - low)
+    at = np.degrees(float(np.asarray(knee_flexion(scene))[0]))
+    return Index(float(ratio), "", f"at the start pose, {at:.1f} deg of knee flexion")
+
+
+def _sulcus_angle(cut: Section) -> Index:
+    if cut.medial_ridge is None or cut.lateral_ridge is None:
+        return Index(None, "deg", f"{cut.no_ridge()}; {cut.note}")
+    a, b = cut.medial_ridge - cut.bottom, cut.lateral_ridge - cut.bottom
+    cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
+    return Index(float(np.degrees(np.arccos(cosine))), "deg", cut.note)
+
+
+def _inclination(cut: Section) -> Index:
+    """Of the straight line nearest to the lateral facet, against the femur's medial-lateral axis in the section."""
+    if cut.lateral_ridge is None:
+        return Index(None, "deg", f"{cut.no_ridge()}; {cut.note}")
+    facet = cut.lateral_facet - cut.lateral_facet.mean(axis=0)
+    along = np.linalg.svd(facet, full_matrices=False)[2][0]
+    lateral = np.array([0.0, 1.0, 0.0])
+    lateral = lateral - (lateral @ cut.normal) * cut.normal
+    lateral /= np.linalg.norm(lateral)
+    outward = cut.outward - (cut.outward @ lateral) * lateral
+    along = along if along @ lateral > 0 else -along
+    angle = np.arctan2(along @ outward / np.linalg.norm(outward), along @ lateral)
+    return Index(float(np.degrees(angle)), "deg", f"against the femur's medial-lateral axis; {cut.note}")
+
+
+def _patella(scene: Scene, point: Vec3) -> Floats:
+    """A point of the patella in the femur's frame at the start pose."""
+    world = scene.start.apply(point)
+    femur, _ = scene.motion.frames(scene.motion.times[0])
+    return _row(world if femur is None else femur.to_local(world))
+
+
+def _middle(points: Vec3) -> Floats:
+    return np.array([float(np.mean(np.asarray(a))) for a in (points.x, points.y, points.z)])
+
+
+def _row(v: Vec3) -> Floats:
+    return np.array([float(v.x), float(v.y), float(v.z)])

@@ -1,0 +1,178 @@
+"""Members of a batch, simulated together: a compiled function of amounts, parameters and starts, run in chunks.
+
+Memory does not grow with the number of members: a chunk's trajectories are gone when its outcomes are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from fitting.prediction.course import Glimpse, Groove, course_of
+from fitting.prediction.outcomes import measure
+from fitting.treatments import Treatment
+from pftwin.base.spatial import Pose
+from pftwin.dynamics.batch.batched import good_sizes
+from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
+from pftwin.dynamics.batch.member import FLAGS, sensible
+from pftwin.dynamics.batch.sharding import Chunk, Spread
+from pftwin.dynamics.frame_states import starting_equilibrium
+from pftwin.dynamics.observe import observe_on_the_way
+from pftwin.dynamics.status import Status
+from pftwin.model.scene import Scene
+
+_NEAR = 48  # equilibria that are found from the scene's own start; all others start from the nearest of them
+_FEWEST = 16  # members of a chunk: fewer cost the same
+Floats = NDArray[np.float64]
+
+
+class Recipe(NamedTuple):
+    """How a member is made of its numbers, and how it is run. Hashable where static, arrays elsewhere."""
+
+    scene: Scene
+    treatment: Treatment
+    fitted: Callable[[Scene, Any], Scene] | None  # puts parameters into the scene
+    groove: Groove
+    substeps: int
+    threshold: float
+    trajectories: bool
+
+    def made(self, amounts: Array, theta: Array) -> Scene:
+        """One member's scene: parameters first, then the treatment."""
+        scene = self.scene if self.fitted is None else self.fitted(self.scene, theta)
+        return self.treatment.with_values(list(amounts))(scene)
+
+
+class Members(NamedTuple):
+    """What members came out as: (n, ...) on the host."""
+
+    outcomes: dict[str, Floats]
+    flags: NDArray[np.int64]  # (n, flags) frames with each of `FLAGS`
+    sensible: NDArray[np.bool_]  # whether the member's scene can be simulated at all
+    courses: dict[str, Floats]  # (n, frames, ...), where trajectories are wanted
+
+
+def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
+    """A member's outcomes."""
+    scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
+    seen, status, _ = observe_on_the_way(scene, lambda frame: Glimpse.of(scene, frame), substeps=recipe.substeps)
+    at = course_of(scene, seen, status, recipe.groove)
+    flags = jnp.stack([jnp.sum((at.status & int(flag)) != 0) for flag in FLAGS])
+    courses = {}
+    if recipe.trajectories:
+        courses = {
+            "sphere_center": seen.center.array(),
+            "groove_offset": at.offset,
+            "patella_tilt": at.tilt,
+            "force_medial": at.force[0],
+            "force_lateral": at.force[1],
+        }
+    return measure(at, recipe.threshold), flags, sensible(scene), courses
+
+
+@eqx.filter_jit
+def _settle(recipe: Recipe, amounts: Array, thetas: Array) -> tuple[Pose, Array]:
+    """Equilibria from the scene's own start: poses of the patella's frame, and whether they are ones."""
+
+    def one(a: Array, theta: Array) -> tuple[Pose, Array]:
+        scene = recipe.made(a, theta)
+        found = starting_equilibrium(scene)
+        origin = found.pose.apply(-scene.patella.center_of_mass)
+        return Pose(origin, found.pose.orientation), found.converged()
+
+    return jax.vmap(one)(amounts, thetas)
+
+
+def run(
+    recipe: Recipe,
+    amounts: Floats,
+    thetas: Floats,
+    chunk: int,
+    devices: Devices = "all",
+    progress: Callable[[int, int], None] | None = None,
+    fewest: int = _FEWEST,
+) -> Members:
+    """All members, up to `chunk` at a time on each device. No member's failure stops the others.
+
+    Args:
+        recipe: of every member.
+        amounts: (n, k).
+        thetas: (n, p).
+        chunk: most members of a chunk of one device; a study of fewer is one smaller chunk.
+        devices: over which members are laid, as `pftwin.simulate_batch` has them.
+        progress: called with the number of members done and of all.
+        fewest: least size of a chunk, to which fewer are filled up; that of `chunk` has all sizes share one program.
+    """
+    recipe = recipe._replace(scene=recipe.scene.unnamed())
+    starts = _starts(recipe, amounts, thetas)
+    found = _in_chunks(recipe, amounts, thetas, starts, chunk, devices, progress, fewest)
+    badly = found.flags[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] > 0
+    if badly.any() and starts is not None:  # where the neighbour's equilibrium led nowhere, the scene's own start may
+        again = _in_chunks(recipe, amounts[badly], thetas[badly], None, chunk, devices, None, fewest)
+        jax.tree.map(lambda old, new: old.__setitem__(badly, new), found, again)
+    return found
+
+
+def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
+    """For every member a pose to start the search for equilibrium from, (n,); None: the scene's own."""
+    if len(amounts) <= _NEAR:
+        return None
+    points = np.concatenate([amounts, thetas], axis=1)
+    spread = np.ptp(points, axis=0)
+    points = points[:, spread > 0] / spread[spread > 0]
+    chosen, nearest = _spread_out(points, _NEAR)
+    padded = np.resize(chosen, _NEAR)
+    poses, good = jax.tree.map(np.asarray, _settle(recipe, jnp.asarray(amounts[padded]), jnp.asarray(thetas[padded])))
+    if not good.any():
+        return None
+    usable = good[: len(chosen)]
+    if not usable.all():  # nobody starts from a search that failed
+        distance = np.stack([np.sum((points - points[i]) ** 2, axis=1) for i in chosen[usable]])
+        nearest = np.flatnonzero(usable)[np.argmin(distance, axis=0)]
+    return jax.tree.map(lambda a: a[nearest], poses)
+
+
+def _spread_out(points: Floats, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Up to `count` points far from each other, each next the farthest (Gonzalez 1985); and whose is near."""
+    chosen, nearest = [0], np.zeros(len(points), dtype=np.int64)
+    distance = np.sum((points - points[0]) ** 2, axis=1)
+    while len(chosen) < min(count, len(points)) and distance.max(initial=0.0) > 0:
+        far = int(np.argmax(distance))
+        closer = np.sum((points - points[far]) ** 2, axis=1)
+        nearest[closer < distance] = len(chosen)
+        distance = np.minimum(distance, closer)
+        chosen.append(far)
+    return np.array(chosen), nearest
+
+
+def _in_chunks(
+    recipe: Recipe,
+    amounts: Floats,
+    thetas: Floats,
+    starts: Pose | None,
+    chunk: int,
+    devices: Devices,
+    progress: Callable[[int, int], None] | None,
+    fewest: int,
+) -> Members:
+    n = len(amounts)
+    size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
+    if starts is None:
+        starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
+    chosen = chosen_devices(devices)
+    pieces, piece = good_sizes(size)
+    spread = Spread(chosen, piece, pieces * piece * len(chosen))
+    shared = spread.shared(recipe)
+    rows = (np.asarray(amounts, float), np.asarray(thetas, float), starts)
+
+    def computed(some: Chunk) -> Members:
+        return Members(*spread.taken(spread.run(_one, shared, some, spread.placed(rows, some)), some))
+
+    return spread.over(computed, n, feeding_threads(devices), progress)

@@ -1,0 +1,165 @@
+"""Figure of a prediction: outcomes against the amount of a treatment, with bands from the estimate's uncertainty."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import product
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.results.plots.quantities import as_read
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from xarray import DataArray, Dataset
+
+BAND = (0.025, 0.975)  # quantiles over samples: 95 %
+_PANELS = (
+    ("largest_offset", 1e3, "off the groove's bottom, largest [mm]"),
+    ("peak_contact_force", 1.0, "contact force, peak [N]"),
+    ("mean_tilt", 1.0, "tilt, mean, lateral positive [deg]"),
+    ("medial_share", 100.0, "share of force on the medial facet [%]"),
+)
+_MOST_LINES = 6
+Floats = NDArray[np.float64]
+
+
+class Spread(NamedTuple):
+    """An outcome over variants: of the estimate itself, and the band around it (None without samples)."""
+
+    value: Floats
+    low: Floats | None
+    high: Floats | None
+
+
+def spread(values: DataArray) -> Spread:
+    """Over samples: sample 0, and the 2.5 and 97.5 % quantiles of all that did not fail."""
+    if "sample" not in values.dims:
+        return Spread(np.asarray(values.values, dtype=np.float64), None, None)
+    drawn = values.isel(sample=slice(1, None))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # where no draw has a value there is no band
+        low, high = np.nanquantile(drawn.values, BAND, axis=drawn.get_axis_num("sample"))
+    return Spread(values.isel(sample=0).values, low, high)
+
+
+def amount_names(data: Dataset) -> list[str]:
+    """The amounts that vary, in their order; all of them where none does."""
+    fixed = ("variant", "scene", "treatment")
+    names = [str(n) for n, c in data.coords.items() if c.dims == ("variant",) and n not in fixed]
+    varying = [n for n in names if np.ptp(data[n].values) > 0]
+    return varying or names
+
+
+def called(data: Dataset, name: str) -> str:
+    """An amount's name, without its treatment's where one treatment alone has it."""
+    short = name.rpartition("_")[2]
+    alike = [n for n in amount_names(data) if n.endswith(f"_{short}")]
+    return short if len(alike) == 1 else name.replace("_", " ")
+
+
+def shown(data: Dataset, name: str) -> tuple[Floats, str]:
+    """An amount as people read it, and its unit: lengths in millimetres, shares in percent."""
+    values, unit = data[name].values, data[name].attrs["units"]
+    scale, unit = (100.0, "%") if unit == "1" else as_read(unit)
+    return scale * values, unit
+
+
+def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None) -> Figure:
+    """Four outcomes against the first amount that varies; a line for each combination of the others and scenes.
+
+    Args:
+        data: of `fitting.predict`.
+        title: in the place of the prediction's own.
+        axes: four, to draw into; by default a new figure.
+
+    Raises:
+        InputError: a prediction in which no amount varies; another number of axes.
+    """
+    from matplotlib.figure import Figure
+
+    from pftwin.results.plots.panels import figure_of, given_axes
+    from pftwin.results.plots.style import PAGE, SMALL, house_style, legend_below
+    from pftwin.results.plots.style import title as name_figure
+
+    names = amount_names(data)
+    if not names or np.ptp(data[names[0]].values) == 0:
+        raise InputError("no amount varies", where="outcome_figure", expected="a grid of amounts")
+    own = given_axes(axes, len(_PANELS), "one for each of " + ", ".join(p[0] for p in _PANELS))
+    axis = f"{names[0].replace('_', ' ')} [{shown(data, names[0])[1]}]"
+    with house_style():
+        if own is None:
+            figure = Figure(figsize=(PAGE, 5.8))
+            own = list(figure.subplots(2, 2, sharex=True).ravel())
+            figure.supxlabel(axis, fontsize="medium")
+            name_figure(figure, title or data.attrs["title"], _note(data))
+        for ax, (outcome, scale, label) in zip(own, _PANELS, strict=True):
+            for i, (name, rows) in enumerate(_lines(data, names)):
+                _draw(ax, data, names[0], outcome, scale, rows, name, i)
+            ax.set_ylabel(label, fontsize=SMALL)
+            if axes is not None:
+                ax.set_xlabel(axis)
+        _mark_threshold(own[0], 1e3 * data.attrs["threshold"])
+        handles, labels = own[0].get_legend_handles_labels()
+        if axes is None and len(labels) > 1:
+            legend_below(figure_of(own[0]), handles, labels, most=3)
+    return figure_of(own[0])
+
+
+def _mark_threshold(ax: Axes, threshold: float) -> None:
+    from pftwin.results.plots.style import TINY
+
+    ax.axhline(threshold, color="black", linewidth=0.8, linestyle=":")
+    ax.annotate(
+        "dislocated above", (0.99, threshold), xycoords=("axes fraction", "data"), xytext=(0, 2),
+        textcoords="offset points", ha="right", fontsize=TINY,
+    )  # fmt: skip
+
+
+def _note(data: Dataset) -> str:
+    """What the figure shows besides its lines."""
+    parts = ["crosses: dislocated"]
+    if "sample" in data.dims:
+        parts.append(f"bands: 95 % of {data.sizes['sample'] - 1} draws from the estimate")
+    if data.attrs.get("note"):
+        parts.append(data.attrs["note"])
+    return "; ".join(parts)
+
+
+def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]]]:
+    """Rows of each line, by what they share: scene and the amounts other than the first."""
+    others = names[1:]
+    scenes = list(dict.fromkeys(data["scene"].values))
+    kept = []
+    for scene, *values in product(scenes, *(np.unique(data[n].values) for n in others)):
+        same = data["scene"].values == scene
+        for name, value in zip(others, values, strict=True):
+            same = same & (data[name].values == value)
+        if same.any():
+            said = [f"{n.rpartition('_')[2]} {shown(data, n)[0][same][0]:g} {shown(data, n)[1]}" for n in others]
+            kept.append(
+                (", ".join([*([str(scene)] if len(scenes) > 1 else []), *said]) or str(scene), np.flatnonzero(same))
+            )
+    if len(kept) > _MOST_LINES:  # a few all over the range
+        kept = [kept[i] for i in np.linspace(0, len(kept) - 1, _MOST_LINES).round().astype(int)]
+    return kept
+
+
+def _draw(
+    axes: Axes, data: Dataset, amount: str, outcome: str, scale: float, rows: Any, label: str, which: int
+) -> None:
+    from pftwin.results.plots.style import BAND, COLOURS
+
+    x = shown(data, amount)[0][rows]
+    rows, x = rows[np.argsort(x, kind="stable")], np.sort(x)
+    part, colour = data.isel(variant=rows), COLOURS[which % len(COLOURS)]
+    value, low, high = spread(scale * part[outcome])
+    axes.plot(x, value, color=colour, label=label, marker=".", markersize=4)
+    if low is not None and high is not None:
+        axes.fill_between(x, low, high, color=colour, **BAND)
+    out = spread(part["dislocations"]).value > 0
+    axes.plot(x[out], value[out], linestyle="none", marker="x", markersize=7, color=colour)

@@ -1,0 +1,170 @@
+"""The smallest treatment that meets stated limits: a batched grid over the surgeon's range, then gradients.
+
+The grid finds where limits can be met at all, also where outcomes jump (dislocation). A single amount is then found
+between the last that does not meet them and the first that does (Brent). From the best of several amounts sequential
+quadratic programming (scipy's SLSQP) goes on with forward-mode derivatives of the smooth outcomes; a step that leads
+nowhere better is not taken. So the answer always meets the limits by a simulation of its own.
+
+An estimate is uncertain. With draws from its uncertainty the limits have to hold for the estimate and, all of them
+together, for a stated share of the draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.prediction.predicting import STEP, Fitted, predict
+from fitting.treatments import Treatment
+from fitting.treatments.limits import Limit
+from fitting.treatments.plan import Plan
+from fitting.treatments.refine import CHUNK, Search, refined
+from pftwin.base.errors import InputError
+from pftwin.model.scene import Scene
+from pftwin.results.tracking import DISLOCATED
+
+_GRID = {1: 41, 2: 15, 3: 8}  # points to a side, by the number of amounts
+_AT_ONCE = 8  # points of the grid whose draws are simulated together
+Floats = NDArray[np.float64]
+
+
+def optimise_treatment(
+    scene: Scene,
+    limits: Limit | Sequence[Limit],
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    treatment: str | Treatment = "tibial_tuberosity_transfer",
+    estimate: Fitted | None = None,
+    *,
+    samples: int = 0,
+    confidence: float = 0.9,
+    seed: int = 0,
+    dt: float = STEP,
+    threshold: float = DISLOCATED,
+) -> Plan:
+    """The smallest treatment that meets the limits.
+
+        optimise_treatment(scene, Limit("dislocation_margin", at_least=0.003), {"medialisation": (0.0, 0.020)})
+
+    Smallest is measured by the amounts, each as a share of its range's larger end, as the root of the sum of squares.
+
+    Args:
+        scene: untreated.
+        limits: all of which are to be met.
+        ranges: what the surgeon can do, by amount (SI, one to three amounts); amounts that are not named stay as the
+            treatment has them. By default medialisation from 0 to 20 mm.
+        treatment: its kind, or a treatment that has these amounts.
+        estimate: parameters in the place of the scene's own.
+        samples: draws from the estimate's uncertainty.
+        confidence: share of the draws in which all limits are to hold, besides for the estimate itself; a draw that
+            cannot be simulated keeps none.
+        seed: of the draws.
+        dt: longest time step [s].
+        threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
+
+    Returns:
+        A plan, with the share of draws in which its limits hold; where no amount within the range meets the limits it
+        says so and holds the nearest.
+
+    Raises:
+        InputError: no limits, ranges that are empty, four amounts or more, a scene without what is to be changed;
+            samples without an estimate; a confidence that is no share.
+    """
+    wanted = (limits,) if isinstance(limits, Limit) else tuple(limits)
+    ranges = dict(ranges or {"medialisation": (0.0, 0.020)})
+    lower, upper = _checked(wanted, ranges)
+    draws = _draws(estimate, samples, confidence, seed)
+    if isinstance(treatment, str):
+        treatment = Treatment.of(treatment, dict.fromkeys(ranges, 0.0))
+    search = Search(scene, treatment, tuple(ranges), estimate, wanted, draws, confidence, dt, threshold)
+    axes = [np.linspace(a, b, _GRID[len(ranges)]) for a, b in zip(lower, upper, strict=True)]
+    amounts = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
+    scale = np.maximum(np.abs(lower), np.abs(upper))
+    amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
+    options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
+    room = _room(predict(scene, search.treated(amounts), estimate, **options), wanted)
+    fine = np.flatnonzero(room >= 0)
+    simulated = len(amounts)
+
+    def plan(met: bool, at: Floats) -> Plan:
+        share = search.share(at) if samples else None
+        outcomes = search.outcomes(at)
+        count = simulated + search.count
+        return Plan(met, search.treated(at), outcomes, wanted, count, samples, confidence, share)
+
+    if not fine.size:
+        return plan(False, amounts[int(np.argmax(room))])
+    surest, most = fine[-1], -1.0
+    for i in range(0, len(fine), _AT_ONCE):
+        part = fine[i : i + _AT_ONCE]
+        shares = np.ones(len(part))
+        if samples:
+            data = predict(scene, search.treated(amounts[part]), estimate, samples=samples, seed=seed, **options)
+            shares = (_room(data, wanted)[:, 1:] >= 0).mean(axis=1)
+            simulated += len(part) * (1 + samples)
+        if shares.max() > most:
+            surest, most = part[int(np.argmax(shares))], float(shares.max())
+        for k in part[shares >= (confidence if samples else 1.0) - 1e-9]:
+            if (search.room(amounts[k]) >= 0).all():  # by a simulation of its own
+                best = amounts[k]
+                if not best.any():
+                    return plan(True, best)
+                return plan(True, refined(search, best, _below(amounts, k, lower, upper), lower, upper, scale))
+    return plan(False, amounts[surest])
+
+
+def _below(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floats:
+    """Of a single amount, the one before it on the way from nothing, on the same side; else the least that there is."""
+    before = [a for a in amounts[:k] if (a * amounts[k] >= 0).all()]
+    return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
+
+
+def _room(data: Any, limits: tuple[Limit, ...]) -> Floats:
+    """Least room of all limits of every variant (and draw), in their sizes; minus infinity where one has no number."""
+    rooms = np.stack([lim.room(_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
+    return np.where(np.isfinite(rooms), rooms, -np.inf)
+
+
+def _draws(estimate: Fitted | None, samples: int, confidence: float, seed: int) -> Floats:
+    """(samples, p)."""
+    if not (isinstance(samples, int) and samples >= 0):
+        raise InputError(f"found {samples!r}", where="samples", expected="a whole number, at least 0")
+    if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
+        raise InputError(
+            f"found {confidence!r}", where="confidence", expected="a share above 0 and up to 1, such as 0.9"
+        )
+    if samples and estimate is None:
+        raise InputError(
+            "samples of nothing uncertain", where="samples", remedy="optimise_treatment(..., estimate=..., samples=...)"
+        )
+    if estimate is None or not samples:
+        return np.zeros((0, 0))
+    return np.asarray(estimate.samples(samples, seed), dtype=np.float64)
+
+
+def _checked(limits: tuple[Limit, ...], ranges: dict[str, tuple[float, float]]) -> tuple[Floats, Floats]:
+    if not limits or not all(isinstance(lim, Limit) for lim in limits):
+        raise InputError(
+            f"found {limits!r}", where="limits", expected='limits such as Limit("largest_offset", at_most=0.01)'
+        )
+    if len(ranges) > max(_GRID):
+        raise InputError(f"{len(ranges)} amounts", where="ranges", expected=f"at most {max(_GRID)}")
+    for name, pair in ranges.items():
+        try:
+            low, high = (float(v) for v in pair)
+        except (TypeError, ValueError):
+            low = high = np.nan
+        if not low < high or not np.isfinite([low, high]).all():
+            raise InputError(f"found {pair!r}", where=f"ranges: {name}", expected="(least, most), in SI units")
+    low, high = np.array([[float(a), float(b)] for a, b in ranges.values()]).T
+    return low, high
+
+
+def _si(values: Any) -> Floats:
+    """A prediction's outcome in the unit of `MEASURES`."""
+    return np.radians(values.values) if values.attrs["units"] == "deg" else values.values
+
+
+__all__ = ["Limit", "Plan", "optimise_treatment"]

@@ -1,0 +1,243 @@
+"""Refining a treatment: simulations with forward-mode derivatives, and sequential quadratic programming.
+
+A single amount needs no derivatives, which take longer to compile than the whole search: it is bracketed (Brent).
+
+With draws from an estimate's uncertainty every point is simulated for the estimate and for all draws side by side; that
+limits hold in a share of the draws is a limit itself: on the quantile of the least room that a draw leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from fitting.prediction.course import Groove, course
+from fitting.prediction.members import Recipe, run
+from fitting.prediction.outcomes import MEASURES, measure
+from fitting.prediction.predicting import Fitted
+from fitting.treatments import Treatment
+from fitting.treatments.limits import Limit
+from pftwin.base.errors import InputError
+from pftwin.dynamics.batch.batched import batched
+from pftwin.dynamics.frame_states import frame_states, substeps_for
+from pftwin.dynamics.observe import observe
+from pftwin.model.scene import Scene
+
+_ITERATIONS = 30
+_ROOM = 1e-6  # of a limit's size: what the search keeps clear of it, so that its answer keeps the limit
+_HALVINGS = 12
+_NONE = -1e3  # room where there is no number
+_CLOSE = 1e-4  # of the effort: where halving ends
+_FINE = 1e-4  # of the grid's step, to which a single amount is found
+CHUNK = 64  # members at once: one program for the grid and for draws, which come in pieces of all sizes
+Floats = NDArray[np.float64]
+
+
+@eqx.filter_jit
+def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array, amounts: Array) -> Any:
+    """Outcomes at some amounts (draws,), and their derivatives by them (amounts, draws)."""
+
+    def found(x: Array) -> Any:
+        def one(theta: Array) -> Any:
+            scene = recipe.made(fixed.at[jnp.asarray(places)].set(x), theta)
+            seen = observe(scene, frame_states(scene, substeps=recipe.substeps))
+            return measure(course(scene, seen, recipe.groove), recipe.threshold)
+
+        return batched(one)(thetas)
+
+    # Columns side by side: one pass of the loop serves them all.
+    push = jax.vmap(lambda t: jax.jvp(found, (amounts,), (t,)), out_axes=(None, 0))
+    return push(jnp.eye(len(places), dtype=amounts.dtype))
+
+
+class Search:
+    """Simulations with derivatives, each amounts' kept.
+
+    Args:
+        scene: untreated.
+        treatment: with amounts that are not searched for at their values.
+        names: of those that are.
+        estimate: parameters in the place of the scene's own.
+        limits: to be kept.
+        draws: further parameters (S, p), as uncertain as the estimate.
+        confidence: share of the draws in which all limits have to hold.
+        dt: longest time step [s].
+        threshold: beyond which the button counts as dislocated [m].
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        treatment: Treatment,
+        names: tuple[str, ...],
+        estimate: Fitted | None,
+        limits: tuple[Limit, ...],
+        draws: Floats,
+        confidence: float,
+        dt: float,
+        threshold: float,
+    ) -> None:
+        own = treatment.names
+        places = {n.rpartition(".")[2]: i for i, n in enumerate(own)} | {n: i for i, n in enumerate(own)}
+        if stray := [n for n in names if n not in places]:
+            raise InputError(f"no amount {stray[0]!r}", where="ranges", expected=f"one of: {', '.join(own)}")
+        self._places = tuple(places[n] for n in names)
+        self._fixed = jnp.stack([jnp.asarray(v, dtype=float) for v in treatment.values])
+        self._treatment = treatment
+        substeps = substeps_for(scene.motion.frame_interval, dt)
+        fitted = None if estimate is None else estimate.apply
+        prepared = treatment.prepared(scene)
+        self._recipe = Recipe(scene.unnamed(), prepared, fitted, Groove.of(scene), substeps, threshold, False)
+        values = np.zeros((1, 0)) if estimate is None else np.asarray(estimate.values, dtype=np.float64)[None]
+        self._thetas = jnp.asarray(np.concatenate([values, draws]) if len(draws) else values, dtype=float)
+        self._limits = limits
+        self._draws, self._needed = len(draws), math.ceil(confidence * len(draws) - 1e-9)
+        self._known: dict[bytes, Any] = {}
+        self.alone = len(names) == 1
+
+    @property
+    def count(self) -> int:
+        """Simulations so far."""
+        return len(self._known) * (1 + self._draws)
+
+    def _at(self, amounts: Floats) -> Any:
+        key = np.asarray(amounts, dtype=np.float64).tobytes()
+        if key not in self._known:
+            if self.alone:
+                self._known[key] = self._simulated(amounts), None
+            else:
+                numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
+                self._known[key] = jax.tree.map(np.asarray, _looked(self._recipe, self._places, *numbers))
+        return self._known[key]
+
+    def _simulated(self, amounts: Floats) -> dict[str, Floats]:
+        """Outcomes for the estimate and the draws (1 + draws,), by the program that the grid was simulated with."""
+        every = np.array(self._fixed)
+        every[list(self._places)] = amounts
+        thetas = np.asarray(self._thetas)
+        return run(self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, fewest=CHUNK).outcomes
+
+    def outcomes(self, amounts: Floats) -> dict[str, float]:
+        """The estimate's by name, SI."""
+        return {name: float(self._at(amounts)[0][name][0]) for name in MEASURES}
+
+    def _rooms(self, amounts: Floats) -> Floats:
+        """Of each limit for the estimate and the draws, in its size (limits, 1 + draws)."""
+        found = self._at(amounts)[0]
+        rooms = np.stack([lim.room(found[lim.outcome]) / lim.size for lim in self._limits])
+        return np.where(np.isfinite(rooms), rooms, _NONE)
+
+    def share(self, amounts: Floats) -> float:
+        """Of the draws: in how many all limits hold."""
+        return float((self._rooms(amounts)[:, 1:] >= 0).all(axis=0).mean())
+
+    def room(self, amounts: Floats) -> Floats:
+        """Of each limit for the estimate, in its size; behind them, with draws, of the share that is needed."""
+        rooms = self._rooms(amounts)
+        if not self._draws:
+            return rooms[:, 0]
+        return np.append(rooms[:, 0], np.sort(rooms[:, 1:].min(axis=0))[-self._needed])
+
+    def slope(self, amounts: Floats) -> Floats:
+        """(limits, amounts); with draws one row more, of the draw that decides whether the share is reached."""
+        slopes = self._at(amounts)[1]
+        all_ = np.stack([(-1 if x.at_most is not None else 1) * slopes[x.outcome] / x.size for x in self._limits])
+        rows = all_[:, :, 0]
+        if self._draws:
+            rooms = self._rooms(amounts)[:, 1:]
+            draw = int(np.argsort(rooms.min(axis=0))[-self._needed])
+            rows = np.concatenate([rows, all_[None, int(np.argmin(rooms[:, draw])), :, 1 + draw]])
+        return np.nan_to_num(rows)
+
+    def treated(self, amounts: Any) -> Treatment:
+        """The treatment with these amounts: (k,), or a list of variants (n, k)."""
+        columns = np.moveaxis(np.asarray(amounts, dtype=np.float64), -1, 0)
+        values: list[Any] = [jnp.broadcast_to(v, columns.shape[1:]) for v in self._fixed]
+        for place, column in zip(self._places, columns, strict=True):
+            values[place] = jnp.asarray(column, dtype=float)
+        return self._treatment.with_values(values)
+
+
+def refined(search: Search, start: Floats, below: Floats, lower: Floats, upper: Floats, scale: Floats) -> Floats:
+    """The smallest amounts near the start that meet the limits; the start where nothing smaller does.
+
+    Args:
+        search: what simulates.
+        start: amounts that meet the limits.
+        below: of a single amount, the nearest smaller one that was tried and does not meet them.
+        lower: least amounts.
+        upper: largest amounts.
+        scale: what amounts are measured by.
+    """
+    if search.alone:
+        return _just_met(search, start, below)
+    from scipy.optimize import minimize
+
+    best = start
+    tried: list[Floats] = []
+
+    def room(x: Floats) -> Floats:
+        tried.append(x * scale)
+        return search.room(x * scale) - _ROOM
+
+    constraint: Any = {"type": "ineq", "fun": room, "jac": lambda x: search.slope(x * scale) * scale}
+    minimize(
+        lambda x: 0.5 * float(x @ x),
+        start / scale,
+        jac=lambda x: x,
+        method="SLSQP",
+        bounds=list(zip(lower / scale, upper / scale, strict=True)),
+        constraints=[constraint],
+        options={"maxiter": _ITERATIONS, "ftol": 1e-10},
+    )
+    for amounts in tried:  # what was simulated on the way counts, wherever the search ended
+        within = (amounts >= lower - 1e-12).all() and (amounts <= upper + 1e-12).all()
+        if within and (search.room(amounts) >= 0).all() and effort(amounts, scale) < effort(best, scale):
+            best = amounts
+    return _nearer(search, best, np.clip(0.0 * best, lower, upper), scale)
+
+
+def _just_met(search: Search, best: Floats, below: Floats) -> Floats:
+    """Between a single amount that does not meet the limits and one that does: the smallest tried that does."""
+    from scipy.optimize import brentq
+
+    met = {1.0: best}
+
+    def room(share: float) -> float:
+        amounts = below + share * (best - below)
+        least = float(search.room(amounts).min())
+        if least >= 0:
+            met[share] = amounts
+        return least - _ROOM
+
+    if room(0.0) < 0 < room(1.0):
+        brentq(room, 0.0, 1.0, xtol=_FINE)
+    return met[min(met)]
+
+
+def _nearer(search: Search, best: Floats, least: Floats, scale: Floats) -> Floats:
+    """On the line from the least amounts to the best, where the limits are just met: for outcomes that jump."""
+    if (search.room(least) >= 0).all():
+        return least
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        if (high - low) * effort(best - least, scale) < _CLOSE:
+            break
+        middle = 0.5 * (low + high)
+        if (search.room(least + middle * (best - least)) >= 0).all():
+            high = middle
+        else:
+            low = middle
+    return least + high * (best - least)
+
+
+def effort(amounts: Floats, scale: Floats) -> float:
+    """How large amounts are: the root of the sum of squares of their shares of the range."""
+    return float(np.linalg.norm(amounts / scale))

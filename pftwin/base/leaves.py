@@ -1,0 +1,34 @@
+"""Leaves of a scene: made from the host's numbers without a program for each of their shapes; their changes."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.dtypes import canonicalize_dtype
+from numpy.typing import ArrayLike
+
+from pftwin.base.spatial import Scalar, Vec3
+
+Tree = TypeVar("Tree")
+
+
+def number(value: ArrayLike) -> Scalar:
+    """A number, or an array of them, in JAX's default float type."""
+    return jax.device_put(np.array(value, canonicalize_dtype(float)))  # a copy: JAX may look at the very memory
+
+
+def vector(values: ArrayLike) -> Vec3:
+    """Vectors along the last axis (..., 3), likewise."""
+    return Vec3(*(number(np.asarray(values)[..., k]) for k in range(3)))
+
+
+def all_changes(values: Tree, changes: Any) -> Tree:
+    """Changes of values as a rule for derivatives gets them, with zeros where it is told None: nothing changes."""
+
+    def known(x: Any, change: Any) -> Any:
+        return None if x is None else jnp.zeros_like(x) if change is None else change
+
+    return jax.tree.map(known, values, changes, is_leaf=lambda x: x is None)

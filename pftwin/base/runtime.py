@@ -1,0 +1,219 @@
+"""Settings of the process that make the difference in speed and precision.
+
+The first use of a public name that computes (`pftwin.rig`, `pftwin.simulate`, ...) sets double precision and the fast
+CPU compilation, unless JAX has already started: then a warning says what is missing. `pftwin.configure()` is for other
+choices, and wins when it is called first. Importing pftwin changes nothing.
+
+A user's own settings stay: JAX_ENABLE_X64 in the environment, and what XLA_FLAGS says of one of the switches.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import warnings
+from importlib.metadata import version
+from pathlib import Path
+
+from pftwin.base.errors import InputError, PftwinError, PftwinWarning
+
+# Three switches of XLA's CPU compiler. A time step is a thousand scalar operations with two dozen results. By default
+# XLA compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one
+# through its scheduler. The first switch lets one kernel have many results (batches run 3 times faster), the second
+# compiles a loop into one function however much it holds (a single run is 12 times faster, a batch of 64 twice); both
+# halve the compile time. Such a loop runs on one core, and must store what it puts out as rows (`dynamics.packing`).
+# The third uses the whole width of AVX-512 registers where there are any (batches run 15 to 18 % faster). Answers do
+# not change beyond rounding.
+FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=100000000")
+VECTOR_WIDTH = "--xla_cpu_prefer_vector_width=512"
+_OPTION = "--xla_backend_extra_options="
+
+
+def fast_cpu_flags(existing: str = "") -> str:
+    """XLA_FLAGS with the fast CPU switches added to whatever was there; a value that was given stays."""
+    words = existing.split()
+    others = [w for w in words if not w.startswith(_OPTION)]
+    if not any(w.split("=")[0] == VECTOR_WIDTH.split("=")[0] for w in others):
+        others.append(VECTOR_WIDTH)
+    options = _options(existing)
+    chosen = {o.split("=")[0] for o in options}
+    options += [o for o in FAST_CPU if o.split("=")[0] not in chosen]
+    return " ".join([*others, _OPTION + ",".join(options)])
+
+
+def _options(flags: str) -> list[str]:
+    """XLA's extra options in XLA_FLAGS."""
+    given = [w.removeprefix(_OPTION) for w in flags.split() if w.startswith(_OPTION)]
+    return [o for w in given for o in w.split(",") if o]
+
+
+TESTED = ((0, 6), (0, 11))  # jaxlib's versions known to have the switches, from and below; as in pyproject.toml
+_SLOW = "a run takes 26 times longer (112 ms in place of 4.3) and compiling three times longer"
+_FIRST = "call pftwin.configure() before any other use of JAX"
+
+
+class _Process:
+    """What was set in this process."""
+
+    settled = False  # by `configure` or by `use_defaults`
+    flags_before: str | None = None  # XLA_FLAGS as they were before `use_defaults` changed them
+    float64_by_default = False  # set by `use_defaults`
+
+
+def use_defaults() -> None:
+    """What `configure()` sets, for programs that do not call it; once, and nothing after `configure`.
+
+    Warns:
+        PftwinWarning: JAX has already started, or the user's own settings make it slow or imprecise.
+    """
+    if _Process.settled:
+        return
+    _Process.settled = True
+    given = os.environ.get("XLA_FLAGS", "")
+    flags, found = fast_cpu_flags(given), []
+    import jax
+
+    if _jax_has_started():
+        if set(flags.split()) != set(given.split()):
+            found.append(f"JAX started without the fast CPU compilation: {_SLOW}; try: {_FIRST}")
+        if not _double():
+            found.append(f"JAX started in single precision, and pftwin computes in float32; try: {_FIRST}")
+    else:
+        if untested := _untested():
+            found.append(f"{untested}: {_SLOW}")
+        else:
+            _Process.flags_before, os.environ["XLA_FLAGS"] = given, flags
+        if "JAX_ENABLE_X64" not in os.environ:
+            jax.config.update("jax_enable_x64", True)
+            _Process.float64_by_default = True
+        elif not _double():
+            found.append("JAX_ENABLE_X64 is off, and pftwin computes in float32; try: unset it")
+    if chosen := [o.split("=")[0] for o in FAST_CPU if o not in _options(flags)]:
+        found.append(f"XLA_FLAGS has its own value of {', '.join(chosen)}, which stays; without it pftwin is faster")
+    for text in found:
+        warnings.warn(text, PftwinWarning, stacklevel=3)
+
+
+def _double() -> bool:
+    import jax
+
+    return jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _untested() -> str | None:
+    """Why the switches are not set: XLA ends a process that gives it one that it does not know."""
+    installed = version("jaxlib")
+    if TESTED[0] <= tuple(int(n) for n in installed.split(".")[:2]) < TESTED[1]:
+        return None
+    return f"jaxlib {installed} is not one of those tested, so the fast CPU compilation is left off"
+
+
+def configure(
+    *,
+    float64: bool = True,
+    fast_cpu: bool = True,
+    cache_dir: str | os.PathLike[str] | None = None,
+    cpu_devices: int | str | None = None,
+) -> None:
+    """Sets up the process: double precision, fast CPU compilation, a folder in which things persist, CPU devices.
+
+    Call it before the first JAX computation. Programs that do not call it have the defaults, and no folder.
+
+    Args:
+        float64: compute in double precision; False: as JAX is set, which is in single precision by default.
+        fast_cpu: switch on the fast CPU compilation.
+        cache_dir: folder in which compiled programs, and what was derived from files (fitted patches, filtered
+            recordings), are kept for later processes. Programs found in it are run: a folder that another user owns or
+            can write to is not used, and a warning says so. By default nothing is kept.
+        cpu_devices: as how many devices JAX counts the CPU: batches are laid over all of them. "all": one for each
+            core that this process may use. By default JAX's own choice stays, which is one.
+
+    Raises:
+        PftwinError: JAX has already started, and `fast_cpu` or `cpu_devices` could have no effect any more.
+        InputError: a number of devices that is none.
+    """
+    import jax
+
+    _set_flags(fast_cpu)
+    if cpu_devices is not None:
+        _count_cpu_devices(cpu_devices)
+    gc.freeze()  # the hundred thousand objects of these imports stay: never searched for garbage, nor when all ends
+    if float64:
+        jax.config.update("jax_enable_x64", True)
+    elif _Process.float64_by_default:
+        jax.config.update("jax_enable_x64", False)
+    _Process.settled = True
+    if cache_dir is not None:
+        from pftwin.base import cache_folder
+
+        if cache_folder.use(cache_dir):
+            Path(cache_dir).mkdir(mode=0o700, parents=True, exist_ok=True)  # JAX would make it by the user's mask
+            compiled = cache_folder.compiled_folder(Path(cache_dir).absolute())
+            compiled.mkdir(mode=0o700, exist_ok=True)
+            jax.config.update("jax_compilation_cache_dir", str(compiled))
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+            jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def _count_cpu_devices(wanted: int | str) -> None:
+    """Tells JAX, which asks once, as it starts."""
+    import jax
+
+    count = cores() if wanted == "all" else wanted
+    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+        raise InputError(f"found {wanted!r}", where="cpu_devices", expected='"all", or a whole number, at least 1')
+    if not _jax_has_started():
+        jax.config.update("jax_num_cpu_devices", count)
+        return
+    there = len(jax.local_devices(backend="cpu"))
+    if there != count:
+        raise PftwinError(
+            f"JAX has already started with {there} CPU device(s), so there cannot be {count} any more; try: call "
+            f"pftwin.configure(cpu_devices={count}) before any other use of JAX"
+        )
+
+
+def _set_flags(fast_cpu: bool) -> None:
+    given = os.environ.get("XLA_FLAGS", "")
+    wanted = fast_cpu_flags(given) if fast_cpu else given if _Process.flags_before is None else _Process.flags_before
+    if set(wanted.split()) == set(given.split()):  # in whatever order
+        return
+    if _jax_has_started():
+        raise PftwinError(
+            f"JAX has already computed something, so the fast CPU compilation cannot be switched "
+            f"{'on' if fast_cpu else 'off'} any more; try: {_FIRST}, or pass fast_cpu={not fast_cpu}"
+        )
+    if fast_cpu and (untested := _untested()):
+        warnings.warn(f"{untested}: {_SLOW}", PftwinWarning, stacklevel=3)
+        return
+    os.environ["XLA_FLAGS"] = wanted
+
+
+def _jax_has_started() -> bool:
+    """Whether JAX has its devices. It refuses another number of them from then on; asking does not start it."""
+    if "jax" not in sys.modules:
+        return False
+    import jax
+
+    own = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        jax.config.update("jax_num_cpu_devices", 2 if own == 1 else 1)
+    except RuntimeError:
+        return True
+    jax.config.update("jax_num_cpu_devices", own)
+    return False
+
+
+def default_cache_dir() -> str:
+    """Where the command line keeps compiled programs: $PFTWIN_CACHE, else the user's cache folder."""
+    base = os.environ.get("PFTWIN_CACHE")
+    if base:
+        return base
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return os.path.join(home, "pftwin", "compiled")

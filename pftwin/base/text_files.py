@@ -1,0 +1,140 @@
+"""Text files at the edge: read whole and checked, cells turned to numbers, written in one piece or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.base.file_limits import MIB, RECORDING_BYTES
+from pftwin.base.output import written_whole
+
+_MISSING = {"", "nan", "-nan", "na", "n/a", "null", "-nan(ind)", "nan(ind)", "-1.#ind", "1.#qnan"}
+_TEXT_CONTROLS = {0x09, 0x0A, 0x0B, 0x0C, 0x0D, 0x1A}
+
+
+def read_bytes(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES) -> bytes:
+    """A file's content.
+
+    Raises:
+        InputError: missing, a folder, no file of its own (a pipe, a device), unreadable, empty, or larger than
+            `max_bytes`.
+    """
+    file = Path(path)
+    try:
+        found = file.stat()
+        if stat.S_ISDIR(found.st_mode):
+            raise InputError("is a folder", where=file, expected="a file")
+        if not stat.S_ISREG(found.st_mode):  # it may have no end
+            raise InputError("is a device or a pipe", where=file, expected="a file")
+        if found.st_size > max_bytes:
+            raise InputError(
+                f"{found.st_size / MIB:.1f} MiB is too large",
+                where=file,
+                expected=f"at most {max_bytes / MIB:.0f} MiB",
+                remedy="check that it is the file that you mean; cut a long recording",
+            )
+        content = file.read_bytes()
+    except FileNotFoundError as err:
+        raise InputError("no such file", where=file, remedy="check the path and the working directory") from err
+    except OSError as err:
+        raise InputError(f"cannot be read: {err.strerror or err}", where=file) from err
+    except ValueError as err:  # a name with a zero byte
+        raise InputError(f"no name of a file: {err}", where=repr(str(file))) from err
+    if not content.strip():
+        raise InputError("the file is empty", where=file, expected="data")
+    return content
+
+
+def read_lines(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES) -> tuple[list[str], bool]:
+    """Lines of a text file without their ends (any convention), and whether the last one ends with a line end.
+
+    Raises:
+        InputError: as `read_bytes`, or the content is not text.
+    """
+    content = read_bytes(path, max_bytes=max_bytes)
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encodings = ("utf-16",)
+    else:
+        controls = sum(content.count(bytes([c])) for c in range(32) if c not in _TEXT_CONTROLS)
+        if controls:
+            raise InputError("the content is binary, not text", where=path, expected="a text file of this format")
+        encodings = ("utf-8-sig", "cp1252")
+    for encoding in encodings:
+        try:
+            text = content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+        ended = text.endswith(("\n", "\x1a"))
+        return text.rstrip("\x1a").split("\n"), ended
+    raise InputError("the content is not readable text", where=path, expected="UTF-8 text")
+
+
+def number(cell: str) -> float:
+    """The number in a cell, NaN where it is empty or says so; ValueError for anything else, infinity included."""
+    text = cell.strip()
+    if text.lower() in _MISSING:
+        return float("nan")
+    value = float(text)
+    if "_" in text or not np.isfinite(value):  # float() takes "1_000" and "inf", a measurement does not
+        raise ValueError(text)
+    return value
+
+
+def numbers(
+    cells: Sequence[str], name_of: Callable[[int], str], *, path: object, line: int, allow_missing: bool = True
+) -> list[float]:
+    """The numbers of one line; `name_of(i)` is the name of column i.
+
+    Raises:
+        InputError: a cell that is not a number (naming file, line and column).
+    """
+    out = []
+    for i, cell in enumerate(cells):
+        try:
+            value = number(cell)
+        except ValueError:
+            comma = cell.count(",") == 1 and "." not in cell
+            raise InputError(
+                f"column {name_of(i)!r} holds {cell.strip()[:40]!r}, not a number",
+                where=f"{path}, line {line}",
+                expected="a finite number, or an empty cell where the value is missing",
+                remedy="decimal points instead of decimal commas" if comma else None,
+            ) from None
+        if not allow_missing and value != value:
+            raise InputError(f"column {name_of(i)!r} is empty", where=f"{path}, line {line}", expected="a number")
+        out.append(value)
+    return out
+
+
+def check_row_length(found: int, wanted: int, *, path: object, line: int, broken_off: bool) -> None:
+    """Refuse a row that has too few or too many cells; `broken_off`: it is the last line and has no line end.
+
+    Raises:
+        InputError: naming file and line; a file that breaks off within a row is called truncated.
+    """
+    if found == wanted:
+        return
+    if found < wanted and broken_off:
+        raise InputError(
+            f"the file breaks off after {found} of {wanted} columns: it is truncated",
+            where=f"{path}, line {line}",
+            expected="a complete last line",
+            remedy="copy or export the file again",
+        )
+    raise InputError(f"{found} cells", where=f"{path}, line {line}", expected=f"{wanted} cells as in the header")
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Writes a text file, whole or not at all.
+
+    Raises:
+        OutputError: the place cannot be written to.
+    """
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")

@@ -1,0 +1,140 @@
+"""A batch as an xarray Dataset: what came out of each member, with units, and how far to trust it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.dynamics.batch.member import FLAGS
+from pftwin.dynamics.batch.retry import WAYS, Found
+from pftwin.dynamics.batch.variants import Group
+from pftwin.dynamics.status import Status
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+SUMMARY = {  # unit, meaning
+    "mean_tilt": ("deg", "mean patellar tilt, lateral positive"),
+    "largest_tilt": ("deg", "largest patellar tilt, lateral positive"),
+    "mean_shift": ("m", "mean lateral place of the tracked point in the femur frame"),
+    "largest_shift": ("m", "most lateral place of the tracked point in the femur frame"),
+    "last_proximal": ("m", "tracked point at the last frame, femur frame: proximal"),
+    "last_lateral": ("m", "tracked point at the last frame, femur frame: lateral"),
+    "last_anterior": ("m", "tracked point at the last frame, femur frame: anterior"),
+    "largest_contact_force": ("N", "largest contact force of the button"),
+    "mean_contact_force": ("N", "mean contact force of the button"),
+}
+COURSES = {
+    "sphere_center": ("axis", "m", "tracked point in the femur frame"),
+    "patella_position": ("axis", "m", "patella's origin in the femur frame"),
+    "patella_quaternion": ("component", "1", "orientation of the patella in the femur frame, unit quaternion"),
+    "frame_status": (None, "1", "how far the frame can be trusted; 0: no reservation"),
+}
+OWN_NAMES = {*SUMMARY, *COURSES, "status", "status_frames", "recomputed", "failed", "equilibrium_residual"}
+COORDINATES = ("variant", "scene", "flag", "values", "number", "time", "axis", "component")
+_VOID = (Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM)
+Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
+
+
+def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict[str, Any]) -> Dataset:
+    """The dataset of all members, or of some, in the order in which they were given."""
+    from xarray import Dataset
+
+    from pftwin import __version__
+
+    order = np.argsort(np.concatenate([g.places for g in groups]))
+    names = np.array([name for g in groups for name in g.names])[order]
+
+    def gathered(*path: str) -> NDArray[Any]:
+        return np.concatenate([_at(part, path) for part in parts])[order]
+
+    frames = gathered("status_frames")
+    status = ((frames > 0) @ np.array([int(f) for f in FLAGS])).astype(np.int32)
+    failed = ~gathered("sensible") | (status & sum(int(f) for f in _VOID) > 0)
+    variables: Variables = {}
+    for name in [n for n in SUMMARY if all(n in part["summary"] for part in parts)]:
+        unit, words = SUMMARY[name]
+        shown = gathered("summary", name)
+        shown = np.degrees(shown) if unit == "deg" else shown
+        variables[name] = (("variant",), np.where(failed, np.nan, shown), _about(unit, words))
+    for name in parts[0]["own"]:
+        own = gathered("own", name)
+        dimensions = ("variant", *(f"{name}_{i}" for i in range(own.ndim - 1)))
+        variables[name] = (dimensions, own, {"long_name": name.replace("_", " ")})
+    variables |= _trust(gathered, frames, status, failed)
+    for name in parts[0]["courses"]:
+        last, unit, words = COURSES[name]
+        variables[name] = (
+            ("variant", "time", *([last] if last else [])),
+            gathered("courses", name),
+            _about(unit, words),
+        )
+    attributes = {"source": f"pftwin {__version__}", "jax_version": jax.__version__, **settings}
+    found = Dataset(variables, _coordinates(groups, parts, order, names, values), attributes)
+    return found.assign_attrs(summed_up(found))
+
+
+def summed_up(found: Dataset) -> dict[str, Any]:
+    """The attributes that count members."""
+    names = list(dict.fromkeys(found["scene"].values.tolist()))
+    some = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    again = found["recomputed"].values
+    return {
+        "title": f"batch of {len(again)}: {some}",
+        "recomputed_members": int((again > 0).sum()),
+        "recomputed_in_vain": int((again == WAYS.index("in_vain")).sum()),
+    }
+
+
+def _trust(gathered: Any, frames: NDArray[Any], status: NDArray[Any], failed: NDArray[Any]) -> Variables:
+    masks = {
+        "flag_masks": np.array([int(f) for f in FLAGS], dtype=np.int32),
+        "flag_meanings": " ".join(str(f.name).lower() for f in FLAGS),
+        "flag_descriptions": [f.describe() for f in FLAGS],
+    }
+    ways = {"flag_values": np.arange(len(WAYS), dtype=np.int8), "flag_meanings": " ".join(WAYS)}
+    said = "no equilibrium to start from, not finite, or a parameter that makes no sense"
+    return {
+        "status": (("variant",), status, {**_about("1", "what is said of any frame; 0: no reservation"), **masks}),
+        "status_frames": (("variant", "flag"), frames, _about("1", "recorded frames with each status")),
+        "recomputed": (("variant",), gathered("recomputed"), {**_about("1", "whether and how done again"), **ways}),
+        "failed": (("variant",), failed, _about("1", said)),
+        "equilibrium_residual": (
+            ("variant",),
+            gathered("equilibrium_residual"),
+            _about("N", "force left over in the equilibrium that the motion starts from"),
+        ),
+    }
+
+
+def _coordinates(
+    groups: list[Group], parts: list[Found], order: NDArray[np.int64], names: NDArray[np.str_], values: Any
+) -> Variables:
+    variants = np.concatenate([g.places for g in groups])[order]
+    out: Variables = {
+        "variant": (("variant",), variants, _about("1", "member of the batch")),
+        "scene": (("variant",), names, {"long_name": "scene"}),
+        "flag": (("flag",), [str(f.name).lower() for f in FLAGS], {"long_name": "status flag"}),
+    }
+    if values is not None:
+        given = np.asarray(values, float)[variants]
+        out["values"] = (("variant", "number"), given, {"long_name": "what the change was given"})
+    if parts[0]["courses"]:
+        axis = {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}
+        out["time"] = (("time",), groups[0].scene.motion.times, _about("s", "time"))
+        out["axis"] = (("axis",), ["x", "y", "z"], axis)
+        out["component"] = (("component",), list("wxyz"), _about("1", "quaternion component"))
+    return out
+
+
+def _at(part: Found, path: tuple[str, ...]) -> NDArray[Any]:
+    for name in path:
+        part = part[name]
+    return part  # pyright: ignore[reportReturnType]
+
+
+def _about(unit: str, long_name: str) -> dict[str, str]:
+    return {"units": unit, "long_name": long_name}

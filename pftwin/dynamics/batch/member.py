@@ -1,0 +1,129 @@
+"""What is computed of one member: its equilibrium, its motion, and what is kept of it. Pure; mapped over members."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.errors import InputError
+from pftwin.base.quantities import bounded_leaves
+from pftwin.base.rotations import patellar_angles
+from pftwin.base.spatial import Pose, Scalar, Vec3
+from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.observe import Frame, Observation, observe, observe_on_the_way
+from pftwin.dynamics.relaxation import THROWN, relax
+from pftwin.dynamics.status import Status
+from pftwin.model.scene import Scene
+
+FLAGS = tuple(flag for flag in Status if flag)
+Outcome = Callable[[Scene, Observation], dict[str, Array]]
+
+
+class Task(NamedTuple):
+    """What all members share. Functions, names and switches decide the program; arrays do not."""
+
+    scene: Scene
+    change: Callable[[Scene, Any], Scene]
+    substeps: Array
+    integrator: Integrator
+    energy: bool
+    courses: bool
+    outcome: Outcome | None
+
+
+def settled(task: Task, row: Any) -> Solution:
+    """The equilibrium nearest to the member's own start pose."""
+    return starting_equilibrium(task.change(task.scene, row))
+
+
+def settled_after_relaxing(task: Task, row: Any) -> Solution:
+    """As `pftwin.simulate` does it where the search fails: from where damped motion comes to rest, if that is near."""
+    scene = task.change(task.scene, row)
+    rested = relax(scene.system(), first_guide(scene), scene.center_of_mass_pose())
+    pose = Pose(rested.apply(-scene.patella.center_of_mass), rested.orientation)
+    near = (pose.position - scene.start.position).norm() < THROWN
+    return starting_equilibrium(scene, jax.tree.map(lambda a, b: jnp.where(near, a, b), pose, scene.start))
+
+
+def moved(task: Task, row: Any, start: Solution) -> dict[str, Any]:
+    """The member's motion from an equilibrium, as `batch_dataset` names it."""
+    scene = task.change(task.scene, row)
+    options: Any = {"integrator": task.integrator, "start": start, "ledger": task.energy}
+    options["substeps"] = task.substeps  # a traced number: smaller steps are the same program
+    own: Any = {}
+    if task.outcome is None:
+        seen, status, _ = observe_on_the_way(scene, lambda frame: _Kept.of(scene, frame), **options)
+    else:  # which may look at anything
+        whole = observe(scene, frame_states(scene, **options))
+        seen, status, own = _Kept.of(scene, whole), whole.status, task.outcome(scene, whole)
+        if not isinstance(own, dict):
+            kind = type(own).__name__
+            raise InputError(f"gives {kind}", where="outcome", expected="a dictionary of numbers or arrays")
+    return {
+        "sensible": sensible(scene),
+        "status_frames": jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS]),
+        "equilibrium_residual": start.residual,
+        "summary": seen.summary(),
+        "own": own,
+        "courses": seen.courses(status) if task.courses else {},
+    }
+
+
+class _Kept(NamedTuple):
+    """What is kept of a frame, or of all (leading axis n)."""
+
+    patella: Pose
+    center: Vec3
+    force: Scalar | None  # of contact, where there is any [N]
+
+    @staticmethod
+    def of(scene: Scene, seen: Frame | Observation) -> _Kept:
+        """Of what is seen."""
+        contact = scene.contact
+        return _Kept(seen.patella, seen.center, None if contact is None else seen.effects[contact.name]["force"])
+
+    def summary(self) -> dict[str, Scalar]:
+        """Of the whole motion."""
+        angles = patellar_angles(self.patella.orientation)
+        found = {
+            "mean_tilt": jnp.mean(angles.tilt),
+            "largest_tilt": jnp.max(angles.tilt),
+            "mean_shift": jnp.mean(self.center.y),
+            "largest_shift": jnp.max(self.center.y),
+            "last_proximal": self.center.x[-1],
+            "last_lateral": self.center.y[-1],
+            "last_anterior": self.center.z[-1],
+        }
+        if self.force is not None:
+            found |= {"largest_contact_force": jnp.max(self.force), "mean_contact_force": jnp.mean(self.force)}
+        return found
+
+    def courses(self, status: Array) -> dict[str, Array]:
+        """Frame by frame."""
+        q = self.patella.orientation
+        return {
+            "sphere_center": _rows(self.center),
+            "patella_position": _rows(self.patella.position),
+            "patella_quaternion": jnp.stack([q.w, q.x, q.y, q.z], axis=-1),
+            "frame_status": status,
+        }
+
+
+def _rows(v: Vec3) -> Array:
+    return jnp.stack([v.x, v.y, v.z], axis=-1)
+
+
+def sensible(scene: Scene) -> Array:
+    """What `pftwin.model.scene.check` asks for, of a scene that is traced."""
+    leaves, structure = jax.tree.flatten(scene)
+    good = [jnp.all(jnp.isfinite(a)) for a in leaves if eqx.is_inexact_array(a)]
+    for quantity, which in bounded_leaves(structure):
+        good += [jnp.all(quantity.holds(jnp.asarray(leaves[i]))) for i in which]
+    return jnp.stack(good).all()

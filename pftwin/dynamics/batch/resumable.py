@@ -1,0 +1,173 @@
+"""A batch computed in units, each written as soon as it is done, by one process or several.
+
+Units follow from the batch alone, so that any number of processes, one after the other or at once, fill one folder.
+Processes agree at the beginning on what is missing, share it out, and meet again when each has done its own. What one
+left undone that was lost meanwhile is shared out among the others.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError, OutputError, PftwinError, PftwinWarning
+from pftwin.dynamics.batch.batch_dataset import dataset
+from pftwin.dynamics.batch.batch_key import features, key_of
+from pftwin.dynamics.batch.part_files import SHOWN, Index, begin, check_seen, part_file, read_part, write_part
+from pftwin.dynamics.batch.parts import joined
+from pftwin.dynamics.batch.plan import Plan, some_of
+from pftwin.dynamics.batch.processes import Processes
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+Share = tuple[int, int]  # which of how many
+Tell = Callable[[int, int], None]
+
+
+class InParts:
+    """One call's work on a batch's folder.
+
+    Args:
+        plan: the batch.
+        folder: of its parts.
+        unit: members of a unit.
+        share: which of how many shares is computed; None: what is missing, over all processes.
+        tell: called with the members done and of all that this process has to do.
+    """
+
+    def __init__(self, plan: Plan, folder: Path, unit: int, share: Share | None, tell: Tell | None) -> None:
+        self.plan, self.folder, self.share, self.tell = plan, folder, share, tell
+        self.units = _units(plan, unit)
+        found = features(plan, unit)
+        self.index = Index(key_of(found), found, [len(which) for _, which in self.units])
+        self.processes = Processes()
+        self.done: dict[int, Dataset] = {}
+        self.own, self.counted = 0, 0  # members to compute, and computed
+
+    def all(self) -> Dataset:
+        """Computes what is missing, and reads what others have done.
+
+        Raises:
+            InputError: processes that have different batches; the folder of another batch.
+            OutputError: a part that cannot be written.
+            PftwinError: what another process failed in.
+        """
+        self._agree()
+        asked = [u for u in range(len(self.units)) if self.share is None or u % self.share[1] == self.share[0]]
+        missing = self._missing(asked)
+        if missing and self.processes.count > 1:
+            self._together(lambda: check_seen(self.folder, self.index, SHOWN))
+        while missing:
+            shares = {p: missing[i :: len(self.processes.alive)] for i, p in enumerate(self.processes.alive)}
+            self._together(lambda own=shares[self.processes.index]: self._compute(own))
+            lost = [p for p in shares if p not in self.processes.alive]
+            missing = self._missing([u for p in lost for u in shares[p]]) if lost else []
+            if lost:
+                names = " and ".join(map(str, lost))
+                text = f"process {names} was lost; the others compute the {len(missing)} parts it left undone"
+                warnings.warn(text, PftwinWarning, stacklevel=2)
+        for unit in asked:
+            if unit not in self.done:
+                self.done[unit] = self._read(unit, SHOWN)
+        return joined([self.done[u] for u in asked])
+
+    def _agree(self) -> None:
+        """Nobody computes a part of something else."""
+        said = self.processes.gathered(json.dumps(self.index.features))
+        first = json.loads(said[min(said)])
+        for process, text in said.items():
+            other = json.loads(text)
+            if unlike := [name for name in first if other.get(name) != first[name]]:
+                raise InputError(
+                    f"process {process} has another batch than process {min(said)}, with other {' and '.join(unlike)}",
+                    where="simulate_batch",
+                    expected="the same call in all processes",
+                    remedy="random numbers from a fixed seed, the same files and the same versions everywhere",
+                )
+
+    def _missing(self, asked: Sequence[int]) -> list[int]:
+        """Units without a sound part, as the first process sees the folder: all have to go by the same list."""
+
+        def look() -> list[int]:
+            begin(self.folder, self.index)
+            return [u for u in asked if not self._sound(u)]
+
+        first = min(self.processes.alive) == self.processes.index
+        return self._together(look if first else list)[min(self.processes.alive)]
+
+    def _sound(self, unit: int) -> bool:
+        path = part_file(self.folder, unit)
+        if not path.exists():
+            return False
+        try:
+            self.done[unit] = self._read(unit)
+        except InputError as error:
+            warnings.warn(f"{error}; it is computed anew now", PftwinWarning, stacklevel=2)
+            return False
+        return True
+
+    def _read(self, unit: int, wait: float = 0.0) -> Dataset:
+        return read_part(self.folder, unit, self.index, wait, next(iter(self.done.values()), None))
+
+    def _together(self, work: Callable[[], Any]) -> dict[int, Any]:
+        """Everybody's answer, by process. What one fails in ends all, each with words: nobody waits in vain.
+
+        Raises:
+            Exception: what this process failed in.
+            PftwinError: what another failed in; an InputError or OutputError if it was one.
+        """
+        failure, said = None, {}
+        try:
+            said = {"answer": work()}
+        except Exception as error:
+            failure, said = error, {"failed": str(error) or repr(error), "kind": type(error).__name__}
+        answers = {p: json.loads(text) for p, text in self.processes.gathered(json.dumps(said)).items()}
+        if failure is not None:
+            raise failure
+        for process, answer in answers.items():
+            if "failed" in answer:
+                text = f"process {process}: {answer['failed']}"
+                raise {"InputError": InputError, "OutputError": OutputError}.get(answer["kind"], PftwinError)(text)
+        return {p: answer["answer"] for p, answer in answers.items()}
+
+    def _compute(self, units: list[int]) -> None:
+        """Units of one structure together, as many as keep all devices busy."""
+        self.own += sum(self.index.units[u] for u in units)
+        for k in range(len(self.plan.groups)):
+            waiting = [u for u in units if self.units[u][0] == k]
+            while waiting:
+                some = waiting[: self._at_once(waiting[0])]
+                waiting = waiting[len(some) :]
+                self._written(k, some)
+
+    def _at_once(self, unit: int) -> int:
+        return max(1, self.plan.spread.most * self.plan.threads // self.index.units[unit])
+
+    def _written(self, k: int, units: list[int]) -> None:
+        plan, tell = self.plan, self.tell
+        each = [some_of(plan.groups[k], self.units[u][1]) for u in units]
+        rows = jax.tree.map(lambda *a: np.concatenate(a), *[g.rows for g in each])
+        told = None if tell is None else (lambda done, _: tell(self.counted + done, self.own))
+        found = plan.found(k, rows, told)
+        last = 0
+        for unit, group in zip(units, each, strict=True):
+            first, last = last, last + len(group.places)
+            part = jax.tree.map(lambda a, i=first, j=last: a[i:j], found)
+            members = dataset([group], [part], plan.values, plan.settings)
+            write_part(self.folder, unit, self.index.key, members)
+            self.done[unit] = members
+        self.counted += last
+
+
+def _units(plan: Plan, size: int) -> list[tuple[int, NDArray[np.int64]]]:
+    """Group and members of each unit, by their numbers within the group."""
+    numbers = [np.arange(len(g.places)) for g in plan.groups]
+    return [(k, n[i : i + size]) for k, n in enumerate(numbers) for i in range(0, len(n), size)]

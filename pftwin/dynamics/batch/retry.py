@@ -1,0 +1,110 @@
+"""Members that ended badly are recomputed with more care, and marked; their mates stay as they are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.dynamics.batch.member import FLAGS, Task, moved, settled, settled_after_relaxing
+from pftwin.dynamics.batch.sharding import Chunk, Spread
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit, Newmark
+from pftwin.dynamics.status import Status
+
+# What says that the run itself is not to be trusted; that a patella leaves its patch or its groove is physics.
+BAD = (Status.STEP_TOO_LONG, Status.NOT_FINITE, Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM)
+WAYS = ("no", "relaxed_start", "smaller_step", "other_integrator", "in_vain")  # `recomputed` counts along these
+SMALLER = 4  # times as many steps
+_OTHERS: tuple[Integrator, ...] = (Newmark(), LinearImplicit())
+Found = dict[str, Any]
+
+
+def all_members(
+    spread: Spread, task: Task, rows: Any, relaxed: bool = False, threads: int = 1, progress: Any = None
+) -> Found:
+    """Equilibria and motions of all rows (n, ...), on the host.
+
+    Args:
+        spread: the devices.
+        task: what members share.
+        rows: tree of (n, ...).
+        relaxed: whether damped motion comes before the search for equilibrium.
+        threads, progress: as `Spread.over` has them.
+    """
+    shared = spread.shared(task)
+
+    def work(chunk: Chunk) -> Found:
+        own = spread.placed(rows, chunk)
+        start = spread.run(settled_after_relaxing if relaxed else settled, shared, chunk, (own,))
+        return spread.taken(spread.run(moved, shared, chunk, (own, start)), chunk)
+
+    return spread.over(work, len(jax.tree.leaves(rows)[0]), threads, progress)
+
+
+def with_care(spread: Spread, task: Task, rows: Any, found: Found) -> NDArray[np.int8]:
+    """Recomputes, in `found`, the members that are bad: from another start, by smaller steps, by another integrator.
+
+    Returns:
+        What was done, (n,), counting along `WAYS`. Whoever stays bad keeps what came out first.
+    """
+    done = np.zeros(len(found["sensible"]), dtype=np.int8)
+    relaxed = np.zeros(done.size, dtype=bool)
+    lost = _flagged(found, (Status.START_NOT_IN_EQUILIBRIUM,)) & found["sensible"]
+    if lost.any():
+        better = all_members(spread, task, _some(rows, lost), relaxed=True)
+        relaxed = _taken_over(found, better, lost, ~_flagged(better, (Status.START_NOT_IN_EQUILIBRIUM,)))
+        done[lost] = WAYS.index("in_vain")
+        done[relaxed] = WAYS.index("relaxed_start")
+    careful = task._replace(substeps=jnp.asarray(np.asarray(task.substeps) * SMALLER))
+    ways = [(WAYS.index("smaller_step"), careful)]
+    if other := _other(task):
+        ways.append((WAYS.index("other_integrator"), careful._replace(integrator=other)))
+    for way, with_more in ways:
+        bad = _flagged(found, BAD) & found["sensible"] & (done != WAYS.index("in_vain"))
+        for group, from_relaxed in ((bad & ~relaxed, False), (bad & relaxed, True)):
+            if group.any():
+                better = all_members(spread, with_more, _some(rows, group), relaxed=from_relaxed)
+                done[_taken_over(found, better, group, ~_flagged(better, BAD))] = way
+    still = _flagged(found, BAD) & found["sensible"]
+    done[still] = WAYS.index("in_vain")
+    return done
+
+
+def _other(task: Task) -> Integrator | None:
+    """An integrator of another kind for the same motion; None where there is none."""
+    if not task.integrator.inertia:
+        return None
+    for other in _OTHERS:
+        if other.name != task.integrator.name:
+            try:
+                other.refuse_unfit(task.scene.effects)
+            except InputError:  # it has no answer for an effect of this scene
+                continue
+            return other
+    return None
+
+
+def _flagged(found: Found, flags: tuple[Status, ...]) -> NDArray[np.bool_]:
+    return (found["status_frames"][:, [FLAGS.index(f) for f in flags]] > 0).any(axis=1)
+
+
+def _some(rows: Any, which: NDArray[np.bool_]) -> Any:
+    return jax.tree.map(lambda a: np.asarray(a)[which], rows)
+
+
+def _taken_over(found: Found, better: Found, which: NDArray[np.bool_], good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Puts what is good among the recomputed into its places; which they are, (n,)."""
+    places = np.flatnonzero(which)[good]
+
+    def put(old: NDArray[Any], new: NDArray[Any]) -> None:
+        old[places] = new[good]
+
+    jax.tree.map(put, found, better)
+    taken = np.zeros(which.size, dtype=bool)
+    taken[places] = True
+    return taken

@@ -1,0 +1,188 @@
+"""What is to be known about a static equilibrium: how well it is met, which one it is, what touches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.program_cache import Program
+from pftwin.base.spatial import Pose, Quaternion
+from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
+from pftwin.dynamics.frame_states import first_guide
+from pftwin.dynamics.static_load import LEVER
+from pftwin.dynamics.status import RESERVATIONS, Status
+from pftwin.model.effects.base import Patella
+from pftwin.model.scene import Scene
+
+_NEUTRAL = 1e-6  # of the largest stiffness: below, a direction counts as neutral
+Seen = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumReport:
+    """A static equilibrium of the patella at the first frame.
+
+    Eigenvalues are those of the tangent stiffness over displacements and rotations times a lever of 20 mm, ascending
+    (real parts).
+    """
+
+    position: NDArray[np.float64]  # (3,) of the patella's origin in the femur [m]
+    quaternion: NDArray[np.float64]  # (4,) patella to femur, scalar first
+    residual: float  # norm of force and moment / lever [N]
+    tolerance: float  # [N]
+    iterations: int
+    relaxed: bool  # whether damped relaxation had to help
+    eigenvalues: NDArray[np.float64]  # (6,) [N/m]
+    facets: tuple[str, ...]  # of "medial", "lateral": those that carry load
+    moved: float  # of the centre of mass, from the scene's start pose [m]
+    turned: float  # likewise [rad]
+    effects: dict[str, dict[str, NDArray[np.float64]]]  # reports there; a run's: with its bodies moving
+
+    @staticmethod
+    def build(
+        scene: Scene, solution: Solution, relaxed: bool, *, there: tuple[Pose, Seen] | None = None
+    ) -> EquilibriumReport:
+        """The report on a solution.
+
+        It does not raise: a solution that did not converge says so in `converged` and `description`.
+
+        Args:
+            scene: whose equilibrium it is.
+            solution: of the search.
+            relaxed: whether damped relaxation had to help.
+            there: pose of the patella in the femur and observables; by default they are looked up.
+        """
+        pose, seen = on_host(_look(scene.unnamed(), solution.pose) if there is None else there)
+        # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
+        solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
+        turn = _row(guess.orientation)
+        start = _row(guess.position) + _turned(turn, _row(com))
+        cosine = abs(float(np.dot(_row(solution.pose.orientation), turn)))
+        return EquilibriumReport(
+            position=_row(pose.position),
+            quaternion=_row(pose.orientation),
+            residual=float(solution.residual),
+            tolerance=float(tolerance_on_host(solution)),
+            iterations=int(solution.iterations),
+            relaxed=bool(relaxed),
+            eigenvalues=_eigenvalues(np.asarray(solution.stiffness, dtype=np.float64)),
+            facets=_loaded_facets(seen),
+            moved=float(np.linalg.norm(_row(solution.pose.position) - start)),
+            turned=2 * float(np.arccos(min(1.0, cosine))),
+            effects={
+                name: {key: np.asarray(value, dtype=np.float64) for key, value in report.items()}
+                for name, report in seen.items()
+            },
+        )
+
+    @property
+    def converged(self) -> bool:
+        """Whether the residual is below the tolerance."""
+        return self.residual < self.tolerance
+
+    @property
+    def kind(self) -> str:
+        """Stable, neutral (no stiffness in some direction), saddle (it would leave in some direction), or unknown."""
+        least, most = self.eigenvalues[0], np.abs(self.eigenvalues).max()
+        if not np.isfinite(least):
+            return "unknown"
+        if abs(least) <= _NEUTRAL * most:
+            return "neutral"
+        return "stable" if least > 0 else "saddle"
+
+    @property
+    def status(self) -> Status:
+        """What its effects have against it: too deep, beyond the patch, a search without room."""
+        found = Status.OK
+        for report in self.effects.values():
+            for name, flag in RESERVATIONS.items():
+                if np.any(report.get(name, np.zeros(())) > 0):
+                    found |= flag
+        return found
+
+    @property
+    def description(self) -> str:
+        """Which equilibrium it is, in a sentence."""
+        if not self.converged:
+            why = f"; {self.status.describe()}" if self.status else ""
+            return f"no equilibrium: {self.residual:.3g} N are left after {self.iterations} iterations{why}"
+        place = {0: "free of contact", 1: f"on the {' '.join(self.facets)} facet alone"}
+        where = place.get(len(self.facets), "on the medial and the lateral facet at once")
+        helped = ", found by damped relaxation" if self.relaxed else ""
+        helped += f"; {self.status.describe()}" if self.status else ""
+        return (
+            f"{self.kind} equilibrium {where}, {1e3 * self.moved:.2f} mm and {np.degrees(self.turned):.2f} deg "
+            f"from the start pose{helped}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "position_m": self.position.tolist(),
+            "quaternion": self.quaternion.tolist(),
+            "residual_N": self.residual,
+            "converged": self.converged,
+            "status": self.status.describe(),
+            "iterations": self.iterations,
+            "relaxed": self.relaxed,
+            "kind": self.kind,
+            "eigenvalues_N_per_m": self.eigenvalues.tolist(),
+            "lever_m": LEVER,
+            "facets": list(self.facets),
+            "moved_m": self.moved,
+            "turned_rad": self.turned,
+            "description": self.description,
+            "effects": {n: {k: v.tolist() for k, v in r.items()} for n, r in self.effects.items()},
+        }
+
+
+@Program
+def _look(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
+    """Pose of the patella in the femur and observables, with the patella at rest at a pose of its centre of mass."""
+    system, guide = scene.system(), first_guide(scene)
+    now = guide.instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
+    memories = system.remember(now)
+    seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, memories, strict=True)}
+    turn = pose.orientation
+    origin = now.femur.to_local(pose.position - turn.rotate(scene.patella.center_of_mass))
+    if guide.femur is not None:
+        turn = Quaternion.from_rotation(guide.femur.rotation).conjugate() * turn
+    return Pose(origin, turn), seen
+
+
+def on_host(tree: Any) -> Any:
+    """The same with numpy arrays."""
+    if jax.default_backend() != "cpu":
+        return jax.device_get(tree)  # fetches side by side
+    return jax.tree.map(np.asarray, tree)  # looks at the very same memory, in a fifth of the time
+
+
+def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A vector (3,) turned by a unit quaternion (4,)."""
+    (w, x, y, z), (a, b, c) = q, v
+    t = np.array([y * c - z * b, z * a - x * c, x * b - y * a])  # q x v
+    return v + 2 * (w * t + np.array([y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]]))
+
+
+def _row(v: Any) -> NDArray[np.float64]:
+    """Components of a vector or quaternion on the host."""
+    parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
+    return np.array(parts, dtype=np.float64)
+
+
+def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
+    if not np.isfinite(stiffness).all():
+        return np.full(6, np.nan)
+    found = np.linalg.eigvals(stiffness).real  # complex only where forces have no potential
+    return np.sort(np.asarray(found, dtype=np.float64))
+
+
+def _loaded_facets(seen: Seen) -> tuple[str, ...]:
+    return tuple(
+        side for side in ("medial", "lateral") if any(np.any(r.get(f"force_{side}", 0.0) > 0) for r in seen.values())
+    )

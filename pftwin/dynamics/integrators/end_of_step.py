@@ -1,0 +1,164 @@
+"""The change of velocity over a step under forces that depend on it, and those forces' impulses.
+
+With M the mass matrix (and all that acts as one), R the impulse of the forces that stay as they are, and terms that
+push along wrench directions g_i with impulses that give way to the change of velocity,
+
+    M dv = R + sum_i g_i p_i,        p_i = P_i - w_i g_i . dv,        p_i >= 0 where the term is unilateral,
+
+the p_i are eliminated first: (I + W G^T M^-1 G) p = P - W G^T M^-1 R, as many rows as there are terms, by elimination
+without pivoting (all leading minors are at least 1, since W >= 0 and M is positive definite). Bilateral terms come
+first, so that only the small rest is solved again when a unilateral term that would pull is taken out.
+
+Derivatives pass through the solution, not the algorithm: differentiated at the solution, both equations are the same
+system with other right-hand sides, whose solution costs a fraction of differentiating the elimination.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.base.spatial import Scalar
+from pftwin.dynamics.solve import Lower, eliminate, factor, solve
+
+Row = Sequence[Scalar]  # six components: force in world axes, moment in patella axes
+
+
+class Push(NamedTuple):
+    """One scalar force's part in a step."""
+
+    direction: Row  # g
+    impulse: Scalar  # P: step times the force at unchanged velocity [N s]
+    weight: Scalar  # w: what the impulse loses per unit of g . dv, at least 0 [kg]
+    unilateral: bool
+
+
+class _Eliminated(NamedTuple):
+    """I + W G^T M^-1 G with the bilateral columns eliminated."""
+
+    swept: Sequence[Row]  # M^-1 g_i
+    low: Lower | None  # M's factor, None where it is diagonal
+    inverse: Row
+    rows: list[list[Scalar]]  # row i: multipliers left of its first free column, the eliminated matrix from there on
+    pivots: list[Scalar]  # inverse, of the bilateral rows
+    n_bilateral: int
+
+
+def _dot(a: Row, b: Row) -> Scalar:
+    total = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        total = total + x * y
+    return total
+
+
+def _by_mass(low: Lower | None, inverse: Row, b: Row) -> list[Scalar]:
+    """M^-1 b."""
+    if low is None:
+        return [x * d for x, d in zip(b, inverse, strict=True)]
+    return solve(low, inverse, b)
+
+
+def _eliminate(mass: Row | Lower, pushes: Sequence[Push]) -> _Eliminated:
+    if isinstance(mass[0], list):
+        low, inverse = factor(mass)  # type: ignore[arg-type]
+    else:
+        low, inverse = None, [1 / d for d in mass]  # type: ignore[operator]
+    swept = [_by_mass(low, inverse, p.direction) for p in pushes]
+    r, m = len(pushes), sum(not p.unilateral for p in pushes)
+    gram = {(i, j): _dot(pushes[i].direction, swept[j]) for i in range(r) for j in range(i, r)}
+    rows = [[p.weight * gram[min(i, j), max(i, j)] for j in range(r)] for i, p in enumerate(pushes)]
+    for i in range(r):
+        rows[i][i] = rows[i][i] + 1
+    pivots = []
+    for k in range(m):
+        pivots.append(1 / rows[k][k])
+        for i in range(k + 1, r):
+            rows[i][k] = rows[i][k] * pivots[k]
+            for j in range(k + 1, r):
+                rows[i][j] = rows[i][j] - rows[i][k] * rows[k][j]
+    return _Eliminated(swept, low, inverse, rows, pivots, m)
+
+
+def _free(e: _Eliminated, active: list[Scalar] | None, t: list[Scalar]) -> list[Scalar]:
+    """Impulses of the unilateral terms, those of inactive ones zero, by Gaussian elimination."""
+    n, m = len(t), e.n_bilateral
+    a = [[e.rows[m + i][m + j] for j in range(n)] for i in range(n)]
+    if active is not None:
+        a = [
+            [jnp.where(on, x, float(i == j)) for j, x in enumerate(row)]
+            for i, (on, row) in enumerate(zip(active, a, strict=True))
+        ]
+        t = [jnp.where(on, x, 0.0) for on, x in zip(active, t, strict=True)]
+    return eliminate(a, t)[0]
+
+
+def _impulses(
+    e: _Eliminated, pushes: Sequence[Push], rest: Row, given: Row, active: list[Scalar] | None
+) -> tuple[list[Scalar], list[Scalar], list[Scalar] | None]:
+    """dv and p for right-hand sides R = `rest`, P = `given`; which unilateral terms push is found if not told."""
+    m = e.n_bilateral
+    dv = _by_mass(e.low, e.inverse, rest)
+    t = [x - p.weight * _dot(p.direction, dv) for p, x in zip(pushes, given, strict=True)]
+    for k in range(m):
+        t = [x - e.rows[i][k] * t[k] if i > k else x for i, x in enumerate(t)]
+    if active is None:
+        tried = _free(e, None, t[m:])
+        active = [x > 0 for x in tried]
+    p = t[:m] + _free(e, active, t[m:])
+    for k in reversed(range(m)):
+        x = t[k]
+        for j in range(k + 1, len(p)):
+            x = x - e.rows[k][j] * p[j]
+        p[k] = x * e.pivots[k]
+    for swept, impulse in zip(e.swept, p, strict=True):
+        dv = [v + impulse * s for v, s in zip(dv, swept, strict=True)]
+    return dv, p, active
+
+
+@eqx.filter_custom_jvp
+def end_of_step(mass: Row | Lower, pushes: Sequence[Push], rest: Row) -> tuple[list[Scalar], list[Scalar]]:
+    """The change of velocity and every term's impulse.
+
+    Args:
+        mass: M, its diagonal or its lower triangle.
+        pushes: bilateral terms first.
+        rest: R [N s, N m s].
+    """
+    dv, p, _ = _impulses(_eliminate(mass, pushes), pushes, rest, [x.impulse for x in pushes], None)
+    return dv, p
+
+
+@end_of_step.def_jvp
+def _end_of_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """M d(dv) = dR - dM dv + sum dg_i p_i + sum g_i dp_i, and likewise for p: the same system again."""
+    mass, pushes, rest = primals
+    d_mass, d_pushes, d_rest = tangents
+    e = _eliminate(mass, pushes)
+    dv, p, active = _impulses(e, pushes, rest, [x.impulse for x in pushes], None)
+    zero = jnp.zeros_like(dv[0])
+    right = [zero if d is None else d for d in d_rest]
+    for i, row in enumerate(d_mass):
+        if not isinstance(row, list):
+            right[i] = right[i] if row is None else right[i] - row * dv[i]
+            continue
+        for j, d in enumerate(row):
+            if d is not None:
+                right[i] = right[i] - d * dv[j]
+                if i != j:
+                    right[j] = right[j] - d * dv[i]
+    given = []
+    for push, d, impulse in zip(pushes, d_pushes, p, strict=True):
+        x = zero if d.impulse is None else d.impulse
+        if d.weight is not None:
+            x = x - d.weight * _dot(push.direction, dv)
+        turned = [(i, t) for i, t in enumerate(d.direction) if t is not None]
+        for i, t in turned:
+            right[i] = right[i] + t * impulse
+        if turned:
+            x = x - push.weight * sum((t * dv[i] for i, t in turned), start=zero)
+        given.append(x)
+    d_dv, d_p, _ = _impulses(e, pushes, right, given, active)
+    return (dv, p), (d_dv, d_p)

@@ -1,0 +1,134 @@
+"""The change of velocity over an implicit step under forces that are linearised in it.
+
+Each stiff term, a force f(s, s') along the wrench direction g, is
+
+    f_end = f - (r k + c) g . dv
+
+with r how far ahead a change of velocity is felt, so that with forces acting for a time h there is one symmetric
+positive definite 6 x 6 system
+
+    (M + sum_i w_i g_i g_i^T) dv = h (f_rest + sum_i g_i f_i),      w_i = h (r k_i + c_i),
+
+solved for the end forces first (`pftwin.dynamics.integrators.end_of_step`), without those contacts that would end with
+a pull.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.base.spatial import Scalar, Vec3, Wrench
+from pftwin.dynamics.integrators.end_of_step import Push, end_of_step
+from pftwin.dynamics.solve import Lower, add_outer
+from pftwin.dynamics.state import System
+from pftwin.model.effects.base import Load, StiffTerm
+
+SPAN = 0.07  # typical length of a line of force [m]
+LEVER = 0.02  # typical arm of a force on the patella [m]
+FEW = 4  # two-sided terms up to which a system of one row per term is smaller than one of six
+
+
+class Span(NamedTuple):
+    """How long forces act, and how far ahead a change of velocity is felt."""
+
+    impulse: Scalar  # an end force's time in the change of velocity [s]
+    reach: Scalar  # displacement at the step's end per change of velocity [s]
+
+
+def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span: Span) -> list[Scalar]:
+    """Six components: world axes, then patella axes.
+
+    Args:
+        system: what moves.
+        inertial: forces of the motion itself: force in world axes, moment in patella axes.
+        loads: of the effects, at unchanged velocity.
+        span: of the step.
+    """
+    step = span.impulse
+    right = _components(inertial)
+    for load in loads:
+        for wrench in (load.wrench, None if load.drag is None else load.drag.wrench()):
+            if wrench is not None:
+                right = [a + b for a, b in zip(right, _components(wrench), strict=True)]
+    right = [step * a for a in right]
+    diagonal = _diagonal(system, loads, span)
+    terms = [term for load in loads for term in load.stiff]
+    two_sided = [t for t in terms if not t.unilateral]
+    beds = [load.bed for load in loads if load.bed is not None]
+    if beds or any(jnp.ndim(t.force) for t in terms) or len(two_sided) > FEW:
+        mass: Lower = [[jnp.zeros_like(step)] * i + [d] for i, d in enumerate(diagonal)]
+        for bed in beds:
+            more = step * bed.slope(span.reach)
+            mass = [[a + more[i, j] for j, a in enumerate(row)] for i, row in enumerate(mass)]
+            right = [a + step * bed.force[i] for i, a in enumerate(right)]
+        for term in two_sided:
+            mass, right = _with_term(mass, right, term, span)
+        two_sided = []
+    else:
+        mass = diagonal  # type: ignore[assignment]
+    pushes = [
+        Push(_components(Wrench(t.direction, t.moment)), step * t.force, _weight(t, span), t.unilateral)
+        for t in (*two_sided, *(t for t in terms if t.unilateral))
+    ]
+    return end_of_step(mass, pushes, right)[0]
+
+
+def _components(w: Wrench) -> list[Scalar]:
+    return [w.force.x, w.force.y, w.force.z, w.moment.x, w.moment.y, w.moment.z]
+
+
+def _weight(term: StiffTerm, span: Span) -> Scalar:
+    return span.impulse * (span.reach * term.stiffness + term.damping)
+
+
+def load_at_end(load: Load, dv: list[Scalar], reach: Scalar) -> Load:
+    """The load as it is at the end of the step, with the forces that the solve has reckoned with."""
+    load = load._replace(stiff=tuple(_at_end(term, dv, reach) for term in load.stiff))
+    if load.bed is None:
+        return load
+    force = load.bed.force - load.bed.slope(reach) @ jnp.stack(dv)
+    elastic = load.bed.elastic - reach * load.bed.stiffness @ jnp.stack(dv)
+    return load._replace(bed=eqx.tree_at(lambda b: (b.force, b.elastic), load.bed, (force, elastic)))
+
+
+def _at_end(term: StiffTerm, dv: list[Scalar], reach: Scalar) -> StiffTerm:
+    """See `load_at_end`."""
+    change = term.direction.dot(Vec3(*dv[:3])) + term.moment.dot(Vec3(*dv[3:]))
+    elastic = term.elastic - reach * term.stiffness * change
+    force = term.force - (reach * term.stiffness + term.damping) * change
+    if term.unilateral:
+        force = jnp.maximum(force, 0.0)
+    return eqx.tree_at(lambda t: (t.force, t.elastic), term, (force, elastic))
+
+
+def _diagonal(system: System, loads: list[Load], span: Span) -> list[Scalar]:
+    """Mass and moments of inertia, the drags' share, and what the forces' turning amounts to times h r.
+
+    A force f that turns with the body is a spring across its own direction: about f / SPAN against displacement,
+    f LEVER against rotation. Only its size matters here: the step stays of the same order whatever is added, and large
+    steps stay stable. A contact that would pull at the predicted pose counts for nothing: a negative share would make
+    the body lighter than it is, or its mass negative.
+    """
+    terms = [term for load in loads for term in load.stiff]
+    pushes = [jnp.sum(jnp.where(t.force > 0, t.force, 0.0)) for t in terms]
+    pushes += [load.bed.size for load in loads if load.bed is not None]
+    total = sum(pushes, start=jnp.zeros_like(span.impulse))
+    across = system.mass + (span.impulse * span.reach / SPAN) * total
+    about = (span.impulse * span.reach * LEVER) * total
+    for load in loads:
+        if load.drag is not None:
+            across = across + span.impulse * load.drag.translational
+            about = about + span.impulse * load.drag.rotational
+    i = system.inertia
+    return [across, across, across, i.x + about, i.y + about, i.z + about]
+
+
+def _with_term(mass: Lower, right: list[Scalar], term: StiffTerm, span: Span) -> tuple[Lower, list[Scalar]]:
+    """Adds w g g^T and the impulse along g; a group is summed over its leading axis."""
+    g = _components(Wrench(term.direction, term.moment))
+    impulse = span.impulse * term.force
+    add = [jnp.sum(impulse * a) if jnp.ndim(impulse) else impulse * a for a in g]
+    return add_outer(mass, g, _weight(term, span)), [a + b for a, b in zip(right, add, strict=True)]

@@ -1,0 +1,155 @@
+"""An animated scene as a binary glTF 2.0 file (.glb), for viewers, slides and game engines.
+
+trimesh writes the meshes and the tree of nodes; the animation's samplers are added to its buffers. Lengths in metres.
+The node `femur` turns the femur's frame (proximal, lateral, anterior) upright: proximal is glTF's +y, anterior +z, and
+lateral of a right knee -x. Below it `patella` and `tibia` have the result's poses as translation and rotation at every
+frame.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.base.output import written_whole
+from pftwin.files.interchange.moving_parts import TENDON, Part, Track, frames, lines, parts
+
+if TYPE_CHECKING:
+    from trimesh import Scene, Trimesh
+
+    from pftwin.results.result import Result
+    from pftwin.results.viewer.recorded import Recorded
+
+ROOT = "femur"
+UPRIGHT = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+_EVERY = 10**9  # frames: all of them
+_ROD, _SIDES = "rod", 12
+_FLOAT = 5126  # glTF's code of a 32-bit float
+
+
+def save_glb(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
+    """Writes the moving knee: component, button, schematic bones, tendons and ligaments.
+
+    Time begins at 0. Frames that are not finite are left out; between frames viewers interpolate.
+
+    Raises:
+        InputError: no such file, not a result, nothing to draw, or fewer than two frames that are finite.
+        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+    """
+    from pftwin.results.viewer.recorded import Recorded
+
+    recorded = Recorded.of(result, frames=_EVERY)
+    content = glb(recorded)
+    with written_whole(path) as temporary:
+        Path(temporary).write_bytes(content)
+
+
+def glb(result: Recorded) -> bytes:
+    """The file's content."""
+    from trimesh.exchange.gltf import export_glb
+
+    carried, rods = frames(result), lines(result)
+    scene = _scene(result, parts(result), rods)
+    times = result.times - result.times[0]
+    if not (np.diff(times) > 0).all():
+        raise InputError("times that do not increase", where=result.name, expected="a recording")
+
+    def animate(buffers: Any, tree: dict[str, Any]) -> None:
+        _Animation(buffers, tree, times).add({**carried, **rods})
+
+    return export_glb(scene, include_normals=True, buffer_postprocessor=animate)
+
+
+def _scene(result: Recorded, solids: list[Part], rods: dict[str, Track]) -> Scene:
+    """Nodes and meshes at the first frame."""
+    from trimesh import Scene, Trimesh
+    from trimesh.creation import cylinder
+
+    scene = Scene(base_frame="knee")
+    scene.metadata.update(_about(result))
+    scene.graph.update(frame_to=ROOT, frame_from="knee", matrix=UPRIGHT)
+    for body in ("patella", "tibia"):
+        scene.graph.update(frame_to=body, frame_from=ROOT, matrix=np.eye(4))
+    for part in solids:
+        mesh = _painted(Trimesh(part.vertices, part.triangles, process=False), part.colour)
+        scene.add_geometry(mesh, geom_name=part.name, node_name=part.name, parent_node_name=part.frame)
+    if rods:
+        rod = _painted(cylinder(radius=1.0, height=1.0, sections=_SIDES), TENDON)
+        scene.geometry[_ROD] = rod
+    for name in rods:
+        scene.graph.update(frame_to=name, frame_from=ROOT, matrix=np.eye(4), geometry=_ROD)
+    return scene
+
+
+def _painted(mesh: Trimesh, colour: tuple[int, int, int, int]) -> Trimesh:
+    from trimesh.visual.material import PBRMaterial
+    from trimesh.visual.texture import TextureVisuals
+
+    paint = PBRMaterial(
+        baseColorFactor=list(colour),
+        metallicFactor=0.0,
+        roughnessFactor=0.7,
+        doubleSided=True,
+        alphaMode="BLEND" if colour[3] < 255 else "OPAQUE",
+    )
+    mesh.visual = TextureVisuals(material=paint)
+    return mesh
+
+
+def _about(result: Recorded) -> dict[str, Any]:
+    """What a reader has to know of the numbers."""
+    said = {
+        "title": str(result.data.attrs.get("title", result.name)),
+        "source": str(result.data.attrs.get("source", "")),
+        "frame": "below the node femur: x proximal, y lateral, z anterior, a right knee; metres",
+        "begins_at_s": float(result.times[0]),
+    }
+    return {**said, **({"note": result.note} if result.note else {})}
+
+
+class _Animation:
+    """Adds samplers and channels to a tree that trimesh has made."""
+
+    def __init__(self, buffers: Any, tree: dict[str, Any], times: NDArray[np.float64]) -> None:
+        self.buffers, self.tree = buffers, tree
+        self.nodes = {node.get("name"): k for k, node in enumerate(tree["nodes"])}
+        self.input = self._accessor("times", times[:, None])
+        self.channels: list[dict[str, Any]] = []
+        self.samplers: list[dict[str, Any]] = []
+
+    def add(self, tracks: dict[str, Track]) -> None:
+        """One channel for each of translation, rotation and scale of every node that moves."""
+        for name, track in tracks.items():
+            node = self.tree["nodes"][self.nodes[name]]
+            node.pop("matrix", None)  # what is animated must not have one
+            turn = track.rotation[:, [1, 2, 3, 0]]  # glTF's quaternions have the scalar last
+            for path, values in (("translation", track.translation), ("rotation", turn), ("scale", track.scale)):
+                if values is None:
+                    continue
+                node[path] = values[0].astype(np.float32).tolist()
+                self.channels.append(
+                    {"sampler": len(self.samplers), "target": {"node": self.nodes[name], "path": path}}
+                )
+                output = self._accessor(f"{name} {path}", values)
+                self.samplers.append({"input": self.input, "output": output, "interpolation": "LINEAR"})
+        self.tree["animations"] = [{"name": "motion", "channels": self.channels, "samplers": self.samplers}]
+
+    def _accessor(self, key: str, values: NDArray[np.float64]) -> int:
+        """The number of an accessor to these rows."""
+        data = np.ascontiguousarray(values, dtype="<f4")
+        width = data.shape[1]
+        self.buffers[f"animation {key}"] = data.tobytes()  # whole numbers of four bytes
+        self.tree["accessors"][f"animation {key}"] = {
+            "bufferView": len(self.buffers) - 1,
+            "componentType": _FLOAT,
+            "type": "SCALAR" if width == 1 else f"VEC{width}",
+            "count": len(data),
+            "min": data.min(axis=0).tolist(),
+            "max": data.max(axis=0).tolist(),
+        }
+        return len(self.tree["accessors"]) - 1

@@ -1,0 +1,144 @@
+"""OpenSim's model files as XML: a tree whose elements know their line. The files are strangers': nothing is expanded.
+
+A document with a DOCTYPE is refused, so that no entity can be declared and none is expanded or fetched; so is one that
+is nested deeper than any model.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.base.file_limits import MODEL_BYTES
+from pftwin.base.text_files import read_bytes
+
+DEEPEST = 64  # elements within each other; models have a dozen
+OLDEST = 40000  # the version of files of OpenSim 4
+
+
+@dataclass
+class Element:
+    """An element, its text and what is in it."""
+
+    tag: str
+    name: str
+    file: str
+    line: int
+    text: str = ""
+    children: list[Element] = field(default_factory=list)
+    # The nearest element around it with a name, which wrappers such as <components> have not: ".." in OpenSim's paths.
+    owner: Element | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def where(self) -> str:
+        """For messages."""
+        return f"{self.file}, line {self.line}"
+
+    def child(self, *tags: str) -> Element | None:
+        """The first child of one of these tags."""
+        return next((c for c in self.children if c.tag in tags), None)
+
+    def needed(self, tag: str) -> Element:
+        """The child of that tag.
+
+        Raises:
+            InputError: there is none.
+        """
+        found = self.child(tag)
+        if found is None:
+            raise InputError(f"<{self.tag}> {self.name!r} has no <{tag}>", where=self.where)
+        return found
+
+    def all(self, *tags: str) -> Iterator[Element]:
+        """All elements of these tags below this one, in the file's order."""
+        for c in self.children:
+            if c.tag in tags:
+                yield c
+            yield from c.all(*tags)
+
+    def words(self, tag: str) -> str:
+        """The text of a child, without blanks around it; empty where there is none."""
+        found = self.child(tag)
+        return "" if found is None else found.text.strip()
+
+    def numbers(self, count: int | None = None) -> NDArray[np.float64]:
+        """The text as finite numbers.
+
+        Raises:
+            InputError: it is something else, or not so many.
+        """
+        try:
+            values = np.array([float(w) for w in self.text.split()])
+        except ValueError:
+            values = np.array([np.nan])
+        if not np.isfinite(values).all() or (count is not None and values.size != count):
+            wanted = "finite numbers" if count is None else f"{count} finite number{'s' if count > 1 else ''}"
+            raise InputError(f"<{self.tag}> is {self.text.strip()[:60]!r}", where=self.where, expected=wanted)
+        return values
+
+
+def read_osim(path: str | os.PathLike[str]) -> Element:
+    """The <Model> of a file of OpenSim 4.
+
+    Raises:
+        InputError: no such file, no XML (naming the line), a DOCTYPE, no model, or one of an older version.
+    """
+    root = _parsed(read_bytes(path, max_bytes=MODEL_BYTES), str(path))
+    if root.tag != "OpenSimDocument":
+        raise InputError(f"the document is a <{root.tag}>", where=root.where, expected="an <OpenSimDocument>")
+    version = root.name
+    if not (version.isdecimal() and len(version) < 10 and int(version) >= OLDEST):
+        raise InputError(
+            f"version {version[:20] or 'unknown'}",
+            where=root.where,
+            expected=f"{OLDEST} or later, as OpenSim 4 writes",
+            remedy="open the model in OpenSim 4 and save it",
+        )
+    return root.needed("Model")
+
+
+def _parsed(content: bytes, file: str) -> Element:
+    parser = expat.ParserCreate()
+    top = Element("", "", file, 1)
+    open_ones = [top]
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        if len(open_ones) > DEEPEST:
+            raise InputError(f"nested deeper than {DEEPEST} elements", where=f"{file}, line {parser.CurrentLineNumber}")
+        name = attributes.get("Version" if tag == "OpenSimDocument" else "name", "")
+        around = open_ones[-1]
+        made = Element(tag, name, file, parser.CurrentLineNumber, owner=around if around.name else around.owner)
+        open_ones[-1].children.append(made)
+        open_ones.append(made)
+
+    def end(_: str) -> None:
+        open_ones.pop()
+
+    def said(text: str) -> None:
+        open_ones[-1].text += text
+
+    def refuse(*_: Any) -> None:
+        raise InputError(
+            "it declares a DOCTYPE", where=f"{file}, line {parser.CurrentLineNumber}", expected="a model without one"
+        )
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = begin, end, said
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.buffer_text = True
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        words = expat.ErrorString(error.code)
+        raise InputError(f"no valid XML: {words}", where=f"{file}, line {error.lineno}") from None
+    except InputError:
+        raise
+    except (LookupError, ValueError) as error:  # of the encoding that the first line names
+        raise InputError(f"no readable XML: {error}", where=file, expected="UTF-8") from None
+    return top.children[0]

@@ -1,0 +1,152 @@
+"""What pftwin can use of an OpenSim model: bodies, ligaments of two points, contact meshes; and a list of the rest."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pftwin.files.interchange.osim_document import Element, read_osim
+from pftwin.files.interchange.osim_frames import Frame, Frames
+from pftwin.files.interchange.osim_ligaments import LeftOut, Ligament, ligaments, value
+from pftwin.files.interchange.osim_tree import Tree, read_tree
+
+Floats = NDArray[np.float64]
+SURFACE = "Smith2018ContactMesh"
+CONTACT = "Smith2018ArticularContactForce"
+
+
+class Mesh(NamedTuple):
+    """A mesh's file, and where it is."""
+
+    name: str
+    file: str
+    frame: Frame
+    scale: Floats  # (3,)
+    where: str
+
+
+class Body(NamedTuple):
+    """Mass properties, and what is drawn of it."""
+
+    name: str
+    mass: float  # [kg]
+    center: Floats  # (3,) [m]
+    inertia: Floats  # (6,) xx, yy, zz, xy, xz, yz about the centre of mass [kg m^2]
+    meshes: tuple[Mesh, ...]
+    where: str
+
+
+class ContactSurface(NamedTuple):
+    """An elastic layer on a mesh."""
+
+    mesh: Mesh
+    modulus: float  # [Pa]
+    poisson: float
+    thickness: float  # [m]
+    variable: bool  # whether the model measures the thickness against a second mesh
+
+
+class Contact(NamedTuple):
+    """Between two surfaces."""
+
+    name: str
+    surfaces: tuple[str, str]
+    law: str  # "linear" or "logarithmic"
+    lumped: bool
+
+
+@dataclass(frozen=True)
+class Model:
+    """The parts of a file."""
+
+    name: str
+    file: str
+    gravity: Floats  # (3,) in ground [m/s^2]
+    bodies: dict[str, Body]
+    tree: Tree
+    ligaments: list[Ligament]
+    surfaces: dict[str, ContactSurface]
+    contacts: list[Contact]
+    left_out: list[LeftOut] = field(default_factory=list)
+
+
+def read_model(path: str) -> Model:
+    """Of a file.
+
+    Raises:
+        InputError: no model of OpenSim 4; values that are missing or no numbers.
+    """
+    root = read_osim(path)
+    frames, left = Frames(root), []
+    defaults = {d.tag: d for holder in root.children if holder.tag == "defaults" for d in holder.children}
+    used = Element(root.tag, root.name, root.file, root.line, "", [c for c in root.children if c.tag != "defaults"])
+    gravity = root.child("gravity")
+    return Model(
+        root.name,
+        path,
+        np.array([0.0, -9.80665, 0.0]) if gravity is None else gravity.numbers(3),
+        {b.name: _body(b, frames) for b in used.all("Body")},
+        read_tree(used, frames),
+        list(ligaments(used, defaults, frames, left)),
+        {s.name: _surface(s, defaults, frames) for s in used.all(SURFACE)},
+        [_contact(c) for c in used.all(CONTACT) if c.words("appliesForce") != "false"],
+        left,
+    )
+
+
+def _body(element: Element, frames: Frames) -> Body:
+    mass, center, inertia = (element.child(k) for k in ("mass", "mass_center", "inertia"))
+    meshes = tuple(_drawn(m, element.name, frames) for m in element.all("Mesh"))
+    return Body(
+        element.name,
+        0.0 if mass is None else float(mass.numbers(1)[0]),
+        np.zeros(3) if center is None else center.numbers(3),
+        np.zeros(6) if inertia is None else inertia.numbers(6),
+        meshes,
+        element.where,
+    )
+
+
+def _drawn(element: Element, body: str, frames: Frames) -> Mesh:
+    """A mesh of a body, or of a frame that is part of it."""
+    scale = element.child("scale_factors")
+    factors = np.ones(3) if scale is None else scale.numbers(3)
+    frame = frames.find(element.words("socket_frame") or "..", element, element.where)
+    return Mesh(element.name or body, element.words("mesh_file"), frame, factors, element.where)
+
+
+def _surface(element: Element, defaults: dict[str, Element], frames: Frames) -> ContactSurface:
+    scale = element.child("scale_factors")
+    factors = np.ones(3) if scale is None else scale.numbers(3)
+    place = np.eye(4)
+    for tag in ("location", "orientation"):
+        found = element.child(tag)
+        if found is not None and tag == "location":
+            place[:3, 3] = found.numbers(3)
+        elif found is not None:
+            place[:3, :3] = Rotation.from_euler("XYZ", found.numbers(3)).as_matrix()
+    base = frames.find(element.needed("socket_frame").text, element, element.where)
+    mesh = Mesh(element.name, element.words("mesh_file"), Frame(base.body, base.pose @ place), factors, element.where)
+    modulus, poisson, thickness = (
+        value(element, tag, defaults) for tag in ("elastic_modulus", "poissons_ratio", "thickness")
+    )
+    return ContactSurface(mesh, modulus, poisson, thickness, element.words("use_variable_thickness") == "true")
+
+
+def _contact(element: Element) -> Contact:
+    target, casting = (
+        element.needed(f"socket_{k}_mesh").text.strip().rpartition("/")[2] for k in ("target", "casting")
+    )
+    law = "logarithmic" if element.words("elastic_foundation_formulation") == "nonlinear" else "linear"
+    return Contact(element.name, (target, casting), law, element.words("use_lumped_contact_model") != "false")
+
+
+def plain_name(name: str) -> str:
+    """A name that a scene file takes, in small letters."""
+    words = re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_").lower()
+    return words if words[:1].isalpha() else f"part_{words}"

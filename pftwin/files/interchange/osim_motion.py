@@ -1,0 +1,109 @@
+"""How the bones of an OpenSim model move: by a file of coordinates, or bent evenly through a range."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pftwin.base.errors import InputError
+from pftwin.files.interchange.osim_joints import Coordinate
+from pftwin.files.interchange.osim_knee import Knee
+from pftwin.files.interchange.osim_tree import Tree
+from pftwin.files.mocap.sto import read_sto
+
+Floats = NDArray[np.float64]
+RATE = 100.0  # frames per second of a motion that is made
+FASTEST = np.radians(45.0)  # of it [rad/s]
+FARTHEST = np.radians(90.0)  # of it, where the model's range goes further
+
+
+def bent(tree: Tree, knee: Knee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:
+    """The knee bent from its default to the end of its range: times (n,), coordinates by name, and what was done.
+
+    Smoothly (a polynomial of fifth degree), so that it starts and ends at rest.
+
+    Args:
+        tree: the model's.
+        knee: its bodies.
+        name: of the coordinate; None: the first rotation of the tibia's joint.
+
+    Raises:
+        InputError: no such coordinate, or none that turns the tibia.
+    """
+    joint = tree.joints[tree_joint(tree, knee.tibia)]
+    joint.check()
+    own = joint.coordinates
+    turning = [c for c in own if c.rotational]
+    if name is not None and name not in tree.coordinates():
+        known = ", ".join(c.name for c in own)
+        raise InputError(f"no coordinate {name!r}", where="--bend", expected=f"such as {known}")
+    if name is None and not turning:
+        raise InputError(f"nothing turns {knee.tibia!r}", where="--bend", expected="a joint with a rotation")
+    chosen = turning[0] if name is None else tree.coordinates()[name]
+    start, end = chosen.default, _end(chosen)
+    share = np.arange(1 + int(np.ceil(RATE * 1.875 * abs(end - start) / FASTEST)))
+    share = share / max(share[-1], 1)
+    values = start + (end - start) * share**3 * (10 - 15 * share + 6 * share**2)
+    said = f"{chosen.name} from {np.degrees(start):.3g} to {np.degrees(end):.3g} deg in {(share.size - 1) / RATE:.2f} s"
+    return np.arange(share.size) / RATE, {chosen.name: values}, f"{said}, all other coordinates at their defaults"
+
+
+def recorded(tree: Tree, path: str | os.PathLike[str]) -> tuple[Floats, dict[str, Floats], str]:
+    """Coordinates of a .mot or .sto file, by name or by path ("/jointset/knee_r/knee_angle_r/value"), in SI units.
+
+    Raises:
+        InputError: what `read_sto` refuses; none of the model's coordinates.
+    """
+    known = tree.coordinates()
+    names = {label: _short(label) for label in read_sto(path, rotational=()).names}
+    angles = [label for label, n in names.items() if n in known and known[n].rotational]
+    table = read_sto(path, rotational=angles)
+    found = {n: table.column(label) for label, n in names.items() if n in known}
+    if not found:
+        wanted = ", ".join(list(known)[:6])
+        raise InputError("none of the model's coordinates", where=path, expected=f"such as {wanted}")
+    return table.times, found, f"{len(found)} coordinates from {os.fspath(path)}, all others at their defaults"
+
+
+def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]) -> dict[str, tuple[Floats, Floats]]:
+    """Positions (n, 3) [m] and quaternions (n, 4), scalar first, of bodies in ground.
+
+    Raises:
+        InputError: joints on the way that are not known; functions that overflow.
+    """
+    values = tree.values(given, times.size)
+    out = {}
+    for body in bodies:
+        with np.errstate(over="ignore", invalid="ignore"):
+            pose = tree.pose(body, values, times.size)
+        if not np.isfinite(pose).all():
+            raise InputError(
+                f"the pose of {body!r} is not finite",
+                where=tree.joints[body].where,
+                expected="functions and coordinates of this joint, and of those that carry it, of a human size",
+            )
+        turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat(scalar_first=True)
+        flips = np.where(np.einsum("ij,ij->i", turn[1:], turn[:-1]) < 0, -1.0, 1.0)
+        out[body] = pose[:, :3, 3], turn * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+    return out
+
+
+def tree_joint(tree: Tree, body: str) -> str:
+    """The body by whose joint this one moves: itself, or what it is welded to."""
+    return body if tree.joints[body].kind != "WeldJoint" else tree.welded(body)[0]
+
+
+def _end(coordinate: Coordinate) -> float:
+    """The farther end of the range, at most `FARTHEST` away."""
+    low, high = (v if np.isfinite(v) else s * np.inf for v, s in ((coordinate.low, -1), (coordinate.high, 1)))
+    start = coordinate.default
+    far = high if high - start >= start - low else low
+    return float(np.clip(far, start - FARTHEST, start + FARTHEST))
+
+
+def _short(label: str) -> str:
+    parts = label.removesuffix("/value").split("/")
+    return parts[-1]

@@ -1,0 +1,196 @@
+"""An OpenSim model as a scene folder: scene.toml, poses.csv, meshes, and a list of what was left out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pftwin.base.errors import InputError, OutputError
+from pftwin.base.text_files import write_text
+from pftwin.files.interchange import osim_meshes, osim_motion
+from pftwin.files.interchange.osim_document import read_osim
+from pftwin.files.interchange.osim_knee import Knee, find_knee, placed
+from pftwin.files.interchange.osim_ligaments import LIGAMENT, LeftOut
+from pftwin.files.interchange.osim_model import CONTACT, Contact, Model, read_model
+from pftwin.files.interchange.osim_rest import rest
+
+if TYPE_CHECKING:
+    from pftwin.files.interchange.osim_toml import Strand
+
+REPORT = "not_imported.md"
+
+
+@dataclass
+class Imported:
+    """What was written, what was assumed, and what was left out."""
+
+    files: list[Path] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
+
+    @property
+    def scene(self) -> Path:
+        """The scene file."""
+        return self.files[0]
+
+
+def import_osim(
+    model: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    motion: str | os.PathLike[str] | None = None,
+    bend: str | None = None,
+    side: str | None = None,
+    femur: str | None = None,
+    tibia: str | None = None,
+    patella: str | None = None,
+    geometry: Sequence[str | os.PathLike[str]] = (),
+) -> Imported:
+    """Writes a scene of a model's knee: the patella, its ligaments and its contact; the bones' motion by coordinates.
+
+    Imported are bodies with their mass and meshes, `Blankevoort1991Ligament` of two points, `Smith2018ContactMesh` with
+    the `Smith2018ArticularContactForce` between femur and patella, joints and coordinates (for the motion and the
+    patella's start). What is not, is listed with the reason.
+
+    Args:
+        model: .osim file of OpenSim 4.
+        folder: of the scene; made if it is not there.
+        motion: .mot or .sto file of coordinates; None: the knee is bent through its range.
+        bend: the coordinate to bend by; None: the first rotation of the tibia's joint.
+        side: "right" or "left"; None: as the patella's name ends.
+        femur, tibia, patella: names of bodies, where they cannot be told.
+        geometry: folders with meshes, besides the model's own and `Geometry` in it.
+
+    Raises:
+        InputError: no model of OpenSim 4, or one without such a knee; joints, functions or numbers that cannot be read;
+            contact meshes that are not there.
+        OutputError: the folder cannot be written to, or holds one of these files already.
+    """
+    from pftwin.files.interchange.osim_toml import scene_text
+
+    found = read_model(os.fspath(model))
+    knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
+    told = Imported(left_out=list(found.left_out))
+    places = [Path(p) for p in geometry]
+    if motion is None:
+        times, values, said = osim_motion.bent(found.tree, knee, bend)
+    else:
+        times, values, said = osim_motion.recorded(found.tree, motion)
+    told.notes.append(f"motion: {said}")
+    poses = osim_motion.poses(found.tree, [knee.femur, knee.tibia, knee.patella], times, values)
+    if found.bodies[knee.patella].mass <= 0:
+        raise InputError("a patella without mass", where=found.bodies[knee.patella].where, expected="a positive mass")
+    strands = _strands(found, knee, told)
+    contact, pressing = _pressing(found, knee, places, told)
+    taken = {m.file for m in pressing}
+    drawn = list(osim_meshes.bones(found, knee, places, taken, told.left_out))
+    if drawn:
+        told.notes.append(
+            f"bones: {len(drawn)} meshes lie in {osim_meshes.FOLDER}/; a scene file has no table for them"
+        )
+    told.left_out += rest(read_osim(os.fspath(model)), found, knee)
+    text = scene_text(found, knee, strands, contact, pressing, told)
+    _write(Path(folder), text, times, {knee.part(b): p for b, p in poses.items()}, [*pressing, *drawn], told)
+    return told
+
+
+def _strands(model: Model, knee: Knee, told: Imported) -> dict[tuple[str, str], list[Strand]]:
+    """Ligaments of the patella by name and other body; those of one name without its number are one group."""
+    from pftwin.files.interchange.osim_toml import Strand
+
+    groups: dict[tuple[str, str], list[Strand]] = {}
+    straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for ligament in model.ligaments:
+        ends = [(placed(model, knee, frame), point) for frame, point in ligament.ends]
+        places = [(part, pose[:3, :3] @ point + pose[:3, 3]) for (part, pose), point in ends]
+        parts = [part for part, _ in places]
+        if parts.count("patella") != 1 or not {*parts} - {"patella"} <= {"femur", "tibia", "ground"}:
+            told.left_out.append(LeftOut(LIGAMENT, ligament.name, _why_not(parts)))
+            continue
+        k = parts.index("patella")
+        (_, insertion), (body, origin) = places[k], places[1 - k]
+        name = ligament.name.rstrip("0123456789") or ligament.name
+        if ligament.wraps:
+            straight.setdefault((name, ligament.wraps), []).append(ligament.name)
+        groups.setdefault((name, body), []).append(Strand(ligament, insertion, origin))
+    for (_, wraps), names in straight.items():
+        which = f"{names[0]}: a straight line, though it wraps"
+        if len(names) > 1:
+            which = f"{names[0]} to {names[-1]} ({len(names)} strands): straight lines, though they wrap"
+        told.notes.append(f"{which} over {', '.join(wraps)}")
+    return groups
+
+
+def _why_not(parts: list[str]) -> str:
+    if "patella" not in parts:
+        return f"it joins {' and '.join(parts)}, whose motion is prescribed"
+    return f"it joins {' and '.join(parts)}: pftwin knows femur, tibia and ground beside the patella"
+
+
+def _contact(model: Model, knee: Knee, told: Imported) -> Contact | None:
+    """The contact of femur and patella, the femur's surface first."""
+    chosen = None
+    for contact in model.contacts:
+        missing = [s for s in contact.surfaces if s not in model.surfaces]
+        if missing:
+            told.left_out.append(LeftOut(CONTACT, contact.name, f"there is no contact mesh {missing[0]!r}"))
+            continue
+        parts = [placed(model, knee, model.surfaces[s].mesh.frame)[0] for s in contact.surfaces]
+        if sorted(parts) != ["femur", "patella"]:
+            why = f"it is between {' and '.join(parts)}, whose motion is prescribed"
+            told.left_out.append(LeftOut(CONTACT, contact.name, why))
+        elif chosen is not None:
+            told.left_out.append(LeftOut(CONTACT, contact.name, "a scene has one contact"))
+        else:
+            surfaces = contact.surfaces if parts[0] == "femur" else contact.surfaces[::-1]
+            chosen = contact._replace(surfaces=surfaces)
+    return chosen
+
+
+def _pressing(
+    model: Model, knee: Knee, places: list[Path], told: Imported
+) -> tuple[Contact | None, list[osim_meshes.Written]]:
+    """The contact with its two meshes; neither where a mesh cannot be read."""
+    contact = _contact(model, knee, told)
+    if contact is None:
+        return None, []
+    try:
+        return contact, [osim_meshes.load(model.surfaces[s].mesh, model, knee, places) for s in contact.surfaces]
+    except InputError as error:
+        told.left_out.append(LeftOut(CONTACT, contact.name, str(error)))
+        return None, []
+
+
+def _write(
+    folder: Path,
+    text: str,
+    times: np.ndarray,
+    poses: dict[str, tuple[np.ndarray, np.ndarray]],
+    meshes: list[osim_meshes.Written],
+    told: Imported,
+) -> None:
+    """All files, or none where one of them is there already."""
+    from pftwin.files.interchange.osim_toml import poses_csv, report
+    from pftwin.geometry.mesh.mesh import save_mesh
+
+    names = ["scene.toml", "poses.csv", REPORT, *(m.file for m in meshes)]
+    for name in names:
+        if (folder / name).exists():
+            raise OutputError(f"{folder / name}: is there already; try: another folder, or remove it first")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if meshes:
+            (folder / osim_meshes.FOLDER).mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made: {error.strerror or error}") from error
+    for mesh in meshes:
+        save_mesh(mesh.mesh, folder / mesh.file)
+    write_text(folder / "poses.csv", poses_csv(times, poses))
+    write_text(folder / REPORT, report(told.notes, told.left_out))
+    write_text(folder / "scene.toml", text)
+    told.files = [folder / name for name in names]

@@ -1,0 +1,40 @@
+"""From files of a motion laboratory to poses of segments: read, fill, filter, fit."""
+
+from pftwin.files.mocap.c3d import read_c3d
+from pftwin.files.mocap.csv_files import read_csv, read_marker_csv, write_csv
+from pftwin.files.mocap.filters import butterworth_lowpass, singular_spectrum_filter
+from pftwin.files.mocap.frames import cluster_poses, mean_cluster, segment_poses, three_point_frames
+from pftwin.files.mocap.gaps import Gap, fill_gaps, find_gaps
+from pftwin.files.mocap.markers import MarkerTrajectories
+from pftwin.files.mocap.mirror import mirror_left_markers, mirror_left_poses
+from pftwin.files.mocap.poses import PoseSeries, read_poses_csv
+from pftwin.files.mocap.reading import read_markers
+from pftwin.files.mocap.sto import read_sto
+from pftwin.files.mocap.tables import Table
+from pftwin.files.mocap.trc import read_trc, write_trc
+
+__all__ = [
+    "Gap",
+    "MarkerTrajectories",
+    "PoseSeries",
+    "Table",
+    "butterworth_lowpass",
+    "cluster_poses",
+    "fill_gaps",
+    "find_gaps",
+    "mean_cluster",
+    "mirror_left_markers",
+    "mirror_left_poses",
+    "read_c3d",
+    "read_csv",
+    "read_marker_csv",
+    "read_markers",
+    "read_poses_csv",
+    "read_sto",
+    "read_trc",
+    "segment_poses",
+    "singular_spectrum_filter",
+    "three_point_frames",
+    "write_csv",
+    "write_trc",
+]

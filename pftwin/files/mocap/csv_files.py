@@ -1,0 +1,195 @@
+"""Tables and markers from and to CSV files with a header line."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.base.text_files import check_row_length, numbers, read_lines, write_text
+from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
+from pftwin.files.mocap.naming import quoted, unknown_name
+from pftwin.files.mocap.tables import Table
+from pftwin.files.mocap.units import check_spread, length_factor, split_unit, to_si
+
+_COORDINATE = re.compile(r"^(?P<marker>.+?)[_ .:]?(?P<axis>[xyzXYZ])$")
+Units = Mapping[str, str] | str | None
+
+
+def read_csv(path: str | os.PathLike[str], *, time_column: str | None = None, units: Units = None) -> Table:
+    """A numeric table with one header line, in SI units.
+
+    Units come from the header ("quadriceps_N", "Fz (kN)", "angle [deg]") or from the argument, and are converted to SI;
+    the columns' names are kept without their unit. Quaternion components (..._qw), "frame" and "status" have none.
+    Lines that begin with # are comments. The delimiter is a comma, a semicolon or a tab. Empty cells are NaN.
+
+    Args:
+        path: the file.
+        time_column: the header of the column of times; else the one called time or t.
+        units: {column: unit} with names as in the header, with or without unit; or one unit for every column whose
+            header has none ("1": no dimension).
+
+    Raises:
+        InputError: missing, empty, truncated, binary or non-numeric content (naming file, line and column); a column
+            without unit; unknown or contradictory units; no time column; repeated or unsorted times.
+    """
+    labels, values = _read_columns(path)
+    time_index = _time_index(labels, time_column, path)
+    names, si_units, scaled = [], {}, []
+    lookup = {} if isinstance(units, str) or units is None else dict(units)
+    known = {*labels, *(split_unit(label)[0] for label in labels)}
+    for key in lookup:
+        if key not in known:
+            raise unknown_name("column", key, labels, where=f"{path}, argument units")
+    times = np.empty(0)
+    for i, label in enumerate(labels):
+        name, header_unit = split_unit(label)
+        told = lookup.get(label, lookup.get(name, units if isinstance(units, str) and not header_unit else None))
+        if i == time_index and header_unit is None and not isinstance(units, Mapping):
+            told = None  # one unit for all columns is not meant for the time
+        si, factor = _unit(label, header_unit, told, path)
+        if i == time_index:
+            if si != "s":
+                raise InputError(
+                    f"the unit of the times is {si}", where=f"{path}, column {label!r}", expected="s or ms"
+                )
+            times = values[:, i] * factor
+            continue
+        names.append(name)
+        si_units[name] = si
+        scaled.append(values[:, i] * factor)
+    columns = np.stack(scaled, axis=1) if scaled else np.empty((len(values), 0))
+    return Table(times, tuple(names), columns, si_units, source=str(path))
+
+
+def read_marker_csv(
+    path: str | os.PathLike[str],
+    *,
+    time_column: str | None = None,
+    units: str | None = None,
+    time_unit: str | None = None,
+) -> MarkerTrajectories:
+    """Markers from a table with the columns NAME_x, NAME_y, NAME_z, with or without a unit ("NAME_x_mm").
+
+    Missing markers are empty cells, NaN or three exact zeros. All other columns but the time and "frame" are refused.
+
+    Args:
+        path: the file.
+        time_column: the header of the column of times (s or ms); else the one called time or t.
+        units: unit of length where the header has none.
+        time_unit: unit of the times ("s", "ms") where the header has none.
+
+    Raises:
+        InputError: as `read_csv`; a marker without all three coordinates; an implausible unit.
+    """
+    labels, values = _read_columns(path)
+    time_index = _time_index(labels, time_column, path)
+    label = labels[time_index]
+    si, time_factor = _unit(label, split_unit(label)[1], time_unit, path, remedy="time_unit='s' (or 'ms')")
+    if si != "s":
+        raise InputError(f"the unit of the times is {si}", where=f"{path}, column {label!r}", expected="s or ms")
+    found: dict[str, dict[str, np.ndarray]] = {}
+    for i, label in enumerate(labels):
+        if i == time_index or label.strip("#").lower() == "frame":
+            continue
+        name, header_unit = split_unit(label)
+        match = _COORDINATE.match(name)
+        if not match:
+            raise InputError(f"column {label!r} is no coordinate", where=path, expected="NAME_x, NAME_y, NAME_z")
+        factor, _ = length_factor(header_unit, None if header_unit else units, where=f"{path}, column {label!r}")
+        found.setdefault(match["marker"], {})[match["axis"].lower()] = values[:, i] * factor
+    incomplete = [name for name, axes in found.items() if len(axes) != 3]
+    if incomplete or not found:
+        raise InputError(
+            f"markers without all three coordinates: {quoted(incomplete)}" if incomplete else "no markers",
+            where=path,
+            expected="NAME_x, NAME_y, NAME_z for every marker",
+        )
+    positions = zeros_to_missing(np.stack([np.stack([a[k] for k in "xyz"], -1) for a in found.values()], axis=1))
+    check_spread(positions, where=path)
+    return MarkerTrajectories(values[:, time_index] * time_factor, tuple(found), positions, source=str(path))
+
+
+def write_csv(path: str | os.PathLike[str], data: Table | MarkerTrajectories) -> None:
+    """Write a table or markers as CSV with units in the header; missing values are empty cells.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    if isinstance(data, MarkerTrajectories):
+        labels = [f"{name}_{axis}_m" for name in data.names for axis in "xyz"]
+        values = data.positions.reshape(data.times.size, -1)
+    else:
+        labels = [f"{name} [{data.units[name]}]" if data.units[name] else name for name in data.names]
+        values = data.values
+    lines = [",".join(_quote(label) for label in ["time_s", *labels])]
+    for t, row in zip(data.times, values, strict=True):
+        lines.append(f"{t:.9f}," + ",".join("" if v != v else f"{v:.12g}" for v in row))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _quote(label: str) -> str:
+    return '"' + label.replace('"', '""') + '"' if set(label) & set(',"\n') else label
+
+
+def _read_columns(path: str | os.PathLike[str]) -> tuple[list[str], np.ndarray]:
+    """Labels (k) and values (n, k) as they stand in the file."""
+    lines, ended = read_lines(path)
+    used = [(i, line) for i, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")]
+    if not used:
+        raise InputError("no header line", where=path, expected="a line of column names")
+    header = used[0][1]
+    delimiter = max(",;\t", key=header.count)
+    labels = [c.strip() for c in next(csv.reader([header], delimiter=delimiter))]
+    while labels and not labels[-1]:
+        labels.pop()
+    if not all(labels):
+        raise InputError(f"column {labels.index('') + 1} has no name", where=f"{path}, line {used[0][0]}")
+    rows = []
+    for line_number, line in used[1:]:
+        cells = next(csv.reader([line], delimiter=delimiter))
+        while len(cells) > len(labels) and not cells[-1].strip():
+            cells.pop()
+        broken_off = line_number == used[-1][0] and not ended
+        check_row_length(len(cells), len(labels), path=path, line=line_number, broken_off=broken_off)
+        rows.append(numbers(cells, labels.__getitem__, path=path, line=line_number))
+    if not rows:
+        raise InputError("no rows of data after the header", where=path, expected="at least one row")
+    return labels, np.array(rows)
+
+
+def _time_index(labels: list[str], time_column: str | None, path: object) -> int:
+    if time_column is not None:
+        wanted = [i for i, label in enumerate(labels) if time_column in (label, split_unit(label)[0])]
+        if not wanted:
+            raise unknown_name("column", time_column, labels, where=f"{path}, argument time_column")
+        return wanted[0]
+    for i, label in enumerate(labels):
+        if split_unit(label)[0].lower() in {"time", "t"}:
+            return i
+    raise InputError(
+        "no column of times",
+        where=path,
+        expected="a column time_s, time [s] or t",
+        remedy="its name as argument time_column",
+    )
+
+
+def _unit(label: str, header: str | None, told: str | None, path: object, *, remedy: str = "") -> tuple[str, float]:
+    where = f"{path}, column {label!r}"
+    if header is None and told is None:
+        raise InputError(
+            "no unit in the header, and none given",
+            where=where,
+            expected="a header like 'force_N' or 'time [s]'",
+            remedy=remedy or f"units={{{label!r}: 'N'}} (whatever is true; '1' if it has no dimension)",
+        )
+    if header is not None and told is not None and to_si(header, where=where) != to_si(told, where=where):
+        raise InputError(
+            f"the header says {header!r}, the argument units says {told!r}", where=where, expected="one of them"
+        )
+    return to_si(header if header is not None else told or "1", where=where)

@@ -1,0 +1,128 @@
+"""Filters without phase shift: Butterworth for markers, singular spectrum analysis for forces."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+
+
+def butterworth_lowpass(
+    signal: ArrayLike, rate: float, cutoff: float = 12.0, order: int = 2, *, correct_two_passes: bool = False
+) -> NDArray[np.float64]:
+    """Butterworth low-pass run forwards and backwards along the first axis.
+
+    Michaud et al. 2024 filter marker trajectories so, with order 2 and 12 Hz.
+
+    Args:
+        signal: (n, ...) samples.
+        rate: sampling rate [Hz].
+        cutoff: cut-off frequency [Hz].
+        order: order of one pass.
+        correct_two_passes: False: each pass has its -3 dB point at `cutoff`, both together -6 dB. True: each pass is
+            designed at a higher frequency f_d, such that both together have -3 dB at the cut-off f exactly (Winter
+            2009, section 2.2.4.4, with the bilinear transform's warping:
+            tan(pi f_d/rate) = tan(pi f/rate) / (sqrt(2) - 1)^(1/(2 order))).
+
+    Returns:
+        The filtered signal, of the same shape.
+
+    Raises:
+        InputError: a cut-off at or above half the rate, a signal shorter than the filter needs, missing values.
+    """
+    x = _checked(signal)
+    if not rate > 0:
+        raise InputError(f"the sampling rate is {rate:g} Hz", where="rate", expected="a positive rate")
+    if not 0 < cutoff < rate / 2:
+        raise InputError(
+            f"a cut-off of {cutoff:g} Hz cannot be had at {rate:g} Hz",
+            where="cutoff",
+            expected=f"more than 0 and less than half the sampling rate, {rate / 2:g} Hz",
+        )
+    if order < 1:
+        raise InputError(f"the filter's order is {order}", where="order", expected="1 or more")
+    design = cutoff
+    if correct_two_passes:
+        warped = math.tan(math.pi * cutoff / rate) / (math.sqrt(2) - 1) ** (1 / (2 * order))
+        design = rate / math.pi * math.atan(warped)
+
+    # At each end the signal is continued by point reflection for as long as one pass remembers.
+    padding = max(3 * (order + 1), math.ceil(order * rate / cutoff))
+    if x.shape[0] <= padding:
+        raise InputError(
+            f"{x.shape[0]} samples are too few for a filter of {cutoff:g} Hz at {rate:g} Hz",
+            where="signal",
+            expected=f"more than {padding} samples ({padding / rate:.3g} s)",
+        )
+    from scipy.signal import butter, sosfiltfilt
+
+    sections = butter(order, design, btype="low", fs=rate, output="sos")
+    return sosfiltfilt(sections, x, axis=0, padtype="odd", padlen=padding)
+
+
+def singular_spectrum_filter(signal: ArrayLike, window: int = 30, components: int | None = None) -> NDArray[np.float64]:
+    """Smooth a signal by singular spectrum analysis: keep its leading components.
+
+    The signal's lagged copies form a Hankel matrix (window x (n - window + 1)); its leading singular triples are kept,
+    and averages over the anti-diagonals turn them back to a signal (Golyandina & Zhigljavsky 2013, chapter 2).
+    Michaud et al. 2024 filter measured forces so, with window 30.
+
+    Args:
+        signal: (n,) samples, or (n, k) for k signals filtered one by one.
+        window: length of the lag window [samples].
+        components: how many components to keep. None: those whose singular value lies above the optimal threshold for
+            noise of unknown level, omega(beta) times the median one (Gavish & Donoho 2014, IEEE Trans Inf Theory
+            60:5040), and at least one.
+
+    Returns:
+        The smoothed signal, of the same shape.
+
+    Raises:
+        InputError: fewer than 2 window samples, an impossible window or number of components, missing values.
+    """
+    x = _checked(signal)
+    if x.ndim == 2:
+        columns = [singular_spectrum_filter(c, window, components) for c in x.T]
+        return np.stack(columns, axis=1) if columns else x
+    if x.ndim != 1:
+        raise InputError(f"a signal of shape {x.shape}", where="signal", expected="(n,) or (n, k)")
+    n = x.size
+    if window < 2:
+        raise InputError(f"a window of {window} samples", where="window", expected="2 or more")
+    if n < 2 * window:
+        raise InputError(
+            f"{n} samples are too few for a window of {window}", where="signal", expected=f"at least {2 * window}"
+        )
+    if components is not None and not 1 <= components <= window:
+        raise InputError(f"{components} components", where="components", expected=f"1 to the window, {window}")
+
+    hankel = np.lib.stride_tricks.sliding_window_view(x, n - window + 1)  # (window, n - window + 1)
+    left, values, right = np.linalg.svd(hankel, full_matrices=False)
+    if components is None:
+        beta = hankel.shape[0] / hankel.shape[1]
+        omega = 0.56 * beta**3 - 0.95 * beta**2 + 1.82 * beta + 1.43
+        components = max(1, int(np.sum(values > omega * np.median(values))))
+    kept = (left[:, :components] * values[:components]) @ right[:components]
+    total, count = np.zeros(n), np.zeros(n)
+    for lag, row in enumerate(kept):
+        total[lag : lag + row.size] += row
+        count[lag : lag + row.size] += 1
+    return total / count
+
+
+def _checked(signal: ArrayLike) -> NDArray[np.float64]:
+    x = np.asarray(signal, dtype=np.float64)
+    if x.ndim == 0 or x.size == 0:
+        raise InputError("no samples", where="signal", expected="samples along the first axis")
+    if not np.isfinite(x).all():
+        row = int(np.argwhere(~np.isfinite(x))[0][0])
+        raise InputError(
+            f"sample {row} (counted from 0) is missing or not finite",
+            where="signal",
+            expected="a signal without gaps",
+            remedy="fill_gaps first",
+        )
+    return x

@@ -1,0 +1,172 @@
+"""Frames of segments from markers: three points (Vaughan), or a least-squares fit to all markers of a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.files.mocap.markers import MarkerTrajectories
+from pftwin.files.mocap.naming import quoted
+from pftwin.files.mocap.poses import PoseSeries
+
+# Below this ratio of width to length a group of points is a line: 0.2 mm of noise on 10 mm of width is 1 deg already.
+_COLLINEAR = 0.02
+
+
+def three_point_frames(
+    a: ArrayLike, b: ArrayLike, c: ArrayLike, times: ArrayLike, *, axes: str = "xy", source: str = "three points"
+) -> PoseSeries:
+    """Frames from three points, after Vaughan et al. (1992), Dynamics of Human Gait, chapter 3.
+
+    The origin is `a`. The first of `axes` points from a to b; the second lies in the plane of the three points, on c's
+    side; the third completes a right-handed frame.
+
+    Args:
+        a, b, c: (n, 3) metres.
+        times: (n,) seconds.
+        axes: two different letters of "xyz". "xy": x along a-b, y towards c.
+        source: for messages.
+
+    Raises:
+        InputError: missing points, points that coincide or lie on a line (naming the frames, from 0), unknown axes.
+    """
+    if len(axes) != 2 or len(set(axes)) != 2 or not set(axes) <= set("xyz"):
+        raise InputError(f"axes {axes!r}", where="axes", expected="two different letters of xyz, as in 'xy'")
+    a, b, c = (np.asarray(p, dtype=np.float64) for p in (a, b, c))
+    for name, p in zip("abc", (a, b, c), strict=True):
+        if p.ndim != 2 or p.shape != a.shape or p.shape[1] != 3:
+            raise InputError(
+                f"point {name} has the shape {p.shape}", where=source, expected="(n, 3), alike for a, b, c"
+            )
+        if (bad := np.flatnonzero(~np.isfinite(p).all(axis=1))).size:
+            raise InputError(f"point {name} is missing in frames {quoted(bad)} (from 0)", where=source)
+    along, side = b - a, c - a
+    normal = np.cross(along, side)
+    length = np.linalg.norm(along, axis=1) * np.linalg.norm(side, axis=1)
+    if (bad := np.flatnonzero(~(np.linalg.norm(normal, axis=1) > _COLLINEAR * length))).size:
+        raise InputError(
+            f"the three points lie on a line in frames {quoted(bad)} (from 0)",
+            where=source,
+            expected="three points that span a plane",
+        )
+    first = along / np.linalg.norm(along, axis=1, keepdims=True)
+    third = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    second = np.cross(third, first)
+    i, j = ("xyz".index(letter) for letter in axes)
+    handed = 1.0 if (j - i) % 3 == 1 else -1.0
+    matrices = np.empty((a.shape[0], 3, 3))
+    matrices[:, :, i], matrices[:, :, j], matrices[:, :, 3 - i - j] = first, second, handed * third
+    return PoseSeries.from_matrices(times, a, matrices, source=source)
+
+
+def cluster_poses(
+    measured: ArrayLike,
+    reference: ArrayLike,
+    times: ArrayLike,
+    *,
+    names: Sequence[str] | None = None,
+    source: str = "cluster",
+) -> PoseSeries:
+    """Poses that fit a cluster of markers best in the sense of least squares (Kabsch 1976; Soederkvist & Wedin 1993).
+
+    Each frame uses the markers that are seen (not NaN). The rotation is always proper.
+
+    Args:
+        measured: (n, m, 3) metres in the laboratory; NaN where missing.
+        reference: (m, 3) metres: the same markers in the segment's frame.
+        times: (n,) seconds.
+        names: the markers' names, for messages.
+        source: for messages.
+
+    Returns:
+        Poses of the segment's frame in the laboratory; `residual_rms` is the root mean square distance of the markers
+        seen in a frame from their fitted places [m].
+
+    Raises:
+        InputError: wrong shapes, a reference marker that is missing, frames with fewer than three markers or with
+            collinear ones (naming frames, from 0, and markers).
+    """
+    p, r = np.asarray(measured, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+    if p.ndim != 3 or r.shape != p.shape[1:] or r.shape[1:] != (3,):
+        raise InputError(
+            f"markers of shape {p.shape} and a reference of shape {r.shape}",
+            where=source,
+            expected="(n, m, 3) and (m, 3)",
+        )
+    labels = list(names) if names is not None else [f"marker {i}" for i in range(r.shape[0])]
+    if not np.isfinite(r).all():
+        bad = [labels[i] for i in np.flatnonzero(~np.isfinite(r).all(axis=1))]
+        raise InputError(f"the reference lacks {quoted(bad)}", where=source, expected="all markers in the reference")
+    seen = np.asarray(np.isfinite(p).all(axis=2), dtype=np.bool_)
+    if (few := np.flatnonzero(seen.sum(axis=1) < 3)).size:
+        absent = [labels[i] for i in np.flatnonzero(~seen[few[0]])]
+        raise InputError(
+            f"fewer than three markers of {quoted(labels)} in frames {quoted(few)} (from 0)"
+            + (f"; frame {few[0]} lacks {quoted(absent)}" if absent else ""),
+            where=source,
+            expected="at least three markers seen",
+            remedy="fill the gaps, or use a part of the recording",
+        )
+    weight = (seen / seen.sum(axis=1, keepdims=True))[:, :, None]  # (n, m, 1)
+    p = np.where(seen[:, :, None], p, 0.0)
+    p_mean, r_mean = (weight * p).sum(axis=1), (weight * r).sum(axis=1)  # (n, 3)
+    p_centred, r_centred = (p - p_mean[:, None]) * seen[:, :, None], (r - r_mean[:, None]) * seen[:, :, None]
+    for label, points in (("reference", r_centred), ("measured", p_centred)):
+        _refuse_lines(points, seen, labels, f"the {label} markers", source)
+
+    u, _, vt = np.linalg.svd(np.einsum("nmi,nmj->nij", p_centred, r_centred))
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    matrices = u @ vt
+    positions = p_mean - np.einsum("nij,nj->ni", matrices, r_mean)
+    misfit = p_centred - np.einsum("nij,nmj->nmi", matrices, r_centred)
+    residual = np.sqrt((weight * misfit**2).sum(axis=(1, 2)))
+    return PoseSeries.from_matrices(times, positions, matrices, residual_rms=residual, source=source)
+
+
+def segment_poses(markers: MarkerTrajectories, reference: Mapping[str, ArrayLike], *, source: str = "") -> PoseSeries:
+    """`cluster_poses` by marker names: `reference` gives each marker's place (3,) [m] in the segment's frame."""
+    names = list(reference)
+    chosen = markers.select(names)
+    places = np.array([np.asarray(reference[name], dtype=np.float64) for name in names])
+    label = source or f"{markers.source}, segment of {quoted(names)}"
+    return cluster_poses(chosen.positions, places, chosen.times, names=names, source=label)
+
+
+def mean_cluster(markers: MarkerTrajectories, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """A cluster's mean shape over a recording, for use as `reference` where no static trial exists.
+
+    The frame has its origin in the mean of the markers and the laboratory's axes as they are in the first frame in
+    which all markers are seen. Generalised Procrustes: fit, average, repeat.
+
+    Raises:
+        InputError: unknown names, no frame with all markers, fewer than three or collinear markers.
+    """
+    chosen = markers.select(names)
+    complete = ~chosen.missing.any(axis=1)
+    if not complete.any():
+        raise InputError(f"no frame shows all of {quoted(names)}", where=markers.source)
+    points = chosen.positions[complete]
+    shape = points[0] - points[0].mean(axis=0)
+    for _ in range(20):
+        poses = cluster_poses(points, shape, chosen.times[complete], names=names, source=markers.source)
+        local = np.einsum("nji,nmj->nmi", poses.matrices(), points - poses.positions[:, None])
+        previous, shape = shape, local.mean(axis=0) - local.mean(axis=(0, 1))
+        if np.abs(shape - previous).max() < 1e-12:
+            break
+    return dict(zip(names, shape, strict=True))
+
+
+def _refuse_lines(
+    centred: NDArray[np.float64], seen: NDArray[np.bool_], labels: Sequence[str], what: str, source: str
+) -> None:
+    spread = np.linalg.eigvalsh(np.einsum("nmi,nmj->nij", centred, centred))  # ascending, squared lengths
+    if (bad := np.flatnonzero(~(spread[:, 1] > _COLLINEAR**2 * spread[:, 2]))).size:
+        used = [label for label, there in zip(labels, seen[bad[0]], strict=True) if there]
+        raise InputError(
+            f"{what} {quoted(used)} lie on a line in frames {quoted(bad)} (from 0)",
+            where=source,
+            expected="at least three markers that span a plane",
+        )

@@ -1,0 +1,204 @@
+"""Poses of a body over time, and reading them from tables."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.files.mocap.csv_files import read_csv
+from pftwin.files.mocap.markers import frames_between
+from pftwin.files.mocap.naming import unknown_name
+from pftwin.files.mocap.timebase import increasing_times, sampling_rate
+
+if TYPE_CHECKING:
+    from pftwin.base.spatial import Pose
+
+_UNIT_TOLERANCE = 1e-3
+_PARTS = ("px", "py", "pz", "qw", "qx", "qy", "qz")
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSeries:
+    """Poses of a frame B in its parent A over time: X_AB(t_i).
+
+    Args:
+        times: (n,) seconds, strictly increasing.
+        positions: (n, 3) metres, B's origin in A.
+        quaternions: (n, 4), scalar first, rotating B's coordinates to A's. Deviations of the norm from 1 of up to 1e-3
+            are rounding and normalised; signs are chosen such that successive quaternions are continuous.
+        residual_rms: (n,) metres: how well the markers of each frame fit a rigid body; None where not known.
+        source: where the data come from, for messages.
+
+    Raises:
+        InputError: repeated or unsorted times, wrong shapes, missing values, a quaternion that is no unit quaternion;
+            the message names the row (from 1).
+    """
+
+    times: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    quaternions: NDArray[np.float64]
+    residual_rms: NDArray[np.float64] | None = None
+    source: str = "poses"
+
+    def __post_init__(self) -> None:
+        times = increasing_times(self.times, where=self.source)
+        n = times.size
+        positions = np.array(self.positions, dtype=np.float64)
+        quaternions = np.array(self.quaternions, dtype=np.float64)
+        for label, array, width in (("positions", positions, 3), ("quaternions", quaternions, 4)):
+            if array.shape != (n, width):
+                raise InputError(f"{label} of shape {array.shape}", where=self.source, expected=f"{(n, width)}")
+            if (bad := np.flatnonzero(~np.isfinite(array).all(axis=1))).size:
+                raise InputError(f"row {bad[0] + 1} of the {label} is missing or not finite", where=self.source)
+        norms = np.linalg.norm(quaternions, axis=1)
+        if (bad := np.flatnonzero(np.abs(norms - 1) > _UNIT_TOLERANCE)).size:
+            raise InputError(
+                f"row {bad[0] + 1}: a quaternion of length {norms[bad[0]]:.6g}",
+                where=self.source,
+                expected=f"unit quaternions (w, x, y, z), to within {_UNIT_TOLERANCE:g}",
+                remedy="check the order of the columns and the unit of the file",
+            )
+        quaternions /= norms[:, None]
+        flips = np.sign(np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1]))
+        quaternions[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0))[:, None]
+        values = [("times", times), ("positions", positions), ("quaternions", quaternions)]
+        if self.residual_rms is not None:
+            residual = np.array(self.residual_rms, dtype=np.float64)
+            if residual.shape != (n,):
+                raise InputError(f"residuals of shape {residual.shape}", where=self.source, expected=f"{(n,)}")
+            values.append(("residual_rms", residual))
+        for attribute, value in values:
+            object.__setattr__(self, attribute, value)
+
+    @staticmethod
+    def from_matrices(
+        times: ArrayLike,
+        positions: ArrayLike,
+        matrices: ArrayLike,
+        *,
+        residual_rms: NDArray[np.float64] | None = None,
+        source: str = "poses",
+    ) -> PoseSeries:
+        """From rotation matrices (n, 3, 3) whose columns are B's axes in A."""
+        from scipy.spatial.transform import Rotation
+
+        quaternions = Rotation.from_matrix(np.asarray(matrices)).as_quat(scalar_first=True)
+        return PoseSeries(np.asarray(times), np.asarray(positions), quaternions, residual_rms, source)
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]; uneven times are an InputError."""
+        return sampling_rate(self.times, where=self.source)
+
+    def matrices(self) -> NDArray[np.float64]:
+        """Rotation matrices (n, 3, 3); columns are B's axes in A."""
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_quat(self.quaternions, scalar_first=True).as_matrix()
+
+    def between(self, start: float, end: float) -> PoseSeries:
+        """The frames with start <= t <= end [s]; none of them is an InputError."""
+        keep = frames_between(self.times, start, end, where=self.source)
+        residual = None if self.residual_rms is None else self.residual_rms[keep]
+        return replace(
+            self,
+            times=self.times[keep],
+            positions=self.positions[keep],
+            quaternions=self.quaternions[keep],
+            residual_rms=residual,
+        )
+
+    def compose(self, fixed: Pose) -> PoseSeries:
+        """X_AC = X_AB X_BC for a frame C fixed in B, an anatomical frame in a cluster's for instance."""
+        position, quaternion = pose_arrays(fixed)
+        one = PoseSeries(np.zeros(1), position[None], quaternion[None], source="fixed pose")
+        turned = np.einsum("nij,j->ni", self.matrices(), one.positions[0])
+        quaternions = quaternion_product(self.quaternions, one.quaternions)
+        return replace(self, positions=self.positions + turned, quaternions=quaternions)
+
+    def relative_to(self, other: PoseSeries) -> PoseSeries:
+        """X_CB = X_AC^-1 X_AB for another body C recorded in the same parent A at the same times."""
+        check_same_times(self, other)
+        positions = np.einsum("nji,nj->ni", other.matrices(), self.positions - other.positions)
+        quaternions = quaternion_product(other.quaternions * np.array([1.0, -1, -1, -1]), self.quaternions)
+        return replace(
+            self, positions=positions, quaternions=quaternions, source=f"{self.source} relative to {other.source}"
+        )
+
+    def seen_from(self, fixed: Pose) -> PoseSeries:
+        """X_CB = X_AC^-1 X_AB for a frame C fixed in A."""
+        position, quaternion = pose_arrays(fixed)
+        n = self.times.size
+        return self.relative_to(
+            PoseSeries(self.times, np.tile(position, (n, 1)), np.tile(quaternion, (n, 1)), source="a fixed frame")
+        )
+
+
+def pose_arrays(pose: Pose) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Position (3,) and quaternion (4,) of one fixed pose, in float64."""
+    p, q = pose.position, pose.orientation
+    position = np.array([np.asarray(v, dtype=np.float64) for v in (p.x, p.y, p.z)])
+    quaternion = np.array([np.asarray(v, dtype=np.float64) for v in (q.w, q.x, q.y, q.z)])
+    if position.shape != (3,) or quaternion.shape != (4,):
+        raise InputError(f"a batch of poses of shape {position.shape[1:]}", where="pose", expected="one fixed pose")
+    return position, quaternion
+
+
+def quaternion_product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Hamilton product of quaternions (..., 4), scalar first: first b, then a."""
+    aw, av = a[..., :1], a[..., 1:]
+    bw, bv = b[..., :1], b[..., 1:]
+    scalar = aw * bw - np.sum(av * bv, axis=-1, keepdims=True)
+    return np.concatenate([scalar, aw * bv + bw * av + np.cross(av, bv)], axis=-1)
+
+
+def check_same_times(a: PoseSeries, b: PoseSeries) -> None:
+    """Refuse two recordings whose frames are not taken at the same times.
+
+    Raises:
+        InputError: different numbers of frames, or times.
+    """
+    if a.times.size != b.times.size:
+        found = f"{a.times.size} frames in {a.source}, {b.times.size} in {b.source}"
+    else:
+        off = np.flatnonzero(np.abs(a.times - b.times) > 1e-6 * max(1.0, float(np.ptp(a.times))))
+        if not off.size:
+            return
+        i = int(off[0])
+        found = f"row {i + 1} is at {a.times[i]:.9g} s in {a.source} and at {b.times[i]:.9g} s in {b.source}"
+    raise InputError(found, where="times", expected="both bodies recorded at the same times")
+
+
+def read_poses_csv(path: str | os.PathLike[str], bodies: Sequence[str] | None = None) -> dict[str, PoseSeries]:
+    """Poses from a table with the columns time_s and BODY_px_m, _py_m, _pz_m, BODY_qw, _qx, _qy, _qz for each body.
+
+    Args:
+        path: the file; other units of length and time than m and s are converted.
+        bodies: the bodies wanted; all that the file holds by default.
+
+    Raises:
+        InputError: as `read_csv`; a body that is not there (with the nearest known names) or incomplete; rows without
+            a pose; quaternions that are not unit.
+    """
+    table = read_csv(path, units="1")  # other columns (an angle, a flag) are not looked at
+    found = [name[: -len("_qw")] for name in table.names if name.endswith("_qw")]
+    if not found:
+        raise InputError("no poses", where=path, expected="columns BODY_px_m ... BODY_qz")
+    out = {}
+    for body in found if bodies is None else bodies:
+        if body not in found:
+            raise unknown_name("body", body, found, where=path)
+        columns = [f"{body}_{part}" for part in _PARTS]
+        if missing := [c for c in columns if c not in table.names]:
+            raise InputError(f"body {body!r} has no column {missing[0]!r}", where=path, expected=", ".join(columns))
+        if off := [c for c in columns[:3] if table.units[c] != "m"]:
+            raise InputError(f"column {off[0]!r} has no unit of length", where=path, expected=f"{off[0]}_m")
+        values = table.select(columns).values
+        out[body] = PoseSeries(table.times, values[:, :3], values[:, 3:], source=f"{path}, body {body!r}")
+    return out

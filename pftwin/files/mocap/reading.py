@@ -1,0 +1,32 @@
+"""One door for marker files of any format."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from pftwin.base.errors import InputError
+from pftwin.files.mocap.c3d import read_c3d
+from pftwin.files.mocap.csv_files import read_marker_csv
+from pftwin.files.mocap.markers import MarkerTrajectories
+from pftwin.files.mocap.trc import read_trc
+
+_READERS: dict[str, Callable[..., MarkerTrajectories]] = {".trc": read_trc, ".c3d": read_c3d, ".csv": read_marker_csv}
+
+
+def read_markers(path: str | os.PathLike[str], *, units: str | None = None) -> MarkerTrajectories:
+    """Marker trajectories from a TRC, C3D or CSV file, by its suffix.
+
+    Args:
+        path: the file.
+        units: unit of length ("mm", "m", "cm") where the file has none.
+
+    Raises:
+        InputError: an unknown suffix, or what the format's reader refuses.
+        MissingExtraError: a C3D file without the extra "c3d".
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _READERS:
+        raise InputError(f"the suffix {suffix!r} is not known", where=path, expected=", ".join(_READERS))
+    return _READERS[suffix](path, units=units)

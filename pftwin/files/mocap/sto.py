@@ -1,0 +1,128 @@
+"""Tables from OpenSim's STO and MOT files."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+import re
+import warnings
+from collections.abc import Collection
+
+import numpy as np
+
+from pftwin.base.errors import InputError, PftwinWarning
+from pftwin.base.text_files import check_row_length, numbers, read_lines
+from pftwin.files.mocap.naming import quoted, unknown_name
+from pftwin.files.mocap.tables import Table
+
+# Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states; with a
+# side behind them, as in OpenSim JAM's knee_tx_r, or none.
+_NO_ANGLE = re.compile(
+    r"((^|_)t[xyz]|_[vpmf][xyz]\d?|_q[wxyz]|force\w*|torque\w*|moment\w*|cop\w*|activation|excitation|\w*length|power\w*)"
+    r"(_r|_l|_right|_left)?$",
+    re.IGNORECASE,
+)
+
+
+def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None = None) -> Table:
+    """A STO or MOT file; angles in radians.
+
+    The header's nRows and nColumns are not trusted: rows are counted, and a warning says where they disagree. The flag
+    inDegrees is honoured and kept as `Table.in_degrees`, but the format does not tell which columns are angles. Name
+    them; else all columns are taken for angles except those that are named like translations (..._tx, ..._tx_r), forces
+    (..._vx, ..._px, ...force), moments or muscle states, and a warning lists what was converted.
+
+    Args:
+        path: the file.
+        rotational: names or patterns ("*_flexion*", "*") of the columns that hold angles or angular velocities. Empty:
+            none. Used only if the file is in degrees.
+
+    Returns:
+        The columns; units "rad" ("rad/s" for ".../speed") where converted or known to be angles, else "".
+
+    Raises:
+        InputError: missing, empty, truncated, binary or non-numeric content (naming file, line and column); no time
+            column; repeated or unsorted times; a pattern that matches no column.
+    """
+    lines, ended = read_lines(path)
+    header, labels_at = _header(lines, path)
+    labels = lines[labels_at].split("\t") if "\t" in lines[labels_at] else lines[labels_at].split()
+    labels = [c.strip() for c in labels]
+    while labels and not labels[-1]:
+        labels.pop()
+    if not labels or labels[0].lower() != "time":
+        raise InputError("the first column is not time", where=f"{path}, line {labels_at + 1}", expected="time, ...")
+    values = _rows(lines, labels_at + 1, labels, ended, path)
+    for key, actual in (("nrows", len(values)), ("datarows", len(values)), ("ncolumns", len(labels))):
+        if key in header and header[key] != str(actual):
+            message = f"{path}: the header says {key}={header[key]}, the file has {actual}: the file's content counts"
+            warnings.warn(message, PftwinWarning, stacklevel=2)
+    names = tuple(labels[1:])
+    in_degrees = _in_degrees(header, path)
+    units = dict.fromkeys(names, "")
+    columns = values[:, 1:]
+    if in_degrees:
+        angles = _angles(names, rotational, path)
+        for i, name in enumerate(names):
+            if name in angles:
+                columns[:, i] = np.deg2rad(columns[:, i])
+                units[name] = "rad/s" if name.endswith("/speed") else "rad"
+    return Table(values[:, 0], names, columns, units, source=str(path), in_degrees=in_degrees)
+
+
+def _header(lines: list[str], path: object) -> tuple[dict[str, str], int]:
+    """Header fields by lower-case name, and the index of the line of labels."""
+    header: dict[str, str] = {}
+    for i, line in enumerate(lines):
+        text = line.strip()
+        if text.lower() == "endheader":
+            below = [j for j in range(i + 1, len(lines)) if lines[j].strip()]
+            if not below:
+                raise InputError("nothing after endheader", where=path, expected="a line of labels, then rows")
+            return header, below[0]
+        key, sign, value = text.partition("=")
+        if not sign and len(text.split()) == 2:  # older files: "datarows 12"
+            key, value = text.split()
+        header[key.strip().lower()] = value.strip()
+    raise InputError("no line 'endheader'", where=path, expected="a STO or MOT file with its header")
+
+
+def _in_degrees(header: dict[str, str], path: object) -> bool:
+    flag = header.get("indegrees", "no").lower()
+    if flag not in {"yes", "no", "true", "false", "1", "0"}:
+        raise InputError(f"inDegrees={flag}", where=f"{path}, header", expected="yes or no")
+    return flag in {"yes", "true", "1"}
+
+
+def _rows(lines: list[str], start: int, labels: list[str], ended: bool, path: object) -> np.ndarray:
+    rows = []
+    last = max(i for i, line in enumerate(lines) if line.strip())
+    for i in range(start, len(lines)):
+        cells = lines[i].split()
+        if not cells:
+            continue
+        broken = i == last and not ended
+        check_row_length(len(cells), len(labels), path=path, line=i + 1, broken_off=broken)
+        rows.append(numbers(cells, labels.__getitem__, path=path, line=i + 1))
+    if not rows:
+        raise InputError("no rows of data", where=path, expected="at least one row")
+    return np.array(rows)
+
+
+def _angles(names: tuple[str, ...], rotational: Collection[str] | None, path: object) -> set[str]:
+    if rotational is None:
+        # "/jointset/knee_r/knee_angle_r/value" is judged by the coordinate's name
+        chosen = {n for n in names if not _NO_ANGLE.search(re.sub(r"/(value|speed)$", "", n))}
+        message = (
+            f"{path}: inDegrees=yes, and the format does not say which columns are angles; "
+            f"converted to radians: {quoted(sorted(chosen)) or 'none'}; name them with rotational=[...]"
+        )
+        warnings.warn(message, PftwinWarning, stacklevel=3)
+        return chosen
+    chosen = set()
+    for pattern in rotational:
+        matches = {n for n in names if fnmatch.fnmatchcase(n, pattern)}
+        if not matches:
+            raise unknown_name("column", pattern, names, where=path)
+        chosen |= matches
+    return chosen

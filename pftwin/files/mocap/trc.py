@@ -1,0 +1,161 @@
+"""Marker trajectories from and to TRC files (Motion Analysis' text format).
+
+The reader takes what programs write in practice (compare opensim-core issues 2345, 2289): a blank line after the
+header or none, trailing and extra tabs, empty cells, any line ends, coordinate labels that do not count from 1, and
+header counts that disagree with the rows (the rows are believed, a warning says so).
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import warnings
+
+import numpy as np
+
+from pftwin.base.errors import InputError, PftwinWarning
+from pftwin.base.text_files import check_row_length, numbers, read_lines, write_text
+from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
+from pftwin.files.mocap.units import check_spread, length_factor
+
+_COORDINATE = re.compile(r"^[XYZ]\d*$", re.IGNORECASE)
+
+
+def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> MarkerTrajectories:
+    """The markers of a TRC file.
+
+    A marker is missing (NaN) on a row where any of its cells is empty or NaN, or where all three are exactly 0 or -0,
+    as several systems write it.
+
+    Args:
+        path: the file.
+        units: unit of length, for a file whose header has none or a wrong one (a warning says where they differ).
+
+    Raises:
+        InputError: missing, empty, truncated, binary or non-numeric content (naming file, line and column); no, unknown
+            or implausible unit; repeated, unsorted or uneven times.
+    """
+    lines, ended = read_lines(path)
+    labels_at = _label_line(lines, path)
+    header = _header(lines[:labels_at])
+    names = _names(lines[labels_at], f"{path}, line {labels_at + 1}")
+    times, positions = _rows(lines, labels_at + 1, names, ended, path)
+
+    factor, differs = length_factor(header.get("units"), units, where=f"{path}, header field Units")
+    if differs:
+        message = f"{path}: the header's unit is {header['units']!r}; {units!r} is used as told"
+        warnings.warn(message, PftwinWarning, stacklevel=2)
+    positions = zeros_to_missing(positions) * factor
+    check_spread(positions, where=path)
+    markers = MarkerTrajectories(times, names, positions, source=str(path))
+    for message in _disagreements(header, markers):
+        warnings.warn(f"{path}: {message}", PftwinWarning, stacklevel=2)
+    return markers
+
+
+def write_trc(path: str | os.PathLike[str], markers: MarkerTrajectories) -> None:
+    """Write markers as a TRC file: millimetres to 1e-6 mm, seconds to 1e-9 s, empty cells where a marker is missing.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    n, m = markers.missing.shape
+    rate = f"{markers.rate:.12g}" if n > 1 else "1"
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{os.path.basename(os.fspath(path))}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{n}\t{m}\tmm\t{rate}\t1\t{n}",
+        "Frame#\tTime\t" + "".join(f"{name}\t\t\t" for name in markers.names).rstrip("\t"),
+        "\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, m + 1)),
+        "",
+    ]
+    millimetres = markers.positions * 1e3
+    origin = (np.abs(millimetres) < 5e-7).all(axis=-1)
+    millimetres[origin, 0] = 1e-6  # 0 0 0 would be read as a missing marker
+    for i in range(n):
+        cells = ["" if v != v else f"{v:.6f}" for v in millimetres[i].ravel()]
+        lines.append(f"{i + 1}\t{markers.times[i]:.9f}\t" + "\t".join(cells))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _cells(line: str) -> list[str]:
+    return [c.strip() for c in (line.split("\t") if "\t" in line else line.split())]
+
+
+def _label_line(lines: list[str], path: object) -> int:
+    for i, line in enumerate(lines[:20]):
+        cells = [c.lower() for c in _cells(line) if c]
+        if cells[:1] and cells[0].startswith("frame") and "time" in cells[1:2]:
+            return i
+    raise InputError(
+        "no line with the marker names (it begins with Frame# and Time)",
+        where=path,
+        expected="a TRC file with its header",
+    )
+
+
+def _header(lines: list[str]) -> dict[str, str]:
+    """Header fields by lower-case name."""
+    rows = [_cells(line) for line in lines]
+    for keys, values in itertools.pairwise(rows):
+        lowered = [k.lower() for k in keys]
+        if "datarate" in lowered or "units" in lowered:
+            return {k: v for k, v in zip(lowered, values, strict=False) if k and v}
+    return {}
+
+
+def _names(line: str, where: object) -> tuple[str, ...]:
+    names = tuple(c for c in _cells(line) if c)[2:]
+    if not names:
+        raise InputError("no marker names", where=where, expected="names after Frame# and Time")
+    return names
+
+
+def _rows(
+    lines: list[str], start: int, names: tuple[str, ...], ended: bool, path: object
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) and positions (n, m, 3) in the file's unit."""
+    width = 2 + 3 * len(names)
+    last = max((i for i, line in enumerate(lines) if line.strip()), default=0)
+    rows: list[list[float]] = []
+
+    def column(i: int) -> str:
+        return ("Frame#", "Time")[i] if i < 2 else f"{names[(i - 2) // 3]} {'XYZ'[(i - 2) % 3]}"
+
+    for i in range(start, len(lines)):
+        cells = _cells(lines[i])
+        filled = [c for c in cells if c]
+        if not filled or (not rows and all(_COORDINATE.match(c) for c in filled)):
+            continue
+        while len(cells) > width and not cells[-1]:
+            cells.pop()
+        if i == last and not ended:
+            check_row_length(len(cells), max(width, len(cells)), path=path, line=i + 1, broken_off=True)
+        if len(cells) < width and (len(cells) - 2) % 3 == 0 and len(cells) > 2:
+            cells += [""] * (width - len(cells))  # empty cells at the row's end that the writer left away
+        check_row_length(len(cells), width, path=path, line=i + 1, broken_off=False)
+        numbers(cells[1:2], lambda _: "Time", path=path, line=i + 1, allow_missing=False)
+        rows.append(numbers(cells, column, path=path, line=i + 1))
+    if not rows:
+        raise InputError("no rows of data after the header", where=path, expected="at least one frame")
+    values = np.array(rows)
+    return values[:, 1], values[:, 2:].reshape(len(rows), len(names), 3)
+
+
+def _disagreements(header: dict[str, str], markers: MarkerTrajectories) -> list[str]:
+    found = []
+    frames, count = markers.times.size, len(markers.names)
+    for key, label, actual in (("numframes", "frames", frames), ("nummarkers", "markers", count)):
+        if key in header and not _same(header[key], actual, 0):
+            found.append(f"the header counts {header[key]} {label}, the file has {actual}: the rows are believed")
+    if frames > 1 and "datarate" in header and not _same(header["datarate"], markers.rate, 0.01 * markers.rate):
+        found.append(f"the header's rate is {header['datarate']} Hz, the times give {markers.rate:.6g} Hz: these count")
+    return found
+
+
+def _same(text: str, value: float, tolerance: float) -> bool:
+    try:
+        return abs(float(text) - value) <= tolerance
+    except ValueError:
+        return False

@@ -1,0 +1,144 @@
+"""Units of files, converted to SI at the edge; never guessed."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.files.mocap.naming import unknown_name
+
+# unit as written -> (SI unit, factor to SI)
+_UNITS: dict[str, tuple[str, float]] = {
+    "m": ("m", 1.0),
+    "cm": ("m", 1e-2),
+    "mm": ("m", 1e-3),
+    "um": ("m", 1e-6),
+    "in": ("m", 0.0254),
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
+    "rad": ("rad", 1.0),
+    "deg": ("rad", math.pi / 180),
+    "N": ("N", 1.0),
+    "kN": ("N", 1e3),
+    "Nm": ("N m", 1.0),
+    "N m": ("N m", 1.0),
+    "N*m": ("N m", 1.0),
+    "Nmm": ("N m", 1e-3),
+    "m/s": ("m/s", 1.0),
+    "mm/s": ("m/s", 1e-3),
+    "rad/s": ("rad/s", 1.0),
+    "deg/s": ("rad/s", math.pi / 180),
+    "J": ("J", 1.0),
+    "mJ": ("J", 1e-3),
+    "kg": ("kg", 1.0),
+    "Pa": ("Pa", 1.0),
+    "MPa": ("Pa", 1e6),
+    "Hz": ("Hz", 1.0),
+    "V": ("V", 1.0),
+    "mV": ("V", 1e-3),
+    "1": ("1", 1.0),
+    "-": ("1", 1.0),
+}
+_LONG_NAMES = {
+    "meter": "m",
+    "meters": "m",
+    "metre": "m",
+    "metres": "m",
+    "millimeter": "mm",
+    "millimeters": "mm",
+    "millimetre": "mm",
+    "millimetres": "mm",
+    "centimeter": "cm",
+    "centimeters": "cm",
+    "centimetre": "cm",
+    "centimetres": "cm",
+    "degrees": "deg",
+    "degree": "deg",
+    "radians": "rad",
+    "seconds": "s",
+    "newton": "N",
+    "newtons": "N",
+}
+_BRACKETS = re.compile(r"^(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]$")
+# "strand_1" and "zoom_in" are names, not quantities: these units count in brackets only.
+_BRACKETS_ONLY = {"1", "-", "in"}
+_DIMENSIONLESS = re.compile(r"(^|_)q[wxyz]$|^frame#?$|^status$", re.IGNORECASE)
+
+# Motion capture of a person or a rig: between a marker cluster's size and a large laboratory's.
+_SMALLEST_SPREAD, _LARGEST_SPREAD = 0.01, 50.0
+
+
+def to_si(unit: str, *, where: object) -> tuple[str, float]:
+    """SI unit and the factor that converts to it.
+
+    Raises:
+        InputError: a unit that is not known.
+    """
+    text = unit.strip()
+    for candidate in (text, _LONG_NAMES.get(text.lower(), ""), text.lower()):
+        if candidate in _UNITS:
+            return _UNITS[candidate]
+    raise unknown_name("unit", unit, _UNITS, where=where)
+
+
+def length_factor(header: str | None, argument: str | None, *, where: object) -> tuple[float, bool]:
+    """Metres per unit of length, from a file's header or the caller's argument; and whether the two disagree.
+
+    The argument wins over the header (the way out when a header is wrong).
+
+    Raises:
+        InputError: neither gives a unit, or it is not a length.
+    """
+    if not (argument or header):
+        raise InputError(
+            "no unit of length in the file, and none given",
+            where=where,
+            expected="a unit in the header (m, cm, mm)",
+            remedy="the argument units='mm' (or 'm', 'cm')",
+        )
+    factors = []
+    for text in (argument, header):
+        if text:
+            si, factor = to_si(text, where=where)
+            if si != "m":
+                raise InputError(f"the unit {text!r} is not a length", where=where, expected="m, cm or mm")
+            factors.append(factor)
+    return factors[0], len(factors) == 2 and factors[0] != factors[1]
+
+
+def split_unit(column: str) -> tuple[str, str | None]:
+    """Name and unit of a column: "Fz_N", "Fz (N)", "Fz [N]"; (name, None) where the header gives no unit.
+
+    Components of quaternions (..._qw, _qx, _qy, _qz), "frame" and "status" have no dimension: their unit is "1".
+    """
+    column = column.strip()
+    if found := _BRACKETS.match(column):
+        return found["name"].strip(), found["unit"] or "1"
+    if _DIMENSIONLESS.search(column):
+        return column, "1"
+    name, _, unit = column.rpartition("_")
+    return (name, unit) if name and unit in _UNITS and unit not in _BRACKETS_ONLY else (column, None)
+
+
+def check_spread(positions: NDArray[np.float64], *, where: object) -> None:
+    """Refuse marker positions (n, m, 3) in metres whose spread says that the unit is wrong.
+
+    Raises:
+        InputError: all markers together span more than 50 m, or two or more of them less than 10 mm.
+    """
+    present = positions[np.isfinite(positions).all(axis=-1)]
+    if not len(present):
+        return
+    spread = float(np.max(present.max(axis=0) - present.min(axis=0)))
+    several = positions.shape[1] > 1
+    if spread > _LARGEST_SPREAD or (several and spread < _SMALLEST_SPREAD):
+        raise InputError(
+            f"the markers span {spread:.4g} m in the file's unit: that unit looks wrong",
+            where=where,
+            expected=f"a spread between {_SMALLEST_SPREAD} m and {_LARGEST_SPREAD:g} m",
+            remedy="the true unit as argument: units='mm' (or 'm', 'cm')",
+        )

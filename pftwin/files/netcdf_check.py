@@ -1,0 +1,95 @@
+"""A look at a NetCDF-4 file before it is read: what its variables would take, and whether they are in it at all.
+
+HDF5 lets a file of a few kilobytes announce variables of any size (what is not written is filled in), pack zeros a
+thousandfold, and fetch its numbers from other files of the machine. Nothing that pftwin writes does any of it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pftwin.base.errors import InputError
+from pftwin.base.file_limits import RESULT_BYTES, RESULT_PACKED, RESULT_SMALL
+from pftwin.files.hdf5_heaps import check_heaps
+
+_SAVED = "a result saved by pftwin"
+
+
+def check_netcdf(file: Path) -> list[str]:
+    """Refuses a file that is too large, now or unpacked, or that leads out of itself.
+
+    Returns:
+        The names of its groups.
+
+    Raises:
+        InputError: it does, or it is no NetCDF-4.
+    """
+    import h5py
+
+    size = file.stat().st_size
+    if size > RESULT_BYTES:
+        raise _too_large(f"{size / 1e9:.1f} GB", file)
+    check_heaps(file)
+    try:
+        with h5py.File(file, "r") as opened:
+            total = [0]
+            # What is returned ends the visit; an error would have to pass through HDF5, which it does not survive.
+            wrong = opened.visititems_links(lambda name, link: _in_link(link, name, file))
+            wrong = wrong or opened.visititems(lambda name, item: _in_item(item, name, file, total))
+            if wrong is not None:
+                raise wrong
+            return [name for name, item in opened.items() if isinstance(item, h5py.Group)]
+    except InputError:
+        raise
+    except Exception as error:  # the library raises whatever its parsing of a damaged file runs into
+        raise not_netcdf(file, error) from error
+
+
+def _in_link(link: Any, name: str, file: Path) -> InputError | None:
+    import h5py
+
+    return None if isinstance(link, h5py.HardLink) else _elsewhere(name, file)
+
+
+def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError | None:
+    import h5py
+
+    if not isinstance(item, h5py.Dataset):
+        return None
+    if item.external or item.is_virtual:
+        return _elsewhere(name, file)
+    announced, there = item.nbytes, item.id.get_storage_size()
+    total[0] += announced
+    # A chunk is unpacked whole, however little of it counts.
+    chunk = 0 if item.chunks is None else int(item.dtype.itemsize)
+    for n in item.chunks or ():
+        chunk *= int(n)
+    if total[0] > RESULT_BYTES or chunk > RESULT_BYTES:
+        return _too_large(f"{max(total[0], chunk) / 1e9:.1f} GB of variables", file)
+    if max(announced, chunk) > max(RESULT_SMALL, RESULT_PACKED * there):
+        return InputError(
+            f"{name!r} announces {max(announced, chunk) / 1e6:.0f} MB, of which the file holds {there / 1e6:.1f}",
+            where=file,
+            expected=_SAVED,
+            remedy="copy the file again, or simulate again",
+        )
+    return None
+
+
+def _elsewhere(name: str, file: Path) -> InputError:
+    return InputError(f"{name!r} stands elsewhere", where=file, expected=f"{_SAVED}, which holds all of itself")
+
+
+def _too_large(found: str, file: Path) -> InputError:
+    return InputError(
+        f"{found} are too large",
+        where=file,
+        expected=f"at most {RESULT_BYTES / 1e9:.0f} GB",
+        remedy="fewer variants or frames a file",
+    )
+
+
+def not_netcdf(file: Path, error: Exception) -> InputError:
+    """For what a reader of NetCDF says."""
+    return InputError(f"cannot be read as NetCDF: {error}", where=file, expected=_SAVED)

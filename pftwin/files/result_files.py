@@ -1,0 +1,140 @@
+"""Results as files: NetCDF, CSV, OpenSim storage. Written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.base.output import check_place, written_whole
+from pftwin.base.text_files import write_text
+from pftwin.files.mocap.csv_files import write_csv
+from pftwin.files.mocap.tables import Table
+from pftwin.files.netcdf_check import check_netcdf, not_netcdf
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+_QUATERNION = "component"
+GEOMETRY = "geometry"  # the group of a result's file that says what there is to draw
+
+
+def save_dataset(
+    data: Dataset,
+    path: str | os.PathLike[str],
+    *,
+    groups: Mapping[str, Dataset] | None = None,
+    encoding: Mapping[str, dict[str, Any]] | None = None,
+) -> None:
+    """Writes NetCDF-4.
+
+    Args:
+        data: the file's root.
+        path: where to.
+        groups: further datasets, by the name of their group; compressed.
+        encoding: how variables of the root are packed, as xarray has it.
+
+    Raises:
+        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+    """
+    with written_whole(path) as temporary:
+        temporary.write_bytes(_netcdf(data, groups or {}, dict(encoding or {})))
+
+
+def _netcdf(data: Dataset, groups: Mapping[str, Dataset], encoding: dict[str, dict[str, Any]]) -> memoryview:
+    """The file's content, made in memory: a disk that is full under HDF5's own writing can end the process."""
+    import io
+
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as file:
+        data.dump_to_store(H5NetCDFStore(file), encoding=encoding)
+        for name, group in groups.items():
+            packed = {k: {"compression": "gzip", "shuffle": True} for k, v in group.data_vars.items() if v.ndim}
+            group.dump_to_store(H5NetCDFStore(file, group=name, mode="a"), encoding=packed)
+    return content.getbuffer()
+
+
+def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> Dataset:
+    """A dataset that `save_dataset` wrote, or one of its groups, read into memory.
+
+    Raises:
+        InputError: no such file, not NetCDF-4, too large, not whole in itself, or no such group.
+    """
+    from xarray import load_dataset as load
+
+    file = Path(path)
+    if not file.is_file():
+        raise InputError("no such file", where=file, remedy="check the path and the working directory")
+    groups = check_netcdf(file)
+    if group is not None and group not in groups:
+        raise InputError(
+            f"holds no group {group!r}",
+            where=file,
+            expected="a result saved by this version of pftwin",
+            remedy="simulate again, e.g. pftwin simulate --case 2 -o case2.nc",
+        )
+    try:
+        return load(file, engine="h5netcdf", group=group)
+    except Exception as error:  # the libraries raise whatever their parsing of a damaged file runs into
+        raise not_netcdf(file, error) from error
+
+
+def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:
+    """Writes one column per variable and component, units in the header.
+
+    Raises:
+        OutputError: as `save_dataset`.
+    """
+    columns, units = flattened(data)
+    table = Table(data["time"].values, tuple(columns), np.stack([*columns.values()], axis=1), units)
+    write_csv(check_place(path), table)
+
+
+def save_sto(data: Dataset, path: str | os.PathLike[str]) -> None:
+    """Writes an OpenSim storage file: angles in degrees and the header says so, all else in SI units.
+
+    Raises:
+        OutputError: as `save_dataset`.
+    """
+    columns, _ = flattened(data)
+    times = data["time"].values
+    head = [
+        str(data.attrs.get("title", "pftwin result")).replace("\n", " "),
+        "version=1",
+        f"nRows={times.size}",
+        f"nColumns={len(columns) + 1}",
+        "inDegrees=yes",
+        "endheader",
+        "\t".join(["time", *columns]),
+    ]
+    rows = np.column_stack([times, *columns.values()])
+    lines = ["\t".join(["nan" if x != x else f"{x:.12g}" for x in row]) for row in rows]
+    write_text(check_place(path), "\n".join([*head, *lines]) + "\n")
+
+
+def flattened(data: Dataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Columns (n,) and their units by name: components get _x, _y, _z, quaternions _qw ... _qz, elements _1, _2 ..."""
+    columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    for name, variable in data.data_vars.items():
+        prefix = str(name).removesuffix("_quaternion") if _QUATERNION in variable.dims else str(name)
+        labels = [""]
+        for dimension in variable.dims[1:]:
+            if dimension in data.coords:
+                lead = "_q" if dimension == _QUATERNION else "_"
+                parts = [f"{lead}{value}" for value in data[dimension].values]
+            else:
+                parts = [f"_{i + 1}" for i in range(variable.sizes[dimension])]
+            labels = [a + b for a in labels for b in parts]
+        values = np.asarray(variable.values, dtype=np.float64).reshape(variable.sizes["time"], -1)
+        for label, column in zip(labels, values.T, strict=True):
+            columns[prefix + label] = column
+            units[prefix + label] = "" if label.startswith("_q") else str(variable.attrs.get("units", "1"))
+    return columns, units

@@ -1,0 +1,140 @@
+"""Surfaces by their coefficients: a polynomial patch or a spline patch on a chart."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
+from pftwin.files.scene_file.host_pose import HostPose
+from pftwin.files.scene_file.section import (
+    Pair,
+    Point,
+    Polynomial,
+    Positive,
+    PositivePair,
+    Section,
+    UnitQuaternion,
+    problem,
+)
+from pftwin.files.scene_file.setting import Setting
+
+if TYPE_CHECKING:
+    from pftwin.geometry.patch.charts import Chart
+    from pftwin.geometry.patch.closest import Surface
+
+At = tuple[str | int, ...]
+
+
+class ChartSection(Section):
+    """Where a patch's coordinates are."""
+
+    type: Literal["plane", "cylinder"] = Field(description="heights over a plane, or about the frame's y axis")
+    origin_m: Point = Field(default=[0.0, 0.0, 0.0], description="origin of the chart's frame, femur frame [m]")
+    quaternion_wxyz: UnitQuaternion = Field(
+        default=[1.0, 0.0, 0.0, 0.0], description="orientation of the chart's frame in the femur's (w, x, y, z)"
+    )
+    radius_m: Positive | None = Field(default=None, description="radius that makes the cylinder's angle a length [m]")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.type == "cylinder") != (self.radius_m is not None):
+            raise problem(f"a {self.type} chart {'without' if self.type == 'cylinder' else 'with'} radius_m")
+        return self
+
+    def build(self, setting: Setting) -> Chart:
+        """The chart. A mirrored one keeps a right-handed frame by turning its own y round: v changes its sign."""
+        from pftwin.base.spatial import Rotation
+        from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
+
+        frame = HostPose.of(self.origin_m, self.quaternion_wxyz)
+        origin = setting.side.points("femur", frame.position)
+        axes = setting.side.matrices["femur"] @ frame.matrix * np.array([1.0, odd(setting), 1.0])
+        where = vector(origin), Rotation.from_array(number(axes))
+        return PlaneChart(*where) if self.radius_m is None else CylindricalChart(*where, number(self.radius_m))
+
+
+def odd(setting: Setting) -> float:
+    """The sign that v has in the scene's chart: the other one for a left knee."""
+    return -1.0 if setting.side.left else 1.0
+
+
+class PatchSurfaceSection(Section):
+    """A polynomial patch by its coefficients: height = sum of c_ij a^i b^j, a = (u - u0) / half_u, b likewise."""
+
+    coefficients_m: list[float] = Field(
+        description="coefficients c_ij [m]: all i for j = 0, then all i for j = 1, ..., i + j up to the degree"
+    )
+    degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
+    chart: ChartSection = Field(description="table: the chart")
+    center_m: Pair = Field(default=[0.0, 0.0], description="centre (u0, v0) of the patch's rectangle [m]")
+    half_size_m: PositivePair = Field(description="half size (half_u, half_v) of the patch's rectangle [m]")
+
+    def build(self, setting: Setting, at: At) -> Surface:
+        """The patch."""
+        from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
+        from pftwin.geometry.patch.polynomial_fit import parse_degree
+
+        document = setting.document
+        with document.naming(*at, "degree"):
+            degree = parse_degree(self.degree)
+            refuse_other(setting, f"P{degree}")
+        powers = exponents(degree)
+        if len(self.coefficients_m) != len(powers):
+            place, _, _ = document.locate((*at, "coefficients_m"))
+            raise InputError(
+                f"{len(self.coefficients_m)} coefficients",
+                where=document.describe(place),
+                expected=f"the {len(powers)} coefficients of P{degree}",
+            )
+        sign = odd(setting)  # of odd powers of v, too
+        coefficients = [c * sign**j for c, (_, j) in zip(self.coefficients_m, powers, strict=True)]
+        center = number(self.center_m[0]), number(sign * self.center_m[1])
+        half = number(self.half_size_m[0]), number(self.half_size_m[1])
+        return PolynomialPatch(self.chart.build(setting), number(coefficients), center, half, degree)
+
+
+class SplineSurfaceSection(Section):
+    """A bicubic spline patch by its coefficients: height = sum of c_ij N_i(a) N_j(b), uniform cubic B-splines N."""
+
+    spline_coefficients_m: list[list[float]] = Field(
+        description="coefficients c_ij [m]: a row for each i, along u; cells + 3 of them in either direction"
+    )
+    chart: ChartSection = Field(description="table: the chart")
+    center_m: Pair = Field(default=[0.0, 0.0], description="centre (u0, v0) of the patch's rectangle [m]")
+    half_size_m: PositivePair = Field(description="half size (half_u, half_v) of the patch's rectangle [m]")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        widths = {len(row) for row in self.spline_coefficients_m}
+        if len(widths) != 1 or min(len(self.spline_coefficients_m), *widths) < 4:
+            found = f"{len(self.spline_coefficients_m)} rows of {sorted(widths)} spline_coefficients_m"
+            raise problem(found, expected="4 or more rows of one length, 4 or more")
+        return self
+
+    def build(self, setting: Setting, at: At) -> Surface:
+        """The patch."""
+        from pftwin.geometry.patch.spline import SplinePatch
+        from pftwin.geometry.patch.spline_or_polynomial import SPLINE
+
+        with setting.document.naming(*at):
+            refuse_other(setting, SPLINE)
+        rows = np.asarray(self.spline_coefficients_m, dtype=np.float64)
+        sign = odd(setting)
+        center = number(self.center_m[0]), number(sign * self.center_m[1])
+        half = number(self.half_size_m[0]), number(self.half_size_m[1])
+        return SplinePatch(self.chart.build(setting), number(rows if sign > 0 else rows[:, ::-1]), center, half)
+
+
+def refuse_other(setting: Setting, name: str | None) -> None:
+    """A patch asked for on the command line can only be had where there is a mesh to fit it to."""
+    from pftwin.geometry.patch.spline_or_polynomial import parse_name
+
+    if setting.contact is not None and parse_name(setting.contact) != name:
+        raise InputError(
+            f"{setting.contact} was asked for, and this surface is not fitted to a mesh",
+            remedy="leave it as it is, or give the surface as a mesh",
+        )

@@ -1,0 +1,121 @@
+"""[contact]: the button's sphere on the trochlea, and its normal force's law."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from pftwin.base.leaves import number, vector
+from pftwin.files.scene_file.effect_tables import EffectSection
+from pftwin.files.scene_file.friction_table import FrictionSection
+from pftwin.files.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
+from pftwin.files.scene_file.setting import Setting
+from pftwin.files.scene_file.surface_table import SurfaceSection
+from pftwin.model.effects.contact_law import Flores, Hertz, HuntCrossley
+from pftwin.model.effects.sphere_contact import SphereContact
+
+if TYPE_CHECKING:
+    from pftwin.geometry.patch.sphere import SphereFit
+    from pftwin.model.effects.base import Effect
+
+
+class LawSection(Section):
+    """F = k d^p (1 + x dd/dt)."""
+
+    contact_stiffness: Positive = Field(description="stiffness k [N/m^p], p the hertz_exponent")
+    hertz_exponent: Annotated[float, Field(ge=1, le=5)] = Field(default=1.5, description="exponent p [-]")
+
+
+class FloresSection(LawSection):
+    """Flores et al. 2011."""
+
+    type: Literal["flores"]
+    restitution: Annotated[float, Field(gt=0, le=1)] = Field(description="coefficient of restitution, 0 to 1 [-]")
+    approach_speed_floor_m_per_s: Positive = Field(default=0.01, description="least approach speed reckoned with [m/s]")
+
+    def build(self) -> Flores:
+        """The law."""
+        return Flores(
+            number(self.contact_stiffness),
+            number(self.restitution),
+            hertz_exponent=self.hertz_exponent,
+            approach_speed_floor=self.approach_speed_floor_m_per_s,
+        )
+
+
+class HuntCrossleySection(LawSection):
+    """Hunt and Crossley 1975."""
+
+    type: Literal["hunt_crossley"]
+    dissipation_s_per_m: NotNegative = Field(description="dissipation alpha [s/m]")
+
+    def build(self) -> HuntCrossley:
+        """The law."""
+        stiffness, dissipation = number(self.contact_stiffness), number(self.dissipation_s_per_m)
+        return HuntCrossley(stiffness, dissipation, hertz_exponent=self.hertz_exponent)
+
+
+class HertzSection(LawSection):
+    """Hertz, without loss."""
+
+    type: Literal["hertz"]
+
+    def build(self) -> Hertz:
+        """The law."""
+        return Hertz(number(self.contact_stiffness), hertz_exponent=self.hertz_exponent)
+
+
+class ButtonSection(Section):
+    """A button by its mesh, in the patella's frame."""
+
+    mesh: FileName = Field(description="STL, OBJ or PLY file of the patellar button")
+    units: LengthUnit = Field(description="unit of the mesh's coordinates")
+    tolerance_m: Positive = Field(default=0.02e-3, description="deviation that still counts as sphere [m]")
+
+    def fit(self, setting: Setting, at: tuple[str | int, ...]) -> SphereFit:
+        """The sphere in the patella's own frame; a note says how well it fits."""
+        from pftwin.geometry.mesh.mesh import load_mesh
+        from pftwin.geometry.patch.sphere import fit_sphere
+
+        with setting.document.naming(*at, "mesh"):
+            sphere = fit_sphere(load_mesh(setting.path(self.mesh), units=self.units), tolerance=self.tolerance_m)
+        setting.notes.append(f"{setting.path(self.mesh)}: {sphere}")
+        return sphere
+
+
+class ContactSection(EffectSection):
+    """A sphere fixed in the patella on a surface fixed in the femur."""
+
+    kind: ClassVar[str] = "contact"
+    center_m: Point = Field(default=[0.0, 0.0, 0.0], description="centre of the button's sphere, patella frame [m]")
+    radius_m: Positive | None = Field(default=None, description="radius of the button's sphere [m]; or a button")
+    button: ButtonSection | None = Field(default=None, description="table: a mesh that the sphere is fitted to")
+    surface: SurfaceSection = Field(description="table: mesh to be fitted, coefficients, or implant")
+    law: Annotated[FloresSection | HuntCrossleySection | HertzSection, Field(discriminator="type")] = Field(
+        description='table: the normal force\'s law, type = "flores", "hunt_crossley" or "hertz"'
+    )
+    friction: FrictionSection | None = Field(default=None, description="table: friction; none by default")
+
+    @model_validator(mode="after")
+    def _one_sphere(self) -> Self:
+        if self.radius_m is None and self.button is None:
+            raise problem("the sphere has no radius", expected="radius_m and center_m, or button")
+        if self.button is not None and {"radius_m", "center_m"} & self.model_fields_set:
+            raise problem("both button and radius_m or center_m are given", expected="one of them")
+        return self
+
+    def build(self, setting: Setting, at: tuple[str | int, ...]) -> Effect:
+        """The effect."""
+        surface = self.surface.build(setting, (*at, "surface"))
+        center, radius = self.center_m, self.radius_m
+        if self.button is not None:
+            sphere = self.button.fit(setting, (*at, "button"))
+            center, radius = sphere.center.tolist(), float(sphere.radius)
+            center_here, axis_here = (setting.points("patella", p) for p in (sphere.center, sphere.axis))
+            setting.buttons[self.label] = replace(sphere, center=center_here, axis=axis_here)
+        assert radius is not None
+        place = vector(setting.points("patella", center))
+        contact = SphereContact(surface, self.law.build(), place, number(radius), name=self.label)
+        return contact if self.friction is None else self.friction.added(contact)

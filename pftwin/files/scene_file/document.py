@@ -1,0 +1,202 @@
+"""A scene file as text and data: what stands where, so that messages can name file, line and field."""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pftwin.base.errors import InputError
+from pftwin.base.file_limits import SCENE_BYTES
+from pftwin.base.text_files import read_lines
+
+Place = tuple[str | int, ...]
+MISSING: Any = object()
+
+_PART = r"""(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')"""
+_HEADER = re.compile(rf"^\s*(\[\[?)\s*({_PART}(?:\s*\.\s*{_PART})*)\s*\]")
+_KEY = re.compile(rf"^\s*({_PART}(?:\s*\.\s*{_PART})*)\s*=")
+_DECODE_ERROR = re.compile(r"^(?P<problem>.*) \(at (?P<place>.*)\)$", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Document:
+    """A TOML file: its data, and where each of its fields stands."""
+
+    path: Path
+    data: dict[str, Any]
+    lines: dict[Place, int] = field(default_factory=dict)
+    wrapped: set[int] = field(default_factory=set)  # ids of values that validation has put into a list of one
+    allow_outside: bool = False  # whether it may name files outside its folder
+
+    @staticmethod
+    def read(path: str | os.PathLike[str], *, allow_outside: bool = False) -> Document:
+        """Read a file.
+
+        Raises:
+            InputError: missing, empty or binary; no TOML (naming line and column).
+        """
+        file = Path(path)
+        lines, _ = read_lines(file, max_bytes=SCENE_BYTES)
+        try:
+            data = tomllib.loads("\n".join(lines))
+        except tomllib.TOMLDecodeError as error:
+            match = _DECODE_ERROR.match(str(error))
+            problem, place = (match["problem"], match["place"]) if match else (str(error), "")
+            raise InputError(
+                f"not valid TOML: {problem[0].lower() + problem[1:]}",
+                where=f"{file}, {place}" if place else file,
+                remedy="strings need quotes, lists square brackets; see https://toml.io",
+            ) from None
+        except (ValueError, RecursionError) as error:  # a number of thousands of digits, lists within lists
+            problem = "lists within lists without end" if isinstance(error, RecursionError) else str(error)
+            raise InputError(f"not readable TOML: {problem}", where=file) from None
+        return Document(file, data, _line_numbers(lines, data), allow_outside=allow_outside)
+
+    def files(self) -> tuple[Path, ...]:
+        """The file itself and every file that a text in it may name."""
+        named = sorted({text for text in _texts(self.data) if text.isprintable()})
+        paths = (self.folder / text for text in named)
+        return self.path, *(p for p in paths if (self.allow_outside or self._holds(p)) and _is_file(p))
+
+    @property
+    def folder(self) -> Path:
+        """Relative paths in the file start here."""
+        return self.path.parent
+
+    def file(self, name: str) -> Path:
+        """A file that a field names.
+
+        Raises:
+            InputError: it lies outside the scene's folder, or a link leads there, and that is not allowed. A scene file
+                may come from a stranger, and is not to make anybody read, or show, what lies elsewhere.
+        """
+        path = self.folder / name
+        if not self.allow_outside and not self._holds(path):
+            raise InputError(
+                f"{name!r} leads out of the scene's folder",
+                expected="a file beside the scene file, or in a folder below",
+                remedy="copy it there; or, if you know where the scene comes from, pftwin --allow-outside COMMAND ..., "
+                "load_scene(..., allow_outside=True)",
+            )
+        return path
+
+    def _holds(self, path: Path) -> bool:
+        try:
+            return path.resolve().is_relative_to(self.folder.resolve())
+        except (OSError, RuntimeError, ValueError):  # links in a circle, a text that is no name: for its reader to say
+            return True
+
+    def locate(self, location: Sequence[str | int]) -> tuple[Place, Any, Any]:
+        """Place in the file, enclosing value and value of a location in the validated models.
+
+        The two differ by steps that the file does not have: the names of alternatives, the index in a list of one that
+        the file writes without a list, and metres for a field given in millimetres.
+        """
+        here: Any = self.data
+        parent: Any = self.data
+        place: Place = ()
+        for step in location:
+            if isinstance(step, int) and id(here) in self.wrapped:
+                continue
+            name: Any = step
+            if isinstance(here, dict) and step not in here and f"{step}m" in here:
+                name = f"{step}m"
+            inside = isinstance(here, dict) and name in here
+            inside = inside or (isinstance(here, list) and isinstance(name, int) and name < len(here))
+            if inside:
+                parent, here, place = here, here[name], (*place, name)
+        last = location[-1] if location else None
+        if isinstance(last, str) and isinstance(here, dict) and (not place or place[-1] not in (last, f"{last}m")):
+            return (*place, last), here, MISSING
+        return place, parent, here
+
+    def describe(self, place: Place) -> str:
+        """File, line and field: "scene.toml, line 12, [[tendon]] number 2, stiffness_N_per_m"."""
+        parts = [str(self.path)]
+        known = next((place[:n] for n in range(len(place), 0, -1) if place[:n] in self.lines), None)
+        if known is not None:
+            parts.append(f"line {self.lines[known]}")
+        if place:
+            parts.append(_spelled(place, self.data))
+        return ", ".join(parts)
+
+    @contextmanager
+    def naming(self, *location: str | int) -> Iterator[None]:
+        """Puts this field's place in front of the message of any InputError from inside."""
+        try:
+            yield
+        except InputError as error:
+            if str(error).startswith(f"{self.path}, "):
+                raise  # named more closely already
+            place, _, _ = self.locate(location)
+            raise InputError(str(error), where=self.describe(place)) from error
+
+
+def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:
+    head = data.get(str(place[0]))
+    if len(place) > 1 and isinstance(place[1], int):
+        entry = head[place[1]] if isinstance(head, list) and place[1] < len(head) else None
+        name = entry.get("name") if isinstance(entry, dict) else None
+        first, rest = f"[[{place[0]}]] number {place[1] + 1}", place[2:]
+        first += f" ({name})" if isinstance(name, str) else ""
+        lead = ", "
+    elif isinstance(head, dict):
+        first, rest, lead = f"[{place[0]}]", place[1:], " "
+    else:
+        first, rest, lead = str(place[0]), place[1:], ""
+    text = ""
+    for part in rest:
+        text += f" number {part + 1}" if isinstance(part, int) else f".{part}" if text else str(part)
+    return first + (lead + text if text else "")
+
+
+def _keys(dotted: str) -> list[str]:
+    return [part.strip("\"'") for part in re.findall(_PART, dotted)]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a text too long for a name
+        return False
+
+
+def _texts(data: Any) -> Iterator[str]:
+    if isinstance(data, str):
+        yield data
+    elif isinstance(data, dict | list):
+        for inner in data.values() if isinstance(data, dict) else data:
+            yield from _texts(inner)
+
+
+def _line_numbers(lines: list[str], data: dict[str, Any]) -> dict[Place, int]:
+    """Line (from 1) of every table header and key that begins a line; good enough for messages."""
+    found: dict[Place, int] = {}
+    table: Place = ()
+    counts: dict[Place, int] = {}
+
+    def with_indices(keys: list[str]) -> Place:
+        place: Place = ()
+        for key in keys:
+            place = (*place, key)
+            if place in counts:
+                place = (*place, counts[place] - 1)
+        return place
+
+    for number, line in enumerate(lines, start=1):
+        if header := _HEADER.match(line):
+            keys = _keys(header[2])
+            table = (*with_indices(keys[:-1]), keys[-1])
+            if header[1] == "[[":
+                counts[table] = counts.get(table, 0) + 1
+                table = (*table, counts[table] - 1)
+            found.setdefault(table, number)
+        elif key := _KEY.match(line):
+            found.setdefault((*table, *_keys(key[1])), number)
+    return found

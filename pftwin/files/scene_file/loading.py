@@ -1,0 +1,163 @@
+"""From a scene file to a scene."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from jax.dtypes import canonicalize_dtype
+from pydantic import Field, ValidationError, create_model
+
+from pftwin.base.errors import InputError
+from pftwin.base.program_cache import cached
+from pftwin.files.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
+from pftwin.files.scene_file.document import Document
+from pftwin.files.scene_file.effect_tables import EffectSection
+from pftwin.files.scene_file.host_pose import HostPose
+from pftwin.files.scene_file.measured_table import MeasuredSection
+from pftwin.files.scene_file.problems import scene_error
+from pftwin.files.scene_file.registry import effect_tables
+from pftwin.files.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
+from pftwin.files.scene_file.segments import MotionSection, PoseSection, Recording
+from pftwin.files.scene_file.setting import Setting
+from pftwin.files.scene_file.side import AxesSection, Side
+from pftwin.model.scene import Scene, check
+
+if TYPE_CHECKING:
+    from pftwin.geometry.patch.sphere import SphereFit
+    from pftwin.model.measured import Measured
+
+SCHEMA = 1
+
+
+class SceneSection(Section):
+    """The whole file, less the effects."""
+
+    schema_version: Literal[1] = Field(alias="schema", description="version of this format: schema = 1")
+    name: FileName | None = Field(default=None, description="the scene's name; the file's by default")
+    side: Literal["right", "left"] = Field(
+        default="right", description="side of the knee; a left one is mirrored on input"
+    )
+    axes: AxesSection = Field(
+        default_factory=AxesSection, description="table: which axes of each frame are proximal, lateral, anterior"
+    )
+    patella: PatellaSection = Field(description="table: the patella")
+    motion: MotionSection = Field(default_factory=MotionSection, description="table: the recording")
+    femur: FemurSection = Field(
+        default_factory=lambda: FemurSection(fixed=PoseSection()), description="table: where the femur is"
+    )
+    tibia: TibiaSection = Field(description="table: where the tibia is")
+    measured: MeasuredSection | None = Field(
+        default=None, description="table: what the simulation is to be compared with"
+    )
+
+
+def scene_file_model() -> type[SceneSection]:
+    """The whole file, with the tables of all effects that there are."""
+    return _model(effect_tables())
+
+
+@lru_cache(maxsize=8)
+def _model(tables: tuple[type[EffectSection], ...]) -> type[SceneSection]:
+    fields: Any = {
+        table.kind: (
+            Annotated[list[table], ONE_OR_MANY],
+            Field(default_factory=list, description=f"table, or several: {(table.__doc__ or '').splitlines()[0]}"),
+        )
+        for table in tables
+    }
+    return create_model("SceneFile", __base__=SceneSection, **fields)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedScene:
+    """A scene with what it is to be compared with, and what happened to the recording on the way in."""
+
+    scene: Scene
+    button: SphereFit | None  # of the contact whose centre is tracked, where it was fitted to a mesh; patella frame
+    notes: tuple[str, ...]
+    path: Path
+
+    @property
+    def measured(self) -> Measured | None:
+        """The scene's measurements; None where the file names none."""
+        return self.scene.measured
+
+
+def load_scene(path: str | os.PathLike[str], *, contact: str | None = None, allow_outside: bool = False) -> Scene:
+    """The scene that a TOML file describes.
+
+    Args:
+        path: the scene file; relative paths in it start at its folder.
+        contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), in place of the file's.
+        allow_outside: whether the file may name others outside its folder; allow it to files whose origin you know.
+
+    Raises:
+        InputError: a file that cannot be read, unknown or missing fields, values that cannot be right; one message that
+            lists every problem with its line and field.
+    """
+    return load_scene_file(path, contact=contact, allow_outside=allow_outside).scene
+
+
+def load_scene_file(
+    path: str | os.PathLike[str], *, contact: str | None = None, allow_outside: bool = False
+) -> LoadedScene:
+    """As `load_scene`, with the measurements that the file names and with notes for the user."""
+    float_type = str(canonicalize_dtype(float))
+    files = Document.read(path, allow_outside=allow_outside).files()
+    others = tuple(table.kind for table in effect_tables())
+    return cached(_loaded, os.fspath(path), contact, float_type, allow_outside, others, files=files)
+
+
+def _loaded(
+    path: str, contact: str | None, float_type: str, allow_outside: bool, tables: tuple[str, ...]
+) -> LoadedScene:
+    """The scene with leaves of this float type, JAX's default one; kept by these and the kinds of tables there are."""
+    document = Document.read(path, allow_outside=allow_outside)
+    file = _validated(document)
+    side = Side.read(file.side == "left", file.axes, document)
+    notes: list[str] = []
+    recording = Recording(file.motion, document, notes)
+    motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, recording, side)
+    start = start_pose(file.patella.start, recording, side, motion, fixed_femur, femur)
+    beside = start if femur is None else HostPose.of(femur.positions[0], femur.quaternions[0]).inverse() @ start
+    setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, beside, contact, notes=notes)
+    effects = tuple(
+        table.build(setting, (section.kind, i))
+        for section in effect_tables()
+        for i, table in enumerate(getattr(file, section.kind))
+    )
+    if not effects:
+        raise InputError(
+            "no effect acts on the patella", where=document.path, expected="[contact], [[tendon]], [gravity] ..."
+        )
+    scene = Scene(
+        file.patella.body(side), effects, motion, start.pose(), file.name or Path(path).stem, file.motion.synthetic
+    )
+    with document.naming():
+        check(scene)
+    measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
+    button = None if scene.contact is None else setting.buttons.get(scene.contact.name)
+    return LoadedScene(replace(scene, measured=measured), button, tuple(notes), document.path)
+
+
+def _validated(document: Document) -> Any:
+    version = document.data.get("schema")
+    if version != SCHEMA or isinstance(version, bool):
+        place, _, _ = document.locate(("schema",))
+        raise InputError(
+            "is missing" if version is None else f"found {version!r}",
+            where=document.describe(place),
+            expected=f"schema = {SCHEMA}, the version of the format that this pftwin reads",
+            remedy="a newer pftwin" if isinstance(version, int) and version > SCHEMA else None,
+        )
+    reading = Reading()
+    try:
+        return scene_file_model().model_validate(document.data, context=reading)
+    except ValidationError as error:
+        raise scene_error(error, document, reading) from None
+    finally:
+        document.wrapped.update(reading.wrapped)

@@ -1,0 +1,99 @@
+"""[measured]: what the simulation is to be compared with."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from pftwin.base.errors import InputError
+from pftwin.files.mocap import PoseSeries, read_csv, singular_spectrum_filter
+from pftwin.files.scene_file.document import Document
+from pftwin.files.scene_file.host_pose import HostPose
+from pftwin.files.scene_file.section import FileName, Section
+from pftwin.files.scene_file.segments import Recording, SegmentSection
+from pftwin.files.scene_file.side import Side
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import Scene
+
+if TYPE_CHECKING:
+    from pftwin.model.measured import Measured
+
+_FORCES = ("contact_force", "tibial_spring_force", "femoral_spring_force")
+
+
+class MeasuredSection(Section):
+    """Measurements of the same motion: the patella's poses, and forces if there are any."""
+
+    patella: SegmentSection = Field(description="table: how the patella was recorded (body, cluster_m, three_points)")
+    forces: FileName | None = Field(default=None, description="CSV file of forces, units in its header")
+    contact_force: str | None = Field(default=None, description="its column of the normal contact force")
+    tibial_spring_force: str | None = Field(default=None, description="its column of the patellar tendon's force")
+    femoral_spring_force: str | None = Field(default=None, description="its column of the quadriceps' force")
+    smoothing_window: Annotated[int, Field(ge=2)] | None = Field(
+        default=None,
+        description="window of the singular spectrum analysis that smooths the forces [samples]; none by default",
+    )
+    synthetic: bool = Field(default=False, description="whether these are simulated measurements")
+
+    def build(
+        self, scene: Scene, recording: Recording, side: Side, fixed_femur: HostPose | None, femur: PoseSeries | None
+    ) -> Measured:
+        """The measurements in the femur's frame, at the scene's frames.
+
+        Raises:
+            InputError: files that cannot be used; columns that are not there; forces that do not cover the motion.
+        """
+        from pftwin.model.measured import Measured
+
+        document = recording.document
+        if self.patella.fixed is not None:
+            place, _, _ = document.locate(("measured", "patella", "fixed"))
+            raise InputError("a fixed pose is no measurement", where=document.describe(place), expected="a recording")
+        poses = side.poses("world", "patella", recording.poses(self.patella, "measured", "patella"))
+        with document.naming("measured", "patella"):
+            if femur is not None:
+                poses = poses.relative_to(femur)
+            elif fixed_femur is not None:
+                poses = poses.seen_from(fixed_femur.pose())
+        point = np.array([float(v) for v in scene.tracked_point().array()])
+        return Measured(
+            poses.times,
+            poses.positions + poses.matrices() @ point,
+            poses.quaternions,
+            **self._forces(document, scene.motion),
+            synthetic=self.synthetic,
+            source=self.forces or poses.source,
+        )
+
+    def _forces(self, document: Document, motion: KneeMotion) -> dict[str, NDArray[np.float64] | None]:
+        """The named columns, smoothed, at the frames of the motion."""
+        wanted = {name: column for name in _FORCES if (column := getattr(self, name)) is not None}
+        if self.forces is None:
+            if wanted:
+                place, _, _ = document.locate(("measured", next(iter(wanted))))
+                raise InputError("a column of no file", where=document.describe(place), remedy='forces = "FILE.csv"')
+            return dict.fromkeys(_FORCES)
+        with document.naming("measured", "forces"):
+            table = read_csv(document.file(self.forces), units="1")
+            slack = 0.1 * motion.frame_interval
+            if table.times[0] > motion.start_time + slack or table.times[-1] < motion.end_time - slack:
+                raise InputError(
+                    f"forces from {table.times[0]:g} s to {table.times[-1]:g} s",
+                    where=table.source,
+                    expected=f"forces for the whole motion, {motion.start_time:g} s to {motion.end_time:g} s",
+                )
+        out: dict[str, NDArray[np.float64] | None] = dict.fromkeys(_FORCES)
+        for name, column in wanted.items():
+            with document.naming("measured", name):
+                label = next((c for c in (column, column.removesuffix("_N")) if c in table.names), column)
+                values = table.column(label)
+                if table.units[label] != "N":
+                    raise InputError("no unit of force", where=f"{table.source}, column {label!r}", expected="newtons")
+                if self.smoothing_window is not None:
+                    # Cables and contacts do not push and pull both ways; smoothing overshoots where they let go.
+                    values = np.maximum(singular_spectrum_filter(values, self.smoothing_window), 0.0)
+                out[name] = np.interp(motion.times, table.times, values)
+        return out

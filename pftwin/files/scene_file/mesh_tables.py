@@ -1,0 +1,174 @@
+"""What contacts of meshes have in common: the femur's mesh with its facets, and the button as a mesh or a sphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from pftwin.base.errors import InputError
+from pftwin.files.scene_file.region_table import RegionSection
+from pftwin.files.scene_file.section import FileName, LengthUnit, Point, Positive, Section, problem
+from pftwin.files.scene_file.segments import PoseSection
+from pftwin.files.scene_file.setting import Setting
+
+if TYPE_CHECKING:
+    from pftwin.geometry.mesh.mesh import SurfaceMesh
+    from pftwin.geometry.patch.region import TrochlearRegion
+
+At = tuple[str | int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FemurMesh:
+    """The femur's mesh in the femur's frame."""
+
+    mesh: SurfaceMesh
+    lateral: NDArray[np.bool_] | None  # (m,) which triangles are on the lateral facet; None: there is one facet
+    region: TrochlearRegion | None
+
+
+class MeshFileSection(Section):
+    """A mesh in a file, and where its frame is."""
+
+    mesh: FileName = Field(description="STL, OBJ or PLY file")
+    units: LengthUnit = Field(description="unit of the mesh's coordinates")
+    repair: bool = Field(
+        default=False, description="turn triangles that face the wrong way, drop those that are there twice"
+    )
+    flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into its body")
+    mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in its body's")
+
+    def read(self, setting: Setting, at: At) -> SurfaceMesh:
+        """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
+        from pftwin.geometry.mesh.checked import checked_mesh
+        from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+        with setting.document.naming(*at, "mesh"):
+            found = checked_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
+        setting.notes.extend(found.notes)
+        mesh = found.mesh.flipped() if self.flip else found.mesh
+        return SurfaceMesh(self.mesh_pose.pose().apply(mesh.vertices), mesh.faces, mesh.source)
+
+
+class FemurMeshSection(MeshFileSection):
+    """The femur's surface, fixed in the femur."""
+
+    facets: Literal["medial_lateral", "one"] = Field(
+        default="medial_lateral",
+        description='"medial_lateral": told apart by the groove line; "one": a surface without a groove',
+    )
+    region: RegionSection = Field(
+        default_factory=RegionSection, description="table: where the trochlea is, whose groove line parts the facets"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.facets == "one" and "region" in self.model_fields_set:
+            raise problem('a region with facets = "one"', expected="one of them")
+        return self
+
+    def build(self, setting: Setting, at: At) -> FemurMesh:
+        """The mesh with its facets."""
+        mesh = setting.side.mesh("femur", self.read(setting, at))
+        if self.facets == "one":
+            return FemurMesh(mesh, None, None)
+        from pftwin.geometry.contact.mesh_facets import lateral_of_groove
+
+        with setting.document.naming(*at, "region"):
+            region = self.region.find(mesh, self.mesh_pose.pose(), setting)
+        return FemurMesh(mesh, lateral_of_groove(mesh, region), region)
+
+
+@dataclass(frozen=True, eq=False)
+class ButtonMesh:
+    """The button's mesh, its axes the patella's."""
+
+    mesh: SurfaceMesh  # about the origin that results follow
+    origin: NDArray[np.float64]  # (3,) in the patella's frame [m]
+
+
+@dataclass(frozen=True, eq=False)
+class ButtonSphere:
+    """The button as an exact sphere."""
+
+    center: NDArray[np.float64]  # (3,) in the patella's frame [m]
+    radius: float
+
+
+class MeshButtonSection(MeshFileSection):
+    """The button by its mesh; where a method takes spheres only, by the sphere that is fitted to it."""
+
+    center_m: Point | None = Field(
+        default=None, description="point that results follow, patella frame [m]; the mesh frame's origin by default"
+    )
+    tolerance_m: Positive | None = Field(
+        default=None, description="of the fitted sphere: deviation that still counts as sphere [m]"
+    )
+
+    def triangles(self, setting: Setting, at: At) -> ButtonMesh:
+        """The mesh itself."""
+        _refuse_given(self, "tolerance_m", "there is no sphere to fit: the triangles themselves touch", setting, at)
+        from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+        mesh = setting.side.mesh("patella", self.read(setting, at))
+        center = self.mesh_pose.position_m if self.center_m is None else self.center_m
+        origin = setting.points("patella", center)
+        return ButtonMesh(SurfaceMesh(mesh.vertices - origin, mesh.faces, mesh.source), origin)
+
+    def sphere(self, setting: Setting, at: At, label: str) -> ButtonSphere:
+        """The sphere fitted to the mesh; a note says how well it fits."""
+        _refuse_given(self, "center_m", "the fitted sphere has its own centre", setting, at)
+        from pftwin.geometry.patch.sphere import fit_sphere
+
+        asked = {} if self.tolerance_m is None else {"tolerance": self.tolerance_m}
+        mesh = self.read(setting, at)
+        with setting.document.naming(*at, "mesh"):
+            found = fit_sphere(mesh, **asked)
+        setting.notes.append(f"{mesh.source}: {found}")
+        center, axis = (setting.points("patella", p) for p in (found.center, found.axis))
+        setting.buttons[label] = replace(found, center=center, axis=axis)
+        return ButtonSphere(center, float(found.radius))
+
+
+class SphereButtonSection(Section):
+    """The button as a sphere; where a method takes triangles, as an icosphere."""
+
+    radius_m: Positive = Field(description="radius of the sphere [m]")
+    center_m: Point = Field(default=[0.0, 0.0, 0.0], description="its centre, patella frame [m]")
+    deviation_m: Positive | None = Field(
+        default=None, description="how far triangles may lie off the sphere [m]; 0.006 mm by default"
+    )
+
+    def triangles(self, setting: Setting, at: At) -> ButtonMesh:
+        """An icosphere, the coarsest that keeps to the deviation."""
+        from pftwin.geometry.mesh.resolution import Resolution, button_mesh
+
+        with setting.document.naming(*at, "deviation_m"):
+            mesh = button_mesh(self.radius_m, Resolution(self.deviation_m or 0.006e-3))
+        return ButtonMesh(mesh, setting.points("patella", self.center_m))
+
+    def sphere(self, setting: Setting, at: At, label: str) -> ButtonSphere:
+        """The exact sphere."""
+        _refuse_given(self, "deviation_m", "the sphere is exact: it has no triangles", setting, at)
+        return ButtonSphere(setting.points("patella", self.center_m), self.radius_m)
+
+
+def _refuse_given(section: Section, field: str, why: str, setting: Setting, at: At) -> None:
+    if getattr(section, field) is not None:
+        place, _, _ = setting.document.locate((*at, field))
+        raise InputError(why, where=setting.document.describe(place), remedy="leave it out")
+
+
+def _which(value: Any) -> str:
+    keys = value if isinstance(value, dict) else {}
+    return "<sphere>" if "mesh" not in keys and any(k.startswith("radius") for k in keys) else "<mesh>"
+
+
+ButtonSection = Annotated[
+    Annotated[MeshButtonSection, Tag("<mesh>")] | Annotated[SphereButtonSection, Tag("<sphere>")],
+    Discriminator(_which),
+]

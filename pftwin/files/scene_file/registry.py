@@ -1,0 +1,88 @@
+"""Which tables of a scene file are effects: pftwin's own, those of installed packages, and those of one call.
+
+An effect of one's own, `class Band(ElasticLine)`, is read from `[[band]]` once a program has called
+`pftwin.register_effect(Band)`, or where an installed package names it as an entry point:
+
+    [project.entry-points."pftwin.effects"]
+    band = "my_package:Band"
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+from pftwin.base.errors import InputError
+from pftwin.files.scene_file.contact_table import ContactSection
+from pftwin.files.scene_file.declared_table import declared_table
+from pftwin.files.scene_file.effect_tables import EffectSection
+from pftwin.files.scene_file.field_tables import DampingSection, GravitySection
+from pftwin.files.scene_file.foundation_table import ElasticFoundationSection
+from pftwin.files.scene_file.mesh_contact_table import MeshContactSection
+from pftwin.files.scene_file.strands_table import StrandsSection
+from pftwin.files.scene_file.tendon_table import TendonSection
+from pftwin.files.scene_file.tension_table import PrescribedTensionSection
+from pftwin.files.scene_file.toe_tendon_table import ToeTendonSection
+from pftwin.files.scene_file.viscoelastic_tendon_table import ViscoelasticTendonSection
+from pftwin.model.effects.base import Effect
+
+EFFECTS: tuple[type[EffectSection], ...] = (
+    GravitySection,
+    TendonSection,
+    ToeTendonSection,
+    ViscoelasticTendonSection,
+    StrandsSection,
+    PrescribedTensionSection,
+    ContactSection,
+    MeshContactSection,
+    ElasticFoundationSection,
+    DampingSection,
+)
+ENTRY_POINTS = "pftwin.effects"
+_registered: dict[str, type[EffectSection]] = {}
+
+
+def register_effect(effect: type[Effect] | type[EffectSection], kind: str | None = None) -> None:
+    """Lets scene files have an effect of one's own.
+
+    Args:
+        effect: a class of effects, whose table follows from what its fields declare (`quantity`); or a table of one's
+            own that builds an effect.
+        kind: the table's name; by default the class's, in lower case with underscores.
+
+    Raises:
+        InputError: a name that another effect has; a field that declares too little to be read from a file.
+    """
+    table = effect if issubclass(effect, EffectSection) else declared_table(effect, kind)
+    if any(table.kind == own.kind for own in EFFECTS):
+        raise InputError(f"[{table.kind}] is pftwin's own", where="register_effect", expected="another name, by kind=")
+    _registered[table.kind] = table
+
+
+def effect_tables() -> tuple[type[EffectSection], ...]:
+    """All tables that scene files may have, in the order in which a scene has their effects."""
+    return (*EFFECTS, *{**_installed(), **_registered}.values())
+
+
+@cache
+def _installed() -> dict[str, type[EffectSection]]:
+    """Tables of installed packages.
+
+    Raises:
+        InputError: an entry point that cannot be loaded or is no effect.
+    """
+    found = {}
+    for point in entry_points(group=ENTRY_POINTS):
+        where = f"entry point {point.name!r} of group {ENTRY_POINTS!r}"
+        try:
+            effect: Any = point.load()
+        except Exception as error:
+            raise InputError(f"{point.value} cannot be loaded: {error}", where=where) from error
+        if not (isinstance(effect, type) and issubclass(effect, Effect | EffectSection)):
+            raise InputError(
+                f"{point.value} is no effect", where=where, expected="a class derived from pftwin's Effect"
+            )
+        table = effect if issubclass(effect, EffectSection) else declared_table(effect, point.name)
+        found[table.kind] = table
+    return found

@@ -1,0 +1,116 @@
+"""The files' own axes: everything is turned, and for a left knee mirrored, into anatomical axes of a right knee."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, Field
+
+from pftwin.base.errors import InputError
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.files.scene_file.document import Document
+from pftwin.files.scene_file.host_pose import HostPose
+from pftwin.files.scene_file.section import Section, problem
+
+if TYPE_CHECKING:
+    from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+Array = NDArray[np.float64]
+_BODIES = ("femur", "tibia", "patella")
+_RIGHT, _LEFT = ["+x", "+y", "+z"], ["+x", "-y", "+z"]
+
+
+def _three_axes(value: list[str]) -> list[str]:
+    if (
+        len(value) != 3
+        or sorted(a[-1:] for a in value) != ["x", "y", "z"]
+        or any(a[:-1] not in ("", "+", "-") for a in value)
+    ):
+        raise problem(f"found {value}", expected='three axes with signs, as in ["+y", "+z", "+x"]')
+    return value
+
+
+Axes = Annotated[list[str], AfterValidator(_three_axes)]
+
+
+class AxesSection(Section):
+    """Which of a frame's own axes point proximally, laterally and anteriorly."""
+
+    femur: Axes | None = Field(default=None, description="proximal, lateral, anterior in the femur's frame")
+    tibia: Axes | None = Field(default=None, description="proximal, lateral, anterior in the tibia's frame")
+    patella: Axes | None = Field(default=None, description="proximal, lateral, anterior in the patella's frame")
+    world_medial_lateral: Literal["x", "y", "z"] = Field(
+        default="y", description="medial-lateral axis of the world: that along which a left knee is mirrored"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """From each frame's own axes to (proximal, lateral, anterior), and from a left knee to a right one."""
+
+    matrices: dict[str, Array]  # (3, 3) by frame: rows are the anatomical axes; determinant -1 for a left knee
+    left: bool
+
+    @classmethod
+    def read(cls, left: bool, axes: AxesSection, document: Document) -> Self:
+        """From the scene file.
+
+        Raises:
+            InputError: axes of the other side.
+        """
+        world = np.eye(3)
+        if left:
+            world["xyz".index(axes.world_medial_lateral)] *= -1
+        matrices = {"world": world, "ground": world}
+        for body in _BODIES:
+            rows = getattr(axes, body) or (_LEFT if left else _RIGHT)
+            matrices[body] = np.array([_unit(axis) for axis in rows])
+            if (np.linalg.det(matrices[body]) < 0) != left:
+                place, _, _ = document.locate(("axes", body))
+                raise InputError(
+                    f"{rows} are the axes of a {'right' if left else 'left'} knee",
+                    where=document.describe(place),
+                    expected=f"proximal, lateral, anterior of a {'left' if left else 'right'} one",
+                    remedy='check the signs, or side = "left" / "right"',
+                )
+        return cls(matrices, left)
+
+    def points(self, frame: str, values: ArrayLike) -> Array:
+        """Points or directions (..., 3) of a frame ("world", "femur", "tibia" or "patella")."""
+        return np.asarray(values, dtype=np.float64) @ self.matrices[frame].T
+
+    def moments(self, values: ArrayLike) -> Array:
+        """Principal moments (3,) along the patella's own axes."""
+        return np.abs(self.matrices["patella"]) @ np.asarray(values, dtype=np.float64)
+
+    def pose(self, parent: str, body: str, pose: HostPose) -> HostPose:
+        """A fixed pose of a body in its parent."""
+        a, b = self.matrices[parent], self.matrices[body]
+        return HostPose(a @ pose.position, a @ pose.matrix @ b.T)
+
+    def poses(self, parent: str, body: str, poses: PoseSeries) -> PoseSeries:
+        """Recorded poses of a body in its parent."""
+        a, b = self.matrices[parent], self.matrices[body]
+        return PoseSeries.from_matrices(
+            poses.times,
+            poses.positions @ a.T,
+            a @ poses.matrices() @ b.T,
+            residual_rms=poses.residual_rms,
+            source=poses.source,
+        )
+
+    def mesh(self, frame: str, mesh: SurfaceMesh) -> SurfaceMesh:
+        """A surface; its triangles keep their outer side outside."""
+        from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+        faces = mesh.faces[:, ::-1].copy() if self.left else mesh.faces
+        return SurfaceMesh(self.points(frame, mesh.vertices), faces, mesh.source)
+
+
+def _unit(axis: str) -> Array:
+    out = np.zeros(3)
+    out["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return out

@@ -1,0 +1,174 @@
+"""[[strands]]: ligaments of many strands, listed in the scene file or in a JSON or CSV file."""
+
+# ruff: noqa: N815  (units in names are written as units are: N, Hz)
+from __future__ import annotations
+
+import csv
+import fnmatch
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from pftwin.base.errors import InputError
+from pftwin.base.json_files import read_json
+from pftwin.base.leaves import number as leaf
+from pftwin.base.leaves import vector
+from pftwin.base.text_files import number, read_lines
+from pftwin.files.mocap.naming import unknown_name
+from pftwin.files.scene_file.effect_tables import Body, EffectSection
+from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, problem
+from pftwin.files.scene_file.setting import Setting
+from pftwin.files.scene_file.tendon_table import group_size
+from pftwin.model.effects.strands import StrandGroup
+
+_INLINE = ("stiffness_N_per_strain", "slack_length_m", "insertion_m", "origin_m")
+_COLUMNS = ("stiffness_N_per_strain", "slack_length_m", *(f"{e}_{k}_m" for e in ("insertion", "origin") for k in "xyz"))
+
+
+class StrandsSection(EffectSection):
+    """Strands with a toe region (Blankevoort and Huiskes 1991); one value for all or one for each strand."""
+
+    kind: ClassVar[str] = "strands"
+    body: Body = Field(description="body at the other end")
+    file: FileName | None = Field(default=None, description="JSON or CSV file of strands, in place of the lists")
+    select: list[str] = Field(default=["*"], description='names of the strands wanted, as in "PT*"')
+    stiffness_N_per_strain: Positives | None = Field(default=None, description="stiffness [N per unit strain]")
+    slack_length_m: Positives | None = Field(default=None, description="slack length [m]")
+    insertion_m: Points | None = Field(default=None, description="insertion, patella frame [m]")
+    origin_m: Points | None = Field(default=None, description="origin, the body's frame [m]")
+    toe_strain: Positives = Field(default_factory=lambda: [0.06], description="strain at the toe region's end [-]")
+    damping_time_s: NotNegatives = Field(default_factory=lambda: [0.0], description="damping c of F = k c de/dt [s]")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        given = [name for name in _INLINE if getattr(self, name) is not None]
+        if self.file is not None and given:
+            raise problem(f"both file and {given[0]} are given", expected="one of them")
+        if self.file is None:
+            if absent := [name for name in _INLINE if name not in given]:
+                raise problem(f"{absent[0]} is missing", expected=f"file, or {', '.join(_INLINE)}")
+            group_size(self, *_INLINE, "toe_strain", "damping_time_s")
+        return self
+
+    def build(self, setting: Setting, at: tuple[str | int, ...]) -> StrandGroup:
+        """The effect."""
+        strands = self._listed()
+        if self.file is not None:
+            with setting.document.naming(*at, "file"):
+                path = setting.path(self.file)
+                strands = _selected(read_strands(path, self.body), self.select, self.body, path)
+        n = len(strands.stiffness)
+        one = (strands.stiffness, strands.slack_length, np.asarray(self.toe_strain), np.asarray(self.damping_time_s))
+        for label, values in zip(("toe_strain", "damping_time_s"), one[2:], strict=True):
+            if len(values) not in (1, n):
+                place, _, _ = setting.document.locate((*at, label))
+                where = setting.document.describe(place)
+                raise InputError(f"{len(values)} values for {n} strands", where=where, expected=f"1 or {n}")
+        ends = setting.points("patella", strands.insertion), setting.points(self.body, strands.origin)
+        k, slack, toe, damping = (leaf(np.broadcast_to(v, (n,))) for v in one)
+        insertion, origin = (vector(e) for e in ends)
+        return StrandGroup(k, slack, toe, damping, insertion, origin, body=self.body, name=self.label)
+
+    def _listed(self) -> Strands:
+        """The strands in the table itself."""
+        if self.file is not None:
+            return Strands([], np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+        n = group_size(self, *_INLINE, "toe_strain", "damping_time_s")
+        k, slack, insertion, origin = (np.asarray(getattr(self, name), dtype=np.float64) for name in _INLINE)
+        return Strands(
+            [],
+            *(np.broadcast_to(v, (n,)) for v in (k, slack)),
+            *(np.broadcast_to(v, (n, 3)) for v in (insertion, origin)),
+        )
+
+
+class Strands(NamedTuple):
+    """Strands as arrays over them."""
+
+    names: list[str]
+    stiffness: np.ndarray  # (n,) [N per unit strain]
+    slack_length: np.ndarray  # (n,) [m]
+    insertion: np.ndarray  # (n, 3) patella frame [m]
+    origin: np.ndarray  # (n, 3) body's frame [m]
+
+
+def read_strands(path: str, body: str) -> Strands:
+    """The strands of a file that end on a body.
+
+    JSON: an object NAME: {"points": [["patella", [x, y, z]], [BODY, [x, y, z]]], "linear_stiffness_N_per_strain": k,
+    "slack_length_m": L0}; strands of other bodies are passed over. CSV: columns name, stiffness_N_per_strain,
+    slack_length_m, insertion_x_m, ..., origin_z_m.
+
+    Raises:
+        InputError: no such file, no JSON or CSV, a strand or line that lacks a value.
+    """
+    if path.lower().endswith(".json"):
+        rows = _json_rows(path, body)
+    elif path.lower().endswith(".csv"):
+        rows = _csv_rows(path)
+    else:
+        raise InputError("unknown kind of file", where=path, expected=".json or .csv")
+    table = np.array([values for _, values in rows], dtype=np.float64).reshape(len(rows), 8)
+    for (name, _), values in zip(rows, table, strict=True):
+        if not (np.isfinite(values).all() and values[0] > 0 and values[1] > 0):
+            found = f"stiffness {values[0]:g} N per strain, slack length {values[1]:g} m"
+            raise InputError(found, where=f"{path}, strand {name!r}", expected="positive, finite numbers")
+    return Strands([name for name, _ in rows], table[:, 0], table[:, 1], table[:, 2:5], table[:, 5:])
+
+
+def _json_rows(path: str, body: str) -> list[tuple[str, list[float]]]:
+    data = read_json(path, expected='{"NAME": {"points": ...}, ...}')
+    if not isinstance(data, dict):
+        raise InputError("the file holds no object", where=path, expected='{"NAME": {"points": ...}, ...}')
+    rows = []
+    for name, strand in data.items():
+        values = _json_strand(strand, body, f"{path}, strand {name!r}")
+        if values is not None:
+            rows.append((name, values))
+    return rows
+
+
+def _json_strand(strand: Any, body: str, where: str) -> list[float] | None:
+    """Eight numbers; None for a strand that does not reach from the patella to this body."""
+    try:
+        ends = {str(segment): [float(v) for v in point] for segment, point in strand["points"]}
+        if len(strand["points"]) != 2 or any(len(point) != 3 for point in ends.values()):
+            raise ValueError("two points of three coordinates are needed")
+        if set(ends) != {"patella", body}:
+            return None
+        size = [float(strand[key]) for key in ("linear_stiffness_N_per_strain", "slack_length_m")]
+    except KeyError as error:
+        raise InputError(f"{error.args[0]} is missing", where=where) from None
+    except (TypeError, ValueError) as error:
+        raise InputError(f"not a strand: {error}", where=where, expected="points, stiffness and slack length") from None
+    return [*size, *ends["patella"], *ends[body]]
+
+
+def _csv_rows(path: str) -> list[tuple[str, list[float]]]:
+    lines, _ = read_lines(path)
+    used = [(i, line) for i, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
+    table = list(csv.reader(line for _, line in used))
+    header = [cell.strip() for cell in table[0]]
+    for column in ("name", *_COLUMNS):
+        if column not in header:
+            raise unknown_name("column", column, header, where=path)
+    rows = []
+    for (line, _), cells in zip(used[1:], table[1:], strict=True):
+        try:
+            values = [number(cells[header.index(column)]) for column in _COLUMNS]
+        except (ValueError, IndexError):
+            raise InputError("a cell is missing or no number", where=f"{path}, line {line}") from None
+        rows.append((cells[header.index("name")].strip(), values))
+    return rows
+
+
+def _selected(strands: Strands, patterns: list[str], body: str, path: str) -> Strands:
+    keep = [i for i, name in enumerate(strands.names) if any(fnmatch.fnmatchcase(name, p) for p in patterns)]
+    if not keep:
+        raise InputError(
+            f"no strand from the patella to the {body} is called {' or '.join(patterns)}",
+            where=path,
+            expected=", ".join(strands.names[:8]) or f"strands that end on the {body}",
+        )
+    return Strands([strands.names[i] for i in keep], *(values[keep] for values in strands[1:]))

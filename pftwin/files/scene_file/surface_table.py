@@ -1,0 +1,102 @@
+"""The contact's surface: fitted to a mesh, given by its coefficients, or the virtual rig's own implant."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from pftwin.base.errors import InputError
+from pftwin.files.scene_file.coefficient_tables import PatchSurfaceSection, SplineSurfaceSection, refuse_other
+from pftwin.files.scene_file.region_table import RegionSection
+from pftwin.files.scene_file.section import FileName, LengthUnit, Polynomial, Positive, Section, problem
+from pftwin.files.scene_file.segments import PoseSection
+from pftwin.files.scene_file.setting import Setting
+
+if TYPE_CHECKING:
+    from pftwin.geometry.patch.closest import Surface
+
+At = tuple[str | int, ...]
+
+
+class MeshSurfaceSection(Section):
+    """A patch, polynomial or spline, fitted to the trochlear part of a mesh."""
+
+    mesh: FileName = Field(description="STL, OBJ or PLY file of the femoral component")
+    units: LengthUnit = Field(description="unit of the mesh's coordinates")
+    degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
+    kind: Literal["polynomial", "spline"] = Field(
+        default="polynomial", description='"polynomial" of that degree, or "spline": bicubic, C2'
+    )
+    tolerance_m: Positive | None = Field(
+        default=None, description="of a spline: rms of the heights that its cells are made short enough for [m]"
+    )
+    chart: Literal["plane", "cylinder"] = Field(default="plane", description="heights over a plane or about an axis")
+    weights: Literal["vertex", "area"] = Field(default="vertex", description="every vertex alike, or by area")
+    repair: bool = Field(default=False, description="turn triangles that face the wrong way")
+    flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into the bone")
+    mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in the femur's")
+    region: RegionSection = Field(default_factory=RegionSection, description="which part of the mesh is trochlea")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.kind == "spline" and "degree" in self.model_fields_set:
+            raise problem("a spline with a degree", expected='kind = "spline" without it, or kind = "polynomial"')
+        if self.kind == "polynomial" and self.tolerance_m is not None:
+            raise problem("a polynomial with tolerance_m", expected='degree = "P5" or higher, or kind = "spline"')
+        return self
+
+    def build(self, setting: Setting, at: At) -> Surface:
+        """The patch; a note says how well it fits."""
+        from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
+        from pftwin.geometry.patch.spline_or_polynomial import SPLINE, fit_named, parse_name
+
+        document = setting.document
+        with document.naming(*at, "mesh"):
+            mesh = load_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
+        frame = self.mesh_pose.pose()
+        mesh = mesh.flipped() if self.flip else mesh
+        mesh = setting.side.mesh("femur", SurfaceMesh(frame.apply(mesh.vertices), mesh.faces, mesh.source))
+        with document.naming(*at, "region"):
+            region = self.region.find(mesh, frame, setting)
+        with document.naming(*at, "degree"):
+            name = parse_name(setting.contact or (SPLINE if self.kind == SPLINE else self.degree))
+            asked = {"tolerance": self.tolerance_m} if name == SPLINE and self.tolerance_m is not None else {}
+            fit = fit_named(mesh, name, chart=self.chart, region=region, weights=self.weights, **asked)
+        setting.notes.append(f"{mesh.source}: {fit}")
+        return fit.patch
+
+
+class ImplantSurfaceSection(Section):
+    """A smooth parametric implant."""
+
+    implant: Literal["rig"] = Field(description='"rig": the femoral component of the virtual rig')
+
+    def build(self, setting: Setting, at: At) -> Surface:
+        """The virtual rig's femoral component, exact."""
+        from pftwin.geometry.patch.implant import rig_implant
+
+        with setting.document.naming(*at):
+            refuse_other(setting, None)
+            if not np.array_equal(setting.side.matrices["femur"], np.eye(3)):
+                raise InputError("the rig's implant is a right one in anatomical axes", expected="no [axes] femur")
+        return rig_implant()
+
+
+def _which(value: Any) -> str:
+    keys = value if isinstance(value, dict) else {}
+    if "implant" in keys:
+        return "<implant>"
+    if any(k.startswith("spline_coefficients") for k in keys):
+        return "<spline>"
+    return "<patch>" if any(k.startswith("coefficients") for k in keys) else "<mesh>"
+
+
+SurfaceSection = Annotated[
+    Annotated[MeshSurfaceSection, Tag("<mesh>")]
+    | Annotated[PatchSurfaceSection, Tag("<patch>")]
+    | Annotated[SplineSurfaceSection, Tag("<spline>")]
+    | Annotated[ImplantSurfaceSection, Tag("<implant>")],
+    Discriminator(_which),
+]

@@ -1,0 +1,114 @@
+"""[[prescribed_tension]]: muscles whose tension over time stands in a file."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
+from pftwin.files.mocap import Table, read_csv
+from pftwin.files.mocap.timebase import uniform_times
+from pftwin.files.scene_file.effect_tables import Body, EffectSection
+from pftwin.files.scene_file.section import FileName, Points
+from pftwin.files.scene_file.setting import Setting
+from pftwin.model.effects.tension import PrescribedTension
+
+
+class PrescribedTensionSection(EffectSection):
+    """Lines of known tension.
+
+    The file has the columns time_s and, for every line, LINE_tension_N, and where the table does not give them,
+    LINE_origin_x_m, _y_m, _z_m (or LINE_via_BODY_x_m ...; it may move) and LINE_insertion_x_m ... (or
+    LINE_insertion_patella_x_m ...; it may not).
+    """
+
+    kind: ClassVar[str] = "prescribed_tension"
+    body: Body = Field(description="body at the other end")
+    file: FileName = Field(description="CSV file with time_s and LINE_tension_N")
+    lines: list[str] | None = Field(default=None, description="names of the lines; all of the file's by default")
+    insertion_m: Points | None = Field(default=None, description="insertion of each line, patella frame [m]")
+    origin_m: Points | None = Field(default=None, description="origin of each line, the body's frame [m]")
+
+    def build(self, setting: Setting, at: tuple[str | int, ...]) -> PrescribedTension:
+        """The effect."""
+        with setting.document.naming(*at, "file"):
+            table = read_csv(setting.path(self.file), units="1")
+            times = uniform_times(table.times, where=table.source)
+            self._check_times(times, setting, table.source)
+            known = [name.removesuffix("_tension") for name in table.names if name.endswith("_tension")]
+            lines = self.lines or known
+            if not lines:
+                raise InputError("no tensions", where=table.source, expected="columns LINE_tension_N")
+            tension = self._tensions(table, lines)
+            n = times.size
+            origin = self._ends(table, lines, self.origin_m, ("origin", f"via_{self.body}"), "origin_m")
+            insertion = self._ends(table, lines, self.insertion_m, ("insertion", "insertion_patella"), "insertion_m")
+            moved = np.ptp(insertion, axis=0).max(axis=-1) > 1e-6 if len(insertion) > 1 else np.zeros(len(lines))
+            if moved.any():
+                raise InputError(
+                    f"the insertion of {lines[int(np.argmax(moved))]!r} moves on the patella",
+                    where=table.source,
+                    expected="a fixed insertion",
+                )
+        origins = np.broadcast_to(setting.points(self.body, origin), (n, len(lines), 3))
+        return PrescribedTension(
+            number(tension),
+            vector(origins),
+            vector(setting.points("patella", insertion[0])),
+            start_time=float(times[0]),
+            interval=float(f"{(times[-1] - times[0]) / max(n - 1, 1):.12g}") or 1.0,
+            body=self.body,
+            name=self.label,
+        )
+
+    def _check_times(self, times: np.ndarray, setting: Setting, source: str) -> None:
+        motion = setting.motion
+        slack = 0.5 * motion.frame_interval
+        if times.size < 2 or times[0] > motion.start_time + slack or times[-1] < motion.end_time - slack:
+            raise InputError(
+                f"{times.size} tensions from {times[0]:g} s to {times[-1]:g} s",
+                where=source,
+                expected=f"tensions for the whole motion, {motion.start_time:g} s to {motion.end_time:g} s",
+            )
+
+    def _tensions(self, table: Table, lines: list[str]) -> np.ndarray:
+        names = [f"{line}_tension" for line in lines]
+        values = table.select(names).values
+        for k, name in enumerate(names):
+            if table.units[name] != "N":
+                raise InputError("no unit of force", where=f"{table.source}, column {name!r}", expected=f"{name}_N")
+            bad = np.flatnonzero(~(values[:, k] >= 0))
+            if bad.size:
+                raise InputError(
+                    f"row {bad[0] + 1} holds {values[bad[0], k]:g}",
+                    where=f"{table.source}, column {name!r}",
+                    expected="a tension of zero or more in every row",
+                )
+        return values
+
+    def _ends(
+        self, table: Table, lines: list[str], given: list[list[float]] | None, labels: tuple[str, str], field: str
+    ) -> np.ndarray:
+        """Ends of the lines, (1 or n, n_lines, 3) [m]."""
+        if given is not None:
+            if len(given) not in (1, len(lines)):
+                raise InputError(f"{field} has {len(given)} points for {len(lines)} lines: {', '.join(lines)}")
+            return np.broadcast_to(np.asarray(given), (1, len(lines), 3))
+        ends = []
+        for line in lines:
+            label = next((x for x in labels if f"{line}_{x}_x" in table.names), labels[0])
+            columns = [f"{line}_{label}_{axis}" for axis in "xyz"]
+            if columns[0] not in table.names:
+                raise InputError(
+                    f"no column {columns[0]}_m, and no {field} in the scene file",
+                    where=table.source,
+                    expected="either",
+                )
+            values = table.select(columns).values
+            if any(table.units[c] != "m" for c in columns) or not np.isfinite(values).all():
+                raise InputError("values without unit, or missing", where=f"{table.source}, columns {columns[0]} ...")
+            ends.append(values)
+        return np.stack(ends, axis=1)

@@ -1,0 +1,187 @@
+"""The deepest corner of a mesh inside another: how far it is, along its own normal, below the other's surface.
+
+From a corner v of one mesh, with outward unit normal n there, a ray v - t n leaves the other body through one of its
+triangles at t: its depth. The largest is looked for on every facet of the other mesh. Both trees are gone down, some
+levels with all pairs of nodes, the rest depth first from the most promising pair; pairs that cannot be deeper than the
+deepest ray found so far are dropped. So the answer is that of all corners against all triangles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.spatial import Pose, Scalar
+from pftwin.geometry.bvh.corners import CornerTree
+from pftwin.geometry.bvh.depth_bounds import corner_nodes, most_depth, triangle_nodes
+from pftwin.geometry.bvh.descent import Descent, descent, go_down, unpacked
+from pftwin.geometry.bvh.members import member_by_member
+from pftwin.geometry.bvh.queue import LANES, Queue, pushed_where, queue_of
+from pftwin.geometry.bvh.rays import longest_ray, may_leave
+from pftwin.geometry.contact.contact_mesh import ContactMesh
+
+NODES = 1024  # pairs of nodes that there is room for, where steps down in both trees leave many behind
+LAST = 3  # steps that are gone depth first
+ABOVE = 2  # levels of the triangles' tree that are left out: rays are tried on sixteen triangles at once
+
+
+class Deepest(NamedTuple):
+    """The deepest corner on each facet of the other mesh."""
+
+    place: Array  # (facets,) int32: in its tree, of the triangle that the ray leaves through
+    corner: Array  # (facets,) int32: the corner's place in its tree
+    found: Array  # (facets,) bool: whether there is any
+    overflow: Array  # () bool: pairs were lost
+
+
+class DepthSearch(eqx.Module):
+    """A mesh and another's corners, laid out for searches: made once, before a loop."""
+
+    onto: ContactMesh
+    corners: CornerTree
+    way: Descent
+    limit: Scalar  # rays longer than this do not count [m]
+
+    def __call__(self, X: Pose) -> Deepest:
+        """With the corners' mesh at a pose in the frame of `onto`. Jit and vmap apply; not differentiated."""
+        return member_by_member(_search)(self, X)
+
+
+def depth_search(onto: ContactMesh, corners: CornerTree, limit: Scalar) -> DepthSearch:
+    """The search for the corners that are deepest inside `onto`, up to a depth [m]."""
+    single = jnp.asarray(limit).astype(jnp.float32)
+    discs = triangle_nodes(onto.discs[: 1 + onto.tree.depth - ABOVE], single)
+    return DepthSearch(onto, corners, descent(discs, corner_nodes(corners.levels, single)), limit)
+
+
+class _Stack(NamedTuple):
+    """Pairs of nodes yet to be looked at, and how deep a corner in them can be."""
+
+    pairs: Queue  # pair times four, plus the number of steps that are left
+    bounds: Queue  # float32 [m]
+
+    @property
+    def count(self) -> Array:
+        return self.pairs.count
+
+    def top(self) -> tuple[Array, Array, Array, _Stack]:
+        """Pair, steps left and bound of the last entry, and the stack without it."""
+        at = jnp.maximum(self.count - 1, 0)
+        entry, bound = (jax.lax.dynamic_index_in_dim(q.entries, at, 0, keepdims=False) for q in self)
+        return entry >> 2, (entry & 3).astype(jnp.int32), bound, _Stack(*(q._replace(count=at) for q in self))
+
+
+class _Best(NamedTuple):
+    """The deepest ray of every facet so far."""
+
+    depth: Array  # (facets,) -1 where there is none [m]
+    place: Array  # (facets,) int32
+    corner: Array  # (facets,) int32
+
+
+def _search(search: DepthSearch, X: Pose) -> Deepest:
+    way = search.way
+    X32 = jax.tree.map(lambda x: x.astype(jnp.float32), X)
+    limit = jnp.asarray(search.limit).astype(jnp.float32)
+    last, room = _room(way)
+
+    def bound(a: Array, b: Array) -> Array:
+        return most_depth(a, b, X32.orientation.rotation(), X32.position, limit)
+
+    ahead, lost = go_down(way, lambda a, b: bound(a, b) >= 0, room, stop=last)
+    zero = jnp.zeros((), jnp.int32)
+    none = jnp.zeros(search.onto.facets, jnp.int32)
+    best = _Best(jnp.full(search.onto.facets, -1.0, X.position.x.dtype), none, none)
+    if not last:
+        best = jax.lax.fori_loop(zero, ahead.length, lambda k, best: _ray(search, X, ahead.entries[k], best), best)
+        return Deepest(best.place, best.corner, best.depth >= 0, lost)
+    deep = room + LANES * last
+    stack = _Stack(
+        queue_of(deep, ahead.entries[:room] * 4 + last, way.code), queue_of(deep, jnp.full(room, limit), jnp.float32)
+    )
+    stack = _Stack(*(q._replace(count=ahead.length) for q in stack))
+
+    def is_node(state: tuple[_Stack, Array]) -> Array:
+        return (state[0].count > 0) & (state[0].top()[1] > 1)
+
+    def one_leaf(state: tuple[_Stack, _Best, Array]) -> tuple[_Stack, _Best, Array]:
+        stack, best, lost = state
+
+        def expand(inner: tuple[_Stack, Array]) -> tuple[_Stack, Array]:
+            stack = _expanded(search, bound, inner[0], best.depth)
+            return stack, inner[1] | stack.pairs.overflow
+
+        stack, lost = jax.lax.while_loop(is_node, expand, (stack, lost))
+        stack, best = _rays_tried(search, X, stack, best)
+        return stack, best, lost
+
+    _, best, lost = jax.lax.while_loop(lambda s: s[0].count > 0, one_leaf, (stack, best, lost))
+    return Deepest(best.place, best.corner, best.depth >= 0, lost)
+
+
+def _room(way: Descent) -> tuple[int, int]:
+    """Steps that are gone depth first, and pairs of nodes that there is room for before them.
+
+    A mesh of a few large triangles is gone down in no more than one or two steps, from all corners at once: then there
+    is room for all pairs.
+    """
+    alone, together = way.steps
+    last = min(LAST, len(together))
+    if len(together) > last:
+        return last, NODES
+    levels = together[0].start if together else alone[-1].end if alone else way.depths
+    return last, max(NODES, 1 << sum(levels))
+
+
+def _facet(search: DepthSearch, pair: Array, left: Array | int) -> Array:
+    """The facet of a pair of nodes, so many steps above the leaves."""
+    if search.onto.facets == 1:
+        return jnp.zeros((), jnp.int32)
+    a, b = search.way.depths
+    return (pair >> (a + b - 1 - 4 * left)).astype(jnp.int32) & 1
+
+
+def _expanded(search: DepthSearch, most: Callable[[Array, Array], Array], stack: _Stack, deepest: Array) -> _Stack:
+    """The top pair of nodes replaced by those of its descendants that may be deeper than the deepest ray so far."""
+    pair, left, bound, stack = stack.top()
+    below = search.way.below(pair, left)
+    sure = deepest[_facet(search, pair, left)].astype(jnp.float32)
+    highest = most(below.a, below.b)  # (4, 4): flattened here, XLA would make no vectors of it
+    yes = (highest > sure) & (bound > sure)
+    code = (left - 1).astype(pair.dtype)
+    pairs = pushed_where(stack.pairs, yes, lambda lane: below.pair(lane) * 4 + code)
+    return _Stack(pairs, pushed_where(stack.bounds, yes, lambda lane: highest[lane >> 2, lane & 3]))
+
+
+def _rays_tried(search: DepthSearch, X: Pose, stack: _Stack, best: _Best) -> tuple[_Stack, _Best]:
+    """The top pair's rays: those that pass through a node's disc are tried on its triangles."""
+    pair, left, bound, rest = stack.top()
+    below = search.way.below(pair, jnp.ones((), jnp.int32))
+    sure = best.depth[_facet(search, pair, 1)].astype(jnp.float32)
+    X32 = jax.tree.map(lambda x: x.astype(jnp.float32), X)
+    yes = may_leave(below.a, below.b, X32, sure) & (bound > sure) & (stack.count > 0) & (left == 1)
+    tried = pushed_where(queue_of(LANES, dtype=pair.dtype), yes, below.pair)
+    best = jax.lax.fori_loop(
+        jnp.zeros((), jnp.int32), tried.count, lambda k, best: _ray(search, X, tried.entries[k], best), best
+    )
+    return rest, best
+
+
+def _ray(search: DepthSearch, X: Pose, pair: Array, best: _Best) -> _Best:
+    """The ray of a corner through the sixteen triangles of a node."""
+    i, j = unpacked(pair, search.corners.depth)
+    ray = longest_ray(search.onto.tree.triangles, i * LANES, LANES, search.corners, j, X, search.limit)
+    facet = _facet(search, pair, 0)
+    better = ray.depth > best.depth[facet]
+    new = ray.depth, i * LANES + ray.lane, j
+    return _Best(
+        *(
+            jax.lax.dynamic_update_index_in_dim(old, jnp.where(better, x, old[facet]), facet, 0)
+            for x, old in zip(new, best, strict=True)
+        )
+    )

@@ -1,0 +1,56 @@
+"""What borders on a triangle's face, edges and corners: which way is out there, the mesh's rim, and the facets' seam.
+
+The seven features of a triangle are numbered as in `pftwin.geometry.bvh.triangle`. Out at an edge is the mean of its
+two triangles' normals, at a corner that of all its triangles' by their angles: the only choice for which the side of
+the nearest point is always the side of the surface (Baerentzen and Aanaes 2005).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.mesh.parts import edges_of
+
+
+class Features(NamedTuple):
+    """Of every triangle's face, three edges and three corners, in this order."""
+
+    outward: NDArray[np.float64]  # (m, 7, 3) unit
+    rim: NDArray[np.bool_]  # (m, 7) on the boundary of an open mesh
+    seam: NDArray[np.bool_]  # (m, 7) shared with a triangle of another label
+
+
+def features_of(mesh: SurfaceMesh, label: NDArray[np.int64]) -> Features:
+    """The features of a mesh whose triangles bear labels (m,), one for each facet."""
+    faces, n = mesh.faces, len(mesh.vertices)
+    normals = mesh.area_vectors / np.maximum(mesh.face_areas, 1e-300)[:, None]
+    edges = edges_of(faces)
+    at_edges = _sums(edges.of_face, np.repeat(normals, 3, axis=0), len(edges.corners))
+    arms = np.roll(mesh.vertices[faces], -1, axis=1) - mesh.vertices[faces]
+    arms /= np.maximum(np.linalg.norm(arms, axis=2, keepdims=True), 1e-300)
+    angles = np.arccos(np.clip(-np.einsum("nij,nij->ni", arms, np.roll(arms, 1, axis=1)), -1, 1))
+    at_corners = _sums(faces, (angles[:, :, None] * normals[:, None]).reshape(-1, 3), n)
+    outward = np.concatenate([normals[:, None], at_edges[edges.of_face], at_corners[faces]], axis=1)
+    outward /= np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-300)
+    # Triangles of two facets meet at an edge where the labels around it are not all alike.
+    lowest, highest = np.full(len(edges.corners), label.max()), np.full(len(edges.corners), label.min())
+    np.minimum.at(lowest, edges.of_face.ravel(), np.repeat(label, 3))
+    np.maximum.at(highest, edges.of_face.ravel(), np.repeat(label, 3))
+    between = lowest < highest
+    return Features(outward, *(_marked(faces, edges.of_face, edges.corners, m, n) for m in (edges.count == 1, between)))
+
+
+def _sums(groups: NDArray, values: NDArray, n: int) -> NDArray[np.float64]:
+    sums = [np.bincount(groups.ravel(), values[:, k], minlength=n).astype(np.float64) for k in range(3)]
+    return np.stack(sums, axis=1)
+
+
+def _marked(faces: NDArray, of_face: NDArray, corners: NDArray, marked: NDArray, n: int) -> NDArray[np.bool_]:
+    """(m, 7) from marks on edges: their ends are marked too, faces never."""
+    ends = np.zeros(n, dtype=bool)
+    ends[corners[marked]] = True
+    return np.concatenate([np.zeros((len(faces), 1), bool), marked[of_face], ends[faces]], axis=1)

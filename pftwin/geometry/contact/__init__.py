@@ -1,0 +1,1 @@
+"""Where two surfaces touch: facets, contours, overlaps and depths."""

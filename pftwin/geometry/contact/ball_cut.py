@@ -1,0 +1,160 @@
+r"""The part of a triangle inside a ball: area, depth and their moments over it, in closed form.
+
+With the ball of radius R about the origin, the depth of a point q of the surface is its power,
+
+    depth(q) = (R^2 - |q|^2) / (2 R),
+
+which next to the ball's surface is the distance to it. On a triangle's plane, at the height h from the origin, that is
+(rho^2 - r^2) / (2 R) with r counted from the normal's foot and rho^2 = R^2 - h^2. By the divergence theorem every
+integral becomes a sum over the three edges: of each the stretch inside the circle rho, by a quadratic equation, and the
+angle under which the foot sees the rest of it. Nothing is assumed of the triangle's size: a ball that dips into the
+middle of a large one, or swallows it, is treated as exactly as one that cuts its edges.
+
+Moving the ball by dc changes the depth by (q . dc) / R, so the slope of the volume with respect to the centre is the
+first moment of the area over R: its boundary, where the depth is zero, adds nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.spatial import Scalar, Vec3, safe_sqrt
+from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.contact.angle import angle
+
+
+class BallCut(NamedTuple):
+    """Integrals over the part of a surface inside a ball about the origin."""
+
+    area: Scalar  # [m^2]
+    doubled: Scalar  # of R^2 - |q|^2: 2 R times the volume between the surface and the ball [m^4]
+    moment: Vec3  # of the position q [m^3]
+    flux: Scalar  # of q through the area; negative where the origin is on the outer side [m^3]
+
+
+class BallArcs(NamedTuple):
+    """Integrals over the outline's arcs, each divided by its circle's radius: the slopes of area and moment."""
+
+    turned: Scalar  # angle of the arcs [rad]
+    moment: Vec3  # of q [m]
+    product: tuple[Vec3, Vec3, Vec3]  # of q q^T, by rows [m^2]
+
+
+class _Cut(NamedTuple):
+    """A triangle's plane in the ball, and its three edges in the circle."""
+
+    normal: Vec3
+    height: Scalar
+    circle: Scalar  # rho^2
+    apart: Array  # bool
+    edges: list[tuple[Vec3, Vec3, Vec3, Scalar, _Edge]]  # start, way, normal into the triangle, arm, shares
+
+
+def _cut(t: Triangle, radius: Scalar) -> _Cut:
+    ways = t.b - t.a, t.c - t.b, t.a - t.c
+    across = ways[0].cross(ways[1])
+    square = across.squared_norm()
+    n = (1 / jnp.sqrt(jnp.where(square > 0, square, 1.0))) * across
+    height = n.dot(t.a)
+    circle = radius * radius - height * height
+    flat = (square <= 0) | (circle <= 0)
+    circle = jnp.where(flat, 1.0, circle)
+    edges = []
+    for q, way in zip((t.a, t.b, t.c), ways, strict=True):
+        inward = n.cross(way)
+        arm = q.dot(inward)
+        edges.append((q, way, inward, arm, _edge(q, way, arm, circle, radius)))
+    inside, turned = (sum(x[4][k] for x in edges) for k in range(2))
+    # Out of reach, sums are zero but for rounding, which must not pass for a touch; or the whole circle is within.
+    return _Cut(n, height, circle, flat | ((inside <= 0) & (turned < math.pi)), edges)
+
+
+def ball_cut(t: Triangle, radius: Scalar) -> BallCut:
+    """The parts of triangles inside the ball; zero for triangles without area or out of reach."""
+    n, height, circle, apart, edges = _cut(t, radius)
+    zero = jnp.zeros_like(height)
+    turned, swept, bulge, moment = zero, zero, zero, Vec3(zero, zero, zero)
+    for _, _, inward, arm, e in edges:
+        turned, swept = turned + e.turned, swept + e.inside * arm
+        bulge, moment = bulge + e.stretch * arm, moment + e.stretch * inward
+    area = 0.5 * (circle * turned - swept)
+    moment = 0.5 * moment + (height * area) * n
+    values = area, 0.5 * circle * area - 0.25 * bulge, moment.x, moment.y, moment.z, height * area
+    area, doubled, x, y, z, flux = (jnp.where(apart, 0.0, a) for a in values)
+    return BallCut(area, doubled, Vec3(x, y, z), flux)
+
+
+def ball_arcs(t: Triangle, radius: Scalar) -> BallArcs:
+    """The arcs of the ball's surface on triangles.
+
+    The point r on the circle turns into n x r. So the integral of r is n times (cross) what the edges' stretches inside
+    add up to, and that of 2 r r^T - rho^2 (1 - n n^T) the difference of r (n x r)^T, made symmetric, over the ends.
+    """
+    n, height, circle, apart, edges = _cut(t, radius)
+    zero = jnp.zeros_like(height)
+    turned, across = zero, Vec3(zero, zero, zero)
+    rows = [Vec3(zero, zero, zero)] * 3
+    for q, way, inward, _, e in edges:
+        turned, across = turned + e.turned, across + e.inside * inward
+        # From where the edge enters to where it leaves, of the symmetric product of r and n x r.
+        start, both = q - height * n, 0.5 * (e.leave + e.enter)
+        middle = start + both * way
+        for one, two in ((middle, inward), (way, n.cross(middle))):
+            share = 0.25 * e.inside
+            rows = [
+                row + (share * a) * two + (share * b) * one
+                for row, a, b in zip(rows, (one.x, one.y, one.z), (two.x, two.y, two.z), strict=True)
+            ]
+    # With q = height n + r.
+    half = 0.5 * circle * turned
+    along = (height * height * turned - half) * n + height * across
+    up = height * n
+    product = [
+        row + a * along + b * up
+        for row, a, b in zip(rows, (n.x, n.y, n.z), (across.x, across.y, across.z), strict=True)
+    ]
+    product = [
+        Vec3(*(x + half if i == j else x for j, x in enumerate((row.x, row.y, row.z)))) for i, row in enumerate(product)
+    ]
+    moment = (height * turned) * n + across
+    kept = [jnp.where(apart, 0.0, x) for v in (moment, *product) for x in (v.x, v.y, v.z)]
+    vectors = [Vec3(*kept[k : k + 3]) for k in range(0, 12, 3)]
+    return BallArcs(jnp.where(apart, 0.0, turned), vectors[0], (vectors[1], vectors[2], vectors[3]))
+
+
+class _Edge(NamedTuple):
+    """What one directed edge adds."""
+
+    inside: Scalar  # share of its length inside the circle
+    turned: Scalar  # angle under which the foot sees the rest [rad]
+    stretch: Scalar  # integral of rho^2 - r^2 over the share inside [m^2]
+    enter: Scalar  # where that share begins, and where it ends
+    leave: Scalar
+
+
+def _edge(q: Vec3, way: Vec3, arm: Scalar, circle: Scalar, radius: Scalar) -> _Edge:
+    """One directed edge in the circle.
+
+    Args:
+        q, way: its start, and the way to its end.
+        arm: how far the start lies from the foot along the edge's inward normal, times the edge's length.
+        circle, radius: rho^2, and R.
+    """
+    length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius
+    over = 1 / jnp.where(length > 0, length, 1.0)
+    root = half * half - length * excess
+    spread = safe_sqrt(jnp.where(root > 0, root, 0.0))
+    # Where the edge enters and leaves the circle, as shares of its length; the same where it does not.
+    enter, leave = (jnp.clip((sign * spread - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
+    inside, both = leave - enter, enter + leave
+    stretch = -inside * (excess + half * both + length * (both * both - enter * leave) * (1 / 3))
+    # The angles before and after it as one: the product of two complex numbers.
+    start = excess + circle
+    end = start + 2 * half + length
+    a, b = start + enter * half, -enter * arm
+    c, d = end - (1 - leave) * (half + length), (leave - 1) * arm
+    return _Edge(inside, angle(a * c - b * d, a * d + b * c), stretch, enter, leave)

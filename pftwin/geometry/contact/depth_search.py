@@ -1,0 +1,133 @@
+"""Which of the button's triangles are in the femur's surface, and which of its triangles is nearest to each.
+
+Down the button's tree: for the ball about a piece of it, the point of the femur nearest to the middle tells whether the
+whole piece is outside. What is left in the end are leaves of a few triangles each; their centroids are brought to the
+femur's tree together. Nothing here is differentiated; batches are taken one by one (see `pftwin.geometry.bvh.walk`).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import optimization_barrier
+from jaxtyping import Array
+
+from pftwin.base.spatial import Rotation, Vec3
+from pftwin.geometry.bvh.fans import FAN, FAR
+from pftwin.geometry.bvh.members import member_by_member
+from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.bvh.walk import room
+from pftwin.geometry.contact.depth_nearest import nearest, nearest_to_all, signed
+from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
+
+
+class Found(NamedTuple):
+    """Leaves of the button's tree in a list of fixed length; entries past the count mean nothing."""
+
+    leaf: Array  # (width,) int32
+    place: Array  # (width, lanes) int32: where in the femur's tree the triangle nearest to each centroid is
+    total: Array  # () int32: how many there were, which may be more than the list holds
+
+
+def find(
+    button: PressingSurface,
+    femur: PressedSurface,
+    position: Vec3,
+    rotation: Rotation,
+    *,
+    width: int,
+    band: float,
+    reach: float,
+) -> Found:
+    """The leaves of the button in which a centroid's depth is above -band.
+
+    Args:
+        button, femur: the surfaces.
+        position, rotation: of the button's frame in the femur's.
+        width: room for leaves.
+        band: how far outside triangles are still wanted [m].
+        reach: how far from the surface triangles are looked for, on either side [m].
+    """
+    search = partial(_search, width=width, band=band, reach=reach)
+    return member_by_member(search)(button, femur, position, rotation)
+
+
+def _search(
+    button: PressingSurface,
+    femur: PressedSurface,
+    position: Vec3,
+    rotation: Rotation,
+    width: int,
+    band: float,
+    reach: float,
+) -> Found:
+    pieces, count = _pieces(button, femur, position, rotation, band, reach)
+
+    def take(k: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        table, total = now
+        leaf = pieces[k, 0]
+        index = jax.lax.dynamic_index_in_dim(button.index, leaf, keepdims=False)
+        points = _centroids(button, leaf, position, rotation)
+        places = nearest_to_all(femur, points, pieces[k, 1])
+
+        def look(lane: Array, wanted: Array) -> Array:
+            p, place = jax.tree.map(lambda a: a[lane], points), places[lane]
+            depth, rim = signed(femur, p, place)
+            return wanted | ((depth >= -band) & (depth <= reach) & ~rim & (index[lane] >= 0))
+
+        wanted = jax.lax.fori_loop(jnp.int32(0), jnp.int32(button.lanes), look, jnp.zeros((), bool))
+        row = jnp.concatenate([leaf[None], places])
+        # One row more than asked for takes what is written past the end.
+        table = jax.lax.dynamic_update_index_in_dim(table, row, jnp.minimum(total, width), 0)
+        return table, total + wanted.astype(jnp.int32)
+
+    start = jnp.zeros((width + 1, 1 + button.lanes), jnp.int32), jnp.int32(0)
+    table, total = jax.lax.fori_loop(jnp.int32(0), count, take, start)
+    return Found(table[:width, 0], table[:width, 1:], total)
+
+
+def _pieces(
+    button: PressingSurface, femur: PressedSurface, position: Vec3, rotation: Rotation, band: float, reach: float
+) -> tuple[Array, Array]:
+    """The leaves of the button that may be in the femur and a place near each, (leaves, 2), and how many they are."""
+    inner = jnp.int32(button.first.shape[0])
+
+    def look(now: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
+        stack, top, table, total, place = now
+        number = stack[top - 1]
+        ball = jax.lax.dynamic_index_in_dim(button.rows, number, keepdims=False).astype(position.x.dtype)
+        middle, radius = position + rotation.apply(Vec3(ball[0], ball[1], ball[2])), ball[3]
+        near = nearest(femur, middle, place)
+        depth, rim = signed(femur, middle, near.place)
+        # Beyond the rim of an open mesh there is no telling; the piece's own triangles will.
+        outside = (depth < -(radius + band)) & ~rim
+        wanted = ~outside & (jnp.abs(depth) <= radius + reach)
+        child = button.first[number // FAN] + number % FAN
+        is_leaf = child >= inner
+        row = jnp.stack([child - inner, near.place])
+        table = jax.lax.dynamic_update_index_in_dim(table, row, total, 0)
+        fan = child * FAN + jnp.arange(FAN, dtype=jnp.int32)
+        stack = jax.lax.dynamic_update_slice_in_dim(stack, fan, top - 1, 0)
+        opened = jnp.where(wanted & ~is_leaf, jnp.int32(FAN), jnp.int32(0))
+        return stack, top - 1 + opened, table, total + (wanted & is_leaf).astype(jnp.int32), near.place
+
+    zero = jnp.int32(0)
+    stack = jax.lax.dynamic_update_slice_in_dim(jnp.zeros(room(), jnp.int32), jnp.arange(FAN, dtype=jnp.int32), 0, 0)
+    living = jnp.sum(button.rows[:FAN, 0] < FAR, dtype=jnp.int32)  # the root's dead lanes come last
+    table = jnp.zeros((button.leaves + 1, 2), jnp.int32)
+    _, _, table, total, _ = jax.lax.while_loop(lambda now: now[1] > 0, look, (stack, living, table, zero, zero))
+    return table, total
+
+
+def _centroids(button: PressingSurface, leaf: Array, position: Vec3, rotation: Rotation) -> Vec3:
+    """Of a leaf's triangles, one for each lane, in the femur's frame."""
+    rows = jax.lax.dynamic_slice_in_dim(button.corners, leaf * jnp.int32(button.lanes), button.lanes)
+    return optimization_barrier(position + rotation.apply(centroid(Triangle.of_rows(rows))))
+
+
+def centroid(t: Triangle) -> Vec3:
+    """The middle of a triangle."""
+    return (1 / 3) * (t.a + t.b + t.c)

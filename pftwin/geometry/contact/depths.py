@@ -1,0 +1,131 @@
+"""How deep the triangles of one mesh are in another: a list of fixed length, differentiable.
+
+A triangle's depth is the distance of its centroid from the nearest point of the other surface, counted as positive
+inside, where the surface's outward normal points away from it. What is nearest to the rim of an open surface is neither
+inside nor outside and has no depth. Which triangles come into the list is found without derivatives
+(`pftwin.geometry.contact.depth_search`); their depths are computed again, with derivatives with respect to the pose and
+to both meshes' vertices.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar
+
+import jax.numpy as jnp
+from jax.lax import optimization_barrier, stop_gradient
+from jaxtyping import Array
+
+from pftwin.base.spatial import Rotation, Scalar, Vec3, safe_sqrt
+from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
+from pftwin.geometry.contact.depth_search import centroid, find
+from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
+
+T = TypeVar("T")
+REACH = 0.010  # [m] how deep triangles are looked for
+DEEPEST = 0.005  # [m] a depth that no joint bears: a wrong pose, scale or side
+ON_SURFACE = 1e-10  # [m] so near, the direction to the nearest point is the surface's own normal
+
+
+class Depths(NamedTuple):
+    """Some of the button's triangles, (width,) each; all vectors in the femur's frame."""
+
+    depth: Scalar  # [m], positive inside; meaningful where listed
+    listed: Array  # bool: whether the entry counts
+    triangle: Array  # int32: of the button's mesh
+    point: Vec3  # the triangle's centroid [m]
+    local: Vec3  # the same in the button's frame [m]
+    normal: Vec3  # unit, out of the femur: minus the depth's gradient with respect to the point
+    area: Scalar  # of the triangle [m^2]
+    facet: Array | None  # int32: the label of the femur's nearest triangle
+    overflow: Array  # () bool: the list was too short; what is missing is not known
+
+
+def depths(
+    button: PressingSurface,
+    femur: PressedSurface,
+    position: Vec3,
+    rotation: Rotation,
+    *,
+    leaves: int | None = None,
+    band: float = 0.0,
+    reach: float = REACH,
+) -> Depths:
+    """The depths of those triangles of the button that are in the femur, or near it. jit, vmap and grad apply.
+
+    Args:
+        button, femur: the surfaces.
+        position, rotation: of the button's frame in the femur's.
+        leaves: of the button's tree that the list has room for; None: all of them, so that nothing is ever lost.
+        band: how far outside triangles are listed too [m].
+        reach: how deep they are looked for [m].
+    """
+    width = button.leaves if leaves is None else min(leaves, button.leaves)
+    found = find(button, femur, position, rotation, width=width, band=band, reach=reach)
+    there = jnp.arange(width, dtype=jnp.int32) < found.total
+    where = button, femur, position, rotation, found.leaf, found.place, there
+    return depths_in(*where, overflow=found.total > width, band=band, reach=reach)
+
+
+def depths_in(
+    button: PressingSurface,
+    femur: PressedSurface,
+    position: Vec3,
+    rotation: Rotation,
+    leaf: Array,
+    place: Array,
+    there: Array,
+    *,
+    overflow: Array,
+    band: float = 0.0,
+    reach: float = REACH,
+) -> Depths:
+    """The depths of the triangles in some leaves of the button, (leaves * lanes,).
+
+    Args:
+        button, femur, position, rotation, band, reach: as of `depths`.
+        leaf: (leaves,) int32.
+        place: (leaves, lanes) int32, from `pftwin.geometry.contact.depth_search`.
+        there: (leaves,) bool, whether a leaf counts.
+        overflow: () bool, to go with the answer.
+    """
+    lane = jnp.arange(button.lanes, dtype=jnp.int32)
+    own_places = (leaf[:, None] * jnp.int32(button.lanes) + lane[None, :]).reshape(-1)
+    own_place, place = _gathered((own_places, place.reshape(-1)))
+    index = button.index.reshape(-1)[own_place]
+    # Rows of flat tables only: what XLA makes of a pick along two axes at once compiles for minutes within a loop.
+    own = Triangle.of_rows(_gathered(button.corners[own_place]))
+    local = centroid(own)
+    point = position + rotation.apply(local)
+    depth, normal, rim = depth_below(femur, place, point)
+    inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= reach) & ~rim
+    return Depths(
+        depth=depth,
+        listed=inside & (index >= 0) & jnp.repeat(there, button.lanes),
+        triangle=jnp.where(index < 0, -1 - index, index),
+        point=point,
+        local=local,
+        normal=normal,
+        area=0.5 * own.area_vector().norm(),
+        facet=None if femur.label is None else femur.label[femur.triangle[place]],
+        overflow=overflow,
+    )
+
+
+def depth_below(femur: PressedSurface, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
+    """Depth [m] of points (k,) below the triangles in some places (k,), the normal there, and whether it is the rim."""
+    on = closest_on_triangle(Triangle.of_rows(_gathered(femur.corners[place])), point)
+    feature = stop_gradient(7 * femur.triangle[place] + on.feature)
+    outward = Vec3.from_array(_gathered(femur.outward[feature]))
+    away = point - on.point
+    size = safe_sqrt(away.squared_norm())
+    apart = stop_gradient(size) > ON_SURFACE
+    sign = jnp.where(stop_gradient(away.dot(outward)) < 0, -1.0, 1.0)
+    scale = sign / jnp.where(apart, size, 1.0)
+    parts = ((away.x, outward.x), (away.y, outward.y), (away.z, outward.z))
+    normal = Vec3(*(jnp.where(apart, scale * a, n) for a, n in parts))
+    return -normal.dot(away), normal, femur.rim[feature]
+
+
+def _gathered(rows: T) -> T:
+    """Rows as they were picked: fused with what follows, XLA would pick them for every use again."""
+    return optimization_barrier(rows)

@@ -1,0 +1,120 @@
+"""Which facets of a groove a sphere touches: the local minima of its distance to the surface, medial and lateral.
+
+A groove narrower than the button touches it on both facets, so the closest point is not one but two; a search from one
+start finds one of them and rattles. Two points are followed, and each takes one Newton step per time step. Three rules
+keep them right:
+
+- They repel: off a saddle (a groove that has become too narrow for the sphere) the medial point is pushed medially, the
+  lateral one laterally, so that each ends on its own facet. Where the distance has one minimum they meet in it.
+- They are watched: the distance is sampled on a coarse fan across the groove. Where nobody is near the fan's first
+  (medial) minimum the medial point starts again there, and likewise the lateral one near the last, so a facet that
+  comes near is found before it touches. A point whose minimum has vanished goes where the other point is. Where the
+  distance still falls at the fan's end, as on a wall steeper than the fan is wide, who has gone on beyond it is right.
+- They share: each bears half of the contact law's force where they are one and all of it where they are two, smoothly
+  in between, so the force has no jump where facets merge and nothing is counted twice.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.patch.charts import Jet
+from pftwin.geometry.patch.closest import ClosestPoint, Surface, newton_step
+
+SPACING = 0.11  # of the fan's samples across the groove, in radii
+FAN = tuple(SPACING * k for k in range(-6, 7))  # their places, in radii from the sphere's centre
+LONGEST = 0.12  # radii: the longest Newton step
+MERGED, APART = 0.02, 0.20  # separations, in radii, between which one contact becomes two
+ASTRAY = 1.2  # spacings from the fan's minimum beyond which a followed point starts again
+
+
+class Place(NamedTuple):
+    """Where a point that is followed was left, and moved along with the sphere since."""
+
+    u: Scalar
+    v: Scalar
+    settled: Scalar  # 1 if it had arrived in a minimum, else 0; a number, which XLA fuses with its neighbours
+
+
+class Facets(NamedTuple):
+    """The medial and the lateral closest point (the same where there is but one) and the share that each bears."""
+
+    medial: ClosestPoint
+    lateral: ClosestPoint
+    share: Scalar  # of the contact law's force, for each: 1/2 where they are one, 1 where they are two
+
+
+def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place, Place]) -> Facets:
+    """One Newton step for both points from the places where they were left.
+
+    Args:
+        surface: with a chart whose v runs across the groove, medial to lateral.
+        c: centre of the sphere, chart frame [m].
+        radius: of the sphere [m].
+        places: where the medial and the lateral point were, moved along with the sphere. Derivatives pass through them:
+            a Newton step forgets its start to second order where it is whole, and not where it is held.
+    """
+    near = 0.5 * (places[0].u + places[1].u)
+    seen = scan_facets(_without_derivatives(surface), *stop_gradient((c, radius, near)))  # decides, and no more
+    _, middle = surface.chart.foot(c)
+    ends = middle + FAN[0] * radius, middle + FAN[-1] * radius
+    astray = ASTRAY * SPACING * radius
+    in_order = places[0].v <= places[1].v
+    points = []
+    for own, other, sample, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
+        fan_v = surface.clipped(middle + sample * radius)
+        at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius for end in ends]
+        far, other_far = (_astray(surface.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
+        # Nobody follows the fan's minimum: start there. The other point does: a minimum of one's own, too shallow for
+        # the fan to see, is kept; whoever has none joins the other point, whose place is better than the fan's.
+        new, joins = far & other_far, far & ~other_far & ~((own.settled > 0) & in_order)
+        u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
+        v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
+        points.append(newton_step(surface, c, u, v, LONGEST * radius, push=side))
+    medial, lateral = points
+    gap = lateral.v - medial.v
+    t = (jnp.where(gap < 0, -gap, gap) / radius - MERGED) * (1 / (APART - MERGED))
+    share = jnp.where(t > 1, 1.0, jnp.where(t > 0, 0.5 + t * t * (1.5 - t), 0.5))
+    return Facets(medial, lateral, share)
+
+
+def _astray(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
+    """Whether a point is too far from the fan's minimum; outside the fan there is nothing to be too far from."""
+    return ((beyond < -limit) & ~at_end[0]) | ((beyond > limit) & ~at_end[1])
+
+
+def _without_derivatives(surface: Surface) -> Surface:
+    return jax.tree.map(lambda a: stop_gradient(a) if eqx.is_inexact_array(a) else a, surface)
+
+
+def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[Scalar, Scalar]:
+    """The fan's samples (of `FAN`) at its first and last local minimum of the distance, at one u near both.
+
+    Along the groove the distance has one well-shaped minimum, which each sample takes at its own place by a Newton
+    step of u. The fan stays on the surface's domain; contacts beyond it are reached from its edge.
+    """
+    _, middle = surface.chart.foot(c)
+    profile, half_square = surface.profile(u), surface.chart.half_square(c, u)
+    height, slope = profile.height_and_slope(middle)
+    zero = jnp.zeros_like(height)
+    s = surface.chart.separation(c, u, middle, Jet(height, slope, zero, profile.curvature(middle), zero, zero))
+    compliance = 0.5 / jnp.maximum(s.hessian[0], 0.2 * s.gram[0])  # along the groove much the same across the fan
+    places = [surface.clipped(middle + k * radius) for k in FAN]
+    phi = []
+    for v in places:
+        value, gradient = half_square(v, *profile.height_and_slope(v))
+        phi.append(value - compliance * gradient * gradient)
+    first, last = jnp.full_like(c.x, FAN[-1]), jnp.full_like(c.x, FAN[0])
+    # Samples that coincide at an edge neither rise nor fall.
+    for k, (before, after) in enumerate(pairwise(phi)):
+        last = jnp.where(after < before, FAN[k + 1], last)
+    for k, (before, after) in reversed(list(enumerate(pairwise(phi)))):
+        first = jnp.where(before < after, FAN[k], first)
+    return first, last

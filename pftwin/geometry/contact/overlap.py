@@ -1,0 +1,101 @@
+"""From the patch inside a sphere to indentations: of each facet, and of both where they have grown into one contact.
+
+See `pftwin.model.effects.mesh_volume_contact` for the law that this serves.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.spatial import Scalar, Vec3, safe_sqrt
+from pftwin.geometry.contact.ball_cut import BallCut
+from pftwin.geometry.contact.seam import SeamDepth
+from pftwin.geometry.contact.sphere_patch import Patch
+
+ONE_CONTACT = 3.0  # of depth^2 pi r (1 / V_m + 1 / V_l): from here on two facets bear one contact
+MICRO = 1e6  # per metre: squares of quotients' denominators stay within single precision down to 0.001 nm
+_PARABOLA = 1.25  # height of a parabola over the ratio of the integrals of its square and itself
+
+
+class Overlap(NamedTuple):
+    """A sphere and a mesh, medial and lateral facet."""
+
+    depths: tuple[Scalar, Scalar]  # d [m]
+    normals: tuple[Vec3, Vec3]  # -grad d with respect to the centre, mesh frame; 1 long on a smooth surface
+    joint_depth: Scalar  # d of both volumes together [m]
+    parts: tuple[Scalar, Scalar]  # slope of the joint depth with respect to each d
+    merged: Scalar  # s
+    merged_slope: Vec3  # grad s [1/m]
+    areas: tuple[Scalar, Scalar]  # [m^2]
+    arms: tuple[Vec3, Vec3]  # first moment of the area about the centre [m^3]
+    overflow: Array
+
+
+def overlap(patch: Patch, radius: Scalar, effective_radius: Scalar) -> Overlap:
+    """Indentations of a patch inside a sphere of radius R, where r is the gap's effective radius [m]."""
+    cuts, seam = patch.sums.facets, patch.sums.seam
+    scale = 2 * math.pi * effective_radius * radius  # V / (pi r) from 2 R V
+    squares = [jnp.maximum(c.doubled, 0.0) / scale for c in cuts]
+    # A centre behind the surface sees it from inside: it has to go the long way out.
+    behind = cuts[0].flux + cuts[1].flux > 0
+    means = [safe_sqrt(x) for x in squares]
+    joint = safe_sqrt(squares[0] + squares[1])
+    joint_depth, joint_slope = _out_of_power(joint, radius, behind)
+    depths, normals, parts = [], [], []
+    for cut, mean in zip(cuts, means, strict=True):
+        d, slope = _out_of_power(mean, radius, behind)
+        touched = mean > 0
+        over = jnp.where(touched, 1 / (scale * jnp.where(touched, mean, 1.0)), 0.0)
+        depths.append(jnp.where(touched, d, 0.0))
+        normals.append((-slope * over) * cut.moment)
+        parts.append(jnp.where(touched, joint_slope * mean / (slope * jnp.where(joint > 0, joint, 1.0)), 0.0))
+    joint_depth = jnp.where(joint > 0, joint_depth, 0.0)
+    merged, merged_slope = _merged(cuts, squares, seam, scale)
+    return Overlap(
+        (depths[0], depths[1]),
+        (normals[0], normals[1]),
+        joint_depth,
+        (parts[0], parts[1]),
+        merged,
+        merged_slope,
+        (cuts[0].area, cuts[1].area),
+        (cuts[0].moment, cuts[1].moment),
+        patch.overflow,
+    )
+
+
+def _out_of_power(power: Scalar, radius: Scalar, behind: Array) -> tuple[Scalar, Scalar]:
+    """The indentation of a point whose power is (R^2 - |q|^2) / (2 R), and its slope; by a series, within 1e-5 up to a
+    twentieth of the radius, and without the root's end.
+
+    R - sqrt(R^2 - 2 R power) = power (1 + x / 2 + x^2 / 2 + 5 x^3 / 8 + ...) with x = power / R.
+    """
+    x = power / radius
+    d, slope = power * (1 + 0.5 * x * (1 + x * (1 + 1.25 * x))), 1 + x * (1 + x * (1.5 + 2.5 * x))
+    return jnp.where(behind, 2 * radius - d, d), jnp.where(behind, -slope, slope)
+
+
+def _merged(
+    cuts: tuple[BallCut, BallCut], squares: list[Scalar], seam: SeamDepth, scale: Scalar
+) -> tuple[Scalar, Vec3]:
+    """s and its gradient with respect to the sphere's centre; inside in micrometres."""
+    both = (squares[0] > 0) & (squares[1] > 0) & (seam.depth > 0) & (seam.square > 0)
+    area, volume = MICRO**2, MICRO**3
+    micro = (area * squares[0], area * squares[1], area * seam.depth, volume * seam.square)
+    m, v, along, square = (jnp.where(both, x, 1.0) for x in micro)
+    depth = _PARABOLA * square / along
+    t = (depth * depth / ONE_CONTACT) * (1 / m + 1 / v)
+    partly = both & (t < 1)
+    u = jnp.where(partly, t, 1.0)
+    s = jnp.where(both, u * u * (3 - 2 * u), 0.0)
+    slope = jnp.where(partly, 6 * u * (1 - u), 0.0)
+    # d t: by the depth, and by each volume, of which 2 R V has the slope 2 * moment.
+    by_depth = (2 * t * slope) * ((volume / square) * seam.square_slope - (area / along) * seam.depth_slope)
+    # By quotients of like size: the derivative of 1 / m^2 divides by m^4, too small for single precision when shallow.
+    rest, by_m, by_v = (slope / ONE_CONTACT) * (-2 / scale), MICRO * depth / m, MICRO * depth / v
+    by_volume = (rest * by_m * by_m) * cuts[0].moment + (rest * by_v * by_v) * cuts[1].moment
+    return s, by_depth + by_volume

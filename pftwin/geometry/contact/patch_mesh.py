@@ -1,0 +1,89 @@
+"""A mesh made ready for spheres: its facets, the border between them, and what the tree's nodes sum up to."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import ArrayLike
+
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.bvh.ball import Room
+from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.contact.mesh_facets import MeshFacets, mesh_facets
+from pftwin.geometry.contact.seam import edges_between, rim_edges, seam_depth
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+CHUNK = 64  # triangles cut at a time
+DEEPEST = 0.05  # of the radius: indentation up to which there is room on two facets at once
+ALONG = 2.2  # triangles that an outline may cut, per length of a triangle's side: measured 1.7 to 1.9
+
+
+class PatchMesh(eqx.Module):
+    """A mesh that a sphere may touch. Arrays are leaves."""
+
+    facets: MeshFacets
+    seam: Array  # (k, 6) edges between the facets [m]
+    rim: Array  # (r, 6) edges of an open mesh's boundary [m]
+    room: Room = eqx.field(static=True)
+    sums: Array | None = None  # (nodes, 10), see `prepared`
+
+    def prepared(self) -> PatchMesh:
+        """With what the tree's nodes sum up to, from the triangles: once, before many looks."""
+        values = jnp.where(self.facets.empty[:, None], 0.0, _sums_of(self.facets.triangles))
+        wide = self.facets.wide
+        lateral = wide.lateral() if self.facets.count > 1 else np.zeros(len(wide.lateral()))
+        sums = jnp.concatenate([wide.node_sums(values), jnp.asarray(lateral, values.dtype)[:, None]], axis=1)
+        return eqx.tree_at(lambda m: m.sums, self, sums, is_leaf=lambda x: x is None)
+
+    def depth_by_distance(self, center: Vec3, radius: Scalar) -> tuple[Scalar, Scalar]:
+        """Radius less the signed distance of a sphere's centre to the nearer facet, NaN for the other [m]."""
+        distances = [p.distance for p in self.facets.points(center)]
+        nothing = jnp.full_like(radius, jnp.nan)
+        if len(distances) == 1:
+            return radius - distances[0], nothing
+        medial = jnp.abs(distances[0]) <= jnp.abs(distances[1])
+        return (
+            jnp.where(medial, radius - distances[0], nothing),
+            jnp.where(medial, nothing, radius - distances[1]),
+        )
+
+    def rim_inside(self, center: Vec3, radius: Scalar) -> Scalar:
+        """Length of the mesh's rim inside a sphere [m]."""
+        return seam_depth(self.rim, center, radius).length
+
+
+def patch_mesh(mesh: SurfaceMesh, radius: float, lateral: ArrayLike | None = None) -> PatchMesh:
+    """A mesh made ready for spheres.
+
+    Args:
+        mesh: in the femur's frame, normals outward [m].
+        radius: of the sphere, for the lists' length [m].
+        lateral: which triangles are on the lateral facet, (m,) bool (`lateral_of_groove`); None: there is but one.
+
+    Raises:
+        InputError: a radius that is not positive; labels that do not suit the mesh, or leave one facet empty.
+    """
+    if not (np.isfinite(radius) and radius > 0):
+        raise InputError(f"found {radius}", where="radius", expected="a positive length")
+    facets = mesh_facets(mesh, lateral)
+    label = np.zeros(len(mesh.faces), int) if lateral is None else np.asarray(lateral).astype(int)
+    # Where the sphere dips deepest into a plane the outline is longest.
+    outline = 2 * np.pi * radius * np.sqrt(2 * DEEPEST) * facets.count
+    side = np.sqrt(np.quantile(mesh.face_areas, 0.25))
+    cut = CHUNK * int(np.ceil(min(max(ALONG * outline / side, 2 * CHUNK), len(mesh.faces)) / CHUNK))
+    dtype = facets.triangles.dtype
+    seam, rim = jnp.asarray(edges_between(mesh, label), dtype), jnp.asarray(rim_edges(mesh), dtype)
+    return PatchMesh(facets, seam, rim, Room(cut, cut + 1))
+
+
+def _sums_of(rows: Array) -> Array:
+    """Of each triangle (n, 9): area, first moment, second moment, area vector, flux of the position; (n, 9)."""
+    t = Triangle.of_rows(rows)
+    n = 0.5 * t.area_vector()
+    area, middle = n.norm(), t.a + t.b + t.c
+    square = sum((p.squared_norm() for p in (t.a, t.b, t.c)), start=middle.squared_norm())
+    m = (area / 3) * middle
+    return jnp.stack([area, m.x, m.y, m.z, (area / 12) * square, n.x, n.y, n.z, n.dot(t.a)], axis=1)

@@ -1,0 +1,1 @@
+"""Triangle meshes: read, checked, repaired and made."""

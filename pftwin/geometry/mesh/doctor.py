@@ -1,0 +1,141 @@
+"""What is wrong with a mesh, in words and in figures, before anything is computed with it.
+
+Findings are of three kinds. What can be repaired without changing the surface is `safe`. What is reported and left as
+it is, because a repair would invent or remove surface, is `left`. With what is `fatal` no contact can be computed:
+which side is outside cannot be told, or the mesh is no surface there. A surface that is open is nothing to find fault
+with.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.geometry.mesh.files import read_triangles
+from pftwin.geometry.mesh.findings import (
+    Finding,
+    crowded_edges,
+    flat_triangles,
+    holes,
+    isolated_parts,
+    repeated_triangles,
+    scale,
+    sides,
+)
+from pftwin.geometry.mesh.mesh import SurfaceMesh, weld
+from pftwin.geometry.mesh.parts import Part, parts_of
+from pftwin.geometry.mesh.units import UNITS, plausible_units
+from pftwin.geometry.mesh.zero_area import repeated, zero_area
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What was found; coordinates and lengths in the mesh's own unit."""
+
+    source: str
+    n_vertices: int  # after welding
+    n_faces: int  # as the file has them
+    longest_side: float
+    units: list[str]  # in which that is the size of a part of the knee, likeliest first
+    parts: list[Part]
+    findings: list[Finding]
+    turn: NDArray[np.bool_]  # (m,) faces to turn, where that is safe
+    drop: NDArray[np.bool_]  # (m,) faces to drop, where that is safe
+
+    def of(self, severity: str) -> list[Finding]:
+        """The findings of one severity."""
+        return [f for f in self.findings if f.severity == severity]
+
+    @property
+    def verdict(self) -> str:
+        """In one sentence."""
+        if fatal := self.of("fatal"):
+            return f"not to be used: {', '.join(f.kind for f in fatal)}"
+        if safe := self.of("safe"):
+            return f"to be repaired: {', '.join(f.kind for f in safe)} (--repair does it)"
+        return "usable"
+
+    def facts(self) -> dict[str, Any]:
+        """For JSON."""
+        parts = [
+            {
+                "triangles": len(p.faces),
+                "area": p.area,
+                "closed": not p.loops,
+                "volume": None if p.loops else p.volume,
+                "loops": [
+                    {"edges": k.n_edges, "length": k.length, "center": k.center, "hole": k.is_hole} for k in p.loops
+                ],
+            }
+            for p in self.parts
+        ]
+        return {
+            "file": self.source,
+            "vertices": self.n_vertices,
+            "triangles": self.n_faces,
+            "longest_side": self.longest_side,
+            "likely_units": self.units,
+            "parts": parts,
+            "findings": [vars(f) for f in self.findings],
+            "verdict": self.verdict,
+        }
+
+
+def examine_file(path: str | os.PathLike[str], *, units: str | None = None) -> Diagnosis:
+    """Examine a mesh file; see `examine`.
+
+    Raises:
+        InputError: unknown units, or a file that cannot be read at all (see `mesh_files.read_triangles`).
+    """
+    if units is not None and units not in UNITS:
+        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+    return examine(*read_triangles(Path(path)), source=str(path), units=units)
+
+
+def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", units: str | None = None) -> Diagnosis:
+    """Look a mesh over.
+
+    Args:
+        vertices, faces: (n, 3) in any unit and (m, 3), as a file has them.
+        source: a name for messages.
+        units: the unit of the coordinates, if known; None: a guess by the size is reported.
+    """
+    p, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    n, none = len(f), np.zeros(len(f), dtype=bool)
+    corners = np.unique(f)
+    bad = corners[~np.isfinite(p[corners]).all(axis=1)]
+    if bad.size:
+        words = f"{bad.size} vertices of triangles are not finite, the first is number {bad[0]}: export the mesh again"
+        lost = Finding("not_finite", "fatal", int(bad.size), words)
+        return Diagnosis(source, len(p), n, float("nan"), [], [], [lost], none, none)
+    points, joined = weld(p, f)
+    flat = zero_area(points, joined)
+    copies, opposed = repeated(joined, ~flat)
+    kept = np.flatnonzero(~(flat | copies))
+    drop = flat | copies
+    findings = [*flat_triangles(points, joined, flat), *repeated_triangles(points, joined, copies, opposed)]
+    if not kept.size:
+        nothing = Finding("no_surface", "fatal", n, f"all {n} triangles have no area: export the mesh again")
+        return Diagnosis(source, len(points), n, float(np.ptp(p, axis=0).max()), [], [], [nothing], none, drop)
+    mesh = SurfaceMesh(points, joined[kept], source)
+    parts = parts_of(mesh)
+    turned, winding = sides(mesh, parts)
+    used = points[np.unique(mesh.faces)]
+    longest = float(np.ptp(used, axis=0).max())
+    likely = plausible_units(longest)
+    findings += [
+        *crowded_edges(mesh),
+        *winding,
+        *holes(mesh, parts),
+        *isolated_parts(mesh, parts),
+        *scale(longest, likely, units),
+    ]
+    turn = none.copy()
+    turn[kept] = turned
+    return Diagnosis(source, len(used), n, longest, likely, parts, findings, turn, drop)

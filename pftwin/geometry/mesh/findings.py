@@ -1,0 +1,158 @@
+"""What the mesh doctor may find, each with its words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.mesh.parts import Part, edges_of
+from pftwin.geometry.mesh.winding import agreement
+
+FEW = 0.25  # share of a part's triangles up to which those that disagree are the ones to turn
+INWARD = -0.3  # mean cosine between normals and the way out from the middle, below which they seem to point inward
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or worth knowing."""
+
+    kind: str  # "mixed_winding", "hole", ...
+    severity: str  # "safe", "left" or "fatal"
+    count: int
+    words: str
+    places: list[list[float]] = field(default_factory=list)  # of the first few, in the file's unit
+
+
+def _places(points: NDArray, faces: NDArray, which: NDArray) -> list[list[float]]:
+    return points[faces[np.flatnonzero(which)[:5]]].mean(axis=1).tolist()
+
+
+def flat_triangles(points: NDArray, faces: NDArray, flat: NDArray[np.bool_]) -> list[Finding]:
+    """Triangles without area."""
+    if not flat.any():
+        return []
+    words = f"{flat.sum()} triangles have no area; without them the surface is the same"
+    return [Finding("zero_area", "safe", int(flat.sum()), words, _places(points, faces, flat))]
+
+
+def repeated_triangles(points: NDArray, faces: NDArray, copies: NDArray, opposed: NDArray) -> list[Finding]:
+    """Triangles that are there twice, the same way or the other."""
+    found = []
+    if copies.any():
+        words = f"{copies.sum()} triangles are there more than once; contact would count them twice"
+        found.append(Finding("duplicate", "safe", int(copies.sum()), words, _places(points, faces, copies)))
+    if opposed.any():
+        words = (
+            f"{opposed.sum()} triangles lie on their own reverse: a sheet without thickness has no outside; remove one"
+        )
+        found.append(Finding("two_faced", "fatal", int(opposed.sum()), words, _places(points, faces, opposed)))
+    return found
+
+
+def crowded_edges(mesh: SurfaceMesh) -> list[Finding]:
+    """Edges of more than two triangles."""
+    edges = edges_of(mesh.faces)
+    many = edges.corners[edges.count > 2]
+    if not len(many):
+        return []
+    words = f"{len(many)} edges border more than two triangles: the mesh is no surface there; take the extra sheet out"
+    places = mesh.vertices[many[:5]].mean(axis=1).tolist()
+    return [Finding("non_manifold_edge", "fatal", len(many), words, places)]
+
+
+def sides(mesh: SurfaceMesh, parts: list[Part]) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """Faces to turn (m,), and what there is to say about sides."""
+    turned, one_sided, _ = agreement(mesh.faces)
+    centers = mesh.vertices[mesh.faces].mean(axis=1)
+    mixed = turned.copy()  # against their neighbours
+    counts = {"one_sided": int(one_sided.sum()), "ambiguous_winding": 0, "flipped": 0, "cavity": 0, "inward": 0}
+    places: dict[str, list[list[float]]] = {"one_sided": centers[one_sided][:5].tolist()}
+    for part in parts:
+        own, outward = part.faces, np.where(turned[part.faces], -1.0, 1.0)[:, None] * mesh.area_vectors[part.faces]
+        arms = centers[own] - part.center
+        kind = None
+        if one_sided[own].any():
+            continue
+        if not part.loops:
+            if np.einsum("ij,ij->", arms, outward) < 0:
+                kind = "cavity" if _inside(part, parts, mesh) else "flipped"
+        elif turned[own].mean() > FEW:
+            kind = "ambiguous_winding"
+        else:
+            weights = np.linalg.norm(arms, axis=1) * mesh.face_areas[own]
+            if np.einsum("ij,ij->", arms, outward) < INWARD * weights.sum():
+                kind = "inward"
+        if kind is not None:
+            counts[kind] += len(own)
+            places.setdefault(kind, []).append(part.center.tolist())
+        if kind == "flipped":
+            turned[own] = ~turned[own]
+    counts["mixed_winding"] = int(mixed.sum())
+    places["mixed_winding"] = centers[mixed][:5].tolist()
+    said = [Finding(k, s, counts[k], w.format(counts[k]), places[k][:5]) for k, (s, w) in _SIDES.items() if counts[k]]
+    return turned, said
+
+
+_SIDES = {
+    "one_sided": ("fatal", "{} triangles belong to a surface with one side only (a Moebius strip): take the extra out"),
+    "mixed_winding": ("safe", "{} triangles face the other side than their neighbours"),
+    "ambiguous_winding": (
+        "fatal",
+        "an open surface of {} triangles of which so many disagree that its outside is anyone's guess: orient it first",
+    ),
+    "flipped": ("safe", "a closed part of {} triangles is inside out"),
+    "cavity": ("left", "a closed part of {} triangles inside another one faces inward: taken for a cavity"),
+    "inward": (
+        "left",
+        "an open surface of {} triangles mostly faces its own middle: if that is where the bone is, it is inside out "
+        "(mesh.flipped() turns it)",
+    ),
+}
+
+
+def _inside(part: Part, parts: list[Part], mesh: SurfaceMesh) -> bool:
+    """Whether another closed part's bounding box holds this one's."""
+    low, high = _box(part, mesh)
+    others = [_box(other, mesh) for other in parts if other is not part and not other.loops]
+    return any((a <= low).all() and (high <= b).all() for a, b in others)
+
+
+def _box(part: Part, mesh: SurfaceMesh) -> tuple[NDArray, NDArray]:
+    corners = mesh.vertices[mesh.faces[part.faces].ravel()]
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def holes(mesh: SurfaceMesh, parts: list[Part]) -> list[Finding]:
+    """Short boundary loops. Long ones are rims: an open surface has them."""
+    holes = [loop for part in parts for loop in part.loops if loop.is_hole]
+    if not holes:
+        return []
+    lengths = f"{holes[0].length:.3g}" if len(holes) == 1 else f"up to {max(k.length for k in holes):.3g}"
+    words = f"{len(holes)} holes, {lengths} around: nothing touches there; filling them would invent surface"
+    return [Finding("hole", "left", len(holes), words, [k.center.tolist() for k in holes[:5]])]
+
+
+def isolated_parts(mesh: SurfaceMesh, parts: list[Part]) -> list[Finding]:
+    """All parts but the largest."""
+    rest = parts[1:]
+    if not rest:
+        return []
+    share = sum(p.area for p in rest) / mesh.area
+    words = (
+        f"{len(rest)} parts with {100 * share:.2g} % of the area are not connected to the largest: "
+        "contact counts them; remove them in a mesh editor if they are debris"
+    )
+    return [Finding("isolated_part", "left", len(rest), words, [p.center.tolist() for p in rest[:5]])]
+
+
+def scale(longest: float, likely: list[str], units: str | None) -> list[Finding]:
+    """Whether the size is that of a part of the knee, in the stated unit or in any."""
+    if units in likely or (units is None and likely):
+        return []
+    stated = "any unit" if units is None else units
+    guess = f"; in {likely[0]} it is" if likely else ""
+    words = f"a longest side of {longest:.4g} is not the size of a part of the knee in {stated}{guess}"
+    return [Finding("scale", "left", 1, words)]

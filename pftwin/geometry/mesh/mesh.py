@@ -1,0 +1,191 @@
+"""Triangle meshes of articulating surfaces: reading, checking, writing. Open surfaces are first class."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError, OutputError
+from pftwin.geometry.mesh.files import check_format, read_triangles
+from pftwin.geometry.mesh.units import PLAUSIBLE, UNITS, check_size
+
+COINCIDENT = 1e-7  # of a mesh's size: vertices nearer than that are one
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMesh:
+    """A triangle mesh whose triangles turn counter-clockwise seen from outside the body."""
+
+    vertices: NDArray[np.float64]  # (n, 3) [m]
+    faces: NDArray[np.int64]  # (m, 3)
+    source: str = "mesh"  # a file name or a description, for messages
+
+    @cached_property
+    def area_vectors(self) -> NDArray[np.float64]:
+        """Of each triangle, outward normal times area, (m, 3) [m^2]."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return 0.5 * np.cross(b - a, c - a)
+
+    @cached_property
+    def face_areas(self) -> NDArray[np.float64]:
+        """Of each triangle, (m,) [m^2]."""
+        return np.linalg.norm(self.area_vectors, axis=1)
+
+    @property
+    def area(self) -> float:
+        """Of the whole surface [m^2]."""
+        return float(self.face_areas.sum())
+
+    @cached_property
+    def vertex_areas(self) -> NDArray[np.float64]:
+        """A third of the area of the triangles around each vertex, (n,) [m^2]."""
+        shares = np.bincount(self.faces.ravel(), np.repeat(self.face_areas / 3, 3), minlength=len(self.vertices))
+        return shares.astype(np.float64)
+
+    @cached_property
+    def vertex_normals(self) -> NDArray[np.float64]:
+        """Unit outward normals weighted by area, (n, 3); zero at a vertex that no triangle uses."""
+        total = np.stack(
+            [
+                np.bincount(self.faces.ravel(), np.repeat(self.area_vectors[:, k], 3), minlength=len(self.vertices))
+                for k in range(3)
+            ],
+            axis=1,
+        )
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+    @cached_property
+    def extent(self) -> float:
+        """Longest side of the bounding box [m]."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether every edge borders two triangles."""
+        from pftwin.geometry.mesh.winding import directed_edges
+
+        edges = np.sort(directed_edges(self.faces), axis=1)
+        return bool(np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2))
+
+    @property
+    def volume(self) -> float:
+        """Signed volume enclosed by a closed mesh [m^3]; negative where its normals point inward."""
+        return float(np.einsum("ij,ij->", self.vertices[self.faces].mean(axis=1), self.area_vectors) / 3)
+
+    def flipped(self) -> SurfaceMesh:
+        """The same surface with its other side outside."""
+        return SurfaceMesh(self.vertices, self.faces[:, ::-1].copy(), self.source)
+
+
+def load_mesh(
+    path: str | os.PathLike[str],
+    *,
+    units: str,
+    size: tuple[float, float] | None = PLAUSIBLE,
+    repair: bool = False,
+) -> SurfaceMesh:
+    """Read an STL, OBJ or PLY file, merge coincident vertices, and check that it is a usable surface.
+
+    Args:
+        path: the file.
+        units: the unit of the file's coordinates ("m", "mm", ...): these formats do not carry it.
+        size: shortest and longest plausible longest side [m]; the default suits femoral components and buttons, None
+            switches the check off.
+        repair: turn triangles until neighbours agree, and a closed mesh outside out, instead of refusing it.
+
+    Raises:
+        InputError: missing, empty or unreadable file; no triangles; vertices that are not finite; a size that does not
+            suit the units; triangles whose winding disagrees with their neighbours'; a closed mesh that is inside out.
+    """
+    where = str(path)
+    if units not in UNITS:
+        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+    vertices, faces = read_triangles(Path(path))
+    return check_mesh(vertices * UNITS[units], faces, source=where, size=size, repair=repair, units=units)
+
+
+def check_mesh(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    *,
+    source: str = "mesh",
+    size: tuple[float, float] | None = PLAUSIBLE,
+    repair: bool = False,
+    units: str = "m",
+) -> SurfaceMesh:
+    """The checks and the merging of `load_mesh` for vertices (n, 3) [m] and faces (m, 3) at hand."""
+    p, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    if p.ndim != 2 or p.shape[1:] != (3,) or f.ndim != 2 or f.shape[1:] != (3,) or not f.size:
+        raise InputError(
+            f"no triangles: {f.shape} faces on {p.shape} vertices", where=source, expected="(m, 3) on (n, 3)"
+        )
+    if f.min() < 0 or f.max() >= len(p):
+        raise InputError(f"a face names vertex {f.max()}, but there are {len(p)}", where=source)
+    bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
+    if bad.size:
+        raise InputError(
+            f"{bad.size} of {len(p)} vertices are not finite, the first is number {bad[0]}: {p[bad[0]]}",
+            where=source,
+            remedy="export the mesh again",
+        )
+    mesh = _merged(p, f, source)
+    if size is not None:
+        check_size(mesh.extent, mesh.source, size, units)
+    from pftwin.geometry.mesh.winding import check_winding
+
+    return check_winding(mesh, repair)
+
+
+def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "m") -> None:
+    """Write an STL, OBJ or PLY file in the stated units; it appears whole or not at all.
+
+    Raises:
+        InputError: unknown units or file type.
+        OutputError: the file cannot be written.
+    """
+    import trimesh
+
+    target = Path(path)
+    if units not in UNITS:
+        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+    check_format(target)
+    exported = trimesh.Trimesh(mesh.vertices / UNITS[units], mesh.faces, process=False)
+    data = exported.export(file_type=target.suffix[1:].lower())
+    partial = target.with_name(target.name + ".part")
+    try:
+        partial.write_bytes(data.encode() if isinstance(data, str) else data)  # pyright: ignore[reportArgumentType]
+        partial.replace(target)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise OutputError(f"{target}: cannot write the mesh: {error.strerror}") from error
+
+
+def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Coincident vertices made one (to `COINCIDENT` of the size); as many faces as before."""
+    used = vertices[np.unique(faces)]
+    grid = COINCIDENT * max(float(np.ptp(used, axis=0).max()), np.finfo(float).tiny)
+    _, first, inverse = np.unique(np.round(vertices / grid), axis=0, return_index=True, return_inverse=True)
+    return vertices[first], inverse.ravel()[faces]
+
+
+def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], source: str) -> SurfaceMesh:
+    """Welded; triangles without area and unused vertices dropped."""
+    points, joined = weld(vertices, faces)
+    kept = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
+    mesh = SurfaceMesh(points, kept, source)
+    kept = kept[mesh.face_areas > 0]
+    if not kept.size:
+        raise InputError(f"all {len(faces)} triangles have no area", where=source, remedy="export the mesh again")
+    return compacted(SurfaceMesh(points, kept, source))
+
+
+def compacted(mesh: SurfaceMesh) -> SurfaceMesh:
+    """The mesh without vertices that no triangle uses."""
+    index, renumbered = np.unique(mesh.faces, return_inverse=True)
+    return SurfaceMesh(mesh.vertices[index], renumbered.reshape(-1, 3), mesh.source)

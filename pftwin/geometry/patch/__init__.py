@@ -1,0 +1,1 @@
+"""Surfaces over a chart: polynomial and spline patches, fitted to meshes."""

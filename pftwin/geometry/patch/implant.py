@@ -1,0 +1,221 @@
+"""A parametric femoral component: a smooth surface, and triangle meshes of it.
+
+Heights are distances from the trochlear axis, on a `CylindricalChart`, made of functions without corners only
+(C-infinity), so that the surface can stand where a polynomial patch stands, as the "true" implant: the same `jet`,
+exact in value, gradient and Hessian. Frame of the femur: x proximal, y lateral (right knee), z anterior; metres and
+radians.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Rotation, Scalar, Vec3
+from pftwin.geometry.patch.charts import CylindricalChart, Jet
+from pftwin.geometry.patch.closest import Profile
+
+if TYPE_CHECKING:
+    from pftwin.geometry.mesh.mesh import SurfaceMesh
+    from pftwin.geometry.patch.region import TrochlearRegion
+
+_DEG = math.pi / 180
+_LENGTHS = ("trochlear_radius", "flange_radius", "distal_radius", "groove_radius", "facet_width", "ridge_blend")
+_BOUNDS = {
+    **dict.fromkeys((*_LENGTHS, "notch_half_width", "half_width"), (1e-4, 1.0)),  # [m]
+    **dict.fromkeys(("sagittal_blend", "sulcus_blend", "notch_blend"), (0.1 * _DEG, 90 * _DEG)),
+    **dict.fromkeys(("sulcus_angle", "sulcus_angle_proximal"), (90 * _DEG, 179.9 * _DEG)),
+    "groove_obliquity": (-45 * _DEG, 45 * _DEG),
+    "lateral_steepness": (-1.0, 1.0),
+    "facet_widening": (-0.05, 0.05),
+    "notch_depth": (0.0, 0.05),
+    "outer_slope": (0.0, 10.0),
+}
+
+
+class FemoralComponent(eqx.Module):
+    """A femoral component with a sagittal multi-radius arc, a trochlear groove between two facets, and a notch.
+
+    In a section along the groove three arcs join with a common tangent: the anterior flange, the trochlea about its
+    axis, and the distal arc. Across it the groove is a hyperbola: bottom radius `groove_radius`, flanks that enclose
+    the sulcus angle; beyond the facets' ridges the surface falls away. The angle about the trochlear axis is 0
+    anteriorly, positive proximally, negative distally. Every field is a leaf: derivatives and batches go through all.
+    """
+
+    trochlear_radius: Scalar | float = 24.8e-3  # of the groove's bottom in the sagittal plane, about the axis [m]
+    flange_radius: Scalar | float = 73.8e-3  # sagittal radius of the anterior flange [m]
+    flange_angle: Scalar | float = 4.8 * _DEG  # where the flange begins [rad]
+    distal_radius: Scalar | float = 33.8e-3  # sagittal radius of the groove's distal part [m]
+    distal_angle: Scalar | float = -37.0 * _DEG  # where the distal arc begins [rad]
+    sagittal_blend: Scalar | float = 6.0 * _DEG  # angle over which the radii change [rad]
+    sulcus_angle: Scalar | float = 140.9 * _DEG  # between the flanks, distally [rad]
+    sulcus_angle_proximal: Scalar | float = 151.1 * _DEG  # the same on the flange [rad]
+    sulcus_transition: Scalar | float = -0.8 * _DEG  # where the sulcus angle is half way between the two [rad]
+    sulcus_blend: Scalar | float = 11.8 * _DEG  # angle over which it changes [rad]
+    groove_radius: Scalar | float = 15.9e-3  # transverse radius of the groove's bottom [m]
+    lateral_steepness: Scalar | float = 0.119  # lateral flank steeper than the mean, medial flatter, by this share [-]
+    groove_obliquity: Scalar | float = 5.6 * _DEG  # the groove runs laterally towards proximal [rad]
+    facet_width: Scalar | float = 16.6e-3  # from the groove to the ridge of a facet, distally [m]
+    facet_widening: Scalar | float = 2.2e-3  # by which that is more on the flange [m]
+    ridge_blend: Scalar | float = 1.9e-3  # rounding of the ridges, a length across them [m]
+    outer_slope: Scalar | float = 0.6  # fall of the surface beyond the ridges [-]
+    notch_angle: Scalar | float = -77.8 * _DEG  # where the intercondylar notch is half as deep as it gets [rad]
+    notch_blend: Scalar | float = 9.0 * _DEG  # angle over which it deepens [rad]
+    notch_depth: Scalar | float = 5.5e-3  # below the groove's arc [m]
+    notch_half_width: Scalar | float = 9.0e-3  # where its depth has fallen to 1/e [m]
+    proximal_end: Scalar | float = 50.0 * _DEG  # of the component, as meshed [rad]
+    distal_end: Scalar | float = -110.0 * _DEG  # [rad]
+    half_width: Scalar | float = 32.0e-3  # of the component [m]
+    smooth: ClassVar[bool] = True
+
+    @property
+    def chart(self) -> CylindricalChart:
+        """About the trochlear axis, which is the femur frame's y axis; u is arc length along the groove's bottom."""
+        one, zero = jnp.ones(()), jnp.zeros(())
+        axes = Rotation(Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
+        return CylindricalChart(Vec3.zero(), axes, self.trochlear_radius * one)
+
+    @property
+    def center(self) -> tuple[Scalar, Scalar]:
+        """Middle (u, v) of the component [m]."""
+        return self.chart.radius * (0.5 * (self.proximal_end + self.distal_end)), jnp.zeros(())
+
+    @property
+    def half_size(self) -> tuple[Scalar, Scalar]:
+        """Half the component's extent along u and v [m]."""
+        return self.chart.radius * (0.5 * (self.proximal_end - self.distal_end)), self.half_width * jnp.ones(())
+
+    def unstacked(self) -> FemoralComponent:
+        """Itself: there is nothing to unstack; a patch has the same method."""
+        return self
+
+    def clipped(self, v: Scalar) -> Scalar:
+        """The nearest coordinate across the groove that lies on the component."""
+        return jnp.clip(v, -self.half_width, self.half_width)
+
+    def profile(self, u: Scalar) -> Profile:
+        """The surface along v at one u, by forward differentiation."""
+
+        def height_and_slope(v: Scalar) -> tuple[Scalar, Scalar]:
+            return jax.jvp(lambda a: self.height(a, v), (u,), (jnp.ones_like(u),))
+
+        return Profile(height_and_slope, lambda v: self.jet(u, v).uu)
+
+    def outside(self, u: Scalar, v: Scalar) -> Scalar:
+        """How far beyond the component's edge a point lies [m]; zero inside."""
+        (u0, v0), (half_u, half_v) = self.center, self.half_size
+        return jnp.maximum(jnp.maximum(jnp.abs(u - u0) - half_u, 0.0), jnp.maximum(jnp.abs(v - v0) - half_v, 0.0))
+
+    def height(self, u: Scalar, v: Scalar) -> Scalar:
+        """Distance from the trochlear axis [m]."""
+        angle = u / self.trochlear_radius
+        proximal = jax.nn.sigmoid((angle - self.sulcus_transition) / self.sulcus_blend)
+        return self._groove(angle) + self._across(v - self.groove_line(u), proximal) - self._notch(angle, v)
+
+    def groove_line(self, u: Scalar) -> Scalar:
+        """Medial-lateral position of the groove's bottom, positive lateral [m]."""
+        return jnp.tan(self.groove_obliquity) * u
+
+    def jet(self, u: Scalar, v: Scalar) -> Jet:
+        """Height with exact first and second derivatives, by forward differentiation."""
+        one, zero = jnp.ones_like(u), jnp.zeros_like(v)
+
+        def slope_u(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
+            return jax.jvp(self.height, (a, b), (one, zero))
+
+        def slope_v(a: Scalar, b: Scalar) -> Scalar:
+            return jax.jvp(self.height, (a, b), (zero, one))[1]
+
+        (f, fu), (_, fuu) = jax.jvp(slope_u, (u, v), (one, zero))
+        fv, fuv = jax.jvp(slope_v, (u, v), (one, zero))
+        fvv = jax.jvp(slope_v, (u, v), (zero, one))[1]
+        return Jet(f, fu, fv, fuu, fuv, fvv)
+
+    def mesh(self, *, deviation: float = 0.1e-3, angle: float | None = None) -> SurfaceMesh:
+        """A triangle mesh that stays within `deviation` [m] of the surface.
+
+        The paper's coarse mesh has 0.1 mm (the default), its fine one 0.006 mm. With `angle` [rad] neighbouring
+        triangles along the grid also turn by no more than that, which soon governs: 1 deg asks for a far finer mesh
+        than 0.1 mm does.
+
+        Raises:
+            InputError: tolerances that are not positive or ask for more than two million triangles.
+        """
+        from pftwin.geometry.patch.tessellate import tessellate
+
+        self.check()
+        return tessellate(self, deviation=deviation, angle=angle)
+
+    def check(self) -> None:
+        """Refuse parameters that make no component; for use on the host, before a simulation.
+
+        Raises:
+            InputError: naming the field.
+        """
+        for name in (f.name for f in dataclasses.fields(self)):
+            low, high = _BOUNDS.get(name, (-math.pi, math.pi))
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            if not (np.isfinite(value) & (value >= low) & (value <= high)).all():
+                raise InputError(
+                    f"{value} is out of range", where=f"FemoralComponent.{name}", expected=f"{low} to {high}"
+                )
+        if not np.all(np.asarray(self.distal_end) < np.asarray(self.proximal_end)):
+            raise InputError("distal_end is not below proximal_end", where="FemoralComponent.distal_end")
+
+    def _groove(self, angle: Scalar) -> Scalar:
+        """Bottom of the groove: three arcs with common tangents."""
+        r, w = self.trochlear_radius, self.sagittal_blend
+        flange = w * jax.nn.softplus((angle - self.flange_angle) / w)
+        distal = w * jax.nn.softplus((self.distal_angle - angle) / w)
+        return _arc(flange, r, self.flange_radius) + _arc(distal, r, self.distal_radius) - r
+
+    def _across(self, y: Scalar, proximal: Scalar) -> Scalar:
+        """Height over the groove's bottom at a distance y from it; `proximal` is 0 distally and 1 on the flange."""
+        half_angle = self.sulcus_angle + (self.sulcus_angle_proximal - self.sulcus_angle) * proximal
+        slope = 1 / jnp.tan(0.5 * half_angle)
+        lateral, medial = slope * (1 + self.lateral_steepness), slope * (1 - self.lateral_steepness)
+        waist = self.groove_radius * slope
+        flanks = slope * (jnp.sqrt(y * y + waist * waist) - waist + self.lateral_steepness * y)
+        ridge, e = self.facet_width + self.facet_widening * proximal, self.ridge_blend
+        over_lateral, over_medial = e * jax.nn.softplus((y - ridge) / e), e * jax.nn.softplus((-y - ridge) / e)
+        return flanks - (lateral + self.outer_slope) * over_lateral - (medial + self.outer_slope) * over_medial
+
+    def _notch(self, angle: Scalar, y: Scalar) -> Scalar:
+        """Depth of the intercondylar notch below the groove's arc."""
+        distal = jax.nn.sigmoid((self.notch_angle - angle) / self.notch_blend)
+        return self.notch_depth * distal * jnp.exp(-((y / self.notch_half_width) ** 2))
+
+
+def _arc(turn: Scalar, inner: Scalar | float, radius: Scalar | float) -> Scalar:
+    """Polar distance of a circle of `radius`, `turn` past where it touches the circle of radius `inner` at the pole."""
+    offset = inner - radius
+    sine = offset * jnp.sin(turn)
+    return offset * jnp.cos(turn) + jnp.sqrt(radius * radius - sine * sine)
+
+
+def rig_implant() -> FemoralComponent:
+    """The virtual rig's femoral component.
+
+    The default parameters: chosen so that polynomials over a plane fit `rig_region` as well as the paper's fit its
+    implant (R^2 91.54, 99.36, 99.71 % for P2, P4, P5; Michaud et al. 2024, section 2.4.2).
+    """
+    return FemoralComponent()
+
+
+def rig_region(mesh: SurfaceMesh, component: FemoralComponent | None = None) -> TrochlearRegion:
+    """The vertices of the rig implant's mesh that the patches are fitted to, with the charts to fit them over.
+
+    From 30 deg proximal to 75 deg distal of the most anterior direction, 20 mm to either side: what the button meets
+    from full extension to some 110 deg of knee flexion.
+    """
+    from pftwin.geometry.patch.region import region_about
+
+    chart = (component or rig_implant()).chart
+    return region_about(mesh, chart, angles=(-75 * _DEG, 30 * _DEG), half_width=20e-3)

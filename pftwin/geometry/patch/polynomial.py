@@ -1,0 +1,143 @@
+"""A bivariate polynomial of total degree n over a chart: the paper's P2, P4, P5 and any other degree.
+
+Michaud et al. 2024, section 2.4.2. Beyond the rectangle to which it was fitted a polynomial is meaningless and may fold
+back, so the patch goes on as its bilinear Taylor expansion about the nearest point of the rectangle: value and slope
+stay continuous (C1), and `outside` says that the edge has been crossed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar
+from pftwin.geometry.patch.charts import Chart, Jet
+from pftwin.geometry.patch.closest import Profile
+
+
+def exponents(degree: int) -> list[tuple[int, int]]:
+    """Exponents (i, j) of the monomials a^i b^j, in the order of a patch's coefficients."""
+    return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+
+
+class PolynomialPatch(eqx.Module):
+    """height = sum of c_ij a^i b^j, with a = (u - u0) / half_u, b = (v - v0) / half_v and |a|, |b| <= 1."""
+
+    chart: Chart
+    coefficients: Array | tuple[Scalar, ...] = eqx.field(metadata=quantity("m"))  # (n,)
+    center: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m"))  # (u0, v0)
+    half_size: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m", positive=True))  # (half_u, half_v)
+    degree: int = eqx.field(static=True)
+    smooth: ClassVar[bool] = True
+
+    def unstacked(self) -> PolynomialPatch:
+        """The same patch with one array per coefficient: done once before a loop, so that the loop only multiplies."""
+        if isinstance(self.coefficients, tuple):
+            return self
+        n = len(exponents(self.degree))
+        coefficients = tuple(self.coefficients[..., i] for i in range(n))
+        return eqx.tree_at(lambda p: p.coefficients, self, coefficients)
+
+    def outside(self, u: Scalar, v: Scalar) -> Scalar:
+        """How far beyond the fitted rectangle a point lies [m]; zero inside."""
+        du = jnp.maximum(jnp.abs(u - self.center[0]) - self.half_size[0], 0.0)
+        dv = jnp.maximum(jnp.abs(v - self.center[1]) - self.half_size[1], 0.0)
+        return jnp.maximum(du, dv)
+
+    def height(self, u: Scalar, v: Scalar) -> Scalar:
+        """The patch's height, continued beyond its edge."""
+        return self.jet(u, v).f
+
+    def jet(self, u: Scalar, v: Scalar) -> Jet:
+        """Height, gradient and Hessian at (u, v), in closed form, beyond the edge too.
+
+        There the curvature along the edge goes on linearly, by the mixed third derivative: without it Newton's steps
+        to a closest point converge at a crawl, or go round it for ever, where the wall's slope changes along the edge.
+        """
+        scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
+        a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
+        ai, bi = jnp.clip(a, -1.0, 1.0), jnp.clip(b, -1.0, 1.0)
+        j, uuv, uvv = _polynomial_jet(self.unstacked().coefficients, self.degree, ai, bi)
+        da, db = a - ai, b - bi
+        fa, fb = j.u + j.uv * db, j.v + j.uv * da
+        return Jet(
+            j.f + j.u * da + j.v * db + j.uv * (da * db),
+            fa * scale_u,
+            fb * scale_v,
+            jnp.where(da == 0, j.uu + uuv * db, 0.0) * (scale_u * scale_u),
+            j.uv * (scale_u * scale_v),
+            jnp.where(db == 0, j.vv + uvv * da, 0.0) * (scale_v * scale_v),
+        )
+
+    def clipped(self, v: Scalar) -> Scalar:
+        """The nearest coordinate across the groove that lies on the fitted rectangle."""
+        return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
+
+    def profile(self, u: Scalar) -> Profile:
+        """The patch along v at one u, at a fifth of a jet's price for each v.
+
+        Only for v on the fitted rectangle; u may lie beyond it.
+        """
+        c, n = self.unstacked().coefficients, self.degree
+        index = {e: k for k, e in enumerate(exponents(n))}
+        scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
+        a = (u - self.center[0]) * scale_u
+        ai = jnp.clip(a, -1.0, 1.0)
+        rows = [_horner([c[index[i, j]] for i in range(n + 1 - j)], ai) for j in range(n + 1)]
+        slopes = [slope * scale_u for _, slope, _ in rows if slope is not None]
+        heights = [h if slope is None else h + (a - ai) * slope for h, slope, _ in rows]
+        inside = jnp.where(a == ai, scale_u * scale_u, 0.0)
+
+        def across(v: Scalar) -> Scalar:
+            return (v - self.center[1]) * scale_v
+
+        def height_and_slope(v: Scalar) -> tuple[Scalar, Scalar]:
+            b = across(v)
+            return _value(heights, b), _value(slopes, b)
+
+        def curvature(v: Scalar) -> Scalar:
+            bends = [bend for *_, bend in rows if bend is not None]
+            return inside * _value(bends, across(v)) if bends else jnp.zeros_like(v)
+
+        return Profile(height_and_slope, curvature)
+
+
+def _value(c: Sequence[Scalar], x: Scalar) -> Scalar:
+    p = c[-1]
+    for coefficient in reversed(c[:-1]):
+        p = p * x + coefficient
+    return p
+
+
+def _polynomial_jet(c: Sequence[Scalar] | Array, degree: int, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
+    """Horner's scheme in a for each power of b, then in b, carrying first and second derivatives along.
+
+    With the mixed third derivatives, aab and abb.
+    """
+    index = {e: k for k, e in enumerate(exponents(degree))}
+    rows = [_horner([c[index[i, j]] for i in range(degree + 1 - j)], a) for j in range(degree + 1)]
+    f, fb, fbb = _horner([r[0] for r in rows], b)
+    slopes, curvatures = [r[1] for r in rows if r[1] is not None], [r[2] for r in rows if r[2] is not None]
+    fa, fab, fabb = _horner(slopes, b) if slopes else (None, None, None)
+    faa, faab, _ = _horner(curvatures, b) if curvatures else (None, None, None)
+    nought = jnp.zeros_like(a)
+    f, fa, fb, faa, fab, fbb, faab, fabb = (nought if d is None else d for d in (f, fa, fb, faa, fab, fbb, faab, fabb))
+    return Jet(f, fa, fb, faa, fab, fbb), faab, fabb
+
+
+def _horner(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar | None, Scalar | None]:
+    """p(x), p'(x) and p''(x); a derivative that vanishes identically is None and costs nothing."""
+    p: Scalar = c[-1]
+    d: Scalar | None = None
+    half_dd: Scalar | None = None
+    for coefficient in reversed(c[:-1]):
+        if d is not None:
+            half_dd = d if half_dd is None else half_dd * x + d
+        d = p if d is None else d * x + p
+        p = p * x + coefficient
+    return p, d, None if half_dd is None else 2 * half_dd

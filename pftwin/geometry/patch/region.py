@@ -1,0 +1,252 @@
+"""The trochlear region of a femoral component, found on its mesh: axis, groove line, vertices, charts, and a picture.
+
+The axis is that of the surface of revolution nearest to the component's front and distal surface (the line that the
+surface's normals miss least, after Pottmann and Randrup 1998), moved so that a circle about it fits the bottom of the
+groove. The groove line holds the deepest point at each angle about the axis. The region is a rectangle in that angle
+and in the medial-lateral distance from the groove line's middle, of vertices whose normals point away from the axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
+from pftwin.base.spatial import Rotation
+from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
+from pftwin.geometry.patch.fit_input import as_vector
+from pftwin.geometry.patch.groove import deepest_points, fit_axis_direction, fit_circle
+
+if TYPE_CHECKING:
+    from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+FACING = 0.4  # least cosine between a vertex's normal and the direction away from the axis
+
+
+@dataclass(frozen=True, eq=False)
+class TrochlearRegion:
+    """Where a mesh is trochlea: everything in the mesh's own frame; lengths in metres, angles in radians.
+
+    The charts' axes are x proximal, y lateral for a right knee, z anterior (the plane chart's turned about y to the
+    middle of the arc). Angles are about the axis, 0 anteriorly, positive proximally.
+    """
+
+    mask: NDArray[np.bool_]  # (n,) the region's vertices
+    groove: NDArray[np.float64]  # (k, 3) groove line, from distal to proximal
+    groove_depth: NDArray[np.float64]  # (k,) below the lower of the two facets, within the half width
+    angles: tuple[float, float]  # of the rectangle
+    half_width: float  # of the rectangle
+    plane: PlaneChart
+    cylinder: CylindricalChart
+    source: str = "mesh"
+
+    @property
+    def n_vertices(self) -> int:
+        """How many vertices lie in the region."""
+        return int(self.mask.sum())
+
+
+def trochlear_region(
+    mesh: SurfaceMesh,
+    *,
+    anterior: ArrayLike,
+    proximal: ArrayLike,
+    half_width: float = 0.02,
+    angles: tuple[float, float] = (-math.pi / 3, math.pi / 3),
+) -> TrochlearRegion:
+    """Find the trochlear region of a femoral component (or distal femur).
+
+    Args:
+        mesh: the surface, normals outward; it may be open, or the whole closed part.
+        anterior, proximal: these directions in the mesh's frame, (3,), right within some 20 deg.
+        half_width: of the region, medial-lateral [m].
+        angles: limits about the axis [rad]; the region ends sooner where the groove does.
+
+    Raises:
+        InputError: directions that are no directions or nearly parallel; normals that point into the bone; no groove.
+    """
+    hint = _hinted_axes(anterior, proximal)
+    if not half_width > 0 or not angles[0] < angles[1]:
+        raise InputError(f"half_width {half_width}, angles {angles}", expected="a positive width, ascending angles")
+    points, normals = mesh.vertices @ hint, mesh.vertex_normals @ hint
+    _check_outward(points, normals, mesh.source)
+    center, _ = _seed(points, normals, mesh.source)
+    turn = fit_axis_direction(points, normals, mesh.vertex_areas, center)
+    if turn[1, 1] < math.cos(math.radians(25)):
+        raise InputError(
+            f"the surface's axis lies {math.degrees(math.acos(turn[1, 1])):.0f} deg from the medial-lateral direction"
+            " of the hints",
+            where=mesh.source,
+            remedy="check anterior= and proximal= against the mesh's frame",
+        )
+    axes = hint @ turn
+    points, normals = mesh.vertices @ axes, mesh.vertex_normals @ axes
+    center, middle = _seed(points, normals, mesh.source)
+    line = np.empty((0, 3))
+    for _ in range(4):  # the deepest point depends on the axis, the axis on the deepest points
+        line, depth = deepest_points(points, normals, center, middle, half_width, angles)
+        _check_groove(line, depth, mesh.source)
+        x, y, z = _cartesian(line, center)
+        center, _ = fit_circle(np.stack([x, z], axis=1))
+        middle = float(np.median(y))
+    line, depth = deepest_points(points, normals, center, middle, half_width, angles)
+    step = float(np.median(np.diff(line[:, 0])))
+    domain = max(angles[0], line[0, 0] - step / 2), min(angles[1], line[-1, 0] + step / 2)
+    mask = _rectangle(points, normals, center, middle, domain, half_width)
+    origin = axes @ np.array([center[0], middle, center[1]])
+    groove = np.stack(_cartesian(line, center), axis=1) @ axes.T
+    plane, cylinder = _charts(origin, axes, domain, float(np.median(line[:, 2])))
+    return TrochlearRegion(mask, groove, depth, domain, half_width, plane, cylinder, mesh.source)
+
+
+def region_about(
+    mesh: SurfaceMesh, cylinder: CylindricalChart, *, angles: tuple[float, float], half_width: float
+) -> TrochlearRegion:
+    """The region about a known axis, the chart's y, without a search; otherwise as `trochlear_region`."""
+    axes = np.stack([as_vector(e) for e in (cylinder.axes.ex, cylinder.axes.ey, cylinder.axes.ez)], axis=1)
+    origin = as_vector(cylinder.origin)
+    points, normals = (mesh.vertices - origin) @ axes, mesh.vertex_normals @ axes
+    center = np.zeros(2)
+    mask = _rectangle(points, normals, center, 0.0, angles, half_width)
+    line, depth = deepest_points(points, normals, center, 0.0, half_width, angles)
+    _check_groove(line, depth, mesh.source)
+    plane, _ = _charts(origin, axes, angles, float(np.median(line[:, 2])))
+    groove = np.stack(_cartesian(line, center), axis=1) @ axes.T + origin
+    return TrochlearRegion(mask, groove, depth, angles, half_width, plane, cylinder, mesh.source)
+
+
+def plot_region(region: TrochlearRegion, mesh: SurfaceMesh, ax: Any = None) -> Any:
+    """Draw a region for inspection: front view with the groove line, and, without `ax`, the sagittal view beside it.
+
+    Args:
+        region, mesh: as found, and the mesh it was found on.
+        ax: matplotlib axes for the front view alone; a new figure with both views if None.
+
+    Returns:
+        The figure.
+    """
+    from matplotlib.figure import Figure
+
+    from pftwin.results.plots.style import WIDE, house_style, legend_below
+
+    with house_style():
+        views = list(Figure(figsize=(WIDE, 5.4)).subplots(1, 2)) if ax is None else [ax]
+        _draw_region(views, region, mesh)
+        figure = views[0].figure
+        if ax is None:
+            legend_below(figure, *views[-1].get_legend_handles_labels())
+    return figure
+
+
+def _draw_region(views: list[Any], region: TrochlearRegion, mesh: SurfaceMesh) -> None:
+    """The front view, and the sagittal one where there is room for it."""
+    from pftwin.results.plots.style import COLOURS, START
+
+    axes, origin = np.asarray(region.cylinder.axes.array()), np.asarray(region.cylinder.origin.array())
+    points, groove = 1e3 * (mesh.vertices - origin) @ axes, 1e3 * (region.groove - origin) @ axes
+    names = ("proximal [mm]", "lateral of the groove (right knee) [mm]", "anterior [mm]")
+    for view, (i, j) in zip(views, ((1, 0), (2, 0)), strict=False):
+        front = mesh.vertex_normals @ axes[:, 2] > -0.2
+        view.scatter(*points[front & ~region.mask][:, [i, j]].T, s=0.5, c="0.75", label="mesh")
+        heights = np.hypot(points[:, 0], points[:, 2])[region.mask]
+        dots = view.scatter(*points[region.mask][:, [i, j]].T, s=1.5, c=heights, cmap="viridis", label="region")
+        view.plot(groove[:, i], groove[:, j], color=COLOURS[1], marker=".", linewidth=1, label="groove line")
+        view.set(xlabel=names[i], ylabel=names[j], aspect="equal")
+        if (i, j) == (2, 0):
+            view.plot(0, 0, **{**START, "marker": "+", "markersize": 12}, color="black", label="trochlear axis")
+        else:
+            view.figure.colorbar(dots, ax=view, label="distance from the axis [mm]")
+    views[0].set_title(f"{region.source.rsplit('/', 1)[-1]}: {region.n_vertices} vertices")
+
+
+def _hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64]:
+    """Columns proximal, lateral (right knee), anterior: orthonormal, with the anterior direction kept."""
+    a, p = np.asarray(anterior, dtype=np.float64), np.asarray(proximal, dtype=np.float64)
+    for name, d in (("anterior", a), ("proximal", p)):
+        if d.shape != (3,) or not np.isfinite(d).all() or not np.linalg.norm(d) > 0:
+            raise InputError(f"{d} is not a direction", where=name, expected="three numbers, not all zero")
+    a, p = a / np.linalg.norm(a), p / np.linalg.norm(p)
+    lateral = np.cross(a, p)
+    if np.linalg.norm(lateral) < 0.5:
+        raise InputError(
+            f"anterior and proximal are {math.degrees(math.acos(np.clip(a @ p, -1, 1))):.0f} deg apart",
+            where="anterior, proximal",
+            expected="about 90 deg",
+        )
+    lateral /= np.linalg.norm(lateral)
+    return np.stack([np.cross(lateral, a), lateral, a], axis=1)
+
+
+def _check_outward(points: NDArray, normals: NDArray, source: str) -> None:
+    """The foremost vertices must look forward."""
+    front = points[:, 2] >= np.quantile(points[:, 2], 0.95)
+    if normals[front, 2].mean() < 0:
+        raise InputError(
+            "the normals of the foremost vertices point backward",
+            where=source,
+            expected="normals out of the bone, and anterior= in the mesh's own frame",
+            remedy="mesh.flipped() if the normals point into the bone; else check anterior=",
+        )
+
+
+def _seed(points: NDArray, normals: NDArray, source: str) -> tuple[NDArray, float]:
+    """First guess of the axis's (x, z) and the groove's y: a circle through the middle strip, front and distal."""
+    middle = float(points[:, 1].min() + points[:, 1].max()) / 2
+    inner = points.mean(axis=0)
+    outward = np.einsum("ij,ij->i", points - inner, normals) > 0
+    faces = (normals[:, 2] > -0.2) & (normals[:, 0] < 0.6) & (np.abs(normals[:, 1]) < 0.8)
+    strip = outward & faces & (np.abs(points[:, 1] - middle) < 6e-3)
+    if strip.sum() < 20:
+        raise InputError(
+            f"only {strip.sum()} vertices in the middle of the part look forward or distally",
+            where=source,
+            remedy="check anterior= and proximal=, or use a finer mesh",
+        )
+    return fit_circle(points[strip][:, [0, 2]])[0], middle
+
+
+def _check_groove(line: NDArray, depth: NDArray, source: str) -> None:
+    if len(line) < 5 or np.median(depth) < 0.3e-3:
+        found = f"{1e3 * np.median(depth):.2f} mm deep over {len(line)} sections" if len(line) else "none at all"
+        raise InputError(
+            f"no trochlear groove found ({found})",
+            where=source,
+            expected="a groove at least 0.3 mm deep in five sections or more",
+            remedy="check anterior=, proximal= and the units, or pass fit_patch a mask of your own as region=",
+        )
+
+
+def _cartesian(line: NDArray, center: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """x, y, z from (angle, y, distance) about the axis."""
+    angle, y, distance = line.T
+    return center[0] + distance * np.sin(angle), y, center[1] + distance * np.cos(angle)
+
+
+def _rectangle(
+    points: NDArray, normals: NDArray, center: NDArray, middle: float, angles: tuple[float, float], half_width: float
+) -> NDArray[np.bool_]:
+    """Vertices in the rectangle of angle and y that face away from the axis."""
+    x, z = points[:, 0] - center[0], points[:, 2] - center[1]
+    angle = np.arctan2(x, z)
+    facing = normals[:, 0] * np.sin(angle) + normals[:, 2] * np.cos(angle) > FACING
+    inside = (angle >= angles[0]) & (angle <= angles[1]) & (np.abs(points[:, 1] - middle) <= half_width)
+    return facing & inside
+
+
+def _charts(
+    origin: NDArray, axes: NDArray, angles: tuple[float, float], radius: float
+) -> tuple[PlaneChart, CylindricalChart]:
+    """A plane that looks along the middle of the arc, and a cylinder of the groove's radius."""
+    tilt = 0.5 * (angles[0] + angles[1])
+    c, s = math.cos(tilt), math.sin(tilt)
+    turned = axes @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    at = vector(origin)
+    return (
+        PlaneChart(at, Rotation(*(vector(column) for column in turned.T))),
+        CylindricalChart(at, Rotation(*(vector(column) for column in axes.T)), number(radius)),
+    )

@@ -1,0 +1,191 @@
+"""A bicubic tensor-product spline over a chart: C2, as near to a mesh as one likes, at about a polynomial's price.
+
+A cell's height needs 4 x 4 numbers however many cells there are, and on uniform knots their place in a table is
+arithmetic. The table is made of the coefficients before a loop, a row for each cell: the sixteen coefficients of its
+own powers. A jet loads them one by one. A row fetched as one array is fused by XLA into what uses it, and is then
+fetched anew for each of its numbers, along with all that says where it is: sixteen times the code for every jet that
+starts where another has led, and two such in a batch compiled without end.
+
+Beyond its rectangle the patch goes on as a polynomial patch does: by its bilinear Taylor expansion about the nearest
+point of the rectangle (C1), and `outside` says that the edge has been crossed.
+
+The fan that looks for facets (`pftwin.geometry.contact.facets`) samples thirteen heights a step, and only decides where
+a search starts. It is given a polynomial, the nearest in the mean to this very spline, made along with the table: a row
+fetched for every sample would double the price of a batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar
+from pftwin.geometry.patch.charts import Chart, Jet
+from pftwin.geometry.patch.closest import Profile
+from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
+from pftwin.geometry.patch.spline_basis import CELL_POWERS, legendre_to_powers, polynomial_projection
+
+FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm rms of a trochlea
+
+
+class Loop(NamedTuple):
+    """What is made of a spline's coefficients before a loop."""
+
+    table: Array  # (n_u * n_v, 16): the coefficient of x^p y^q in column 4 p + q, x and y 0 to 1 in the cell
+    fan: PolynomialPatch  # what `profile` samples
+
+
+class SplinePatch(eqx.Module):
+    """height = sum of c_ij N_i(a) N_j(b), a = (u - u0) / half_u, b = (v - v0) / half_v, with |a|, |b| <= 1.
+
+    N are the uniform cubic B-splines on [-1, 1] (`pftwin.geometry.patch.spline_basis`).
+    """
+
+    chart: Chart
+    coefficients: Array = eqx.field(metadata=quantity("m"))  # (n_u + 3, n_v + 3) for n_u x n_v cells
+    center: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m"))  # (u0, v0)
+    half_size: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m", positive=True))  # (half_u, half_v)
+    loop: Loop | None = None  # once it has been made
+    smooth: ClassVar[bool] = False  # third derivatives jump from cell to cell
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """How many cells there are along u and v."""
+        return self.coefficients.shape[-2] - 3, self.coefficients.shape[-1] - 3
+
+    def unstacked(self) -> SplinePatch:
+        """The same patch with the table of its cells and its polynomial for the fan: made once before a loop."""
+        if self.loop is not None:
+            return self
+        return eqx.tree_at(lambda s: s.loop, self, self._loop(), is_leaf=lambda x: x is None)
+
+    def _loop(self) -> Loop:
+        return self.loop or Loop(self._table(), self.nearest_polynomial())
+
+    def _table(self) -> Array:
+        n_u, n_v = self.cells
+        powers, c = jnp.asarray(CELL_POWERS, float), self.coefficients
+        along = jnp.stack([c[i : i + n_u] for i in range(4)])  # (4, n_u, n_v + 3)
+        windows = jnp.stack([along[:, :, j : j + n_v] for j in range(4)])  # (4 across, 4 along, n_u, n_v)
+        return jnp.einsum("pi,jiuv,qj->uvpq", powers, windows, powers).reshape(n_u * n_v, 16)
+
+    def nearest_polynomial(self, degree: int = FAN_DEGREE) -> PolynomialPatch:
+        """The polynomial patch of a total degree that is nearest in the mean over the rectangle."""
+        along, across = (jnp.asarray(polynomial_projection(n, degree), float) for n in self.cells)
+        powers = jnp.asarray(legendre_to_powers(degree), float)
+        series = along @ self.coefficients @ across.T
+        # Legendre polynomials are orthogonal: leaving out terms leaves the nearest polynomial without them.
+        series = jnp.where(jnp.add.outer(jnp.arange(degree + 1), jnp.arange(degree + 1)) <= degree, series, 0.0)
+        square = powers.T @ series @ powers
+        c = tuple(square[i, j] for i, j in exponents(degree))
+        return PolynomialPatch(self.chart, c, self.center, self.half_size, degree)
+
+    def outside(self, u: Scalar, v: Scalar) -> Scalar:
+        """How far beyond the fitted rectangle a point lies [m]; zero inside."""
+        du = jnp.maximum(jnp.abs(u - self.center[0]) - self.half_size[0], 0.0)
+        dv = jnp.maximum(jnp.abs(v - self.center[1]) - self.half_size[1], 0.0)
+        return jnp.maximum(du, dv)
+
+    def clipped(self, v: Scalar) -> Scalar:
+        """The nearest coordinate across the groove that lies on the fitted rectangle."""
+        return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
+
+    def profile(self, u: Scalar) -> Profile:
+        """The patch along v at one u, near enough to start a search; only for v on the fitted rectangle."""
+        return self._loop().fan.profile(u)
+
+    def height(self, u: Scalar, v: Scalar) -> Scalar:
+        """The patch's height, continued beyond its edge."""
+        return self.jet(u, v).f
+
+    def jet(self, u: Scalar, v: Scalar) -> Jet:
+        """Height, gradient and Hessian at (u, v), in closed form, beyond the edge too (as a polynomial patch's)."""
+        scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
+        a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
+        ai, bi = jnp.clip(a, -1.0, 1.0), jnp.clip(b, -1.0, 1.0)
+        j, uuv, uvv = self._inside(ai, bi)
+        da, db = a - ai, b - bi
+        fa, fb = j.u + j.uv * db, j.v + j.uv * da
+        return Jet(
+            j.f + j.u * da + j.v * db + j.uv * (da * db),
+            fa * scale_u,
+            fb * scale_v,
+            jnp.where(da == 0, j.uu + uuv * db, 0.0) * (scale_u * scale_u),
+            j.uv * (scale_u * scale_v),
+            jnp.where(db == 0, j.vv + uvv * da, 0.0) * (scale_v * scale_v),
+        )
+
+    def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
+        """Height and derivatives by a and b, both within +-1; the mixed third ones, aab and abb."""
+        n_u, n_v = self.cells
+        (i, x), (k, y) = _cell(a, n_u), _cell(b, n_v)
+        cell = _row(self._loop().table, self.coefficients, i, k)
+        across = [_cubic(cell[4 * p : 4 * p + 4], y) for p in range(4)]  # a row for each power of x
+        (f, f_x, f_xx), (f_y, f_xy, f_xxy), (f_yy, f_xyy, _) = (
+            _cubic([row[order] for row in across], x) for order in range(3)
+        )
+        per_a, per_b = 0.5 * n_u, 0.5 * n_v
+        aa, ab, bb = per_a * per_a, per_a * per_b, per_b * per_b
+        jet = Jet(f, f_x * per_a, f_y * per_b, f_xx * aa, f_xy * ab, f_yy * bb)
+        return jet, f_xxy * (aa * per_b), f_xyy * (per_a * bb)
+
+
+def _cell(a: Scalar, n: int) -> tuple[Scalar, Scalar]:
+    """Which of n cells holds a place within +-1, and where in the cell."""
+    t = (a + 1) * (0.5 * n)
+    k = jnp.clip(t.astype(jnp.int32), 0, n - 1)  # whatever is not finite counts to some cell
+    return k, t - k.astype(t.dtype)
+
+
+@jax.custom_jvp
+def _row(table: Array, coefficients: Array, i: Scalar, k: Scalar) -> tuple[Scalar, ...]:
+    """The sixteen numbers of the table's row of cell (i, k)."""
+    return _loaded(table, i * (coefficients.shape[1] - 3) + k)
+
+
+@_row.defjvp
+def _row_jvp(primals: tuple, tangents: tuple) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+    """By the coefficients themselves: what reverse mode sums up is then of their size, not of the table's."""
+    _, _, i, k = primals
+    changes, powers = tangents[1], jnp.asarray(CELL_POWERS, tangents[1].dtype)
+
+    def change(i: Scalar, k: Scalar) -> Array:
+        window = jax.lax.dynamic_slice(changes, (i, k), (4, 4))
+        return (powers @ window @ powers.T).reshape(16)
+
+    row = jnp.vectorize(change, signature="(),()->(n)")(i, k)
+    return _row(*primals), tuple(row[..., n] for n in range(16))
+
+
+@custom_vmap
+def _loaded(table: Array, cell: Scalar) -> tuple[Scalar, ...]:
+    """A row's numbers, one by one."""
+    flat = table.reshape(-1)
+    return tuple(flat.at[16 * cell + n].get(mode="promise_in_bounds") for n in range(16))
+
+
+@_loaded.def_vmap
+def _loaded_of_many(
+    size: int, mapped: list[bool], table: Array, cell: Scalar
+) -> tuple[tuple[Scalar, ...], tuple[bool, ...]]:
+    """Members' tables end to end are one table, whose rows are counted through."""
+    if not mapped[1]:
+        cell = jnp.broadcast_to(cell, (size, *cell.shape))
+    if mapped[0]:
+        first = table.shape[1] * jnp.arange(size, dtype=cell.dtype)
+        cell = cell + first.reshape(-1, *(1,) * (cell.ndim - 1))
+        table = table.reshape(-1, 16)
+    return _loaded(table, cell), (True,) * 16
+
+
+def _cubic(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """A cubic with its first and second derivative; what nobody asks for is not computed."""
+    steep = c[2] + c[3] * x
+    return c[0] + x * (c[1] + x * steep), c[1] + x * (2 * steep + c[3] * x), 2 * steep + 4 * (c[3] * x)

@@ -1,0 +1,126 @@
+"""Triangle meshes of a smooth surface given over a chart, of stated deviation. Host side.
+
+A grid of lines u = const and v = const, spaced by the curvature along them (a chord of length s under curvature k stays
+within s^2 k / 8 of the curve and turns by s k), then checked against the surface between its vertices and refined until
+the deviation holds.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+if TYPE_CHECKING:
+    from pftwin.geometry.patch.implant import FemoralComponent
+
+_LONGEST = 5e-3  # of any grid spacing [m]
+_SAMPLES = 241  # along u and v, where the curvature is looked at
+_MOST_TRIANGLES = 2_000_000
+_INSIDE = ((0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (1 / 3, 1 / 3))  # where the deviation is sampled in a triangle
+
+
+def tessellate(surface: FemoralComponent, *, deviation: float, angle: float | None = None) -> SurfaceMesh:
+    """Mesh a surface over its rectangle (`center`, `half_size`); arguments and errors as in `FemoralComponent.mesh`."""
+    if not (math.isfinite(deviation) and deviation > 0):
+        raise InputError(f"a deviation of {deviation} m", where="deviation", expected="a positive length, e.g. 0.1e-3")
+    if angle is not None and not 0 < angle < math.pi / 2:
+        raise InputError(f"an angle of {angle} rad", where="angle", expected="between 0 and pi/2 rad")
+    lines = [
+        float(c) + np.array([-1.0, 1.0]) * float(h) for c, h in zip(surface.center, surface.half_size, strict=True)
+    ]
+    samples = [np.linspace(low, high, _SAMPLES) for low, high in lines]
+    densities = _densities(surface, samples, deviation, angle)
+    for _ in range(8):
+        u, v = (_spaced(s, d) for s, d in zip(samples, densities, strict=True))
+        if 2 * len(u) * len(v) > _MOST_TRIANGLES:
+            raise InputError(
+                f"{2 * len(u) * len(v)} triangles",
+                where="deviation, angle",
+                expected=f"at most {_MOST_TRIANGLES}",
+                remedy="coarser tolerances",
+            )
+        mesh, worst = _mesh(surface, u, v)
+        if worst <= deviation:
+            return mesh
+        densities = [d * max(1.05, math.sqrt(worst / deviation)) for d in densities]
+    raise InputError(
+        f"the surface cannot be meshed to {deviation} m: {worst:.3g} m reached", remedy="a coarser deviation"
+    )
+
+
+def points_and_normals(
+    surface: FemoralComponent, u: NDArray, v: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and unit normals in the femur frame at arrays of (u, v) of one shape, each (..., 3).
+
+    Evaluated at a padded length, so that meshes of many sizes share a few compiled programs.
+    """
+    n = u.size
+    padded = 1 << max(12, (n - 1).bit_length())
+    points, normals = _point_and_normal(surface, *(jnp.asarray(np.resize(x.ravel(), padded)) for x in (u, v)))
+    return tuple(np.asarray(a, dtype=np.float64)[:n].reshape(*u.shape, 3) for a in (points, normals))  # pyright: ignore[reportReturnType]
+
+
+@jax.jit
+def _point_and_normal(surface: FemoralComponent, u: Any, v: Any) -> tuple[Any, Any]:
+    """Points and unit normals, each (n, 3)."""
+    jet = surface.jet(u, v)
+    normal = surface.chart.axes.apply(surface.chart.normal(u, jet.f, jet.u, jet.v))
+    return surface.chart.point(u, v, jet.f).array(), normal.array()
+
+
+def _densities(
+    surface: FemoralComponent, samples: list[NDArray], deviation: float, angle: float | None
+) -> list[NDArray[np.float64]]:
+    """Grid lines per metre at the samples along u and along v."""
+    u, v = np.meshgrid(*samples, indexing="ij")
+    points, normals = points_and_normals(surface, u, v)
+    result = []
+    for axis in (0, 1):
+        step = np.linalg.norm(np.diff(points, axis=axis), axis=2)
+        turn = np.linalg.norm(np.diff(normals, axis=axis), axis=2)
+        curvature = (turn / step).max(axis=1 - axis)
+        stretch = (step / np.diff(samples[axis])[:, None].reshape((-1, 1) if axis == 0 else (1, -1))).max(axis=1 - axis)
+        per_metre = np.maximum(np.sqrt(curvature / (4 * deviation)), 1 / _LONGEST)  # half the deviation along each
+        if angle is not None:
+            per_metre = np.maximum(per_metre, curvature / angle)
+        result.append(per_metre * stretch)
+    return result
+
+
+def _spaced(samples: NDArray, density: NDArray) -> NDArray[np.float64]:
+    """Lines between the ends, with at least the stated density between each two samples."""
+    total = np.concatenate([[0.0], np.cumsum(density * np.diff(samples))])
+    return np.interp(np.linspace(0, total[-1], math.ceil(total[-1]) + 1), total, samples)
+
+
+def _mesh(surface: FemoralComponent, u: NDArray, v: NDArray) -> tuple[SurfaceMesh, float]:
+    """The grid's mesh, and the largest distance found between it and the surface [m]."""
+    grid = np.meshgrid(u, v, indexing="ij")
+    points, _ = points_and_normals(surface, grid[0].ravel(), grid[1].ravel())
+    k = np.arange(len(u) * len(v)).reshape(len(u), len(v))
+    a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
+    odd = (np.add.outer(np.arange(len(u) - 1), np.arange(len(v) - 1)).ravel() % 2 == 1)[:, None, None]
+    first = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1)
+    second = np.stack(
+        [np.stack([a, b, d], 1), np.stack([b, c, d], 1)], 1
+    )  # diagonals alternate: no preferred direction
+    faces = np.where(odd, second, first).reshape(-1, 3)
+    worst = 0.0
+    for s, t in _INSIDE:
+        inside = (1 - s - t) * points[faces[:, 0]] + s * points[faces[:, 1]] + t * points[faces[:, 2]]
+        uv = [
+            ((1 - s - t) * g[faces[:, 0]] + s * g[faces[:, 1]] + t * g[faces[:, 2]]) for g in (x.ravel() for x in grid)
+        ]
+        on, normal = points_and_normals(surface, *uv)
+        gap = np.einsum("ij,ij->i", inside - on, normal)
+        worst = max(worst, float(np.abs(gap).max()))
+    return SurfaceMesh(points, faces, f"parametric femoral component, {len(faces)} triangles"), worst

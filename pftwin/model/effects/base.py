@@ -1,0 +1,272 @@
+"""What an effect is: a value with parameters and one method, from the state of the knee to a load on the patella.
+
+A load is a wrench plus the effect's *stiff terms*: scalar forces along wrench directions with their slopes, which is
+all an implicit step needs to know. Integrators know loads, never effects.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.quantities import Quantity, declarations
+from pftwin.base.spatial import Quaternion, Rotation, Scalar, Twist, Vec3, Wrench
+from pftwin.model.motion import Frame, SegmentMotion
+
+if TYPE_CHECKING:
+    from pftwin.model.effects.contact import Contact
+    from pftwin.model.effects.line_elements import Strung
+
+
+class Ground:
+    """The frame of a fixed femur: the world itself, so every transformation is the identity and leaves no equation."""
+
+    def point(self, p: Vec3) -> Vec3:
+        """World coordinates of a point of this frame."""
+        return p
+
+    to_local = direction = local_direction = point
+
+    def relative_velocity(self, velocity: Vec3, at: Vec3) -> Vec3:
+        """A velocity less that of the frame's own point at world position `at`."""
+        return velocity
+
+
+class Patella(eqx.Module):
+    """The patella at an instant. Points of its frame are given from its centre of mass."""
+
+    position: Vec3  # of the centre of mass, world [m]
+    rotation: Rotation  # patella frame to world
+    velocity: Vec3  # of the centre of mass, world [m/s]
+    spin: Vec3  # angular velocity, patella axes [rad/s]
+
+    @staticmethod
+    def at_rest(position: Vec3, orientation: Quaternion) -> Patella:
+        """A patella that does not move."""
+        return Patella(position, orientation.rotation(), Vec3.zero(), Vec3.zero())
+
+    def arm(self, p: Vec3) -> Vec3:
+        """From the centre of mass to the patella's point p (patella frame), world axes [m]."""
+        return self.rotation.apply(p)
+
+    def velocity_at(self, arm: Vec3) -> Vec3:
+        """World velocity of the patella's point at `arm` from the centre of mass (world axes)."""
+        return self.velocity + self.rotation.apply(self.spin).cross(arm)
+
+
+class Instant(eqx.Module):
+    """All that an effect may look at."""
+
+    patella: Patella
+    femur: Frame | Ground
+    tibia: Frame
+    time: Scalar | float  # [s]
+    step: Scalar | float  # time until the next look [s], for memories that move along; 0 when only looking
+    lead: Scalar | float = 0.0  # how far this instant lies ahead of the state that an implicit step starts from [s]
+    reach: Scalar | None = None  # where not the lead: displacement here per change of velocity [s]
+    twist: Twist | None = None  # where not the patella's here: that of the state that the step starts from
+
+    def turn_in_femur(self) -> Rotation:
+        """Patella frame to the femur's."""
+        axes = self.patella.rotation
+        return Rotation(*(self.femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
+
+    def segment(self, name: str) -> Frame | Ground:
+        """The frame of "femur", "tibia" or "ground"."""
+        if name == "femur":
+            return self.femur
+        if name == "tibia":
+            return self.tibia
+        if name == "ground":
+            return Ground()
+        raise KeyError(f"no segment {name!r}: expected femur, tibia or ground")
+
+
+class StiffTerm(eqx.Module):
+    """A scalar force f(s, ds/dt) on the patella along one wrench direction g = (direction, moment).
+
+    s grows as the patella moves against g: ds/dt = -g . twist + the guided bodies' share. Leaves may have a leading
+    axis: a group of like terms.
+    """
+
+    direction: Vec3  # unit vector of the force, world
+    moment: Vec3  # its moment about the centre of mass, patella axes [m]
+    force: Scalar  # f [N]
+    elastic: Scalar  # the part of f that is stored and given back [N]
+    stiffness: Scalar  # df/ds [N/m]
+    damping: Scalar  # df/d(ds/dt) [N s/m]
+    rate: Scalar  # ds/dt [m/s]
+    unilateral: bool = eqx.field(static=True, default=False)  # whether an implicit step has to see that f >= 0
+
+    def wrench(self) -> Wrench:
+        """Force in world axes, moment in patella axes; summed over a group."""
+        return Wrench((self.force * self.direction).sum(), (self.force * self.moment).sum())
+
+
+class Drag(eqx.Module):
+    """A viscous drag on the whole body, alike in every direction: force -c_t v, moment -c_r w."""
+
+    translational: Scalar  # c_t [N s/m]
+    rotational: Scalar  # c_r [N m s/rad]
+    velocity: Vec3  # v, of the centre of mass relative to what drags, world [m/s]
+    spin: Vec3  # w, relative, patella axes [rad/s]
+
+    def wrench(self) -> Wrench:
+        """Force in world axes, moment in patella axes."""
+        return Wrench(-self.translational * self.velocity, -self.rotational * self.spin)
+
+    def dissipation(self) -> Scalar:
+        """Rate at which work turns into heat [W]."""
+        return self.translational * self.velocity.squared_norm() + self.rotational * self.spin.squared_norm()
+
+
+class Bed(eqx.Module):
+    """A great many like stiff terms on one body, summed: all that a step and the energy budget need of them.
+
+    With g_i = (direction, moment) of each, forces f_i >= 0 and slopes k_i, and c_i = c k_i.
+    """
+
+    force: Array  # (6,) sum f_i g_i: force in world axes, moment about the centre of mass in patella axes [N, N m]
+    elastic: Array  # (6,) the part of it that is stored and given back
+    stiffness: Array  # (6, 6) sum k_i g_i g_i^T
+    damping_time: Scalar | float  # c [s]
+    size: Scalar  # sum f_i [N]
+    velocity: Vec3  # of the centre of mass relative to the body that they stand on, world [m/s]
+    spin: Vec3  # relative, patella axes [rad/s]
+
+    def wrench(self) -> Wrench:
+        """Force in world axes, moment in patella axes."""
+        return Wrench(Vec3.from_array(self.force[:3]), Vec3.from_array(self.force[3:]))
+
+    def slope(self, step: Scalar) -> Array:
+        """(6, 6): what the wrench loses per unit of twist over a step."""
+        return (step + self.damping_time) * self.stiffness
+
+    def dissipation(self) -> Scalar:
+        """Rate at which work turns into heat [W]."""
+        lost = self.elastic - self.force
+        return lost[:3] @ self.velocity.array() + lost[3:] @ self.spin.array()
+
+
+class Load(NamedTuple):
+    """What an effect does to the patella at an instant."""
+
+    stiff: tuple[StiffTerm, ...] = ()
+    bed: Bed | None = None
+    drag: Drag | None = None
+    wrench: Wrench | None = None  # all that is not stiff: force in world axes, moment in patella axes
+    energy: Scalar | None = None  # stored [J]
+    heat: Scalar | None = None  # lost inside the effect, whatever moves: beside what stiff terms and drag lose [W]
+
+    def total(self) -> Wrench:
+        """The whole wrench, stiff terms and drag included."""
+        out = self.wrench if self.wrench is not None else Wrench.zero()
+        if self.drag is not None:
+            out = out + self.drag.wrench()
+        if self.bed is not None:
+            out = out + self.bed.wrench()
+        for term in self.stiff:
+            out = out + term.wrench()
+        return out
+
+    def power(self, patella: Patella) -> Scalar:
+        """Rate of work done on the patella [W]."""
+        w = self.total()
+        return w.force.dot(patella.velocity) + w.moment.dot(patella.spin)
+
+    def dissipation(self) -> Scalar:
+        """Rate at which the effect turns work and what it stores into heat [W]."""
+        lost = [jnp.sum((t.force - t.elastic) * t.rate) for t in self.stiff]
+        if self.bed is not None:
+            lost.append(self.bed.dissipation())
+        if self.drag is not None:
+            lost.append(self.drag.dissipation())
+        if self.heat is not None:
+            lost.append(self.heat)
+        return sum(lost, start=jnp.zeros(()))
+
+
+class Observable(NamedTuple):
+    """Unit and long name of a quantity that an effect reports."""
+
+    unit: str
+    long_name: str
+
+
+class Change(NamedTuple):
+    """An effect changed in one thing that it does, for studies of what that is worth."""
+
+    label: str  # what is left out or put in: changes of one label are made in all effects at once
+    effect: Effect  # as it is then
+    how: str  # in words
+    memory: Callable[[Any], Any] | None = None  # where it is a part with a load of its own: its memory from the whole's
+
+
+class Effect(eqx.Module):
+    """Base of all effects. `name` tells effects of one kind apart in results and scene files."""
+
+    name: str = eqx.field(static=True, kw_only=True)
+    observables: ClassVar[dict[str, Observable]] = {}
+    jumps: ClassVar[bool] = False  # whether the force jumps as the pose changes: then there need be no equilibrium
+
+    @abstractmethod
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """The load at an instant, and the memory that goes on to the next step (None for most)."""
+
+    def remember(self, now: Instant) -> Any:
+        """The memory to start with; None for an effect that remembers nothing."""
+        return None
+
+    def guess(self, now: Instant) -> Any:
+        """A rough memory that a few loads at rest make right: cheaper to compile where loads are taken anyway."""
+        return self.remember(now)
+
+    def refined(self, memory: Any, looked: Any) -> Any:
+        """A memory with what a look at a trial pose has found better: places, not what began or went by."""
+        return memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """What a result should show of this effect, by the names in `observables`."""
+        return {}
+
+    def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
+        """What `observe` shows, and the energy stored; for effects that find both at once to override."""
+        return self.observe(now, memory), self.load(now, memory)[0].energy
+
+    def line_element(self) -> Strung | None:
+        """The effect as a line of force that pulls at the patella; None for all others."""
+        return None
+
+    def contact_role(self) -> Contact | None:
+        """The effect as the contact between button and femur that results follow; None for all others."""
+        return None
+
+    def quantities(self) -> dict[str, Quantity]:
+        """What is declared of its numbers: unit, bounds and short name, by the names of fields, dotted below them."""
+        return {".".join(d.path): d.quantity for d in declarations(self) if d.quantity is not None}
+
+    def simplifications(self) -> Iterable[Change]:
+        """What the effect would be without one thing that it does: its damping, its friction, its toe region."""
+        return ()
+
+    def elaborations(self) -> Iterable[Change]:
+        """What the effect lacks and could have, with values from the literature."""
+        return ()
+
+    def in_still_femur(self, femur: SegmentMotion) -> Effect | None:
+        """The effect where a moving femur's frame is taken for an inertial one; None where it cannot be had there."""
+        return self
+
+    def about(self, center_of_mass: Vec3) -> Effect:
+        """The same effect with patella points counted from the centre of mass, ready for the inner loop."""
+        return self
+
+
+def applied_at(p: Vec3, patella: Patella, direction: Vec3) -> Vec3:
+    """Moment (patella axes) of a unit force in a world direction at the patella's point p."""
+    return p.cross(patella.rotation.unapply(direction))

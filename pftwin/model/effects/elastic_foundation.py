@@ -1,0 +1,149 @@
+r"""The button's mesh on the femur's mesh, each with an elastic layer: pressure on every triangle that is in contact.
+
+A triangle of area A whose centroid is d deep pushes with A p(d) along the femur's normal there, n, which is minus the
+depth's gradient: the forces have the potential sum_i A_i w(d_i), with w the law's energy per area. Friction there is
+none. Source: Bei and Fregly 2004, Med Eng Phys 26:777; see `pftwin.model.effects.foundation_law`. How triangles and
+depths are found: `pftwin.geometry.contact.depths`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.bvh.triangle import Triangle, half_extent
+from pftwin.geometry.contact.behind import behind
+from pftwin.geometry.contact.depth_search import centroid
+from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
+from pftwin.geometry.contact.depths import DEEPEST
+from pftwin.geometry.patch.closest import Surface
+from pftwin.model.effects.base import Bed, Ground, Instant, Load, Observable
+from pftwin.model.effects.contact import FACETS, FORCE, Contact
+from pftwin.model.effects.foundation_law import FoundationLaw
+from pftwin.model.effects.foundation_sums import Bedded, Pressures, sums
+
+
+class ElasticFoundation(Contact):
+    """Two meshes with a layered elastic foundation between them.
+
+    A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. All together are
+    one bed of stiff terms.
+    """
+
+    femur: PressedSurface  # in the femur's frame
+    button: PressingSurface
+    law: FoundationLaw
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the button's mesh, axes parallel
+    damping_time: Scalar | float = eqx.field(default=0.0, metadata=quantity("s", at_least=0))  # c
+    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
+    method: ClassVar[str] = "foundation"
+    observables: ClassVar[dict[str, Observable]] = {
+        **FORCE,
+        "force": Observable("N", "size of the contact force"),
+        "area": Observable("m^2", "contact area"),
+        "mean_pressure": Observable("Pa", "mean pressure over the contact area"),
+        "max_pressure": Observable("Pa", "maximum pressure"),
+        "center_of_pressure": Observable("m", "centre of pressure, femur frame"),
+        "indentation": Observable("m", "depth of the deepest triangle"),
+        "force_medial": Observable("N", "size of the force on the medial facet"),
+        "force_lateral": Observable("N", "size of the force on the lateral facet"),
+        "point_medial": Observable("m", "centre of pressure on the medial facet, femur frame"),
+        "point_lateral": Observable("m", "centre of pressure on the lateral facet, femur frame"),
+        "too_deep": Observable("1", "whether a triangle is deeper than any joint bears, or than is looked for"),
+    }
+
+    def pressed(self, now: Instant) -> Bedded:
+        """Where the button is in the femur, and how both move."""
+        patella, femur = now.patella, now.femur
+        velocity, spin, world = femur.relative_velocity(patella.velocity, patella.position), patella.spin, None
+        if not isinstance(femur, Ground):
+            spin = spin - patella.rotation.unapply(femur.angular_velocity)
+            world = femur.rotation
+        return Bedded(
+            femur=self.femur,
+            button=self.button,
+            law=self.law,
+            damping_time=jnp.asarray(self.damping_time, patella.position.x.dtype),
+            origin=self.origin,
+            position=femur.to_local(patella.position + patella.arm(self.origin)),
+            rotation=now.turn_in_femur(),
+            world=world,
+            twist=jnp.concatenate([velocity.array(), spin.array()]),
+        )
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """All triangles' pushes as one bed."""
+        at = self.pressed(now)
+        found = sums(at)[0]
+        velocity, spin = Vec3.from_array(at.twist[:3]), Vec3.from_array(at.twist[3:])
+        bed = Bed(found.force, found.elastic, found.stiffness, at.damping_time, found.size, velocity, spin)
+        return Load(bed=bed, energy=found.energy), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
+        return self.report(now, memory)[0]
+
+    def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar]:
+        """What `observe` shows, and the energy stored."""
+        at = self.pressed(now)
+        forces, p = sums(at)
+        push = Vec3.from_array(jnp.sum(p.facets, axis=0))
+        borne = jnp.sum(p.borne)
+        some = borne > 0
+        too_deep = (p.deepest > DEEPEST) | self._swallowed(at, p)
+        report = {
+            "force": push.norm(),
+            "force_x": push.x,
+            "force_y": push.y,
+            "force_z": push.z,
+            "area": p.area,
+            "mean_pressure": jnp.where(some, borne / jnp.where(some, p.area, 1.0), 0.0),
+            "max_pressure": p.most,
+            "center_of_pressure": jnp.where(some, jnp.sum(p.moment, axis=0) / jnp.where(some, borne, 1.0), jnp.nan),
+            "indentation": jnp.where(p.deepest > 0, p.deepest, jnp.nan),
+            "too_deep": too_deep.astype(p.deepest.dtype),
+        }
+        for k, facet in enumerate(FACETS):  # a mesh of one facet calls it medial
+            loaded = p.borne[k] > 0
+            report[f"force_{facet}"] = Vec3.from_array(p.facets[k]).norm()
+            report[f"point_{facet}"] = jnp.where(loaded, p.moment[k] / jnp.where(loaded, p.borne[k], 1.0), jnp.nan)
+        return report, forces.energy
+
+    def _swallowed(self, at: Bedded, found: Pressures) -> Array:
+        """Whether the button is deeper than is looked for: no triangle is in contact, and any of them is behind."""
+        middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0])))
+        femur = self.femur
+        return behind(femur.corners, femur.triangle, femur.rim_edges(), middle, found.area == 0).there
+
+    def followed(self) -> Vec3:
+        """The origin of the button's mesh: the middle of a sphere."""
+        return self.origin
+
+    def button_radius(self) -> Scalar:
+        """Half the largest extent of the button's mesh."""
+        return half_extent(self.button.corners)
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.origin, self, self.origin + by)
+
+    def groove_surface(self) -> Surface | None:
+        """The stand-in."""
+        return self.surface
+
+    def femur_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.femur.corners
+
+    def button_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.button.corners
+
+    def about(self, center_of_mass: Vec3) -> ElasticFoundation:
+        """The button's frame counted from the centre of mass."""
+        return eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)

@@ -1,0 +1,190 @@
+r"""Layers on a rigid backing, pressed: from depth to pressure, its slope and the energy per area. Free of geometry.
+
+An elastic foundation is a bed of springs that do not know of each other. A thin layer of modulus E, Poisson ratio nu
+and thickness h, bonded to a rigid backing, is confined: with K = E (1 - nu) / ((1 + nu) (1 - 2 nu)) it bears
+
+| law | pressure of one layer at depth d | |
+|---|---|---|
+| LinearFoundation | K d / h | small strains |
+| LogarithmicFoundation | -K ln(1 - d / h) | stiffens towards d = h |
+
+Two layers that press on each other, one on each body, bear the same pressure and share the depth. Sources: Bei and
+Fregly 2004, Med Eng Phys 26:777; for two layers Smith, Choi, Negrut and Thelen 2018, Comput Methods Biomech Biomed
+Eng Imaging Vis 6:491.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+
+from pftwin.base.errors import InputError
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar
+
+SQUEEZED = 0.95  # of both thicknesses: deeper, the logarithmic law goes on along its tangent, lest it be infinite
+_MOST_STEPS = 40  # alike layers take 1, moduli a factor of 1000 apart 12 at most
+_CONVERGED = 1e4  # roundings: the last step squares what is left of the error
+
+
+class Layer(eqx.Module):
+    """An elastic layer on a rigid backing."""
+
+    modulus: Scalar = eqx.field(metadata=quantity("Pa", positive=True))  # E
+    poisson: Scalar = eqx.field(metadata=quantity("", at_least=0))  # nu, below 0.5
+    thickness: Scalar = eqx.field(metadata=quantity("m", positive=True))  # h
+
+    def confined_modulus(self) -> Scalar:
+        """K [Pa]: stress over strain where the layer cannot expand sideways."""
+        return self.modulus * (1 - self.poisson) / ((1 + self.poisson) * (1 - 2 * self.poisson))
+
+
+class FoundationPressure(NamedTuple):
+    """A law's answer at a depth."""
+
+    pressure: Scalar  # p, at least 0 [Pa]
+    slope: Scalar  # dp/dd [Pa/m]
+    energy: Scalar  # stored per area [J/m^2]
+
+
+class FoundationLaw(eqx.Module):
+    """Two layers in series, each on its body."""
+
+    femur: Layer
+    button: Layer
+
+    @abstractmethod
+    def press(self, depth: Scalar) -> FoundationPressure:
+        """The answer at a depth [m] of any shape: all 0 where that is not above 0."""
+
+    def thickness(self) -> Scalar:
+        """Of both layers together [m]."""
+        return self.femur.thickness + self.button.thickness
+
+    def compliance(self) -> Scalar:
+        """Depth per pressure of both layers together, at no load [m/Pa]."""
+        return sum(
+            (layer.thickness / layer.confined_modulus() for layer in (self.femur, self.button)), start=jnp.zeros(())
+        )
+
+
+class LinearFoundation(FoundationLaw):
+    """p = d / (h1 / K1 + h2 / K2)."""
+
+    def press(self, depth: Scalar) -> FoundationPressure:
+        """See `FoundationLaw`."""
+        d, touching = jnp.maximum(depth, 0.0), depth > 0
+        slope = 1 / self.compliance()
+        return FoundationPressure(slope * d, jnp.where(touching, slope, 0.0), 0.5 * slope * d * d)
+
+
+class LogarithmicFoundation(FoundationLaw):
+    """p with h1 (1 - exp(-p / K1)) + h2 (1 - exp(-p / K2)) = d: -K ln(1 - d / h) in each layer.
+
+    Beyond `SQUEEZED` of the thicknesses it goes on along its tangent: finite, but no measure of a joint any more.
+    """
+
+    def press(self, depth: Scalar) -> FoundationPressure:
+        """See `FoundationLaw`."""
+        touching = depth > 0
+        d = jnp.where(touching, depth, 0.0)
+        bound = SQUEEZED * self.thickness()
+        within = jnp.minimum(d, bound)
+        p = self._solved(within)
+        shares = [jnp.exp(-p / layer.confined_modulus()) for layer in (self.femur, self.button)]
+        slope = 1 / self._slope_of_depth(shares)
+        beyond = d - within
+        energy = self._energy(p, shares) + beyond * (p + 0.5 * slope * beyond)
+        answer = FoundationPressure(p + slope * beyond, slope, energy)
+        return FoundationPressure(*(jnp.where(touching, a, 0.0) for a in answer))
+
+    def _solved(self, d: Scalar) -> Scalar:
+        """The pressure at depths up to the bound.
+
+        With g(p) = h1 exp(-p / K1) + h2 exp(-p / K2), ln g is convex and falls, from h1 + h2 to h1 + h2 - d: Newton's
+        steps from below never overshoot. Each layer alone bears at least as much, and so does a pair like the softer.
+        The last step carries the derivatives, which makes them those of the implicit function.
+        """
+        frozen, at = stop_gradient((self, d))
+        enough = _CONVERGED * float(jnp.finfo(at.dtype).eps)
+
+        def on(now: tuple[Scalar, Scalar, Scalar]) -> Scalar:
+            p, before, step = now
+            return (step < _MOST_STEPS) & jnp.any(jnp.abs(p - before) > enough * p)
+
+        def again(now: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+            p, _, step = now
+            return frozen._step(p, at), p, step + 1
+
+        least = frozen._least(at)
+        first = frozen._step(least, at), least, jnp.zeros((), jnp.int32)
+        p = jax.lax.while_loop(on, again, first)[0]
+        return self._step(stop_gradient(p), d)
+
+    def _least(self, d: Scalar) -> Scalar:
+        """A pressure that is not above the solution: that of two layers of the lower modulus, or, if more, that which
+        one layer has to bear when the other is squeezed flat.
+        """
+        layers = (self.femur, self.button)
+        lower = jnp.minimum(*(layer.confined_modulus() for layer in layers))
+        p = -lower * jnp.log1p(-d / self.thickness())
+        for own, other in (layers, layers[::-1]):
+            rest = jnp.maximum(d - other.thickness, 0.0)
+            p = jnp.maximum(p, -own.confined_modulus() * jnp.log1p(-rest / own.thickness))
+        return p
+
+    def _step(self, p: Scalar, d: Scalar) -> Scalar:
+        layers = (self.femur, self.button)
+        shares = [jnp.exp(-p / layer.confined_modulus()) for layer in layers]
+        left = sum((layer.thickness * s for layer, s in zip(layers, shares, strict=True)), start=jnp.zeros(()))
+        slope = stop_gradient(self._slope_of_depth(shares))
+        # ln(g / (h1 + h2 - d)) without cancellation at small depths.
+        short = d - sum(
+            (-layer.thickness * jnp.expm1(-p / layer.confined_modulus()) for layer in layers), start=jnp.zeros(())
+        )
+        return p + stop_gradient(left) / slope * jnp.log1p(short / (self.thickness() - d))
+
+    def _slope_of_depth(self, shares: list[Scalar]) -> Scalar:
+        """dd/dp [m/Pa]."""
+        one, two = (
+            layer.thickness / layer.confined_modulus() * share
+            for layer, share in zip((self.femur, self.button), shares, strict=True)
+        )
+        return one + two
+
+    def _energy(self, p: Scalar, shares: list[Scalar]) -> Scalar:
+        """h K (1 - (1 + p / K) exp(-p / K)) of each layer: the integral of p over its depth."""
+        stored = jnp.zeros_like(p)
+        for layer, share in zip((self.femur, self.button), shares, strict=True):
+            k = layer.confined_modulus()
+            # 1 - exp(-x) - x exp(-x) without cancellation at small x.
+            x = p / k
+            stored = stored + layer.thickness * k * (-jnp.expm1(-x) - x * share)
+        return stored
+
+
+LAWS: dict[str, type[FoundationLaw]] = {"linear": LinearFoundation, "logarithmic": LogarithmicFoundation}
+
+
+def checked_layer(modulus: float, poisson: float, thickness: float, *, where: str = "layer") -> Layer:
+    """A layer of numbers that make sense, in SI units.
+
+    Raises:
+        InputError: a modulus or thickness that is not positive and finite; a Poisson ratio outside [0, 0.5).
+    """
+    for name, value, unit in (("modulus", modulus, "Pa"), ("thickness", thickness, "m")):
+        if not 0 < value < float("inf"):
+            raise InputError(f"{name} {value!r}", where=where, expected=f"above 0 {unit}")
+    if not 0 <= poisson < 0.5:
+        raise InputError(
+            f"Poisson ratio {poisson!r}",
+            where=where,
+            expected="0 to below 0.5: a confined layer that keeps its volume cannot be pressed",
+        )
+    as_float = jax.dtypes.canonicalize_dtype(float)
+    return Layer(*(jnp.asarray(v, dtype=as_float) for v in (modulus, poisson, thickness)))

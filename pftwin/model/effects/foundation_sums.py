@@ -1,0 +1,172 @@
+"""What an elastic foundation's triangles amount to: sums over as many of them as there are in contact.
+
+The button's pieces that reach into the femur are gone through in a loop that ends with them, so a light touch costs
+little and there is no list to overflow. With derivatives the loop has room for all of the button and leaves out what
+is not there.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.leaves import all_changes
+from pftwin.base.spatial import Rotation, Scalar, Vec3
+from pftwin.geometry.bvh.members import member_by_member
+from pftwin.geometry.contact.depth_search import Found, find
+from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
+from pftwin.geometry.contact.depths import REACH, Depths, depths_in
+from pftwin.model.effects.foundation_law import FoundationLaw
+
+PIECE = 16  # leaves of the button that are worked on at once
+
+
+class Bedded(eqx.Module):
+    """A button in a femur's surface, and how both move."""
+
+    femur: PressedSurface
+    button: PressingSurface
+    law: FoundationLaw
+    damping_time: Scalar  # [s]
+    origin: Vec3  # of the button's mesh, from the patella's centre of mass, patella axes [m]
+    position: Vec3  # the same in the femur's frame [m]
+    rotation: Rotation  # patella to femur
+    world: Rotation | None  # femur to world; None where they are one
+    twist: Array  # (6,) of the patella relative to the femur: of its centre of mass, world axes; spin, patella axes
+
+
+class Forces(NamedTuple):
+    """Sums over the triangles in contact: see `pftwin.model.effects.base.Bed`."""
+
+    force: Array  # (6,)
+    elastic: Array  # (6,)
+    stiffness: Array  # (6, 6)
+    size: Array  # ()
+    energy: Array  # () [J]
+
+
+class Pressures(NamedTuple):
+    """Sums and extremes over the triangles in contact; pressures without damping."""
+
+    area: Array  # () [m^2]
+    borne: Array  # (2,) pressure times area on each facet [N]
+    moment: Array  # (2, 3) the same times the place, femur frame [N m]
+    facets: Array  # (2, 3) force of those on each facet, femur axes [N]
+    most: Array  # () largest pressure [Pa]
+    deepest: Array  # () largest depth [m]
+
+
+Sums = tuple[Forces, Pressures]
+
+
+class Pushes(NamedTuple):
+    """Every triangle of a piece: all zero where it is not in contact."""
+
+    force: Array  # with damping [N]
+    elastic: Array  # [N]
+    stiffness: Array  # [N/m]
+    pressure: Array  # [Pa]
+    energy: Array  # per area [J/m^2]
+    rows: Array  # (6, triangles): unit wrench of each
+
+
+def sums(at: Bedded) -> Sums:
+    """Everything that the triangles in contact amount to. Jit, vmap, forward and reverse derivatives apply."""
+    found = find(at.button, at.femur, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
+    return _summed(at, found)
+
+
+@eqx.filter_custom_jvp
+def _summed(at: Bedded, found: Found) -> Sums:
+    return member_by_member(_sum_of_all)(at, found)
+
+
+@_summed.def_jvp
+def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
+    at, found = primals
+    moving, still = eqx.partition(at, eqx.is_inexact_array)
+    changes = all_changes(moving, tangents[0])
+
+    def total(moving: Any) -> Sums:
+        at = eqx.combine(moving, still)
+
+        def piece(so_far: Sums, start: Array) -> tuple[Sums, None]:
+            more = jax.lax.cond(start < found.total, lambda: _piece(at, found, start), lambda: _nothing(at))
+            return _together(so_far, more), None
+
+        starts = jnp.arange(0, at.button.leaves, PIECE, dtype=jnp.int32)
+        return jax.lax.scan(piece, _nothing(at), starts)[0]
+
+    return jax.jvp(total, (moving,), (changes,))
+
+
+def _sum_of_all(at: Bedded, found: Found) -> Sums:
+    def piece(state: tuple[Array, Sums]) -> tuple[Array, Sums]:
+        start, so_far = state
+        return start + PIECE, _together(so_far, _piece(at, found, start))
+
+    return jax.lax.while_loop(lambda s: s[0] < found.total, piece, (jnp.zeros((), jnp.int32), _nothing(at)))[1]
+
+
+def _nothing(at: Bedded) -> Sums:
+    def zeros(*shape: int) -> Array:
+        return jnp.zeros(shape, at.position.x.dtype)
+
+    forces = Forces(zeros(6), zeros(6), zeros(6, 6), zeros(), zeros())
+    return forces, Pressures(zeros(), zeros(2), zeros(2, 3), zeros(2, 3), zeros(), zeros())
+
+
+def _together(one: Sums, other: Sums) -> Sums:
+    forces, pressures = jax.tree.map(jnp.add, one, other)
+    most, deepest = (jnp.maximum(getattr(one[1], n), getattr(other[1], n)) for n in ("most", "deepest"))
+    return forces, pressures._replace(most=most, deepest=deepest)
+
+
+def _piece(at: Bedded, found: Found, start: Array) -> Sums:
+    """Sums over some of the leaves."""
+    # The last piece begins early enough to be whole, and counts only what no other has counted.
+    first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))
+    leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, min(PIECE, at.button.leaves)) for x in found[:2])
+    number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
+    there = (number >= start) & (number < found.total)
+    d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there, overflow=jnp.zeros((), bool))
+    p = _pushes(at, d)
+    forces = Forces(
+        force=p.rows @ p.force,
+        elastic=p.rows @ p.elastic,
+        stiffness=(p.rows * p.stiffness[None, :]) @ p.rows.T,
+        size=jnp.sum(p.force),
+        energy=jnp.sum(d.area * p.energy),
+    )
+    touching = d.listed & (d.depth > 0)
+    borne = d.area * p.pressure
+    push = p.force[None, :] * d.normal.array().T
+    facet = jnp.zeros_like(d.triangle) if d.facet is None else d.facet
+    on = jnp.stack([facet == k for k in range(2)])  # (2, triangles)
+    borne_on = jnp.where(on, borne, 0.0)
+    pressures = Pressures(
+        area=jnp.sum(jnp.where(touching, d.area, 0.0)),
+        borne=jnp.sum(borne_on, axis=1),
+        moment=borne_on @ d.point.array(),
+        facets=jnp.sum(jnp.where(on[:, None, :], push, 0.0), axis=2),
+        most=jnp.max(p.pressure),
+        deepest=jnp.max(jnp.where(touching, d.depth, 0.0)),
+    )
+    return forces, pressures
+
+
+def _pushes(at: Bedded, d: Depths) -> Pushes:
+    answer = at.law.press(jnp.where(d.listed, d.depth, -1.0))
+    arm = d.local + Vec3(*(jnp.broadcast_to(a, d.depth.shape) for a in (at.origin.x, at.origin.y, at.origin.z)))
+    moment = arm.cross(at.rotation.unapply(d.normal))
+    direction = d.normal if at.world is None else at.world.apply(d.normal)
+    rows = jnp.concatenate([direction.array(), moment.array()], axis=-1).T
+    elastic, stiffness = d.area * answer.pressure, d.area * answer.slope
+    force = elastic - at.damping_time * stiffness * (at.twist @ rows)
+    pushes = force > 0
+    force, elastic, stiffness = (jnp.where(pushes, a, 0.0) for a in (force, elastic, stiffness))
+    return Pushes(force, elastic, stiffness, answer.pressure, answer.energy, rows)

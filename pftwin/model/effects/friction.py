@@ -1,0 +1,202 @@
+r"""Regularised Coulomb friction at the contacts of a sphere.
+
+At each contact, with N its normal force and v the sliding velocity of the sphere's skin on the surface,
+
+    F = -mu N v / sqrt(|v|^2 + v_s^2),
+
+which is Coulomb's mu N for |v| well above the slip speed v_s, and a stiff damper mu N / v_s below it: what would stick
+creeps instead, at v_s tan / sqrt(mu^2 - tan^2) on a slope with tan < mu. Regularised laws against Coulomb's: Vigué et
+al. 2017, J Sound Vib 389:350. No friction against spinning about the normal: the contact has no size.
+
+An implicit step is given the secant c = mu N / sqrt(|v|^2 + v_s^2) as damping in both tangential directions, not the
+tangent, which vanishes in fast sliding: F = -c v at the step's end opposes the sliding that is left then, never
+overshoots zero and takes energy at any length of step. N is what the normal force came to in the step before, so
+friction is a step late.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, ClassVar, NamedTuple, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar, Twist, Vec3, safe_sqrt
+from pftwin.model.effects.base import Change, Effect, Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.model.effects.contact import FACETS, Contact
+
+
+class Friction(eqx.Module):
+    """A pair of surfaces."""
+
+    coefficient: Scalar = eqx.field(metadata=quantity("", at_least=0))  # mu
+    slip_speed: Scalar = eqx.field(metadata=quantity("m/s", positive=True))  # v_s: below it contacts creep
+
+
+class LastPush(NamedTuple):
+    """A normal force as a step looked at it. What it came to, f - (h k + c) g . dv, the change of velocity tells."""
+
+    direction: Vec3  # g: the force's
+    moment: Vec3  # and its moment's [m]
+    unchanged: Scalar  # f + (h k + c) g . v, with the velocity that the step looked at [N]
+    weight: Scalar  # h k + c [N s/m]
+
+    @staticmethod
+    def of(push: StiffTerm, now: Instant) -> LastPush:
+        """To be remembered."""
+        weight = (now.lead if now.reach is None else now.reach) * push.stiffness + push.damping
+        here = Twist(now.patella.velocity, now.patella.spin)
+        unchanged = push.force + weight * _pace(push.direction, push.moment, here)
+        return LastPush(push.direction, push.moment, unchanged, weight)
+
+
+class FrictionMemory(NamedTuple):
+    """What a contact with friction carries from step to step."""
+
+    contact: Any  # the contact's own memory
+    last: tuple[LastPush, ...]  # its normal forces
+
+
+class Sliding(NamedTuple):
+    """Friction at one contact."""
+
+    terms: tuple[StiffTerm, StiffTerm]  # in two directions of the tangent plane
+    speed: Scalar  # of the sphere's skin on the surface [m/s]
+    grip: Scalar  # friction over normal force [-]
+
+
+class WithFriction(Contact):
+    """What a contact of a sphere becomes with friction: every normal force is joined by a tangential one.
+
+    For classes that derive from this and from a contact, `frictionless`, with `center` and `radius`, whose normal
+    forces are unilateral stiff terms, the medial facet's first.
+    """
+
+    friction: Friction = eqx.field(kw_only=True)
+    frictionless: ClassVar[type[Effect]]
+    tangential: ClassVar[dict[str, Observable]] = {
+        "friction_medial": Observable("N", "friction at the medial contact"),
+        "friction_lateral": Observable("N", "friction at the lateral contact"),
+        "slip_speed_medial": Observable("m/s", "sliding speed at the medial contact"),
+        "slip_speed_lateral": Observable("m/s", "sliding speed at the lateral contact"),
+    }
+
+    @classmethod
+    def of(cls, contact: Effect, friction: Friction) -> Self:
+        """A contact of the kind `frictionless` with friction."""
+        fields = {f.name: getattr(contact, f.name) for f in dataclasses.fields(contact)}
+        return cls(**fields, friction=friction)
+
+    def with_friction(self, friction: Friction) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda c: c.friction, self, friction)
+
+    def simplifications(self) -> Iterable[Change]:
+        """Without friction."""
+        return (Change("friction", self.alone(), "smooth", memory=lambda memory: memory.contact),)
+
+    def alone(self) -> Effect:
+        """The contact without friction."""
+        return self.frictionless(**{f.name: getattr(self, f.name) for f in dataclasses.fields(self.frictionless)})
+
+    def remember(self, now: Instant) -> FrictionMemory:
+        """What the contact remembers, and no force before."""
+        return self._first(now, self.alone().remember(now))
+
+    def guess(self, now: Instant) -> FrictionMemory:
+        """What the contact guesses, and no force before."""
+        return self._first(now, self.alone().guess(now))
+
+    def refined(self, memory: FrictionMemory, looked: FrictionMemory) -> FrictionMemory:
+        """What the contact refines."""
+        return memory._replace(contact=self.alone().refined(memory.contact, looked.contact))
+
+    def _first(self, now: Instant, memory: Any) -> FrictionMemory:
+        zero = jnp.zeros_like(now.patella.position.x)
+        nowhere = Vec3(zero, zero, zero)
+        pushes = _pushes(jax.eval_shape(lambda: self.alone().load(now, memory)[0]))
+        return FrictionMemory(memory, (LastPush(nowhere, nowhere, zero, zero),) * len(pushes))
+
+    def load(self, now: Instant, memory: FrictionMemory) -> tuple[Load, FrictionMemory]:
+        """The contact's load, and two stiff terms more for every normal force."""
+        load, contact = self.alone().load(now, memory.contact)
+        pushes, last = _pushes(load), memory.last
+        slidings = [self._sliding(now, push, before) for push, before in zip(pushes, last, strict=True)]
+        if not isinstance(now.lead, float):
+            last = tuple(LastPush.of(push, now) for push in pushes)
+        tangential = [term for sliding in slidings for term in sliding.terms]
+        return load._replace(stiff=(*load.stiff, *tangential)), FrictionMemory(contact, last)
+
+    def _sliding(self, now: Instant, push: StiffTerm, before: LastPush) -> Sliding:
+        """Friction at a contact that presses so."""
+        patella, normal = now.patella, push.direction
+        lever = self.center - self.radius * patella.rotation.unapply(normal)  # pyright: ignore[reportAttributeAccessIssue]
+        arm = patella.arm(lever)
+        slip = now.femur.relative_velocity(patella.velocity_at(arm), patella.position + arm)
+        along = [(t, -t.dot(slip)) for t in tangents(normal)]
+        square = along[0][1] * along[0][1] + along[1][1] * along[1][1]
+        law, speed = self.friction, safe_sqrt(square)
+        per_speed = law.coefficient / jnp.sqrt(square + law.slip_speed * law.slip_speed)
+        secant = per_speed * normal_force(push, before, now)
+        zero = jnp.zeros_like(secant)
+        terms = [StiffTerm(t, applied_at(lever, patella, t), secant * v, zero, zero, secant, v) for t, v in along]
+        return Sliding((terms[0], terms[1]), speed, per_speed * speed)
+
+    def observe(self, now: Instant, memory: FrictionMemory) -> dict[str, Any]:
+        """The contact's report; `force_x`, `_y` and `_z` with friction, the other forces without it."""
+        contact = self.alone()
+        report = contact.observe(now, memory.contact)
+        pushes = _pushes(contact.load(now, memory.contact)[0])
+        slidings = [self._sliding(now, push, before) for push, before in zip(pushes, memory.last, strict=True)]
+        force = sum((t.force * t.direction for s in slidings for t in s.terms), start=Vec3.zero())
+        local = now.femur.local_direction(force)
+        for axis in "xyz":
+            report[f"force_{axis}"] = report[f"force_{axis}"] + getattr(local, axis)
+        for facet, s in zip(FACETS, slidings, strict=False):
+            normal = report[f"force_{facet}"]  # as reported: a single contact belongs to one facet
+            report[f"friction_{facet}"] = s.grip * normal
+            report[f"slip_speed_{facet}"] = jnp.where(normal > 0, s.speed, jnp.nan)
+        for facet in FACETS[len(slidings) :]:
+            report |= {f"friction_{facet}": 0 * local.x, f"slip_speed_{facet}": jnp.nan * local.x}
+        return report
+
+
+def _pushes(load: Load) -> list[StiffTerm]:
+    """The normal forces among a contact's stiff terms."""
+    return [term for term in load.stiff if term.unilateral]
+
+
+def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
+    """The normal force that friction goes by [N], at least 0: in a step that looks ahead, the last step's.
+
+    The force looked at is not the one that the step will come to: a stiff contact that is being made presses there
+    hundreds of times as hard, and so would friction.
+    """
+    if isinstance(now.lead, float):
+        return jnp.maximum(push.force, 0.0)
+    twist = Twist(now.patella.velocity, now.patella.spin) if now.twist is None else now.twist
+    came_to = jnp.maximum(last.unchanged - last.weight * _pace(last.direction, last.moment, twist), 0.0)
+    return jnp.where(push.stiffness > 0, came_to, 0.0)
+
+
+def _pace(direction: Vec3, moment: Vec3, twist: Twist) -> Scalar:
+    """How fast the patella moves along a wrench direction."""
+    return direction.dot(twist.linear) + moment.dot(twist.angular)
+
+
+def tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
+    """Two unit vectors that complete a unit normal: Duff et al. 2017, J Comput Graph Tech 6(1):1.
+
+    They jump where z changes its sign, which nothing isotropic in the plane can see.
+    """
+    sign = jnp.where(normal.z < 0, -1.0, 1.0)
+    a = -1 / (sign + normal.z)
+    b = normal.x * normal.y * a
+    return (
+        Vec3(1 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x),
+        Vec3(b, sign + normal.y * normal.y * a, -normal.y),
+    )

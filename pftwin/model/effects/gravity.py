@@ -1,0 +1,53 @@
+"""The patella's weight."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar, Vec3, Wrench
+from pftwin.model.effects.base import Effect, Instant, Load, Observable
+from pftwin.model.motion import SegmentMotion
+
+
+class Gravity(Effect):
+    """A uniform field: F = m g at the centre of mass; energy -m g . x from the world's origin."""
+
+    mass: Scalar = eqx.field(metadata=quantity("kg", positive=True))  # of the patella
+    acceleration: Vec3 = eqx.field(metadata=quantity("m/s^2", frame="world"))
+    name: str = eqx.field(static=True, kw_only=True, default="gravity")
+    observables: ClassVar[dict[str, Observable]] = {"weight": Observable("N", "weight of the patella")}
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """The weight."""
+        weight = self.mass * self.acceleration
+        return Load(wrench=Wrench(weight, Vec3.zero()), energy=-weight.dot(now.patella.position)), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Its size."""
+        return {"weight": self.mass * self.acceleration.norm()}
+
+    def in_still_femur(self, femur: SegmentMotion) -> TurningGravity:
+        """Weight that keeps the direction that it really has at every instant."""
+        return TurningGravity(self.mass, self.acceleration, femur, name=self.name)
+
+
+class TurningGravity(Effect):
+    """Weight in the axes of a femur that is taken to stand still: its direction turns as the femur would."""
+
+    mass: Scalar  # of the patella [kg]
+    acceleration: Vec3  # in the true world [m/s^2]
+    femur: SegmentMotion  # as it was recorded there
+    name: str = eqx.field(static=True, kw_only=True, default="gravity")
+    observables: ClassVar[dict[str, Observable]] = Gravity.observables
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """The weight."""
+        there = self.femur.frames(now.time).rotation.unapply(self.acceleration)
+        return Load(wrench=Wrench(self.mass * there, Vec3.zero())), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Its size."""
+        return {"weight": self.mass * self.acceleration.norm()}

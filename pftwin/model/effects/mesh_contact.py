@@ -1,0 +1,175 @@
+"""Contact between two triangle meshes as in the paper: contours of contact, the largest indentation, a force at each.
+
+Source: Michaud et al. 2024, section 2.4.1. The geometry is found by `pftwin.geometry.contact.contour`, the force by a
+normal contact law: one force for each contact, medial and lateral, at the contour's middle, along the contour's
+direction, of the size that the law gives to the largest indentation.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3
+from pftwin.geometry.bvh.triangle import Triangle, half_extent
+from pftwin.geometry.contact.behind import Behind, behind
+from pftwin.geometry.contact.contact_mesh import ContactMesh
+from pftwin.geometry.contact.contour import Contact, Contacts, MeshPair, mesh_pair
+from pftwin.geometry.patch.closest import Surface
+from pftwin.model.effects.base import Instant, Load, Observable
+from pftwin.model.effects.contact import Contact as FemoralContact
+from pftwin.model.effects.contact_force import ContactPush, pushed
+from pftwin.model.effects.contact_law import ContactLaw
+from pftwin.model.effects.sphere_contact import SphereContact
+
+Memory = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
+_NAMES = ("medial", "lateral")
+WIDE = 4  # times twice the largest triangle: a contour around more than that holds corners
+
+
+class MeshContact(FemoralContact):
+    """A mesh fixed in the patella against a mesh fixed in the femur."""
+
+    femur: ContactMesh
+    patella: ContactMesh
+    law: ContactLaw
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the patella's mesh; axes are the patella's
+    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
+    meshes: MeshPair | None = None  # laid out for the inner loop by `about`
+    method: ClassVar[str] = "contours"
+    jumps: ClassVar[bool] = True  # where a corner or a triangle joins a contour
+    observables: ClassVar[dict[str, Observable]] = {
+        **{k: v for k, v in SphereContact.observables.items() if k != "off_patch"},
+        "contour_area": Observable("m^2", "area that the contours of contact enclose"),
+        "merged": Observable("1", "1 where the medial and the lateral contact are one, which counts as medial"),
+        "at_rim": Observable("1", "1 where a contour ends on the rim of an open mesh: the force is wrong"),
+        "overflow": Observable("1", "1 where the search ran out of room: the contact may be wrong"),
+        "too_deep": Observable("1", "1 where a mesh is deeper inside the other than is looked for: the force is wrong"),
+    }
+
+    def contacts(self, now: Instant) -> Contacts:
+        """The contacts at an instant, in the femur's frame."""
+        if self.meshes is None:
+            raise TypeError("a mesh contact takes loads only once it has been made ready: call `about` first")
+        return self.meshes.contacts(self._pose(now))
+
+    def _pose(self, now: Instant) -> Pose:
+        """Of the patella's mesh in the femur's frame."""
+        patella, femur = now.patella, now.femur
+        center = femur.to_local(patella.position + patella.arm(self.origin))
+        return Pose(center, Quaternion.from_rotation(now.turn_in_femur()))
+
+    def _swallowed(self, now: Instant, found: Contacts) -> Behind:
+        """Whether the patella's mesh is wholly behind the femur's: none of their triangles meet, one corner tells."""
+        corner = self._pose(now).apply(Vec3.from_array(self.patella.tree.triangles[0, :3]))
+        femur = self.femur
+        return behind(femur.tree.triangles, femur.source, femur.rim, corner, found.pairs == 0)
+
+    def _engulfed(self, now: Instant, found: Contacts) -> Behind:
+        """Whether the femur's mesh is wholly inside the patella's: an open one of a part of the femur can be."""
+        corner = self._pose(now).unapply(Vec3.from_array(self.femur.tree.triangles[0, :3]))
+        patella = self.patella
+        return behind(patella.tree.triangles, patella.source, patella.rim, corner, found.pairs == 0)
+
+    def _hollow(self, found: Contacts) -> Array:
+        """Whether a contour is too wide to hold no corner, and yet none within reach was found in it."""
+        largest = jnp.max(Triangle.of_rows(self.patella.tree.triangles).area_vector().norm())
+        hollow = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
+        return jnp.stack(hollow).any()
+
+    def remember(self, now: Instant) -> Memory:
+        """No contact has begun yet."""
+        zero = jnp.zeros_like(now.patella.position.x)
+        return (zero,) * self.femur.facets if self.law.remembers_approach else None
+
+    def load(self, now: Instant, memory: Memory) -> tuple[Load, Memory]:
+        """A stiff term for each contact."""
+        pushes = self._pushes(now, self.contacts(now), memory)
+        energy = sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
+        speeds = tuple(p.approach_speed for p in pushes if p.approach_speed is not None)
+        return Load(stiff=tuple(p.term for p in pushes), energy=energy), speeds or None
+
+    def _pushes(self, now: Instant, found: Contacts, memory: Memory) -> list[ContactPush]:
+        speeds = memory or (None,) * len(found.each)
+        return [self._push(now, c, speed) for c, speed in zip(found.each, speeds, strict=True)]
+
+    def _push(self, now: Instant, contact: Contact, approach_speed: Scalar | None) -> ContactPush:
+        patella, femur = now.patella, now.femur
+        world = femur.direction(contact.normal)
+        point = femur.point(contact.point)
+        arm = point - patella.position
+        velocity = femur.relative_velocity(patella.velocity_at(arm), point)
+        moment = patella.rotation.unapply(arm.cross(world))
+        one = jnp.ones_like(contact.indentation)
+        return pushed(self.law, now, contact.indentation, -world.dot(velocity), world, moment, approach_speed, one)
+
+    def observe(self, now: Instant, memory: Memory) -> dict[str, Any]:
+        """Forces, points and indentations by facet; NaN where a facet has no contact of its own."""
+        return self.report(now, memory)[0]
+
+    def report(self, now: Instant, memory: Memory) -> tuple[dict[str, Any], Scalar]:
+        """What `observe` shows, and the energy stored."""
+        found = self.contacts(now)
+        pushes = self._pushes(now, found, memory)
+        zero = jnp.zeros_like(now.patella.position.x)
+        nothing = jnp.full((3,), jnp.nan, zero.dtype)
+        report: dict[str, Any] = {"force": zero, "contour_area": zero}
+        total = Vec3(zero, zero, zero)
+        for facet in _NAMES:
+            report |= {f"force_{facet}": zero, f"indentation_{facet}": zero * jnp.nan, f"point_{facet}": nothing}
+        for facet, contact, push in zip(_NAMES, found.each, pushes, strict=False):
+            force = push.term.force
+            touching = contact.area > 0
+            total = total + force * contact.normal
+            report["force"] = report["force"] + force
+            report["contour_area"] = report["contour_area"] + contact.area
+            report[f"force_{facet}"] = force
+            report[f"indentation_{facet}"] = jnp.where(touching, contact.indentation, jnp.nan)
+            report[f"point_{facet}"] = jnp.where(touching, contact.point.array(), jnp.nan)
+        inside = self._swallowed(now, found)
+        for k, facet in enumerate(_NAMES[: self.femur.facets]):
+            # No force, but anything but no contact: the corner's distance to the surface tells.
+            here = inside.there & (self.femur.facet(inside.place) == k)
+            report[f"indentation_{facet}"] = jnp.where(here, inside.depth, report[f"indentation_{facet}"])
+        engulfed = self._engulfed(now, found)
+        medial = report["indentation_medial"]
+        report["indentation_medial"] = jnp.where(engulfed.there & ~inside.there, engulfed.depth, medial)
+        too_deep = found.too_deep | inside.there | engulfed.there | self._hollow(found)
+        flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
+        report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
+        report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}
+        return report, sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
+
+    def followed(self) -> Vec3:
+        """The origin of the patella's mesh: the middle of a button's sphere."""
+        return self.origin
+
+    def button_radius(self) -> Scalar:
+        """Half the largest extent of the patella's mesh."""
+        return half_extent(self.patella.tree.triangles)
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.origin, self, self.origin + by)
+
+    def groove_surface(self) -> Surface | None:
+        """The stand-in."""
+        return self.surface
+
+    def femur_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.femur.tree.triangles
+
+    def button_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.patella.tree.triangles
+
+    def about(self, center_of_mass: Vec3) -> MeshContact:
+        """Origin counted from the centre of mass; the meshes laid out for searches."""
+        moved = eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)
+        pair = mesh_pair(self.femur, self.patella)
+        return eqx.tree_at(lambda e: e.meshes, moved, pair, is_leaf=lambda x: x is None)

@@ -1,0 +1,197 @@
+r"""The button's sphere on a triangle mesh, by the volume of their overlap: the smooth law, for gradients.
+
+The volume V between a facet and the sphere (the integral of the depth over the facet's part inside) stands for an
+indentation: for a gap like a paraboloid, as between smooth surfaces, V = pi r d^2, with r the effective radius, the
+inverse root of the product of the gap's two curvatures (a sphere of radius R on a plane: r = R). So
+
+    d = sqrt(V / (pi r)),       F = k d^p (1 + x dd/dt)       along  -grad d,
+
+where k, p and x are the contact law's own and the gradient is with respect to the sphere's centre: the elastic force is
+that of a potential, and V has continuous second derivatives wherever triangles, edges or corners come and go. With r a
+constant, k is the stiffness at that radius. `effective_radius` measures r on a mesh.
+
+Medial and lateral facets have volumes of their own, V_m and V_l, and each contact bears its law's force. Where both
+have grown into one contact across the border, it is the law of V_m + V_l that counts, borne by the two in parts.
+Between these the potential passes smoothly, by how deep the border is inside the sphere,
+
+    U = (1 - s) (u(V_m) + u(V_l)) + s u(V_m + V_l),      s from 0 to 1 with   depth^2 pi r (1 / V_m + 1 / V_l),
+
+a number that is at least 4 wherever the border crosses a single contact and tends to 0 where two are apart.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.contact.overlap import Overlap, overlap
+from pftwin.geometry.contact.patch_mesh import PatchMesh
+from pftwin.geometry.contact.sphere_patch import sphere_patch
+from pftwin.geometry.patch.closest import Surface
+from pftwin.model.effects.base import Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.model.effects.contact import Contact
+from pftwin.model.effects.contact_force import ContactPush, pushed
+from pftwin.model.effects.contact_law import ContactLaw
+from pftwin.model.effects.sphere_contact import SphereContact
+
+if TYPE_CHECKING:
+    from pftwin.model.effects.friction import Friction
+
+_FACETS = ("medial", "lateral")
+
+Memory = tuple[Scalar, Scalar] | None  # each facet's approach speed at the moment contact began, 0 while apart [m/s]
+
+
+class VolumeTouch(NamedTuple):
+    """The sphere on the mesh, resolved."""
+
+    overlap: Overlap
+    terms: tuple[StiffTerm, ...]  # of the medial and the lateral facet, and of their growing into one
+    energy: Scalar
+    speeds: Memory
+
+
+class MeshVolumeContact(Contact):
+    """A sphere fixed in the patella against a mesh fixed in the femur, by their overlap's volume."""
+
+    mesh: PatchMesh
+    law: ContactLaw
+    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the sphere
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
+    effective_radius: Scalar = eqx.field(metadata=quantity("m", positive=True))  # r, that of the law's stiffness
+    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
+    method: ClassVar[str] = "volume"
+    observables: ClassVar[dict[str, Observable]] = {
+        **SphereContact.observables,
+        "area_medial": Observable("m^2", "area of the medial facet inside the sphere"),
+        "area_lateral": Observable("m^2", "area of the lateral facet inside the sphere"),
+        "off_patch": Observable("m", "half the length of the mesh's rim that lies inside the sphere"),
+        "overflow": Observable("1", "1 where the search ran out of room: the contact is wrong"),
+    }
+
+    def remember(self, now: Instant) -> Memory:
+        """No contact has begun yet."""
+        zero = jnp.zeros_like(now.patella.position.x)
+        return (zero, zero) if self.law.remembers_approach else None
+
+    def centre(self, now: Instant) -> Vec3:
+        """Of the sphere, in the mesh's frame [m]."""
+        return now.femur.to_local(now.patella.position + now.patella.arm(self.center))
+
+    def touch(self, now: Instant, memory: Memory) -> VolumeTouch:
+        """The overlap at this instant and what it does."""
+        arm = now.patella.arm(self.center)
+        at = now.patella.position + arm
+        velocity = now.femur.local_direction(now.femur.relative_velocity(now.patella.velocity_at(arm), at))
+        patch = sphere_patch(self.mesh, self.centre(now), self.radius)
+        found = overlap(patch, self.radius, self.effective_radius)
+        speeds, s = memory or (None, None), found.merged
+        of_both = None if memory is None else jnp.maximum(*memory)
+        rates = [-n.dot(velocity) for n in found.normals]
+        rate = found.parts[0] * rates[0] + found.parts[1] * rates[1]
+        terms, begun, energies = [], [], []
+        for n, d, part, own, speed in zip(found.normals, found.depths, found.parts, rates, speeds, strict=True):
+            world = now.femur.direction(n)
+            moment = applied_at(self.center, now.patella, world)
+            apart = pushed(self.law, now, d, own, world, moment, speed, 1 - s)
+            joint = pushed(self.law, now, found.joint_depth, rate, world, moment, of_both, s * part)
+            terms.append(_together(apart, joint))
+            energies.append(self.law.force(d, jnp.zeros_like(d), of_both).energy)
+            if apart.approach_speed is not None and joint.approach_speed is not None:
+                one = jnp.where(s > 0, jnp.maximum(apart.approach_speed, joint.approach_speed), apart.approach_speed)
+                begun.append(jnp.where(d > 0, one, 0.0))
+        joint_energy = self.law.force(found.joint_depth, jnp.zeros_like(rate), of_both).energy
+        gained = joint_energy - energies[0] - energies[1]
+        if self.mesh.facets.count > 1:
+            terms.append(self._growing(now, found, gained, velocity))
+        energy = energies[0] + energies[1] + s * gained
+        return VolumeTouch(found, tuple(terms), energy, (begun[0], begun[1]) if begun else None)
+
+    def _growing(self, now: Instant, found: Overlap, gained: Scalar, velocity: Vec3) -> StiffTerm:
+        """The potential's change by the change of s, as a force of `gained` along -grad s."""
+        world = now.femur.direction(-found.merged_slope)
+        zero = jnp.zeros_like(gained)
+        rate = found.merged_slope.dot(velocity)
+        return StiffTerm(world, applied_at(self.center, now.patella, world), gained, gained, zero, zero, rate)
+
+    def load(self, now: Instant, memory: Memory) -> tuple[Load, Memory]:
+        """A stiff term for each facet, and one for their growing into one."""
+        t = self.touch(now, memory)
+        return Load(stiff=t.terms, energy=t.energy), t.speeds
+
+    def followed(self) -> Vec3:
+        """The sphere's centre."""
+        return self.center
+
+    def button_radius(self) -> Scalar:
+        """The sphere's."""
+        return self.radius
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.center, self, self.center + by)
+
+    def groove_surface(self) -> Surface | None:
+        """The stand-in."""
+        return self.surface
+
+    def femur_triangles(self) -> Array:
+        """See `Contact`."""
+        return self.mesh.facets.triangles
+
+    def with_friction(self, friction: Friction) -> Contact:
+        """See `Contact`."""
+        from pftwin.model.effects.rough_mesh_contact import RoughMeshVolumeContact
+
+        return RoughMeshVolumeContact.of(self, friction)
+
+    def about(self, center_of_mass: Vec3) -> MeshVolumeContact:
+        """Sphere centre counted from the centre of mass; the mesh made ready for many looks."""
+        moved = eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)
+        return eqx.tree_at(lambda e: e.mesh, moved, self.mesh.prepared())
+
+    def observe(self, now: Instant, memory: Memory) -> dict[str, Any]:
+        """Forces, places and indentations by facet; NaN for a facet that is not touched."""
+        t = self.touch(now, memory)
+        total = sum((term.force * term.direction for term in t.terms), start=Vec3.zero())
+        force = now.femur.local_direction(total)
+        centre, found = self.centre(now), t.overlap
+        deep = self.mesh.depth_by_distance(centre, self.radius)
+        report: dict[str, Any] = {"force_x": force.x, "force_y": force.y, "force_z": force.z, "force": jnp.zeros(())}
+        whole, loaded = total.norm(), jnp.asarray(False)
+        along = (1 / jnp.where(whole > 0, whole, 1.0)) * total
+        for k, facet in enumerate(_FACETS):
+            # Halves of one contact lean apart: what they bear of its force is along the force itself.
+            push = t.terms[k].force * t.terms[k].direction
+            size = (1 - found.merged) * push.norm() + found.merged * push.dot(along)
+            area, d = found.areas[k], jnp.where(found.merged > 0, found.joint_depth, found.depths[k])
+            inside = found.arms[k] * (1 / jnp.where(area > 0, area, 1.0))
+            point = jnp.where(size > 0, (centre + inside).array(), jnp.nan)
+            # A sphere wholly inside the bone has no surface in it: the distance to the surface tells.
+            d = jnp.where(area > 0, d, jnp.where(deep[k] > self.radius, deep[k], jnp.nan))
+            report |= {f"force_{facet}": size, f"indentation_{facet}": d, f"point_{facet}": point}
+            report[f"area_{facet}"] = area
+            report["force"] = report["force"] + size
+            loaded = loaded | (size > 0)
+        rim = jnp.where(loaded, 0.5 * self.mesh.rim_inside(centre, self.radius), 0.0)
+        return {**report, "off_patch": rim, "overflow": found.overflow.astype(force.x.dtype)}
+
+
+def _together(apart: ContactPush, joint: ContactPush) -> StiffTerm:
+    """One term of two along the same direction."""
+    a, b = apart.term, joint.term
+    return StiffTerm(
+        a.direction,
+        a.moment,
+        a.force + b.force,
+        a.elastic + b.elastic,
+        a.stiffness + b.stiffness,
+        a.damping + b.damping,
+        a.rate,
+        unilateral=True,
+    )

@@ -1,0 +1,122 @@
+"""What a laboratory measured of a patella, for comparison with a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orientation
+from pftwin.base.spatial import Quaternion
+from pftwin.files.mocap.timebase import increasing_times
+
+_UNIT_TOLERANCE = 1e-3
+_FORCES = ("contact_force", "tibial_spring_force", "femoral_spring_force")
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Measurements of the patella in the femur frame, at the recorded frames. NaN where a value is missing.
+
+    Args:
+        times: (n,) seconds, strictly increasing.
+        center: (n, 3) the button's sphere centre in the femur frame [m].
+        quaternion: (n, 4) orientation of the patella in the femur, scalar first; None where it was not measured.
+        contact_force: (n,) normal contact force [N]; None where it was not measured. Likewise the springs' forces:
+        tibial_spring_force: (n,) of the patellar tendon [N].
+        femoral_spring_force: (n,) of the quadriceps [N].
+        synthetic: whether these are simulated measurements; figures and tables say so.
+        source: where they come from, for messages and legends.
+
+    Raises:
+        InputError: repeated or unsorted times, shapes that do not match, a quaternion that is no unit quaternion,
+            infinite values; the message names the field, and the row from 1.
+    """
+
+    times: NDArray[np.float64]
+    center: NDArray[np.float64]
+    quaternion: NDArray[np.float64] | None = None
+    contact_force: NDArray[np.float64] | None = None
+    tibial_spring_force: NDArray[np.float64] | None = None
+    femoral_spring_force: NDArray[np.float64] | None = None
+    synthetic: bool = False
+    source: str = "measurements"
+
+    def __post_init__(self) -> None:
+        times = increasing_times(self.times, where=self.source)
+        shapes = {"center": (times.size, 3), "quaternion": (times.size, 4), **dict.fromkeys(_FORCES, (times.size,))}
+        object.__setattr__(self, "times", times)
+        for name, shape in shapes.items():
+            given = getattr(self, name)
+            if given is None and name != "center":
+                continue
+            values = np.array(given, dtype=np.float64)
+            if values.shape != shape:
+                raise InputError(f"{name} of shape {values.shape}", where=self.source, expected=f"{shape}")
+            if (bad := np.flatnonzero(np.isinf(values).reshape(times.size, -1).any(axis=1))).size:
+                raise InputError(
+                    f"row {bad[0] + 1} of {name} is infinite", where=self.source, expected="a number or NaN"
+                )
+            object.__setattr__(self, name, _unit(values, self.source) if name == "quaternion" else values)
+
+    @staticmethod
+    def from_angles(
+        times: ArrayLike,
+        center: ArrayLike,
+        *,
+        flexion: ArrayLike,
+        rotation: ArrayLike,
+        tilt: ArrayLike,
+        contact_force: NDArray[np.float64] | None = None,
+        tibial_spring_force: NDArray[np.float64] | None = None,
+        femoral_spring_force: NDArray[np.float64] | None = None,
+        synthetic: bool = False,
+        source: str = "measurements",
+    ) -> Measured:
+        """From the patella's angles (n,) [rad], by the conventions of `pftwin.base.rotations`."""
+        turns = (np.asarray(a, dtype=np.float64) for a in (flexion, rotation, tilt))
+        q = patellar_orientation(*turns)
+        return Measured(
+            np.asarray(times),
+            np.asarray(center),
+            np.stack([q.w, q.x, q.y, q.z], axis=1),
+            contact_force,
+            tibial_spring_force,
+            femoral_spring_force,
+            synthetic=synthetic,
+            source=source,
+        )
+
+    def __eq__(self, other: object) -> bool:
+        """By content, so that scenes which carry the same measurements have one structure."""
+        return self is other or (isinstance(other, Measured) and self._content() == other._content())
+
+    def __hash__(self) -> int:
+        return hash((self.source, self.synthetic, self.times.size))
+
+    def _content(self) -> tuple[object, ...]:
+        values = (getattr(self, field.name) for field in fields(self))
+        return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in values)
+
+    @property
+    def angles(self) -> PatellarAngles | None:
+        """Flexion, rotation and tilt of the patella, (n,) each [rad]; None where the orientation was not measured."""
+        return None if self.quaternion is None else patellar_angles(Quaternion(*self.quaternion.T))
+
+    @property
+    def label(self) -> str:
+        """What figures call these data."""
+        return "synthetic measurements" if self.synthetic else "measured"
+
+
+def _unit(q: NDArray[np.float64], source: str) -> NDArray[np.float64]:
+    norms = np.linalg.norm(q, axis=1)
+    if (bad := np.flatnonzero(np.abs(norms - 1) > _UNIT_TOLERANCE)).size:  # False for NaN: a missing row
+        raise InputError(
+            f"row {bad[0] + 1}: a quaternion of length {norms[bad[0]]:.6g}",
+            where=source,
+            expected=f"unit quaternions (w, x, y, z), to within {_UNIT_TOLERANCE:g}",
+        )
+    return q / norms[:, None]

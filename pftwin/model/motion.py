@@ -1,0 +1,246 @@
+"""Prescribed motion of femur and tibia: C2 interpolation of recorded poses, with exact velocities."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Quaternion, Rotation, Scalar, Vec3
+from pftwin.files.mocap.poses import PoseSeries, check_same_times
+from pftwin.files.mocap.timebase import uniform_times
+
+if TYPE_CHECKING:
+    from pftwin.base.spatial import Pose
+
+_FEWEST_FRAMES = 4
+
+
+class Frame(eqx.Module):
+    """A guided body's frame and its motion at one time, or at a batch of times; all in world axes."""
+
+    origin: Vec3  # [m]
+    rotation: Rotation  # local to world
+    velocity: Vec3  # of the origin [m/s]
+    angular_velocity: Vec3  # [rad/s]
+
+    @staticmethod
+    def world() -> Frame:
+        """The world itself, at rest."""
+        return Frame(Vec3.zero(), Quaternion.identity().rotation(), Vec3.zero(), Vec3.zero())
+
+    def point(self, p: Vec3) -> Vec3:
+        """A point's place in the world from its local coordinates."""
+        return self.origin + self.rotation.apply(p)
+
+    def to_local(self, p: Vec3) -> Vec3:
+        """A point's local coordinates from its place in the world."""
+        return self.rotation.unapply(p - self.origin)
+
+    def direction(self, v: Vec3) -> Vec3:
+        """A direction in world axes from local axes."""
+        return self.rotation.apply(v)
+
+    def local_direction(self, v: Vec3) -> Vec3:
+        """A direction in local axes from world axes."""
+        return self.rotation.unapply(v)
+
+    def velocity_at(self, p: Vec3) -> Vec3:
+        """World velocity of the body-fixed point that is now at the world position p [m/s]."""
+        return self.velocity + self.angular_velocity.cross(p - self.origin)
+
+    def slowed(self, factor: Scalar | float) -> Frame:
+        """The same place, other velocities: 0 stands still."""
+        return Frame(self.origin, self.rotation, factor * self.velocity, factor * self.angular_velocity)
+
+    def relative_velocity(self, velocity: Vec3, at: Vec3) -> Vec3:
+        """A world velocity less that of the body-fixed point at the world position `at` [m/s]."""
+        return velocity - self.velocity_at(at)
+
+
+class SegmentMotion(eqx.Module):
+    """Cubic splines (not-a-knot, C2) through positions and quaternion components.
+
+    With u the quaternions' spline, the orientation is u/|u| and the angular velocity in world axes is exact for the
+    interpolant: omega = 2 Im(du/dt * conj(u)) / |u|^2 (the change of |u| is real and drops out). Before the first and
+    beyond the last knot the end cubics go on; nobody should ask there by more than a rounding error.
+    """
+
+    knots: Float[Array, " n"]  # [s]
+    position_coefficients: Float[Array, "4 n-1 3"]  # highest power of (t - knot) first
+    quaternion_coefficients: Float[Array, "4 n-1 4"]
+
+    @staticmethod
+    def fit(poses: PoseSeries) -> SegmentMotion:
+        """Splines through recorded poses (on the host, in float64; leaves in JAX's default float type).
+
+        Raises:
+            InputError: fewer than four frames.
+        """
+        if poses.times.size < _FEWEST_FRAMES:
+            raise InputError(
+                f"a motion of {poses.times.size} frames is shorter than its interpolation needs",
+                where=poses.source,
+                expected=f"at least {_FEWEST_FRAMES} frames",
+            )
+        from scipy.interpolate import CubicSpline
+
+        return SegmentMotion(
+            jnp.asarray(poses.times, dtype=float),
+            jnp.asarray(CubicSpline(poses.times, poses.positions).c, dtype=float),
+            jnp.asarray(CubicSpline(poses.times, poses.quaternions).c, dtype=float),
+        )
+
+    def at_speed(self, factor: float, start: float) -> SegmentMotion:
+        """The same poses, run through so many times as fast from a time on."""
+        powers = factor ** np.arange(3.0, -1.0, -1.0)[:, None, None]
+        return SegmentMotion(
+            jnp.asarray(start + (np.asarray(self.knots, dtype=float) - start) / factor, dtype=float),
+            jnp.asarray(powers * np.asarray(self.position_coefficients, dtype=float), dtype=float),
+            jnp.asarray(powers * np.asarray(self.quaternion_coefficients, dtype=float), dtype=float),
+        )
+
+    def pieces(self, interval: Scalar) -> Piece:
+        """The cubics between knots `interval` and `interval` + 1 (integers of any shape)."""
+        return Piece(
+            self.knots[interval], self.position_coefficients[:, interval], self.quaternion_coefficients[:, interval]
+        )
+
+    def frames(self, times: ArrayLike) -> Frame:
+        """The frame at times of any shape [s]; its fields have that shape."""
+        t = jnp.asarray(times, self.knots.dtype)
+        # The knots are uniform (`fit` sees to it), so the interval is found without a search.
+        spacing = (self.knots[-1] - self.knots[0]) / (self.knots.shape[0] - 1)
+        interval = jnp.clip(jnp.floor((t - self.knots[0]) / spacing).astype(int), 0, self.knots.shape[0] - 2)
+        return self.pieces(interval).frames(t)
+
+
+class Piece(eqx.Module):
+    """A segment's cubics between two knots, or many such."""
+
+    knot: Scalar  # the first [s]
+    position_coefficients: Array  # (4, ..., 3)
+    quaternion_coefficients: Array  # (4, ..., 4)
+
+    def frames(self, times: Scalar) -> Frame:
+        """The frame at a time for each piece [s]."""
+        s = (times - self.knot)[..., None]
+        p, velocity = _cubic(self.position_coefficients, s)
+        u, change = _cubic(self.quaternion_coefficients, s)
+        quaternion, rate = Quaternion.from_array(u), Quaternion.from_array(change)
+        spin = rate * quaternion.conjugate()
+        twice = 2 / (quaternion * quaternion.conjugate()).w
+        omega = Vec3(twice * spin.x, twice * spin.y, twice * spin.z)
+        rotation = quaternion.normalised().rotation()
+        return Frame(Vec3.from_array(p), rotation, Vec3.from_array(velocity), omega)
+
+
+def _cubic(c: Array, s: Scalar) -> tuple[Scalar, Scalar]:
+    """Value and derivative of c0 s^3 + c1 s^2 + c2 s + c3."""
+    value = ((c[0] * s + c[1]) * s + c[2]) * s + c[3]
+    slope = (3 * c[0] * s + 2 * c[1]) * s + c[2]
+    return value, slope
+
+
+class KneeMotion(eqx.Module):
+    """The guided motion of a knee.
+
+    `femur` is None where the femur does not move: then the world *is* the femur's frame, the tibia moves in it, and no
+    femoral motion is computed. Gravity has to be given in the world's axes, so in the femur's in that case.
+    """
+
+    femur: SegmentMotion | None
+    tibia: SegmentMotion
+    start_time: float = eqx.field(static=True)  # [s]
+    frame_interval: float = eqx.field(static=True)  # between recorded frames [s]
+    n_frames: int = eqx.field(static=True)
+
+    @staticmethod
+    def from_poses(femur: PoseSeries | Pose | None, tibia: PoseSeries) -> KneeMotion:
+        """The motion through recorded poses.
+
+        Args:
+            femur: its recorded poses in the world; or one fixed pose in the world (the tibia is then re-expressed in
+                the femur's frame); or None: `tibia` is given in the femur's frame already.
+            tibia: its recorded poses, at the same times.
+
+        Raises:
+            InputError: fewer than four frames, uneven times (naming the row), femur and tibia at different times.
+        """
+        moving = None
+        if isinstance(femur, PoseSeries):
+            check_same_times(femur, tibia)
+            moving = femur
+        elif femur is not None:
+            tibia = tibia.seen_from(femur)
+        if tibia.times.size < _FEWEST_FRAMES:
+            SegmentMotion.fit(tibia)  # refuses
+        times = uniform_times(tibia.times, where=tibia.source)
+
+        def fit(poses: PoseSeries) -> SegmentMotion:
+            return SegmentMotion.fit(PoseSeries(times, poses.positions, poses.quaternions, source=poses.source))
+
+        # Rounded, so that recordings of one rate share one compiled program.
+        interval = _rounded((times[-1] - times[0]) / (times.size - 1))
+        start = _rounded(times[0])
+        return KneeMotion(None if moving is None else fit(moving), fit(tibia), start, interval, times.size)
+
+    def at_speed(self, factor: float) -> KneeMotion:
+        """The same poses, run through so many times as fast (on the host).
+
+        Raises:
+            InputError: a factor that is not a positive number.
+        """
+        if not (np.isfinite(factor) and factor > 0):
+            raise InputError(f"found {factor!r}", where="speed", expected="a positive number, 1 as it was recorded")
+        femur, tibia = (
+            None if body is None else body.at_speed(factor, self.start_time) for body in (self.femur, self.tibia)
+        )
+        assert tibia is not None
+        return KneeMotion(femur, tibia, self.start_time, _rounded(self.frame_interval / factor), self.n_frames)
+
+    @property
+    def end_time(self) -> float:
+        """Time of the last recorded frame [s]."""
+        return self.start_time + self.frame_interval * (self.n_frames - 1)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times of the recorded frames (n,) [s], float64 on the host."""
+        return self.start_time + self.frame_interval * np.arange(self.n_frames)
+
+    def frame_times(self) -> Array:
+        """`times` for a program, in its float type: start and interval may be traced."""
+        return self.start_time + self.frame_interval * jnp.arange(self.n_frames).astype(float)
+
+    def frames(self, times: ArrayLike) -> tuple[Frame | None, Frame]:
+        """Frames of femur (None if it is the world) and tibia at times of any shape [s]."""
+        return None if self.femur is None else self.femur.frames(times), self.tibia.frames(times)
+
+    def between_frames(self, index: Scalar) -> MotionPiece:
+        """The motion between recorded frames `index` and `index` + 1: for a loop over steps to look things up in."""
+        return MotionPiece(None if self.femur is None else self.femur.pieces(index), self.tibia.pieces(index))
+
+
+class MotionPiece(eqx.Module):
+    """The guided motion of a knee between two recorded frames."""
+
+    femur: Piece | None
+    tibia: Piece
+
+    def frames(self, time: Scalar) -> tuple[Frame | None, Frame]:
+        """Frames of femur (None if it is the world) and tibia."""
+        return None if self.femur is None else self.femur.frames(time), self.tibia.frames(time)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.12g}")
+
+
+def fixed_femur_motion(femur: Pose, tibia: PoseSeries) -> KneeMotion:
+    """The motion of a tibia recorded in the world, seen from a femur fixed in the world at `femur`."""
+    return KneeMotion.from_poses(femur, tibia)

@@ -1,0 +1,50 @@
+"""Recorded poses of femur and tibia as numpy arrays: for results, whose numbers are on the host."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.spatial import Quaternion
+from pftwin.model.motion import KneeMotion, SegmentMotion
+
+Floats = NDArray[np.float64]
+
+
+def tibia_orientation(motion: KneeMotion) -> Quaternion:
+    """Of the tibia in the femur at the recorded frames, (n,) each."""
+    q = _orientation(motion.tibia, motion.times)
+    return q if motion.femur is None else _orientation(motion.femur, motion.times).conjugate() * q
+
+
+def tibia_position(motion: KneeMotion) -> Floats:
+    """Origin of the tibia's frame in the femur's at the recorded frames, (n, 3) [m]."""
+    origin = _spline(motion.tibia, motion.tibia.position_coefficients, motion.times)
+    return seen_from_femur(motion, origin[:, None])[:, 0]
+
+
+def seen_from_femur(motion: KneeMotion, points: Floats) -> Floats:
+    """Points of the world (k, 3), or (n, k, 3) at the recorded frames, in the femur's frame [m].
+
+    They come back as (n, k, 3) where the femur moves, and as they are where it is the world.
+    """
+    if motion.femur is None:
+        return points
+    turn = _orientation(motion.femur, motion.times).rotation()
+    axes = np.stack([np.stack([a.x, a.y, a.z], axis=1) for a in (turn.ex, turn.ey, turn.ez)], axis=2)
+    origin = _spline(motion.femur, motion.femur.position_coefficients, motion.times)
+    return np.einsum("nij,nki->nkj", axes, points - origin[:, None])
+
+
+def _orientation(motion: SegmentMotion, times: Floats) -> Quaternion:
+    """The spline's quaternions at times (n,) [s], as `SegmentMotion.frames` has them, in double precision."""
+    q = _spline(motion, motion.quaternion_coefficients, times)
+    return Quaternion(*(q / np.sqrt(np.einsum("ij,ij->i", q, q))[:, None]).T)
+
+
+def _spline(motion: SegmentMotion, coefficients: object, times: Floats) -> Floats:
+    """A segment's cubics at times (n,): (n, 3) or (n, 4)."""
+    knots, c = (np.asarray(a, dtype=np.float64) for a in (motion.knots, coefficients))
+    interval = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, knots.size - 2)
+    s, c = (times - knots[interval])[:, None], c[:, interval]
+    return ((c[0] * s + c[1]) * s + c[2]) * s + c[3]

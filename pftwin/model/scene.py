@@ -1,0 +1,158 @@
+"""A scene: what is there. The patella as a rigid body, the guided motion, and the effects that act."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from pftwin.base.errors import InputError
+from pftwin.base.quantities import bounded_leaves, declarations, quantity
+from pftwin.base.spatial import Pose, Scalar, Vec3
+from pftwin.dynamics.state import System
+from pftwin.geometry.patch.closest import Surface
+from pftwin.model.effects.base import Effect
+from pftwin.model.motion import KneeMotion
+from pftwin.model.scene_parameters import get_value, with_value
+
+if TYPE_CHECKING:
+    from pftwin.model.effects.contact import Contact
+    from pftwin.model.measured import Measured
+
+E = TypeVar("E", bound=Effect)
+
+
+class PatellaBody(eqx.Module):
+    """The patella as a rigid body. Points of the patella are given in the patella's frame."""
+
+    mass: Scalar = eqx.field(metadata=quantity("kg", positive=True))
+    inertia: Vec3 = eqx.field(metadata=quantity("kg m^2", positive=True))  # principal, about the centre of mass
+    center_of_mass: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+
+
+class Scene(eqx.Module):
+    """Everything a simulation needs. Parameters are leaves (vmap, jvp and grad reach every one of them); which effects
+    there are, and how many contacts, strands and frames, is structure.
+    """
+
+    patella: PatellaBody
+    effects: tuple[Effect, ...]
+    motion: KneeMotion
+    start: Pose  # of the patella frame in the world at the first frame: where the search for equilibrium begins
+    name: str = eqx.field(static=True, default="scene")
+    synthetic: bool = eqx.field(static=True, default=False)  # whether its motion was made up: all that shows it says so
+    # What was measured of this motion; None where nothing was. A treated knee's is another motion: treatments drop it.
+    measured: Measured | None = eqx.field(static=True, default=None)
+
+    def effect(self, name: str) -> Effect:
+        """The effect of that name.
+
+        Raises:
+            InputError: no such effect.
+        """
+        for effect in self.effects:
+            if effect.name == name:
+                return effect
+        known = ", ".join(e.name for e in self.effects) or "none"
+        raise InputError(f"no effect {name!r} in scene {self.name!r}", expected=f"one of: {known}")
+
+    def index(self, name: str) -> int:
+        """The place of an effect in `effects`."""
+        return self.effects.index(self.effect(name))
+
+    def with_effect(self, effect: Effect) -> Scene:
+        """The scene with this effect in the place of the one of the same name, or added at the end."""
+        names = [e.name for e in self.effects]
+        effects = list(self.effects)
+        if effect.name in names:
+            effects[names.index(effect.name)] = effect
+        else:
+            effects.append(effect)
+        return dataclasses.replace(self, effects=tuple(effects))
+
+    def without(self, name: str) -> Scene:
+        """The scene less one effect."""
+        gone = self.effect(name)
+        return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not gone))
+
+    def unnamed(self) -> Scene:
+        """The scene without what is no part of a program: scenes of one structure share what is compiled."""
+        return dataclasses.replace(self, name="", synthetic=False, measured=None)
+
+    @property
+    def contact(self) -> Contact | None:
+        """The contact between button and femur that results follow, whatever its geometry; None where there is none."""
+        return next((role for e in self.effects if (role := e.contact_role()) is not None), None)
+
+    @property
+    def surface(self) -> Surface | None:
+        """The surface of the contact, or its smooth stand-in; None where there is none."""
+        return None if self.contact is None else self.contact.groove_surface()
+
+    def tracked_point(self) -> Vec3:
+        """The point of the patella whose path results show: the button's centre, else the patella's origin."""
+        return Vec3.zero() if self.contact is None else self.contact.followed()
+
+    def get(self, name: str) -> Any:
+        """A number, an array or a vector of the scene by its name: "K1", "quadriceps.stiffness", "patella.mass".
+
+        Raises:
+            InputError: no such number, with the nearest name that there is.
+        """
+        return get_value(self, name)
+
+    def set(self, name: str, value: Any) -> Scene:
+        """The scene with another value under a name, in SI units. Pure: jit, vmap and derivatives apply.
+
+        Raises:
+            InputError: no such number; a value of another shape.
+        """
+        return with_value(self, name, value)
+
+    def system(self) -> System:
+        """The equations' view of the scene: points counted from the centre of mass."""
+        about = tuple(e.about(self.patella.center_of_mass) for e in self.effects)
+        return System(self.patella.mass, self.patella.inertia, about)
+
+    def center_of_mass_pose(self) -> Pose:
+        """The start pose of the centre of mass."""
+        return Pose(self.start.apply(self.patella.center_of_mass), self.start.orientation)
+
+
+def check(scene: Scene) -> None:
+    """Refuses a scene whose parameters cannot give a right answer; on the host, before anything is traced.
+
+    Raises:
+        InputError: a parameter that is not finite, or not positive where it must be, by its path in the scene; two
+            effects of one name.
+    """
+    names = [e.name for e in scene.effects]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
+    leaves, structure = jax.tree.flatten(scene)
+    values = [np.ones(0) if isinstance(a, Tracer) else np.asarray(a, dtype=float).ravel() for a in leaves]
+    # All at once, for this is done before every run; what is wrong is looked for where something is.
+    fine = bool(np.isfinite(np.concatenate([*values, np.ones(1)])).all())
+    for declared, which in bounded_leaves(structure):
+        fine = fine and declared.offender(np.concatenate([values[i] for i in which])) is None
+    if not fine:
+        _refuse(scene)
+
+
+def _refuse(scene: Scene) -> None:
+    """Names the first parameter that is wrong."""
+    for path, leaf, declared in declarations(scene):
+        if isinstance(leaf, Tracer):
+            continue
+        values = np.asarray(leaf, dtype=float)
+        parts = [scene.effects[int(path[1])].name, *path[2:]] if path[0] == "effects" else path
+        where = f"{scene.name}: {'.'.join(parts)}"
+        if not np.all(np.isfinite(values)):
+            raise InputError("not a finite number", where=where)
+        if declared is not None and (worst := declared.offender(values)) is not None:
+            raise InputError(f"found {worst:g}", where=where, expected=declared.expected)

@@ -1,0 +1,1 @@
+"""What a simulation gives back, and what is computed and drawn from it."""

@@ -1,0 +1,101 @@
+"""Whether a button is a sphere where it was loaded: the angle of each contact from the apex of the fitted cap."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError, PftwinWarning
+
+if TYPE_CHECKING:
+    from pftwin.geometry.patch.sphere import SphereFit
+    from pftwin.results.result import Result
+
+_FACETS = ("medial", "lateral")
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CapUse:
+    """Where on the button each facet pressed, frame by frame; columns medial, lateral."""
+
+    angle: Floats  # (n, 2) between the cap's axis and the contact point, seen from the centre [rad]; NaN: no load
+    force: Floats  # (n, 2) normal force [N]
+    half_angle: float  # of the cap on which the button is a sphere [rad]
+
+    @property
+    def beyond(self) -> NDArray[np.bool_]:
+        """(n, 2): a loaded contact beyond the cap."""
+        return self.angle > self.half_angle
+
+    @property
+    def frames(self) -> int:
+        """In how many frames any contact lay beyond the cap."""
+        return int(self.beyond.any(axis=1).sum())
+
+    @property
+    def load_share(self) -> float:
+        """Share of the whole normal force, over all frames, that was carried beyond the cap."""
+        total = float(self.force.sum())
+        return float(self.force[self.beyond].sum()) / total if total > 0 else 0.0
+
+    def describe(self) -> str:
+        """The finding in one sentence."""
+        limit = np.degrees(self.half_angle)
+        if not np.isfinite(self.angle).any():
+            return "the button touched nothing"
+        worst = np.degrees(np.nanmax(self.angle))
+        if not self.frames:
+            return f"every contact lay on the cap, at most {worst:.0f} deg of {limit:.0f} deg from its apex"
+        return (
+            f"contact left the button's spherical cap ({limit:.0f} deg about its apex) in {self.frames} of "
+            f"{len(self.angle)} frames, by up to {worst - limit:.0f} deg; {100 * self.load_share:.0f} % of the load "
+            "was carried there"
+        )
+
+
+def cap_use(result: Result, cap: SphereFit) -> CapUse:
+    """Where on the button the contacts of a simulation lay.
+
+    Args:
+        result: of a scene with a sphere contact.
+        cap: the sphere that was fitted to the button, in the patella's frame.
+
+    Raises:
+        InputError: a scene without sphere contact; an axis that is no unit vector.
+    """
+    if result.contact is None:
+        raise InputError("no sphere contact", where=result.scene_name, remedy="add a SphereContact to the scene")
+    axis = np.asarray(cap.axis, dtype=np.float64)
+    if axis.shape != (3,) or not abs(np.linalg.norm(axis) - 1) < 1e-6:
+        raise InputError(f"{axis} is no unit vector", where="cap.axis", expected="a direction in the patella's frame")
+    from scipy.spatial.transform import Rotation
+
+    report = result.effects[result.contact]
+    apex = Rotation.from_quat(result.quaternion, scalar_first=True).apply(axis)
+    angles, forces = [], []
+    for facet in _FACETS:
+        force = report[f"force_{facet}"]
+        arm = report[f"point_{facet}"] - result.center  # NaN where nothing touches
+        cosine = np.einsum("ij,ij->i", arm, apex) / np.linalg.norm(arm, axis=1)
+        angles.append(np.where(force > 0, np.arccos(np.clip(cosine, -1, 1)), np.nan))
+        forces.append(np.where(force > 0, force, 0.0))
+    return CapUse(np.stack(angles, axis=1), np.stack(forces, axis=1), cap.cap_half_angle)
+
+
+def check_cap(result: Result, cap: SphereFit) -> CapUse:
+    """`cap_use`, with a PftwinWarning where a loaded contact lies beyond the cap: the true button is another there."""
+    use = cap_use(result, cap)
+    if use.frames:
+        warnings.warn(
+            f"{result.scene_name}: {use.describe()}, where the true button is no sphere of radius "
+            f"{1e3 * cap.radius:.2f} mm. Try: a sphere fitted to the part of the button that bears load, "
+            "or judge by the load carried there whether the answer is good enough.",
+            PftwinWarning,
+            stacklevel=2,
+        )
+    return use

@@ -1,0 +1,236 @@
+"""How far a simulation is from measurements: the rows of Table 1 in Michaud et al. 2024."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.results.tracking import DISLOCATED
+
+if TYPE_CHECKING:
+    from pftwin.results.result import Result
+
+_SAME_TIME = 0.1  # share of a frame's interval: the rounding of printed times
+
+
+class Row(NamedTuple):
+    """A row of the table."""
+
+    key: str  # the field of `Validation`
+    label: str
+    unit: str
+    value: float | None
+    paper: float | None
+
+
+_ROWS = (
+    ("contact_force", "contact force RMSE", "N"),
+    ("tibial_spring", "tibial spring RMSE", "N"),
+    ("femoral_spring", "femoral spring RMSE", "N"),
+    ("internal_rotation", "internal rotation RMSE", "deg"),
+    ("flexion", "flexion RMSE", "deg"),
+    ("tilt", "tilt RMSE", "deg"),
+    ("x", "X RMSE", "mm"),
+    ("y", "Y RMSE", "mm"),
+    ("z", "Z RMSE", "mm"),
+    ("mean_distance", "mean distance", "mm"),
+    ("initial_configuration", "initial configuration", "s"),
+    ("real_time_factor", "faster than real time", "x"),
+)
+
+
+def _paper(*columns: tuple[str, tuple[float, ...]]) -> dict[str, dict[str, float]]:
+    return {name: dict(zip((key for key, _, _ in _ROWS), values, strict=True)) for name, values in columns}
+
+
+# Michaud et al. 2024, Table 1: means over the four cases, by contact model and the fields of `Validation`.
+PAPER_TABLE_1 = _paper(
+    ("CM", (4.90, 1.52, 1.96, 3.72, 2.47, 11.38, 2.36, 2.16, 2.20, 2.98, 2.37, 0.19)),
+    ("FM", (3.44, 1.39, 2.01, 0.65, 1.49, 4.85, 2.02, 2.10, 2.10, 2.78, 33.29, 0.07)),
+    ("P2", (4.06, 3.45, 2.27, 0.45, 1.82, 4.46, 4.53, 3.67, 5.81, 7.25, 0.51, 6.00)),
+    ("P4", (3.38, 1.30, 1.96, 0.74, 1.66, 6.60, 2.71, 1.88, 2.70, 2.99, 0.63, 4.97)),
+    ("P5", (3.33, 0.89, 2.15, 0.59, 1.38, 4.45, 1.44, 1.36, 1.70, 2.30, 0.72, 4.55)),
+)
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Root mean square errors of forces [N], angles [deg] and positions [mm]; distance [mm]; times. None: not measured.
+
+    A simulation with frames that are not finite has errors that are NaN.
+    """
+
+    contact_force: float | None
+    tibial_spring: float | None
+    femoral_spring: float | None
+    internal_rotation: float | None
+    flexion: float | None
+    tilt: float | None
+    x: float
+    y: float
+    z: float
+    mean_distance: float  # mean distance of the sphere's centre from the measured one
+    initial_configuration: float | None  # time to find the starting equilibrium [s]
+    real_time_factor: float | None  # times faster than real time, without the starting equilibrium
+    frames: int
+    frames_compared: int  # with a measured position
+    scene: str = ""
+    synthetic: bool = False  # whether the measurements are
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+    def to_rows(self, paper: str | None = None) -> list[Row]:
+        """The table, beside the paper's column ("CM", "FM", "P2", "P4", "P5") where one is named.
+
+        Raises:
+            InputError: no such column.
+        """
+        if paper is not None and paper not in PAPER_TABLE_1:
+            raise InputError(
+                f"no column {paper!r} in the paper's Table 1", expected=f"one of: {', '.join(PAPER_TABLE_1)}"
+            )
+        column = PAPER_TABLE_1[paper] if paper else {}
+        return [Row(key, label, unit, getattr(self, key), column.get(key)) for key, label, unit in _ROWS]
+
+
+def validate(
+    result: Result,
+    measured: Measured,
+    *,
+    tibial: str | None = "patellar_tendon",
+    femoral: str | None = "quadriceps",
+) -> Validation:
+    """Compares a simulation with measurements of the same motion, frame by frame.
+
+    Args:
+        result: of the simulation.
+        measured: at the same frames.
+        tibial: the effect whose tension is the measured tibial spring force; None leaves the row out.
+        femoral: likewise of the femoral spring.
+
+    Raises:
+        InputError: other times than the simulation's (number, rate or start); no frame with a measured position; a
+            force was measured of an effect that the scene does not have.
+    """
+    _check_times(result, measured)
+    offsets = 1e3 * (result.center - measured.center)
+    present = np.asarray(np.isfinite(measured.center).all(axis=1))
+    if not present.any():
+        raise InputError("no frame has a measured position", where=measured.source, expected="at least one")
+    turns = dict.fromkeys(("flexion", "rotation", "tilt"))
+    if measured.angles is not None:
+        turns = {
+            name: _rms(np.degrees(_wrapped(getattr(result.angles, name) - getattr(measured.angles, name))), known)
+            for name in turns
+            for known in [np.isfinite(getattr(measured.angles, name))]
+        }
+    return Validation(
+        contact_force=_force_error(result, result.contact, "force", measured.contact_force, measured),
+        tibial_spring=_force_error(result, tibial, "tension", measured.tibial_spring_force, measured),
+        femoral_spring=_force_error(result, femoral, "tension", measured.femoral_spring_force, measured),
+        internal_rotation=turns["rotation"],
+        flexion=turns["flexion"],
+        tilt=turns["tilt"],
+        **{axis: _rms_of_present(offsets[:, i], present) for i, axis in enumerate("xyz")},
+        mean_distance=float(np.mean(np.linalg.norm(offsets[present], axis=1))),
+        initial_configuration=result.timing.get("equilibrium_s"),
+        real_time_factor=result.real_time_factor if "run_s" in result.timing else None,
+        frames=result.times.size,
+        frames_compared=int(np.count_nonzero(present)),
+        scene=result.scene_name,
+        synthetic=measured.synthetic,
+    )
+
+
+def mean_of(validations: Sequence[Validation]) -> Validation:
+    """Means over several cases, as in the paper's table; None in a row that a case lacks.
+
+    Raises:
+        InputError: no cases.
+    """
+    if not validations:
+        raise InputError("no validations to take the mean of", where="validations", expected="at least one")
+    means: dict[str, Any] = {}
+    for key, _, _ in _ROWS:
+        values = [getattr(v, key) for v in validations]
+        means[key] = None if any(v is None for v in values) else float(np.mean(values))
+    return Validation(
+        **means,
+        frames=sum(v.frames for v in validations),
+        frames_compared=sum(v.frames_compared for v in validations),
+        scene=f"mean of {len(validations)}",
+        synthetic=any(v.synthetic for v in validations),
+    )
+
+
+def dislocated(result: Result, threshold: float = DISLOCATED) -> NDArray[np.bool_]:
+    """Whether the button has left its groove, per frame (n,): see `pftwin.results.tracking`.
+
+    Raises:
+        InputError: a scene without a contact surface; a threshold that is not positive.
+    """
+    outcome = result.dislocations(threshold)
+    if outcome is None:
+        raise InputError("no contact surface, so no groove to leave", where=result.scene_name)
+    return outcome.dislocated
+
+
+def _check_times(result: Result, measured: Measured) -> None:
+    ours, theirs = result.times, measured.times
+    where = measured.source
+    if theirs.size != ours.size:
+        rates = [(t.size - 1) / (t[-1] - t[0]) if t.size > 1 else 0.0 for t in (theirs, ours)]
+        raise InputError(
+            f"{theirs.size} frames at {rates[0]:.4g} Hz",
+            where=where,
+            expected=f"the simulation's {ours.size} frames at {rates[1]:.4g} Hz",
+            remedy="the measurements of the motion that was simulated, resampled at its frames",
+        )
+    off = np.abs(theirs - ours)
+    tolerance = _SAME_TIME * (ours[-1] - ours[0]) / (ours.size - 1)
+    if (bad := np.flatnonzero(off > tolerance)).size:
+        i = int(bad[0])
+        raise InputError(
+            f"frame {i + 1} was measured at {theirs[i]:.6g} s",
+            where=where,
+            expected=f"{ours[i]:.6g} s as in the simulation, to within {1e3 * tolerance:.3g} ms",
+            remedy="measurements with the simulated motion's clock and rate",
+        )
+
+
+def _force_error(
+    result: Result, effect: str | None, observable: str, force: NDArray[np.float64] | None, measured: Measured
+) -> float | None:
+    if force is None or (effect is None and observable != "force"):
+        return None
+    if effect is None or observable not in result.effects.get(effect, {}):
+        wanted = "a contact" if effect is None else f"an effect {effect!r} with a {observable}"
+        raise InputError(
+            f"{measured.source} has a force of {wanted}, which this scene lacks",
+            where=result.scene_name,
+            expected=f"one of: {', '.join(result.effects)}",
+            remedy="name the effect (tibial=..., femoral=...), or leave the force out",
+        )
+    ours = result.effects[effect][observable].reshape(result.times.size, -1).sum(axis=1)
+    return _rms(ours - force, np.isfinite(force))
+
+
+def _rms(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float | None:
+    """Over the frames that were measured; None if there are none."""
+    return _rms_of_present(error, present) if present.any() else None
+
+
+def _rms_of_present(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float:
+    return float(np.sqrt(np.mean(np.square(error[present]))))
+
+
+def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return (angle + np.pi) % (2 * np.pi) - np.pi

@@ -1,0 +1,111 @@
+"""Measured against simulated: a panel for everything that was measured, with the root mean square error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.results.metrics import Validation, validate
+from pftwin.results.plots.panels import figure_of, given_axes, panels_in_rows
+from pftwin.results.plots.quantities import FEMORAL, QUANTITIES, TIBIAL, Quantity, provenance, tension
+from pftwin.results.plots.style import MEASURED, SMALL, house_style, legend_above, legend_below, line
+from pftwin.results.plots.style import title as name_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from pftwin.model.measured import Measured
+    from pftwin.results.result import Result
+
+_SHOWN = ("x", "y", "z", "flexion", "rotation", "tilt", "contact_force", "tibial_spring", "femoral_spring")
+_AXES = {"time": "time [s]", "flexion": "knee flexion [deg]"}
+
+
+def compared(
+    results: Result | Mapping[str, Result],
+    measured: Measured | None,
+    *,
+    against: Literal["time", "flexion"] = "time",
+    tibial: str | None = TIBIAL,
+    femoral: str | None = FEMORAL,
+    title: str | None = None,
+    axes: Any = None,
+) -> Figure:
+    """A panel for each quantity that was measured, wide grey; each result's line names its RMSE, `validate`'s.
+
+    Args:
+        results: one, or several by their names in the legend.
+        measured: of the motion that was simulated; labelled synthetic where they are.
+        against: time, or the knee's flexion.
+        tibial: the effect whose tension is the measured tibial spring force; None leaves it out.
+        femoral: likewise of the femoral spring.
+        title: in the place of the scenes' names. That a motion is synthetic is said in any case.
+        axes: as many as there are panels, to draw into; by default a new figure, three panels wide.
+
+    Raises:
+        InputError: nothing measured, or what `pftwin.validate` has against the measurements.
+    """
+    named = dict(results) if isinstance(results, Mapping) else {"simulated": results}
+    if not named:
+        raise InputError("nothing to draw", where="results", expected="at least one result")
+    if measured is None:
+        raise InputError(
+            "there are no measurements to compare with",
+            where="measured",
+            expected="a pftwin.Measured",
+            remedy="pftwin.rig.measured(2) for the rig's case 2, or load_scene_file(...).measured for a scene file's",
+        )
+    if against not in _AXES:
+        raise InputError(f"found {against!r}", where="against", expected=f"one of: {', '.join(_AXES)}")
+    errors = {name: validate(r, measured, tibial=tibial, femoral=femoral) for name, r in named.items()}
+    panels = _panels(measured, list(errors.values()), tibial, femoral)
+    own = given_axes(axes, len(panels), f"one for each of {', '.join(q.words for q in panels)}")
+    with house_style():
+        if own is None:
+            figure, own = panels_in_rows(len(panels), 3, height=1.85 + 0.14 * len(named))
+            names = dict.fromkeys(r.scene_name for r in named.values())
+            name_figure(figure, title or "; ".join(names), provenance(*named.values()))
+        for ax, quantity in zip(own, panels, strict=True):
+            _panel(ax, quantity, named, measured, errors, against)
+        if axes is None:
+            legend_below(figure, own[0].get_lines(), [measured.label, *named], most=6)
+    return figure_of(own[0])
+
+
+def _panels(measured: Measured, errors: list[Validation], tibial: str | None, femoral: str | None) -> list[Quantity]:
+    """What was measured and is simulated, so that it has an error."""
+    springs = {"tibial_spring": tibial, "femoral_spring": femoral}
+    found = []
+    for name in _SHOWN:
+        quantity = QUANTITIES[name]
+        effect = springs.get(name)
+        if effect is not None:
+            quantity = tension(effect, effect.replace("_", " "), f"{name}_force", name)
+        if quantity.measured(measured) is not None and any(_error(e, quantity) is not None for e in errors):
+            found.append(quantity)
+    return found
+
+
+def _error(errors: Validation, quantity: Quantity) -> float | None:
+    return getattr(errors, quantity.error)
+
+
+def _panel(
+    ax: Any, quantity: Quantity, named: Mapping[str, Result], measured: Measured, errors: Mapping[str, Validation],
+    against: str,
+) -> None:  # fmt: skip
+    first = next(iter(named.values()))
+    across = first.times if against == "time" else np.degrees(np.asarray(first.knee.flexion))
+    ax.plot(across, quantity.measured(measured), **MEASURED)
+    for i, (name, result) in enumerate(named.items()):
+        values, error = quantity.simulated(result), _error(errors[name], quantity)
+        if values is None or error is None:
+            continue
+        # Whose it is says the legend of all panels: names here would be wider than a panel.
+        ax.plot(across, values, label=f"RMSE {error:.3g} {quantity.unit}", zorder=2, **line(i))
+    ax.set(xlabel=_AXES[against], ylabel=quantity.label)
+    ax.yaxis.label.set_fontsize(SMALL)
+    legend_above(ax)

@@ -1,0 +1,105 @@
+"""What figures draw of a result and of measurements: names, units, signs, and where the values are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.base.labels import SYNTHETIC
+
+if TYPE_CHECKING:
+    from pftwin.model.measured import Measured
+    from pftwin.results.result import Result
+
+Floats = NDArray[np.float64]
+TIBIAL, FEMORAL = "patellar_tendon", "quadriceps"  # effects whose tensions the springs' forces are, on the rig
+
+
+_READ = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
+
+
+def as_read(unit: str) -> tuple[float, str]:
+    """What a number of a unit is multiplied by for people, and the unit then: millimetres and degrees."""
+    return _READ.get(unit, (1.0, unit))
+
+
+class Quantity(NamedTuple):
+    """A course over the frames, in the unit in which people read it."""
+
+    words: str  # with the sense of its sign
+    unit: str
+    simulated: Callable[[Result], Floats | None]  # (n,); None where the scene has no such thing
+    measured: Callable[[Measured], Floats | None]  # (n,); None where it was not measured
+    error: str  # the field of `pftwin.results.metrics.Validation` that is its RMSE
+
+    @property
+    def label(self) -> str:
+        """Of an axis."""
+        return f"{self.words} [{self.unit}]"
+
+
+def _angle(name: str, words: str) -> Quantity:
+    def of(source: Any) -> Floats | None:
+        return None if source.angles is None else np.degrees(getattr(source.angles, name))
+
+    return Quantity(words, "deg", of, of, "internal_rotation" if name == "rotation" else name)
+
+
+def _place(axis: int, words: str) -> Quantity:
+    def of(source: Any) -> Floats:
+        return 1e3 * source.center[:, axis]
+
+    return Quantity(words, "mm", of, of, "xyz"[axis])
+
+
+def contact_force(result: Result) -> Floats | None:
+    """Total normal force of the tracked contact (n,) [N]; None without contact."""
+    return None if result.contact is None else _summed(result, result.contact, "force")
+
+
+def tension(effect: str, words: str, attribute: str, error: str) -> Quantity:
+    """The tension of a tendon or a group of strands, beside a measured spring force."""
+    return Quantity(words, "N", lambda r: _summed(r, effect, "tension"), lambda m: getattr(m, attribute), error)
+
+
+def _summed(result: Result, effect: str, observable: str) -> Floats | None:
+    """Over the elements of a group, as `pftwin.results.metrics` does."""
+    values = result.effects.get(effect, {}).get(observable)
+    return None if values is None else np.asarray(values, dtype=np.float64).reshape(result.times.size, -1).sum(axis=1)
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "tilt": _angle("tilt", "tilt, lateral positive"),
+    "shift": _place(1, "shift, lateral positive"),
+    "rotation": _angle("rotation", "rotation, internal positive"),
+    "flexion": _angle("flexion", "patellar flexion"),
+    "contact_force": Quantity("contact force", "N", contact_force, lambda m: m.contact_force, "contact_force"),
+    "x": _place(0, "centre x, proximal"),
+    "y": _place(1, "centre y, lateral"),
+    "z": _place(2, "centre z, anterior"),
+    "tibial_spring": tension(TIBIAL, "patellar tendon", "tibial_spring_force", "tibial_spring"),
+    "femoral_spring": tension(FEMORAL, "quadriceps", "femoral_spring_force", "femoral_spring"),
+}
+
+
+def quantities(names: tuple[str, ...] | list[str]) -> dict[str, Quantity]:
+    """Some of them, by name.
+
+    Raises:
+        InputError: none, or an unknown one.
+    """
+    if not names:
+        raise InputError("nothing to draw", where="quantities", expected="at least one name")
+    for name in names:
+        if name not in QUANTITIES:
+            raise InputError(f"no quantity {name!r}", where="quantities", expected=f"of: {', '.join(QUANTITIES)}")
+    return {name: QUANTITIES[name] for name in names}
+
+
+def provenance(*results: Result) -> str | None:
+    """What has to be said of synthetic motion; None where there is nothing to say."""
+    return SYNTHETIC if any(r.scene.synthetic for r in results) else None

@@ -1,0 +1,342 @@
+"""What a simulation gives back: numpy arrays on the host, and how far to trust them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
+from pftwin.base.spatial import Quaternion, Vec3
+from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.equilibrium_report import EquilibriumReport, on_host
+from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.observe import Observation
+from pftwin.dynamics.status import Status
+from pftwin.model.effects.base import Observable
+from pftwin.model.motion import KneeMotion
+from pftwin.model.motion_on_host import tibia_orientation, tibia_position
+from pftwin.model.scene import Scene
+from pftwin.results import tracking
+
+if TYPE_CHECKING:
+    from k3d.plot import Plot
+    from xarray import Dataset
+
+    from pftwin.geometry.patch.closest import Surface
+    from pftwin.results.plots import ResultPlots
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Energies:
+    """The energy budget over the frames, (n,) each [J]. Work and heat are None where no account was kept."""
+
+    kinetic: Floats
+    stored: dict[str, Floats]  # by effect
+    work: Floats | None  # put in by guided bodies and known pulls since the start
+    heat: Floats | None  # taken out by damping since the start
+
+    @property
+    def total(self) -> Floats:
+        """Kinetic and stored."""
+        return self.kinetic + sum(self.stored.values(), start=np.zeros_like(self.kinetic))
+
+    @property
+    def budget_error(self) -> Floats | None:
+        """What no effect accounts for: lost by the integrator's steps where negative."""
+        if self.work is None or self.heat is None:
+            return None
+        return self.total - self.total[0] - self.work + self.heat
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """The patella's motion and forces at the recorded frames. All arrays have the frames' axis, n, in front."""
+
+    scene_name: str
+    times: Floats  # (n,) [s]
+    center: Floats  # (n, 3) the button's sphere centre in the femur frame [m]
+    position: Floats  # (n, 3) the patella's origin in the femur frame [m]
+    quaternion: Floats  # (n, 4) patella to femur, scalar first, continuous in sign
+    motion: KneeMotion  # of femur and tibia, as it was prescribed
+    effects: dict[str, dict[str, NDArray[Any]]]  # by effect and observable
+    observables: dict[str, dict[str, Observable]]  # their units and long names
+    groups: dict[str, int]  # number of elements of the effects that are groups of like ones
+    energies: Energies
+    flags: NDArray[np.int32]  # (n,) bits of `Status`
+    equilibrium: EquilibriumReport
+    contact: str | None  # name of the contact whose button is tracked
+    surface: Surface | None  # its surface
+    settings: dict[str, Any]
+    timing: dict[str, float]  # [s]
+    dtype: str  # of the simulation
+    scene: Scene = field(repr=False)  # what was simulated; what a file keeps of it: `pftwin.results.scene_geometry`
+    constraint_drift: float | None = None  # largest, where the integrator has constraints to keep [m]
+
+    @classmethod
+    def build(
+        cls,
+        scene: Scene,
+        start: Solution,
+        seen: Observation,
+        ledger: Ledger | None,
+        *,
+        relaxed: bool,
+        settings: dict[str, Any],
+        timing: dict[str, float],
+    ) -> Result:
+        """From what the compiled program returned for one scene.
+
+        Args:
+            scene: what was simulated.
+            start: the equilibrium it started from.
+            seen: its observation.
+            ledger: work and heat at the frames, where an account was kept.
+            relaxed: whether damped relaxation helped to find the starting equilibrium.
+            settings: integrator, "dt_s", "substeps".
+            timing: "equilibrium_s", "run_s", "compile_s".
+        """
+        seen, ledger, start = on_host((seen, ledger, start))
+        first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
+        contact = scene.contact
+        work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
+        stored = {name: _double(energy) for name, energy in seen.potential_energy.items()}
+        return cls(
+            scene_name=scene.name,
+            times=scene.motion.times,
+            center=_rows(seen.center),
+            position=_rows(seen.patella.position),
+            quaternion=_continuous(_rows(seen.patella.orientation)),
+            motion=scene.motion,
+            effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
+            observables={e.name: dict(type(e).observables) for e in scene.effects},
+            groups=_groups(scene),
+            energies=Energies(_double(seen.kinetic_energy), stored, work, heat),
+            flags=np.asarray(seen.status, dtype=np.int32),
+            equilibrium=EquilibriumReport.build(scene, start, relaxed, there=first),
+            contact=None if contact is None else contact.name,
+            surface=scene.surface,
+            settings=dict(settings),
+            timing=dict(timing),
+            dtype=str(seen.center.x.dtype),
+            scene=scene,
+            constraint_drift=None if seen.drift is None else float(np.max(seen.drift)),
+        )
+
+    @cached_property
+    def angles(self) -> PatellarAngles:
+        """Flexion, rotation (internal positive) and tilt (lateral positive) of the patella in the femur, (n,) [rad]."""
+        return patellar_angles(Quaternion(*self.quaternion.T))
+
+    @cached_property
+    def knee(self) -> TibiofemoralAngles:
+        """Angles of the tibia in the femur at the recorded frames, (n,) each [rad]."""
+        return _knee_angles(self.motion)
+
+    @cached_property
+    def tibia(self) -> tuple[Floats, Floats]:
+        """The tibia's frame in the femur's: position (n, 3) [m] and quaternion (n, 4), continuous in sign."""
+        return tibia_position(self.motion), _continuous(_rows(tibia_orientation(self.motion)))
+
+    @property
+    def shift(self) -> Floats:
+        """Medial-lateral place of the button's centre in the femur frame, lateral positive, (n,) [m]."""
+        return self.center[:, 1]
+
+    @property
+    def contact_force(self) -> Floats:
+        """On the patella, femur axes (n, 3) [N]; zero in a scene without a contact."""
+        return np.stack([self._of_contact(f"force_{axis}") for axis in "xyz"], axis=1)
+
+    @property
+    def contact_force_medial(self) -> Floats:
+        """Size of the normal force on the medial facet (n,) [N]; zero in a scene without a contact."""
+        return self._of_contact("force_medial")
+
+    @property
+    def contact_force_lateral(self) -> Floats:
+        """Size of the normal force on the lateral facet (n,) [N]; zero in a scene without a contact."""
+        return self._of_contact("force_lateral")
+
+    def _of_contact(self, name: str) -> Floats:
+        return np.zeros(self.times.size) if self.contact is None else self.effects[self.contact][name]
+
+    @property
+    def tensions(self) -> dict[str, Floats]:
+        """Of tendons, strands and muscles, by name (n,) [N]; of a group the sum."""
+        lines = {e.name for e in self.scene.effects if e.line_element() is not None}
+        found = {n: self.effects[n]["tension"] for n in lines if "tension" in self.effects[n]}
+        return {n: t.reshape(self.times.size, -1).sum(axis=1) for n, t in found.items()}
+
+    @property
+    def lengths(self) -> dict[str, Floats]:
+        """Of tendons that report it, by name, (n,) or (n, lines) [m]."""
+        lines = {e.name for e in self.scene.effects if e.line_element() is not None}
+        return {n: self.effects[n]["length"] for n in lines if "length" in self.effects[n]}
+
+    @property
+    def status(self) -> Status:
+        """All flags that any frame has."""
+        return Status(int(np.bitwise_or.reduce(self.flags, initial=0)))
+
+    @property
+    def duration(self) -> float:
+        """Of the recorded motion [s]."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def real_time_factor(self) -> float:
+        """How many times faster than real time the simulation ran, the search for the equilibrium not included."""
+        run = self.timing.get("run_s", float("nan"))
+        return self.duration / run if run > 0 else float("nan")
+
+    @property
+    def largest_indentation(self) -> float:
+        """The deepest penetration over all frames and contacts [m]; NaN in a scene without contact."""
+        depths = [v for r in self.effects.values() for k, v in r.items() if k.startswith("indentation")]
+        present = [d[np.isfinite(d)] for d in depths]
+        return float(max((d.max() for d in present if d.size), default=np.nan))
+
+    @cached_property
+    def groove(self) -> tuple[Floats, Floats] | None:
+        """Place along the groove and lateral distance from its bottom, (n,) each [m]; None without a surface."""
+        return None if self.surface is None else tracking.groove_offset(self.surface, self.center)
+
+    def dislocations(self, threshold: float = tracking.DISLOCATED) -> tracking.Tracking | None:
+        """When the button left its groove (farther than `threshold` [m] from its bottom) and came back.
+
+        None in a scene without a contact surface.
+        """
+        if threshold == tracking.DISLOCATED:
+            return self._outcome
+        return self._followed(threshold)
+
+    @cached_property
+    def _outcome(self) -> tracking.Tracking | None:
+        return self._followed(tracking.DISLOCATED)
+
+    def _followed(self, threshold: float) -> tracking.Tracking | None:
+        if self.groove is None:
+            return None
+        return tracking.follow(self.times, self.groove[1], self.knee.flexion, threshold=threshold)
+
+    def __repr__(self) -> str:
+        return f"Result({self._facts()[0]})\n  " + "\n  ".join(self._facts()[1:])
+
+    def _repr_html_(self) -> str:
+        """A small table, for notebooks."""
+        head, *facts = self._facts()
+        rows = (fact.partition(": ") for fact in facts)
+        cells = "".join(f"<tr><td>{escape(a)}</td><td>{escape(b)}</td></tr>" for a, _, b in rows)
+        return f"<table><caption>{escape(head)}</caption>{cells}</table>"
+
+    def summary(self) -> str:
+        """The main facts in a few lines."""
+        return "\n".join(self._facts())
+
+    def _facts(self) -> list[str]:
+        """One a line; but for the first, what it is about comes before a colon."""
+        counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
+        marks = [f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n] or ["all frames clean"]
+        outcome = self.dislocations()
+        lines = [
+            f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s",
+            f"start: {self.equilibrium.description}",
+            *([] if outcome is None else [f"tracking: {outcome.describe()}"]),
+            *(f"status: {mark}" for mark in marks),
+        ]
+        if np.isfinite(self.largest_indentation):
+            lines.append(f"largest indentation: {1e3 * self.largest_indentation:.3f} mm")
+        if self.constraint_drift is not None:
+            lines.append(f"largest constraint drift: {self.constraint_drift:.2g} m")
+        if np.isfinite(self.real_time_factor):
+            lines.append(f"{self.real_time_factor:.3g} x real time")
+        return lines
+
+    def to_dataset(self) -> Dataset:
+        """Everything as an xarray Dataset, with unit and long name on every variable."""
+        from pftwin.results.result_dataset import dataset
+
+        return dataset(self)
+
+    def geometry(self) -> Dataset:
+        """What there is to draw of the scene: surfaces, lines of force, the button; see
+        `pftwin.results.scene_geometry`.
+        """
+        from pftwin.results.scene_geometry import geometry
+
+        return geometry(self.scene, self.effects)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes NetCDF, with a group `geometry`, whole or not at all. Raises OutputError where that is impossible."""
+        from pftwin.files.result_files import GEOMETRY, save_dataset
+
+        save_dataset(self.to_dataset(), path, groups={GEOMETRY: self.geometry()})
+
+    @property
+    def plot(self) -> ResultPlots:
+        """Figures: `result.plot.trajectory().savefig("path.pdf")`; see `pftwin.plots`."""
+        from pftwin.results.plots import ResultPlots
+
+        return ResultPlots(self)
+
+    def view(self, html: str | os.PathLike[str] | None = None) -> Plot:
+        """The knee in three dimensions: a notebook's widget, and a page that opens offline; see `pftwin.viewer.view`.
+
+        Raises:
+            MissingExtraError: the extra `viewer` is not installed.
+            OutputError: the page cannot be written.
+        """
+        from pftwin.results.viewer import view
+
+        return view(self, html)
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Writes a table with units in its header. Raises OutputError where that is impossible."""
+        from pftwin.files.result_files import save_csv
+
+        save_csv(self.to_dataset(), path)
+
+    def to_sto(self, path: str | os.PathLike[str]) -> None:
+        """Writes an OpenSim storage file, angles in degrees. Raises OutputError where that is impossible."""
+        from pftwin.files.result_files import save_sto
+
+        save_sto(self.to_dataset(), path)
+
+
+def _double(values: Any) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _rows(v: Vec3 | Quaternion | Any) -> Floats:
+    """(n, 3) or (n, 4) from arrays per component."""
+    parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
+    return np.stack([_double(p) for p in parts], axis=1)
+
+
+def _continuous(q: Floats) -> Floats:
+    """Quaternions without jumps of sign."""
+    flips = np.where(np.einsum("ij,ij->i", q[1:], q[:-1]) < 0, -1.0, 1.0)
+    return q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+
+
+def _groups(scene: Scene) -> dict[str, int]:
+    """Groups of line elements, and how many lines each has."""
+    lines = [line for e in scene.effects if (line := e.line_element()) is not None]
+    return {line.name: line.count for line in lines if line.count is not None}
+
+
+def _knee_angles(motion: KneeMotion) -> TibiofemoralAngles:
+    """Of the tibia in the femur at the recorded frames."""
+    return tibiofemoral_angles(tibia_orientation(motion))
+
+
+__all__ = ["Energies", "EquilibriumReport", "Result"]

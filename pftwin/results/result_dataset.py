@@ -1,0 +1,178 @@
+"""A result as an xarray Dataset: units and long names on every variable, provenance in the attributes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from pftwin.base.labels import SYNTHETIC
+from pftwin.dynamics.status import Status
+from pftwin.model.effects.base import Observable
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from pftwin.results.result import Result
+
+_AXES = ("x", "y", "z")
+_COMPONENTS = ("w", "x", "y", "z")
+_MEANINGS = " ".join(str(f.name).lower() for f in Status if f)
+Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
+
+
+def dataset(result: Result) -> Dataset:
+    """The dataset of a result. Angles in degrees, everything else in SI units."""
+    from xarray import Dataset
+
+    variables: Variables = {**_kinematics(result), **_tracking(result)}
+    for name, report in result.effects.items():
+        for key, values in report.items():
+            described = result.observables[name].get(key, Observable("1", key.replace("_", " ")))
+            attributes = _about(described.unit, f"{name.replace('_', ' ')}: {described.long_name}")
+            variables[f"{name}_{key}"] = (_dimensions(result, name, values), values, attributes)
+    variables |= _energies(result)
+    flags = [f for f in Status if f]
+    status = {
+        **_about("1", "how far the frame can be trusted; 0: no reservation"),
+        "flag_masks": np.array([int(f) for f in flags], dtype=np.int32),
+        "flag_meanings": _MEANINGS,
+        "flag_descriptions": [f.describe() for f in flags],
+    }
+    variables["status"] = (("time",), result.flags, status)
+    coordinates = {
+        "time": (("time",), result.times, _about("s", "time")),
+        "axis": (("axis",), list(_AXES), {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}),
+        "component": (("component",), list(_COMPONENTS), {"long_name": "quaternion component", "units": "1"}),
+    }
+    return Dataset(variables, coordinates, attributes_of(result))
+
+
+def attributes_of(result: Result) -> dict[str, Any]:
+    """Provenance and trust: what was run with what, from which equilibrium, and how it went."""
+    from pftwin import __version__
+
+    start = result.equilibrium
+    outcome = result.dislocations()
+    attributes = {
+        "title": f"patellofemoral tracking: {result.scene_name}",
+        "scene": result.scene_name,
+        "source": f"pftwin {__version__}",
+        "pftwin_version": __version__,
+        "jax_version": jax.__version__,
+        "dtype": result.dtype,
+        "status": result.status.describe(),
+        "equilibrium": start.description,
+        "equilibrium_kind": start.kind,
+        "equilibrium_converged": int(start.converged),
+        "equilibrium_residual_N": start.residual,
+        "equilibrium_iterations": start.iterations,
+        "equilibrium_relaxed": int(start.relaxed),
+        "equilibrium_smallest_stiffness_N_per_m": float(start.eigenvalues[0]),
+        "equilibrium_facets": " ".join(start.facets) or "none",
+        "equilibrium_moved_mm": 1e3 * start.moved,
+        "equilibrium_turned_deg": float(np.degrees(start.turned)),
+        "largest_indentation_m": result.largest_indentation,
+        "real_time_factor": result.real_time_factor,
+        "tracking": "not assessed: no contact surface" if outcome is None else outcome.describe(),
+    }
+    if result.scene.synthetic:
+        attributes["note"] = SYNTHETIC
+    if result.constraint_drift is not None:
+        attributes["largest_constraint_drift_m"] = result.constraint_drift
+    plain = {k: plain_attribute(v) for k, v in result.settings.items()}
+    return {**attributes, **plain, **{f"timing_{k}": float(v) for k, v in result.timing.items()}}
+
+
+def _about(unit: str, long_name: str) -> dict[str, str]:
+    return {"units": unit, "long_name": long_name}
+
+
+def _kinematics(result: Result) -> Variables:
+    frame, angles, knee = ("time",), result.angles, result.knee
+    in_degrees = {
+        "patella_flexion": (angles.flexion, "patellar flexion about the femur's medial-lateral axis"),
+        "patella_tilt": (angles.tilt, "patellar tilt about its long axis, lateral positive"),
+        "patella_rotation": (angles.rotation, "patellar rotation about the floating axis, internal (medial) positive"),
+        "knee_flexion": (knee.flexion, "knee flexion (Grood and Suntay 1983)"),
+        "knee_adduction": (knee.adduction, "knee adduction (Grood and Suntay 1983)"),
+        "knee_internal_rotation": (knee.internal_rotation, "internal rotation of the tibia (Grood and Suntay 1983)"),
+    }
+    tracked = "patella's origin" if result.contact is None else "button's sphere centre"
+    return {
+        "sphere_center": ((*frame, "axis"), result.center, _about("m", f"{tracked} in the femur frame")),
+        "patella_position": ((*frame, "axis"), result.position, _about("m", "patella's origin in the femur frame")),
+        "patella_quaternion": (
+            (*frame, "component"),
+            result.quaternion,
+            _about("1", "orientation of the patella in the femur frame, unit quaternion (w, x, y, z)"),
+        ),
+        "tibia_position": (
+            (*frame, "axis"),
+            result.tibia[0],
+            _about("m", "origin of the tibia's frame in the femur's"),
+        ),
+        "tibia_quaternion": (
+            (*frame, "component"),
+            result.tibia[1],
+            _about("1", "orientation of the tibia in the femur frame, unit quaternion (w, x, y, z)"),
+        ),
+        "patella_shift": (frame, result.shift, _about("m", f"{tracked}: lateral place in the femur frame")),
+        **{name: (frame, np.degrees(a), _about("deg", text)) for name, (a, text) in in_degrees.items()},
+    }
+
+
+def _tracking(result: Result) -> Variables:
+    outcome = result.dislocations()
+    if outcome is None or result.groove is None:
+        return {}
+    frame = ("time",)
+    out = outcome.dislocated.astype(np.int8)
+    attributes = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "in_the_groove dislocated"}
+    return {
+        "groove_position": (
+            frame,
+            result.groove[0],
+            _about("m", "place of the sphere centre along the groove"),
+        ),
+        "groove_offset": (
+            frame,
+            result.groove[1],
+            _about("m", "sphere centre off the groove's bottom, lateral positive"),
+        ),
+        "dislocated": (frame, out, {**_about("1", "whether the button has left the groove"), **attributes}),
+    }
+
+
+def _energies(result: Result) -> Variables:
+    e = result.energies
+    found = {"kinetic_energy": (e.kinetic, "kinetic energy of the patella")}
+    for name, values in e.stored.items():
+        found[f"stored_energy_{name}"] = (values, f"energy stored by {name.replace('_', ' ')}")
+    found["total_energy"] = (e.total, "kinetic and stored energy")
+    if e.work is not None and e.heat is not None and e.budget_error is not None:
+        found["work"] = (e.work, "work of the guided bodies and of known pulls since the start")
+        found["heat"] = (e.heat, "energy lost in damping since the start")
+        found["energy_budget_error"] = (e.budget_error, "energy that no effect accounts for: the integrator's own")
+    return {name: (("time",), values, _about("J", text)) for name, (values, text) in found.items()}
+
+
+def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, ...]:
+    """A group's elements are a dimension of their own; a last axis of three is x, y, z."""
+    rest = values.shape[1:]
+    if rest and rest[0] == result.groups.get(effect):
+        rest, names = rest[1:], ["time", f"{effect}_element"]
+    else:
+        names = ["time"]
+    for i, size in enumerate(rest):
+        last = i == len(rest) - 1
+        names.append("axis" if last and size == len(_AXES) else f"{effect}_{i}_{size}")
+    return tuple(names)
+
+
+def plain_attribute(value: Any) -> int | float | str:
+    """What NetCDF has a type for."""
+    if isinstance(value, bool):
+        return int(value)
+    return value if isinstance(value, int | float | str) else str(value)

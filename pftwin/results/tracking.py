@@ -1,0 +1,192 @@
+"""Whether the patella follows its groove: where the groove's bottom is, how far off it the button is, and when it left.
+
+A patella is dislocated when the button has climbed over the groove's wall. The button's centre moves about as far
+sideways as the groove's crest is from its bottom before it does, so the measure is the medial-lateral distance between
+the sphere's centre and the groove's bottom at the same place along the groove.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Vec3
+from pftwin.geometry.patch.closest import Surface
+
+DISLOCATED = 0.020  # [m] off the groove's bottom: the sphere's centre is beyond a facet's ridge (15 to 20 mm wide)
+RE_ENGAGED = 0.6  # share of that distance below which the button counts as back: no flicker at the limit
+_SECTIONS, _SAMPLES = 81, 161
+_HALF_WIDTH = 0.020  # where a surface does not say how wide it is [m]
+_LARGEST_JUMP = 0.003  # of the bottom between neighbouring sections [m]
+
+Floats = NDArray[np.float64]
+
+
+class GrooveLine(NamedTuple):
+    """The groove's bottom in chart coordinates: v over u, and its depth below the lower of its two walls [m]."""
+
+    u: Floats
+    v: Floats
+    depth: Floats
+
+    def at(self, u: ArrayLike) -> Floats:
+        """The bottom's v at places along the groove; beyond the groove's ends, that of the end."""
+        return np.interp(np.asarray(u, dtype=np.float64), self.u, self.v)
+
+
+def groove_line(surface: Surface) -> GrooveLine | None:
+    """The bottom of the groove over the surface's extent: a minimum of height across each section.
+
+    It starts in the deepest section and is followed proximally and distally as long as it goes on without a jump. None
+    for a surface without a groove.
+    """
+    u0, v0 = (float(x) for x in getattr(surface, "center", (0.0, 0.0)))
+    half_u, half_v = (float(x) for x in getattr(surface, "half_size", (_HALF_WIDTH, _HALF_WIDTH)))
+    u = np.linspace(u0 - half_u, u0 + half_u, _SECTIONS)
+    v = np.linspace(v0 - half_v, v0 + half_v, _SAMPLES)
+    grid = np.meshgrid(u, v, indexing="ij")
+    heights = np.asarray(_heights(surface, grid[0], grid[1]), dtype=np.float64)
+    sections = [_minima(v, h) for h in heights]
+    depths = [max((d for _, d in s), default=-np.inf) for s in sections]
+    deepest = int(np.argmax(depths))
+    if not np.isfinite(depths[deepest]):
+        return None
+    line = {deepest: max(sections[deepest], key=lambda m: m[1])}
+    for direction in (1, -1):
+        i = deepest + direction
+        while 0 <= i < _SECTIONS and sections[i]:
+            before = line[i - direction][0]
+            nearest = min(sections[i], key=lambda m: abs(m[0] - before))
+            if abs(nearest[0] - before) > _LARGEST_JUMP:
+                break
+            line[i] = nearest
+            i += direction
+    rows = sorted(line)
+    return GrooveLine(u[rows], np.array([line[i][0] for i in rows]), np.array([line[i][1] for i in rows]))
+
+
+def groove_offset(surface: Surface, centers: ArrayLike) -> tuple[Floats, Floats]:
+    """Where sphere centres are relative to the groove.
+
+    Args:
+        surface: the trochlea.
+        centers: (n, 3) in the femur frame [m].
+
+    Returns:
+        Place along the groove (the chart's u), and distance from the groove's bottom, positive lateral; (n,) each, in
+        metres. On a surface without a groove the distance counts from the middle of the surface.
+    """
+    points = np.asarray(centers, dtype=np.float64)
+    u, v = (np.asarray(a, dtype=np.float64) for a in _feet(surface, Vec3(*points.T)))
+    line = groove_line(surface)
+    bottom = float(getattr(surface, "center", (0.0, 0.0))[1]) if line is None else line.at(u)
+    return u, v - bottom
+
+
+@eqx.filter_jit
+def _heights(surface: Any, u: ArrayLike, v: ArrayLike) -> Array:
+    return surface.jet(jnp.asarray(u, float), jnp.asarray(v, float)).f
+
+
+@eqx.filter_jit
+def _feet(surface: Any, centers: Vec3) -> tuple[Array, Array]:
+    c = Vec3(*(jnp.asarray(a, float) for a in (centers.x, centers.y, centers.z)))
+    return surface.chart.foot(surface.chart.to_frame(c))
+
+
+def _minima(v: Floats, h: Floats) -> list[tuple[float, float]]:
+    """(place, depth) of the minima inside a section, the place refined by a parabola."""
+    inside = np.flatnonzero((h[1:-1] < h[:-2]) & (h[1:-1] <= h[2:])) + 1
+    out = []
+    for i in inside:
+        curvature = h[i - 1] - 2 * h[i] + h[i + 1]
+        shift = 0.5 * (h[i - 1] - h[i + 1]) / curvature
+        depth = min(h[:i].max(), h[i + 1 :].max()) - h[i]
+        out.append((float(v[i] + shift * (v[1] - v[0])), float(depth)))
+    return out
+
+
+@dataclass(frozen=True)
+class Dislocation:
+    """One time that the button left the groove."""
+
+    time: float  # [s]
+    knee_flexion: float | None  # at that time [rad]
+    side: str  # "lateral" or "medial"
+    farthest: float  # from the groove's bottom [m]
+    re_engaged_at: float | None  # [s]; None: not within the recording
+
+    def describe(self) -> str:
+        """In words."""
+        flexion = "" if self.knee_flexion is None else f" at {np.degrees(self.knee_flexion):.1f} deg of knee flexion"
+        back = "did not re-engage" if self.re_engaged_at is None else f"re-engaged at {self.re_engaged_at:.2f} s"
+        return f"{self.side} dislocation at {self.time:.2f} s{flexion}, {1e3 * self.farthest:.1f} mm off; {back}"
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """How the button kept to its groove."""
+
+    offset: Floats  # (n,) from the groove's bottom, positive lateral [m]
+    dislocated: NDArray[np.bool_]  # (n,)
+    events: tuple[Dislocation, ...]
+
+    @property
+    def re_engaged(self) -> bool | None:
+        """Whether the button was back in the groove at the end; None if it never left."""
+        return self.events[-1].re_engaged_at is not None if self.events else None
+
+    def describe(self) -> str:
+        """In words."""
+        return "; ".join(e.describe() for e in self.events) or "normal tracking"
+
+
+def follow(
+    times: ArrayLike, offset: ArrayLike, knee_flexion: ArrayLike | None = None, *, threshold: float = DISLOCATED
+) -> Tracking:
+    """Finds dislocations in a recording.
+
+    The button has left the groove when |offset| exceeds `threshold`, and is back when |offset| falls below
+    `RE_ENGAGED * threshold`. A frame that is missing (NaN) keeps the state before it.
+
+    Args:
+        times: (n,) [s].
+        offset: (n,) from the groove's bottom, positive lateral [m] (`groove_offset`).
+        knee_flexion: (n,) [rad], for the report.
+        threshold: [m].
+
+    Raises:
+        InputError: arrays of different lengths; a threshold that is not positive.
+    """
+    t, y = np.asarray(times, dtype=np.float64), np.asarray(offset, dtype=np.float64)
+    flexion = None if knee_flexion is None else np.asarray(knee_flexion, dtype=np.float64)
+    if t.ndim != 1 or y.shape != t.shape or (flexion is not None and flexion.shape != t.shape):
+        raise InputError(f"offsets of shape {y.shape}", where="tracking", expected=f"one per time, {t.shape}")
+    if not threshold > 0:
+        raise InputError(f"found {threshold!r}", where="threshold", expected="a positive distance in metres")
+    out = np.zeros(t.size, dtype=bool)
+    state = False
+    for i, far in enumerate(np.abs(y)):
+        state = bool(far > threshold) if not state else not far < RE_ENGAGED * threshold
+        out[i] = state
+    edges = np.diff(np.concatenate([[0], out.astype(int), [0]]))
+    events = []
+    for start, stop in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        span = y[start:stop]
+        events.append(
+            Dislocation(
+                float(t[start]),
+                None if flexion is None else float(flexion[start]),
+                "lateral" if y[start] > 0 else "medial",
+                float(np.nanmax(np.abs(span))),
+                float(t[stop]) if stop < t.size else None,
+            )
+        )
+    return Tracking(y, out, tuple(events))

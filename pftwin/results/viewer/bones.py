@@ -1,0 +1,59 @@
+"""What has no mesh in a scene, drawn simply and called schematic: shafts of femur and tibia, the patella's body."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.results.viewer.matrices import MM
+from pftwin.results.viewer.recorded import Mesh, Recorded
+from pftwin.results.viewer.shapes import Shape, ellipsoid, turned
+
+# Half width and height along the bone [mm]: the femur's from behind its component upwards, the tibia's down from its
+# plateau. Between them the outline is smooth.
+FEMUR = ((0, -20), (12, -19.5), (21, -16), (26, -8), (26, 3), (21, 16), (15, 34), (12.5, 60), (12.5, 150), (0, 150))
+TIBIA = ((0, -150), (11, -150), (12, -80), (15, -58), (20, -40), (28, -22), (35, -9), (36, -4), (33, -0.5), (0, 0))
+DEPTH = 0.72  # of a bone, front to back, as a share of its width
+PLATEAU_AT = 0.45  # of the way from the tibia's origin down to the tuberosity
+PROUD = 2.0  # of the tuberosity before the plateau's front [mm]
+RIM = 4.0  # of the patella's body beyond its tendons [mm]
+BEHIND = 30.0  # the femur's axis behind the front of its component [mm]
+
+
+def patella_body(result: Recorded) -> Shape:
+    """A rounded disc that holds all insertions (patella frame)."""
+    ends = [MM * lines.insertion for lines in result.lines.values()]
+    if not ends:
+        center = MM * result.geometry["button_center"].values if "button_center" in result.geometry else np.zeros(3)
+        return ellipsoid(center - [0.0, 0.0, 8.0], [22.0, 21.0, 8.0])
+    points = np.concatenate(ends)
+    low, high = points.min(axis=0), points.max(axis=0)
+    long = max(0.5 * (high[0] - low[0]) + RIM, 15.0)
+    wide = max(0.5 * (high[1] - low[1]) + RIM, 0.95 * long)
+    return ellipsoid(0.5 * (low + high), [long, wide, max(0.5 * (high[2] - low[2]), 8.0)])
+
+
+def femur_shaft(component: Mesh | None) -> Shape:
+    """A shaft that goes up from behind the femoral component (femur frame)."""
+    points = np.zeros((1, 3)) if component is None else MM * component[0]
+    low, high = points.min(axis=0), points.max(axis=0)
+    place = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2] - BEHIND]
+    return turned(_smooth(FEMUR), place, "x", DEPTH)
+
+
+def tibia_shaft(result: Recorded) -> Shape:
+    """A plateau and a shaft, just behind the patellar tendon's origin (tibia frame)."""
+    ends = [MM * lines.origin.reshape(-1, 3) for lines in result.lines.values() if lines.body == "tibia"]
+    tuberosity = np.concatenate(ends).mean(axis=0) if ends else np.array([-75.0, 0.0, 40.0])
+    top = PLATEAU_AT * tuberosity[0] if tuberosity[0] < 0 else tuberosity[0] + 40.0
+    front = DEPTH * max(half for half, _ in TIBIA)
+    return turned(_smooth(TIBIA), [top, 0.0, tuberosity[2] - front - PROUD], "x", DEPTH)
+
+
+def _smooth(outline: tuple[tuple[float, float], ...]) -> NDArray[np.float64]:
+    """An outline's points with more between them."""
+    from scipy.interpolate import PchipInterpolator
+
+    points = np.asarray(outline, dtype=np.float64)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    return PchipInterpolator(way, points)(np.unique(np.concatenate([way, np.linspace(0.0, way[-1], 60)])))

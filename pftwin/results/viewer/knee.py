@@ -1,0 +1,148 @@
+"""A result as objects of k3d: bones, button, tendons, contact points, forces and their path. Femur frame, mm."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pftwin.results.viewer import bones
+from pftwin.results.viewer.drawing import body, carried, darker, held, keyed, paler, where_present
+from pftwin.results.viewer.matrices import MM, applied, at_points, of_arrows
+from pftwin.results.viewer.pushes import Push
+from pftwin.results.viewer.recorded import Lines, Recorded
+from pftwin.results.viewer.shapes import (
+    Shape,
+    apart,
+    arrow,
+    behind_plane,
+    button_cap,
+    ellipsoid,
+    path,
+    shell,
+    surface,
+    tubes,
+)
+
+if TYPE_CHECKING:
+    from k3d.objects import Drawable
+
+METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
+FEW = 4  # lines of an effect that are drawn as thick as a tendon
+REST = 0.4  # points of a path that are nearer to the last are passed over: at rest it has no direction [mm]
+AHEAD = 0.6  # how much paler the part of a contact's path is that is still to come
+
+
+def shaft(result: Recorded) -> Drawable:
+    """A schematic shaft of the femur behind its component."""
+    shape = bones.femur_shaft(result.mesh("femur") or result.mesh("surface"))
+    return body(shape, BONE, name="femur (schematic)", group="bones", opacity=0.35)
+
+
+def component(result: Recorded, code: str = METAL, group: str = "bones") -> list[Drawable]:
+    """The femoral component: its mesh, or its smooth surface with a continuation where it was touched beyond."""
+    mesh, fitted, beyond = (result.mesh(name) for name in ("femur", "surface", "continuation"))
+    drawn = []
+    if mesh is not None:
+        drawn.append(body(surface(mesh), code, name="femoral mesh", group=group))
+    if fitted is not None:
+        drawn.append(body(shell(fitted), code, name="femoral surface", group=group))
+    if beyond is not None:
+        drawn.append(body(surface(beyond), paler(code, 0.5), name="surface continued", group=group, opacity=0.6))
+    return drawn
+
+
+def tibia(result: Recorded, code: str = BONE) -> Drawable:
+    """A schematic tibia."""
+    shape = bones.tibia_shaft(result)
+    return carried(shape, code, result.times, result.tibia, name="tibia (schematic)", group="bones", opacity=0.5)
+
+
+def patella(result: Recorded, code: str) -> list[Drawable]:
+    """The patella's body (schematic) and the button."""
+    times, matrices, group = result.times, result.patella, result.name
+    schematic = bones.patella_body(result)
+    drawn = [carried(schematic, code, times, matrices, name="patella (schematic)", group=group, opacity=0.4)]
+    mesh = result.mesh("button")
+    if mesh is not None:
+        behind = behind_plane(surface(mesh), float(schematic.vertices[:, 2].mean()))
+        drawn.append(carried(behind, PLASTIC, times, matrices, name="button", group=group, opacity=0.75))
+    elif "button_radius" in result.geometry:
+        cap = button_cap(result.geometry["button_center"].values, float(result.geometry["button_radius"]))
+        drawn.append(carried(cap, PLASTIC, times, matrices, name="button", group=group, opacity=0.75))
+    return drawn
+
+
+def tendons(result: Recorded, code: str) -> list[Drawable]:
+    """Tendons, ligaments and muscles as straight tubes, and where a tendon begins on the tibia."""
+    drawn = []
+    for name, lines in result.lines.items():
+        ends = line_ends(result, lines)
+        few = ends.shape[1] <= 2 * FEW
+        vertices, triangles = tubes(ends, *((1.7, 10) if few else (0.55, 5)))
+        tube = body(Shape(vertices[0], triangles), paler(code, 0.3), name=name.replace("_", " "), group=result.name)
+        tube.vertices = keyed(result.times, vertices)
+        drawn.append(tube)
+        if lines.body == "tibia":
+            bump = ellipsoid(MM * lines.origin.reshape(-1, 3).mean(axis=0) - [0.0, 0.0, 6.0], [9.5, 6.5, 8.0])
+            what = f"{name.replace('_', ' ')}'s origin"
+            drawn.append(carried(bump, code, result.times, result.tibia, name=what, group=result.name))
+    return drawn
+
+
+def contacts(result: Recorded, code: str, newtons: float) -> list[Drawable]:
+    """Contact points, the forces on the patella, and their path, coloured as far as it has been gone.
+
+    Args:
+        result: whose.
+        code: colour.
+        newtons: drawn as 10 mm of an arrow.
+    """
+    return [part for push in result.pushes if push.present.any() for part in _contact(result, push, code, newtons)]
+
+
+def _contact(result: Recorded, push: Push, code: str, newtons: float) -> list[Drawable]:
+    times, here, group = result.times, push.present, result.name
+    points, drawn = held(push.points, here), []
+    if push.touches:
+        ball, places = ellipsoid([0, 0, 0], [1.8] * 3), at_points(points)
+        point = carried(ball, code, times, places, name=f"{push.name}: point", group=group)
+        drawn = [where_present(point, times, here), *_path(result, push, code)]
+    if push.forces is not None:
+        arrows = of_arrows(points, held(push.forces, here) * (10 / newtons))
+        what = f"{push.name}: force on the patella"
+        force = carried(arrow(), darker(code, 0.35), times, arrows, name=what, group=group)
+        drawn.append(where_present(force, times, here))
+    return drawn
+
+
+def _path(result: Recorded, push: Push, code: str) -> list[Drawable]:
+    """The whole way, pale, and on it what has been gone of it, which grows."""
+    points = MM * np.where(push.present[:, None], push.points, np.nan)
+    taken = apart(points, REST)
+    times, points = result.times[taken], points[taken | ~push.present]
+    if times.size < 2:
+        return []
+    whole, trail = path(points, 0.3), path(points, 0.6)
+    gone = np.searchsorted(times, result.times, side="right")
+    rings = trail.vertices.reshape(len(times), -1, 3)
+    grown = [rings[np.minimum(np.arange(len(times)), max(k - 1, 0))].reshape(-1, 3) for k in gone]
+    way = body(whole, paler(code, AHEAD), name=f"{push.name}: whole path", group=result.name)
+    behind = body(trail, code, name=f"{push.name}: path", group=result.name)
+    behind.vertices = keyed(result.times, grown)
+    return [way, behind]
+
+
+def line_ends(result: Recorded, lines: Lines) -> np.ndarray:
+    """Insertions, then origins, in the femur's frame (n, 2 k, 3) [mm]."""
+    insertion = applied(result.patella, lines.insertion)
+    origin = lines.origin
+    if lines.body == "tibia":
+        if origin.ndim == 3:
+            turn, place = result.tibia[:, :3, :3], result.tibia[:, None, :3, 3]
+            origin = np.einsum("nij,nkj->nki", turn, MM * origin) + place
+        else:
+            origin = applied(result.tibia, origin)
+    else:
+        origin = np.broadcast_to(MM * origin, insertion.shape)
+    return np.concatenate([insertion, origin], axis=1)

@@ -1,0 +1,169 @@
+"""What is drawn of one result, from memory or from its file: arrays at the frames that are shown."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.results.viewer.matrices import Matrices, of_poses
+from pftwin.results.viewer.pushes import Push, pushes
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+MOST_FRAMES = 241  # shown of a result; between them a drawing interpolates
+Floats = NDArray[np.float64]
+Mesh = tuple[Floats, NDArray[np.int64]]  # vertices [m], triangles
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A result's numbers at the frames that are shown (n), and what there is to draw."""
+
+    name: str
+    data: Dataset  # of the frames shown
+    geometry: Dataset
+
+    @classmethod
+    def of(
+        cls, source: Any, name: str | None = None, *, frames: int = MOST_FRAMES, geometry: Dataset | None = None
+    ) -> Recorded:
+        """From a `Result`, or from the file of one.
+
+        Args:
+            source: the result, or a path.
+            name: in the legend; None: the scene's, or the file's.
+            frames: most that are shown.
+            geometry: of a result, where that is known already.
+
+        Raises:
+            InputError: no such file, not a result, a file without anything to draw, or no frame that is finite.
+        """
+        from pftwin.files.result_files import GEOMETRY, load_dataset
+
+        if isinstance(source, str | os.PathLike):
+            data, where = load_dataset(source), Path(source)
+            if "patella_quaternion" not in data:
+                raise InputError(
+                    "no motion of a patella in it",
+                    where=where,
+                    expected="a result of one simulation",
+                    remedy="pftwin simulate --case 2 -o case2.nc",
+                )
+            drawn, label = load_dataset(source, group=GEOMETRY), where.stem
+        else:
+            data, label = source.to_dataset(), source.scene_name
+            drawn, where = source.geometry() if geometry is None else geometry, label
+        return cls(name or label, data.isel(time=_shown(data, where, frames)), drawn)
+
+    @property
+    def times(self) -> Floats:
+        """Of the frames shown (n,) [s]."""
+        return self.data["time"].values
+
+    @cached_property
+    def patella(self) -> Matrices:
+        """The patella in the femur (n, 4, 4) [mm]."""
+        return of_poses(self.data["patella_position"].values, self.data["patella_quaternion"].values)
+
+    @cached_property
+    def tibia(self) -> Matrices:
+        """The tibia in the femur (n, 4, 4) [mm]."""
+        return of_poses(self.data["tibia_position"].values, self.data["tibia_quaternion"].values)
+
+    @property
+    def note(self) -> str:
+        """What has to be said of the data: that they are synthetic."""
+        return str(self.data.attrs.get("note", ""))
+
+    def mesh(self, name: str) -> Mesh | None:
+        """A mesh of the scene's geometry; None where it has none of that name."""
+        if f"{name}_vertices" not in self.geometry:
+            return None
+        vertices, triangles = (self.geometry[f"{name}_{part}"].values for part in ("vertices", "triangles"))
+        return vertices.astype(np.float64), triangles.astype(np.int64)
+
+    @cached_property
+    def lines(self) -> dict[str, Lines]:
+        """Lines of force, by effect."""
+        names = [str(n).removesuffix("_origin") for n in self.geometry.data_vars if str(n).endswith("_origin")]
+        return {n: Lines(self, n) for n in names}
+
+    @cached_property
+    def pushes(self) -> list[Push]:
+        """Contact points and forces."""
+        return pushes(self)
+
+    def series(self, name: str) -> Floats | None:
+        """A variable at the frames shown; None where the result has none of that name."""
+        return np.asarray(self.data[name].values, dtype=np.float64) if name in self.data else None
+
+    @cached_property
+    def frames(self) -> NDArray[np.int64]:
+        """Places of the frames shown among all frames (n,)."""
+        return self.data["frame"].values
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """The lines of one tendon, ligament or muscle (k)."""
+
+    result: Recorded
+    name: str
+
+    @property
+    def insertion(self) -> Floats:
+        """On the patella, its frame (k, 3) [m]."""
+        return self.result.geometry[f"{self.name}_insertion"].values
+
+    @property
+    def body(self) -> str:
+        """Where they come from: "femur", "tibia" or "ground"."""
+        return str(self.result.geometry[f"{self.name}_origin"].attrs["body"])
+
+    @property
+    def origin(self) -> Floats:
+        """On that body, its frame (k, 3), or (n, k, 3) at the frames shown where it moves [m]."""
+        values = self.result.geometry[f"{self.name}_origin"]
+        return values.values[self.result.frames] if "time" in values.dims else values.values
+
+
+def _shown(data: Dataset, where: object, most: int) -> NDArray[np.int64]:
+    """Frames evenly spread over those with finite poses; notes their places in the dataset as `frame`."""
+    poses = [data[n].values for n in ("patella_position", "patella_quaternion", "tibia_position", "tibia_quaternion")]
+    finite = np.flatnonzero(np.isfinite(np.concatenate(poses, axis=1)).all(axis=1))
+    if finite.size < 2:
+        raise InputError(f"{finite.size} frames with finite poses", where=where, expected="at least 2")
+    chosen = finite[np.unique(np.round(np.linspace(0, finite.size - 1, min(most, finite.size))).astype(int))]
+    data["frame"] = (("time",), np.arange(data.sizes["time"]))
+    return chosen
+
+
+def recorded(results: Any) -> list[Recorded]:
+    """Of one source, of several, or of several by name (a mapping, or pairs); names are made different.
+
+    Raises:
+        InputError: no result, or what `Recorded.of` refuses.
+    """
+    if isinstance(results, Mapping):
+        given: list[Any] = list(results.items())
+    elif isinstance(results, list | tuple):
+        given = list(results)
+    else:
+        given = [results]
+    found = [Recorded.of(*reversed(g)) if isinstance(g, tuple) else Recorded.of(g) for g in given]
+    if not found:
+        raise InputError("nothing to draw", where="view", expected="at least one result")
+    names = [r.name for r in found]
+    return [
+        r if names.count(r.name) == 1 else replace(r, name=f"{r.name} ({names[: i + 1].count(r.name)})")
+        for i, r in enumerate(found)
+    ]

@@ -1,0 +1,164 @@
+"""Shapes to draw with, vertices [mm] and triangles: simple solids, arrows, tubes, and meshes made fit to draw."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.results.viewer.matrices import MM
+
+ROUND = 48  # sides of what is round
+MOST_TRIANGLES = 30_000  # of a mesh that is drawn: a page then stays far below 8 MB
+CAP = np.radians(58.0)  # half the opening of a button's cap
+SHELL = 5.0  # thickness of a femoral component that is known by its surface alone [mm]
+_TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # what turns z to an axis
+
+
+class Shape(NamedTuple):
+    """A mesh to draw."""
+
+    vertices: NDArray[np.float32]  # (n, 3) [mm]
+    triangles: NDArray[np.uint32]  # (m, 3)
+
+
+def as_shape(mesh: Any) -> Shape:
+    """From a trimesh in mm."""
+    return Shape(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.uint32))
+
+
+def surface(mesh: tuple[NDArray[Any], NDArray[Any]]) -> Shape:
+    """A mesh in metres, with fewer triangles where it has too many."""
+    from trimesh import Trimesh
+
+    drawn = Trimesh(MM * mesh[0], mesh[1], process=False)
+    if len(drawn.faces) > MOST_TRIANGLES:
+        drawn = drawn.simplify_quadric_decimation(face_count=MOST_TRIANGLES)
+    return as_shape(drawn)
+
+
+def shell(mesh: tuple[NDArray[Any], NDArray[Any]], thickness: float = SHELL) -> Shape:
+    """An open surface in metres with a body below it, so that it is seen from all sides."""
+    from trimesh import Trimesh
+    from trimesh.grouping import group_rows
+
+    top = Trimesh(MM * mesh[0], mesh[1], process=False)
+    n = len(top.vertices)
+    rim = top.edges[group_rows(top.edges_sorted, require_count=1)]
+    a, b = rim.T
+    sides = np.concatenate([np.stack([b, a, a + n], axis=1), np.stack([b, a + n, b + n], axis=1)])
+    below = top.vertices - thickness * top.vertex_normals
+    faces = np.concatenate([top.faces, top.faces[:, ::-1] + n, sides])
+    return Shape(np.concatenate([top.vertices, below]).astype(np.float32), faces.astype(np.uint32))
+
+
+def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
+    """With half axes along x, y, z [mm]."""
+    from trimesh.creation import icosphere
+
+    ball = icosphere(subdivisions=3)
+    ball.apply_scale(np.asarray(half, dtype=np.float64))
+    ball.apply_translation(np.asarray(center, dtype=np.float64))
+    return as_shape(ball)
+
+
+def turned(profile: ArrayLike, center: ArrayLike, axis: Literal["x", "z"] = "z", flatten: float = 1.0) -> Shape:
+    """What a closed profile makes when it is turned about an axis through a point [mm].
+
+    Args:
+        profile: radius and height (k, 2), from the lower end of the axis to the upper.
+        center: where height is zero.
+        axis: that it is turned about.
+        flatten: factor of the body's depth from front to back.
+    """
+    from trimesh.creation import revolve
+
+    body = revolve(np.asarray(profile, dtype=np.float64), sections=ROUND)
+    if body.volume < 0:
+        body.invert()
+    points = np.asarray(body.vertices) @ _TO[axis].T * [1.0, 1.0, flatten]
+    return Shape((points + np.asarray(center)).astype(np.float32), np.asarray(body.faces, dtype=np.uint32))
+
+
+def button_cap(center: ArrayLike, radius: float) -> Shape:
+    """The part of a button's sphere that faces the femur [m]: backwards, against the patella's z."""
+    angle = np.linspace(0.0, CAP, 25)
+    arc = MM * radius * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    return turned(np.concatenate([arc, [[0.0, arc[-1, 1]]]]), MM * np.asarray(center, dtype=np.float64))
+
+
+def behind_plane(shape: Shape, z: float) -> Shape:
+    """What of a button's mesh lies behind the patella's middle [mm], all where nothing does: a ball would hide it."""
+    behind = shape.vertices[shape.triangles].mean(axis=1)[:, 2] <= z
+    if not behind.any():
+        return shape
+    used, which = np.unique(shape.triangles[behind], return_inverse=True)
+    return Shape(shape.vertices[used], which.reshape(-1, 3).astype(np.uint32))
+
+
+def arrow() -> Shape:
+    """An arrow of length 1 along z."""
+    head, shaft, width = 0.24, 0.025, 0.075
+    return turned([[0, 0], [shaft, 0], [shaft, 1 - head], [width, 1 - head], [0, 1]], np.zeros(3))
+
+
+def tubes(ends: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Straight tubes whose ends move.
+
+    Args:
+        ends: the k tubes' first ends, then their second ends, at n frames (n, 2 k, 3) [mm].
+        radius: [mm].
+        sides: of each tube.
+
+    Returns:
+        Vertices (n, 2 k sides, 3) [mm] and triangles (2 k sides, 3), the same at every frame.
+    """
+    k = ends.shape[1] // 2
+    ring = _rings(ends[:, k:] - ends[:, :k], radius, sides)
+    vertices = ends[:, :, None] + np.concatenate([ring, ring], axis=1)
+    a = np.arange(k * sides).reshape(k, sides)
+    faces = _between(a, a + k * sides).reshape(-1, 3)
+    return vertices.reshape(len(ends), -1, 3).astype(np.float32), faces.astype(np.uint32)
+
+
+def path(points: NDArray[np.float64], radius: float, sides: int = 6) -> Shape:
+    """A tube along points (n, 3) [mm], a ring of vertices for each; gaps (NaN) stay open."""
+    there = np.isfinite(points).all(axis=1)
+    p = points[there]
+    along = np.asarray(np.gradient(p, axis=0)) if len(p) > 1 else np.ones_like(p)
+    vertices = p[:, None] + _rings(along[None], radius, sides)[0]
+    k = np.arange(len(p) * sides).reshape(len(p), sides)
+    whole = np.diff(np.cumsum(~there)[there]) == 0
+    faces = _between(k[:-1], k[1:])[whole].reshape(-1, 3)
+    return Shape(vertices.reshape(-1, 3).astype(np.float32), faces.astype(np.uint32))
+
+
+def apart(points: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
+    """Which points (n, 3) are there and farther than `least` from the last one that was taken, (n,)."""
+    taken, last = np.zeros(len(points), dtype=bool), (math.inf, math.inf, math.inf)
+    there = np.flatnonzero(np.isfinite(points).all(axis=1))
+    for i, point in zip(there.tolist(), points[there].tolist(), strict=True):  # plain numbers: a tenth of arrays' time
+        if math.dist(point, last) >= least:
+            taken[i], last = True, point
+    return taken
+
+
+def _rings(along: NDArray[np.float64], radius: float, sides: int) -> NDArray[np.float64]:
+    """Circles about directions (n, k, 3): (n, k, sides, 3) [mm]; they turn smoothly from frame to frame."""
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    z = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+    reference = np.eye(3)[np.argmin(np.abs(z[:1]), axis=-1)]  # that of the first frame, throughout
+    x = np.cross(z, np.broadcast_to(reference, z.shape))
+    size = np.linalg.norm(x, axis=-1, keepdims=True)
+    x = np.divide(x, size, out=np.zeros_like(x), where=size > 0)
+    y = np.cross(z, x)
+    angle = (2 * np.pi / sides * np.arange(sides))[:, None]
+    return radius * (np.cos(angle) * x[..., None, :] + np.sin(angle) * y[..., None, :])
+
+
+def _between(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles (k, sides, 2, 3) that join rings of vertices (k, sides)."""
+    c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
+    return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)

@@ -1,0 +1,159 @@
+"""What an accelerator brings: variants a second by the size of the batch, kernels of one step, where the time goes.
+
+The study of `tests.benchmarks.batches`, on the first device that JAX has, in processes of their own for double and
+single precision. Without an accelerator there is nothing to measure; the same functions then serve tests on a CPU.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from pftwin.dynamics.batch.member import Task, moved, settled
+from pftwin.dynamics.batch.sharding import Spread, piece_for
+from pftwin.dynamics.frame_states import frame_states, starting_state, substeps_for
+from pftwin.dynamics.state import Guide
+from pftwin.model.scene import Scene
+from tests.benchmarks.batches import SETTINGS, amounts, transferred
+from tests.benchmarks.row import Row
+
+SIZES, QUICK_SIZES = (1, 16, 128, 1_024, 10_000, 100_000, 1_000_000), (1, 16)
+REAL_TIME = 1e6  # seconds of motion computed in a second, all variants together
+PRECISIONS = ("float64", "float32")
+_REPEATS = 3  # below a hundred thousand variants; above it the first is the last
+# Instructions that run nothing by themselves: names, constants and views of what is there.
+_FREE = {"parameter", "constant", "tuple", "get-tuple-element", "bitcast", "after-all", "partition-id", "replica-id"}
+_OPERATION = re.compile(r"=\s+(?:\([^=]*?\)|\S+)\s+([a-z][a-z0-9-]*)\(")
+
+
+def has_one() -> bool:
+    """Whether JAX's default devices are no CPU."""
+    return jax.default_backend() != "cpu"
+
+
+def rows(scene: Scene, sizes: tuple[int, ...]) -> list[Row]:
+    """Throughput by size, kernels of one step and shares of the time, in this process' float type."""
+    import pftwin
+
+    device = jax.devices()[:1]
+    said = f"{device[0].device_kind}, {jnp.zeros(()).dtype}"
+    duration = float(scene.motion.frame_interval) * (scene.motion.n_frames - 1)
+    out = []
+    for count in sizes:
+        many = pftwin.Variants(scene, transferred, amounts(count))
+        study = partial(pftwin.simulate_batch, many, devices=device, **SETTINGS)
+        cold, found = _clocked(study)
+        warm = [_clocked(study)[0] for _ in range(_REPEATS if count < 100_000 else 1)]
+        seconds = statistics.median(warm)
+        details = {"cold_s": cold, "warm_s": warm, "recomputed": found.attrs["recomputed_members"]}
+        note = f"{seconds:.3g} s; {said}"
+        what = f"{count:,} variants, {jnp.zeros(()).dtype}"
+        out.append(Row("accelerator", f"{what}: variants a second", count / seconds, "1/s", note=note, details=details))
+        target = REAL_TIME if count == max(SIZES) else None
+        faster = count * duration / seconds
+        out.append(Row("accelerator", f"{what}: times real time", faster, "times", target, "at least", said))
+    return out + _parts(scene, max(sizes), said)
+
+
+def _clocked(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds, and what came out."""
+    began = time.perf_counter()
+    found = jax.block_until_ready(work())
+    return time.perf_counter() - began, found
+
+
+def _task(scene: Scene) -> Task:
+    substeps = jnp.asarray(substeps_for(float(scene.motion.frame_interval), SETTINGS["dt"]))
+    return Task(scene, transferred, substeps, SETTINGS["integrator"], SETTINGS["energy_budget"], False, None)
+
+
+def _stepped(task: Task, row: Any, start: Any) -> Any:
+    """The motion alone, of which nothing is looked at but where it ends."""
+    path = frame_states(
+        task.change(task.scene, row), integrator=task.integrator, substeps=task.substeps, start=start, ledger=False
+    )
+    return path.states.position.x[-1]
+
+
+def _parts(scene: Scene, most: int, said: str) -> list[Row]:
+    """Of one piece, which is what a device computes at a time: equilibrium, steps, and looking at the frames."""
+    device = tuple(jax.devices()[:1])
+    piece = piece_for(most, device[0].platform)
+    spread, task = Spread(device, piece, piece), _task(scene)
+    shared, chunk = spread.shared(task), next(spread.chunks(min(piece, most)))
+    own = spread.placed(amounts(chunk.members), chunk)
+    start = spread.run(settled, shared, chunk, (own,))
+    works: dict[str, Callable[[], Any]] = {
+        "equilibrium": lambda: spread.run(settled, shared, chunk, (own,)),
+        "steps": lambda: spread.run(_stepped, shared, chunk, (own, start)),
+        "steps and frames": lambda: spread.run(moved, shared, chunk, (own, start)),
+    }
+    out = []
+    for name, work in works.items():
+        _clocked(work)
+        seconds = statistics.median(_clocked(work)[0] for _ in range(_REPEATS))
+        what = f"{chunk.members:,} side by side, {jnp.zeros(()).dtype}: {name}"
+        out.append(Row("accelerator", what, 1e3 * seconds, "ms", note=said))
+    kernels = kernels_of_step(scene, chunk.members)
+    what = f"kernels of one step, {jnp.zeros(()).dtype}"
+    return [*out, Row("accelerator", what, kernels, "1", note=f"{chunk.members:,} side by side; {said}")]
+
+
+def kernels_of_step(scene: Scene, count: int) -> int:
+    """How many operations a compiled step of a batch launches: what is no constant, name or view in its program."""
+    task, chosen = _task(scene), SETTINGS["integrator"]
+    step = scene.motion.frame_interval / jnp.asarray(task.substeps, dtype=float)
+
+    @eqx.filter_jit
+    def begun(row: Any) -> Any:
+        one = task.change(scene, row)
+        first = Guide.sample(one.motion, jnp.asarray(one.motion.start_time, dtype=float))
+        return chosen.begin(one.system(), starting_state(one, settled(task, row)), first, step)
+
+    def advanced(row: Any, state: Any) -> Any:
+        one = task.change(scene, row)
+
+        def guide_at(part: Any) -> Guide:
+            return Guide.sample(one.motion, one.motion.start_time + step * jnp.asarray(part, dtype=float))
+
+        return chosen.advance(one.system(), state, guide_at, step, None)[0]
+
+    some = jnp.asarray(amounts(count), dtype=float)
+    states = jax.vmap(begun)(some)
+    return launched(jax.jit(jax.vmap(advanced)).lower(some, states).compile().as_text() or "")
+
+
+def launched(program: str) -> int:
+    """Instructions of a compiled program's entry that run something."""
+    entry = program[program.index("ENTRY ") :]  # a device whose programs have no text would fail here, not count none
+    body = entry[: entry.index("\n}")].splitlines()[1:]
+    operations = [found[1] for line in body if (found := _OPERATION.search(line))]
+    return sum(name not in _FREE for name in operations)
+
+
+def work(task: dict[str, Any], target: Path) -> None:
+    """Measures and writes the rows as JSON: `python -m tests.benchmarks.accelerator TASK TARGET`."""
+    import pftwin
+
+    pftwin.configure(float64=task["precision"] == "float64")
+    if not has_one():
+        print("skipped: JAX has no accelerator here; pip install -e '.[cuda]' on a machine that has", file=sys.stderr)
+        measured = []
+    else:
+        measured = rows(pftwin.rig.case(2, contact="P5"), QUICK_SIZES if task["quick"] else SIZES)
+    target.write_text(json.dumps([row.to_json() for row in measured]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    work(json.loads(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,41 @@
+"""The methods of `fitting.fit_tendons`, each with its own defaults, run through the meter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from fitting.methods.genetic import Genetic
+from fitting.methods.gradient import Gradient
+from fitting.methods.least_squares import LeastSquares
+from fitting.methods.method import Method
+from fitting.methods.problem import Problem
+from fitting.methods.strategies import CmaEs, DifferentialEvolution
+from tests.benchmarks.fitting.methods.meter import Meter
+
+OURS: dict[str, Callable[..., Method]] = {
+    "least_squares": LeastSquares,
+    "gradient": Gradient,
+    "genetic": Genetic,
+    "cma_es": CmaEs,
+    "differential_evolution": DifferentialEvolution,
+}
+
+
+def widest(name: str, problem: Problem) -> int | None:
+    """The largest batch of plain values that a method asks for; None: it asks for derivatives only."""
+    return OURS[name](problem, 0).widest
+
+
+def run(name: str, meter: Meter, seed: int) -> str:
+    """Runs a method to its end; returns why it stopped.
+
+    Raises:
+        SpentError: the budget was spent first.
+    """
+    search = OURS[name](meter.problem, seed)
+    state: dict[str, Any] = search.begin()
+    while state["stopped"] is None:
+        request = search.ask(state)
+        search.tell(state, request, meter.answer(request))
+    return str(state["stopped"])

@@ -1,0 +1,37 @@
+"""One topic on one core: `python -m tests.benchmarks.worker TASK TARGET`, started by `tests.benchmarks.topics`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from pftwin.base.machine import pin_to_one_core
+
+COUNTS = {"0.01": (64,), "0.05": (1, 16, 64, 256)}  # variants side by side, by accuracy level [mm]
+
+
+def work(task: dict[str, Any], target: Path) -> None:
+    """Measures the task's topic and writes the rows as JSON."""
+    pinned = pin_to_one_core()
+    import pftwin
+
+    pftwin.configure()
+    from tests.benchmarks import derivatives, speed
+    from tests.benchmarks.problem import scene_of_case_1
+
+    scene, steps = scene_of_case_1(), task["steps"]
+    if task["topic"] == "batch":
+        rows = speed.batch(scene, steps, min(task["variants"], 16) if task["quick"] else task["variants"])
+    elif task["topic"] == "forward":
+        rows = derivatives.forward(scene, steps, {level: (4,) if task["quick"] else COUNTS[level] for level in steps})
+    else:
+        rows = derivatives.reverse(scene, steps)
+    for row in rows:
+        row.details["cores"] = pinned
+    target.write_text(json.dumps([row.to_json() for row in rows]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    work(json.loads(sys.argv[1]), Path(sys.argv[2]))

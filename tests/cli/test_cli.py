@@ -1,0 +1,301 @@
+"""The command line: what it writes, says, and refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from toy_scene_files import CLUSTERS, SCENE, write_toy
+from typer.testing import CliRunner, Result
+
+from pftwin import rig
+from pftwin.base.errors import InputError
+from pftwin.cli import app
+from pftwin.files.scene_file import load_scene, load_scene_file
+from pftwin.geometry.mesh.mesh import save_mesh
+from pftwin.geometry.patch.implant import rig_implant
+from pftwin.model.scene import Scene
+from pftwin.rig.scene_template import LaboratoryFiles
+
+MEASURED = """
+[measured]
+patella = { body = "patella" }
+forces = "forces.csv"
+contact_force = "contact"
+"""
+STEP = ("--dt", "0.005")  # one step for all tests: one program to compile
+COMMANDS = (
+    *("demo", "simulate", "equilibrium", "validate", "fit-surface", "doctor-mesh"),
+    *("init", "fit", "treat", "optimise", "plan-experiment", "explain", "audit"),
+)
+
+
+def pftwin(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "160", "NO_COLOR": "1"})
+
+
+def refused(*arguments: object) -> str:
+    """The one message of a command that ends with exit code 2."""
+    result = pftwin(*arguments)
+    assert result.exit_code == 2, result.output
+    assert isinstance(result.exception, SystemExit)
+    assert result.stdout == ""
+    errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert "Traceback" not in result.output
+    return result.stderr
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("toy")
+    scene = write_toy(folder, SCENE + MEASURED)
+    rows = [f"{0.005 * i:.3f},{8 + 0.05 * i}" for i in range(81)]
+    (folder / "forces.csv").write_text("\n".join(["time_s,contact_N", *rows]) + "\n")
+    return scene
+
+
+def test_simulate_writes_the_result_in_three_formats(toy: Path, tmp_path: Path) -> None:
+    result = pftwin("simulate", toy, "-o", tmp_path / "out.nc", "--csv", "--sto", "--json", tmp_path / "o.json", *STEP)
+    assert result.exit_code == 0, result.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["o.json", "out.csv", "out.nc", "out.sto"]
+    assert "toy: 41 frames, 0.40 s" in result.stdout
+    assert "R^2 99." in result.stderr
+    facts = json.loads((tmp_path / "o.json").read_text())
+    assert facts["settings"] == {"integrator": "linear_implicit", "dt_s": 0.005, "substeps": 2}
+    assert facts["frames"] == 41
+    assert facts["contact"] == "P5"
+    assert facts["equilibrium"]["converged"]
+    assert facts["dtype"] == "float64"
+    assert facts["files"] == [str(tmp_path / f"out.{k}") for k in ("nc", "csv", "sto")]
+    assert facts["timing"]["run_s"] <= facts["timing"]["first_run_s"]
+    from pftwin.files.result_files import load_dataset
+
+    assert load_dataset(tmp_path / "out.nc").sizes["time"] == 41
+
+
+def test_json_on_stdout_is_json_alone(toy: Path) -> None:
+    result = pftwin("equilibrium", toy, "--json", "-")
+    assert result.exit_code == 0, result.output
+    facts = json.loads(result.stdout)
+    assert facts["scene"] == "toy"
+    assert facts["residual_N"] < 1e-6
+    assert facts["effects"]["contact"]["indentation_medial"] is None or facts["facets"] == ["medial", "lateral"]
+    assert "toy: stable equilibrium" in result.stderr
+    assert "residual [N]" in result.stderr
+    assert "patella in the femur [mm]" in result.stderr
+
+
+def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
+    result = pftwin("validate", toy, "--json", tmp_path / "o.json", *STEP)
+    assert result.exit_code == 0, result.output
+    assert "paper, P5" in result.stdout
+    facts = json.loads((tmp_path / "o.json").read_text())
+    assert [row["key"] for row in facts["rows"]][:2] == ["contact_force", "tibial_spring"]
+    by_key = {row["key"]: row for row in facts["rows"]}
+    assert by_key["contact_force"]["paper"] == 3.33
+    assert by_key["tibial_spring"]["value"] is None
+    assert by_key["mean_distance"]["value"] == pytest.approx(facts["mean_distance"])
+    assert 5 < facts["mean_distance"] < 30  # the toy's "recorded" patella stays where it was put
+    assert facts["frames_compared"] == 41
+
+
+def test_another_polynomial_can_be_asked_for(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def solve(scene: Scene) -> None:
+        raise InputError(f"a polynomial of degree {scene.contact.surface.degree}")
+
+    monkeypatch.setattr("pftwin.dynamics.simulate.equilibrium", solve)
+    assert "a polynomial of degree 4" in refused("equilibrium", toy, "--contact", "p4")
+    assert "no contact 'Q4'" in refused("equilibrium", toy, "--contact", "Q4")
+
+
+def test_fit_surface(toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)  # what another test has imported
+    figure = tmp_path / "region.png"
+    mesh = tmp_path / "femur.stl"
+    save_mesh(rig_implant().mesh(deviation=0.03e-3), mesh)
+    result = pftwin("fit-surface", mesh, "--units", "m", "-o", figure, "--json", "-", "--angles-deg", -75, 30)
+    assert result.exit_code == 0, result.output
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert "matplotlib.pyplot" not in sys.modules  # nor its choice of a backend for the whole process
+    facts = json.loads(result.stdout)
+    assert [f["polynomial"] for f in facts["fits"]] == ["P2", "P4", "P5"]
+    r_squared = [f["r_squared"] for f in facts["fits"]]
+    assert 0.85 < r_squared[0] < r_squared[1] < r_squared[2] < 1
+    assert len(facts["fits"][1]["coefficients_m"]) == 15
+    assert "P4" in result.stderr
+    assert "rms [mm]" in result.stderr
+
+
+def test_fit_surface_refuses(toy: Path, tmp_path: Path) -> None:
+    mesh = toy.parent / "femur.stl"
+    assert "femurs.stl: no such file" in refused("fit-surface", tmp_path / "femurs.stl", "--units", "m")
+    assert "implausible" in refused("fit-surface", mesh, "--units", "mm")
+    assert "unknown length unit 'furlong'" in refused("fit-surface", mesh, "--units", "furlong")
+    assert "no polynomial 'P99'" in refused("fit-surface", mesh, "--units", "m", "--degree", "P2,P99")
+    assert "--chart: no chart 'cone'" in refused("fit-surface", mesh, "--units", "m", "--chart", "cone")
+    assert "--anterior: found 'up'" in refused("fit-surface", mesh, "--units", "m", "--anterior", "up")
+    bad_figure = refused("fit-surface", mesh, "--units", "m", "-o", tmp_path / "a.gif")
+    assert "unknown kind of figure; expected: .png, .svg, .pdf" in bad_figure
+    assert not list(tmp_path.iterdir())
+
+
+def test_outputs_are_checked_before_the_work(toy: Path, tmp_path: Path) -> None:
+    """The scene named here does not even exist: the output's place is refused first."""
+    none = tmp_path / "none.toml"
+    assert "there is no folder" in refused("simulate", none, "-o", tmp_path / "missing" / "out.nc")
+    assert "results are NetCDF; try: " in refused("simulate", none, "-o", tmp_path / "out.mat")
+    assert "there is no folder" in refused("validate", none, "--json", tmp_path / "missing" / "o.json")
+    assert "two outputs would go to this file" in refused(
+        "simulate", none, "-o", tmp_path / "o.nc", "--csv", "--json", tmp_path / "o.csv"
+    )
+    (tmp_path / "folder.nc").mkdir()
+    assert "is a folder" in refused("equilibrium", none, "--json", tmp_path / "folder.nc")
+    (tmp_path / "file").write_text("")
+    assert "is a file; try: another name" in refused("demo", "--out", tmp_path / "file")
+    assert "is a file; try: another name" in refused("init", tmp_path / "file")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.nc"]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc: nowhere that even root cannot write")
+def test_a_folder_that_takes_no_files_is_refused() -> None:
+    assert "/proc/out.nc: cannot be written" in refused("simulate", "none.toml", "-o", "/proc/out.nc")
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="permissions do not bind this user")
+def test_a_folder_without_permission_is_refused(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir()
+    closed.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    assert "permission denied" in refused("simulate", "none.toml", "-o", closed / "out.nc")
+    assert "no permission to write" in refused("init", closed / "new")
+
+
+def test_bad_input_is_one_message_and_nothing_is_written(toy: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text(SCENE.replace("mass_kg = 0.12", "mass_kg = -1"))
+    message = refused("simulate", tmp_path / "bad.toml", "-o", tmp_path / "out.nc")
+    assert "bad.toml, line 12, [patella] mass_kg: found -1; expected: a positive number" in message
+    assert "none.toml: no such file" in refused("simulate", tmp_path / "none.toml", "-o", tmp_path / "out.nc")
+    assert "integrator: no integrator 'euler'" in refused(
+        "simulate", toy, "-o", tmp_path / "out.nc", "--integrator", "euler"
+    )
+    assert "dt: found -1.0" in refused("simulate", toy, "-o", tmp_path / "out.nc", "--dt", -1)
+    assert [p.name for p in tmp_path.iterdir()] == ["bad.toml"]
+
+
+def test_one_scene_is_needed(toy: Path) -> None:
+    assert "neither a scene file nor --case given" in refused("equilibrium")
+    assert "both a scene file and --case given" in refused("equilibrium", toy, "--case", 1)
+
+
+def test_validate_needs_measurements(toy: Path) -> None:
+    bare = toy.with_name("bare.toml")
+    bare.write_text(SCENE)
+    assert "expected: a table [measured] in the scene file" in refused("validate", bare)
+
+
+def test_mistakes_of_our_own_are_not_swallowed(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("pftwin.dynamics.simulate.equilibrium", broken)
+    assert isinstance(pftwin("equilibrium", toy).exception, ZeroDivisionError)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(command: str) -> None:
+    result = pftwin(command, "--help")
+    assert result.exit_code == 0
+    assert f"Example: pftwin {command}" in " ".join(result.stdout.split())
+    assert "--json" in result.stdout
+
+
+def test_json_keeps_to_the_standard(tmp_path: Path) -> None:
+    from pftwin.cli.terminal import write_json
+
+    write_json({"a": np.array([1.0, np.nan]), "b": float("inf"), "c": (1, None)}, str(tmp_path / "a.json"))
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [1.0, None], "b": None, "c": [1, None]}
+
+
+@pytest.fixture
+def laboratory(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The toy in the place of the virtual rig."""
+
+    def write_files(case: int, folder: Path) -> list[Path]:
+        names = ("walk.trc", "femur.stl", "forces.csv")
+        return [Path(shutil.copy(toy.with_name(name), folder)) for name in names]
+
+    clusters = CLUSTERS["tibia"], CLUSTERS["patella"]
+    columns = ("contact", "contact", "contact")
+    files = LaboratoryFiles("walk.trc", "femur.stl", "forces.csv", None, *clusters, {}, columns)
+    for name, value in (("write_files", write_files), ("case", lambda n: load_scene(toy))):
+        monkeypatch.setattr(f"pftwin.rig.{name}", value)
+    monkeypatch.setattr("pftwin.rig.scene_template.rig_laboratory", lambda n: files)
+
+
+@pytest.mark.usefixtures("laboratory")
+def test_init_writes_an_example_that_simulates(tmp_path: Path) -> None:
+    result = pftwin("init", tmp_path / "new" / "knee")
+    assert result.exit_code == 0, result.output
+    folder = tmp_path / "new" / "knee"
+    assert sorted(p.name for p in folder.iterdir()) == ["femur.stl", "forces.csv", "scene.toml", "walk.trc"]
+    assert f"next: pftwin simulate {folder / 'scene.toml'}" in result.stdout
+    result = pftwin("validate", folder / "scene.toml", "--json", "-", *STEP)
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["synthetic"] is True
+
+
+@pytest.mark.usefixtures("laboratory")
+def test_init_overwrites_nothing(tmp_path: Path) -> None:
+    (tmp_path / "walk.trc").write_text("mine")
+    assert "walk.trc: is there already" in refused("init", tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.trc"]
+    assert (tmp_path / "walk.trc").read_text() == "mine"
+
+
+def test_init_of_the_rig_is_the_rigs_own_case(tmp_path: Path) -> None:
+    result = pftwin("init", tmp_path, "--case", 1)
+    assert result.exit_code == 0, result.output
+    ours, theirs = load_scene(tmp_path / "scene.toml"), rig.case(1)
+    assert [e.name for e in ours.effects] == [e.name for e in theirs.effects]
+    at, true = (s.motion.tibia.frames(1.23).origin.array() for s in (ours, theirs))
+    np.testing.assert_allclose(at, true, atol=1e-5)
+    for one, other in ((ours.effects, theirs.effects), (ours.patella, theirs.patella), (ours.start, theirs.start)):
+        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-5)  # the mesh's file is in single precision
+    measured = load_scene_file(tmp_path / "scene.toml").measured
+    assert measured is not None
+    np.testing.assert_allclose(measured.center, rig.measured(1).center, atol=1e-9)
+    np.testing.assert_allclose(measured.contact_force, rig.measured(1).contact_force, atol=1e-9)
+
+
+def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    program = [sys.executable, "-c", "from pftwin.cli import main; main()", *(str(a) for a in arguments)]
+    root = str(Path(__file__).resolve().parents[2])
+    return subprocess.run(
+        program, cwd=cwd, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": root}
+    )
+
+
+def test_the_program_answers_without_loading_jax(tmp_path: Path) -> None:
+    code = "import sys, pftwin.cli; sys.exit(any(m in sys.modules for m in ('jax', 'numpy', 'pydantic', 'matplotlib')))"
+    root = str(Path(__file__).resolve().parents[2])
+    env = {**os.environ, "PYTHONPATH": root}
+    assert subprocess.run([sys.executable, "-c", code], env=env, cwd=tmp_path, check=False).returncode == 0
+
+
+def test_the_program_itself(toy: Path, tmp_path: Path) -> None:
+    done = run("simulate", tmp_path / "none.toml", "-o", "out.nc", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,247 @@
+"""OpenSim models as scene folders: what is taken over, what is left out, what is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from knee_models import BUTTON_RADIUS, FEMUR, PATELLA, PT, TIBIA, ligament, ligaments, model, write_knee
+from typer.testing import CliRunner
+
+from pftwin.base.errors import OutputError
+from pftwin.base.rotations import tibiofemoral_angles
+from pftwin.cli import app
+from pftwin.files.interchange import import_osim
+from pftwin.files.scene_file import load_scene_file
+from pftwin.geometry.mesh.mesh import load_mesh
+from pftwin.model.effects.elastic_foundation import ElasticFoundation
+from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.motion_on_host import tibia_orientation
+
+ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # proximal, lateral, anterior of x, y, z
+
+
+@pytest.fixture(scope="module")
+def knee(tmp_path_factory):
+    """The whole model, imported: the scene file's content, and what was told."""
+    folder = tmp_path_factory.mktemp("import")
+    told = import_osim(write_knee(folder / "model"), folder / "scene")
+    return load_scene_file(told.scene), told, folder
+
+
+def bare(folder: Path, text: str, **options):
+    """A model without meshes."""
+    folder.mkdir(exist_ok=True)
+    (folder / "bare.osim").write_text(text)
+    return import_osim(folder / "bare.osim", folder / "out", **options)
+
+
+def effect(scene, name: str) -> StrandGroup:
+    return scene.effects[scene.index(name)]
+
+
+def test_ligaments_become_strands(knee):
+    strands = effect(knee[0].scene, "pt")
+    assert strands.body == "tibia"
+    np.testing.assert_allclose(strands.stiffness, [3000, 3100])
+    np.testing.assert_allclose(strands.slack_length, [0.06, 0.061])
+    np.testing.assert_allclose(strands.toe_strain, [0.05, 0.03])  # the model's default for its ligaments, its own
+    np.testing.assert_allclose(strands.damping_time, [0.003, 0.004])  # OpenSim's own default
+    np.testing.assert_allclose(strands.insertion.array()[0], ANATOMICAL @ PT[0])
+    np.testing.assert_allclose(strands.origin.array()[0], ANATOMICAL @ PT[1])
+
+
+def test_a_point_on_a_welded_bone_is_brought_to_the_tibia(knee):
+    """The shank's origin is 50 mm below the tibia's: its child frame is 50 mm above it."""
+    origin = effect(knee[0].scene, "pt").origin.array()[1]
+    np.testing.assert_allclose(origin, ANATOMICAL @ [0.045, -0.07, 0.004], atol=1e-12)
+
+
+def test_a_ligament_may_begin_at_either_end(knee):
+    strands = effect(knee[0].scene, "mpfl")
+    assert strands.body == "femur"
+    np.testing.assert_allclose(strands.insertion.array()[0], ANATOMICAL @ [-0.01, 0.0, -0.02])
+    np.testing.assert_allclose(strands.origin.array()[0], ANATOMICAL @ [-0.005, 0.0, -0.03])
+
+
+def test_the_patella_its_weight_and_its_start(knee):
+    scene = knee[0].scene
+    assert float(scene.patella.mass) == 0.12
+    np.testing.assert_allclose(scene.patella.inertia.array(), ANATOMICAL @ [3e-5, 4e-5, 3.5e-5])
+    femur = scene.motion.femur.frames(scene.motion.start_time)
+    turn = np.asarray(femur.rotation.array())
+    place = turn.T @ (np.asarray(scene.start.position.array()) - np.asarray(femur.origin.array()))
+    np.testing.assert_allclose(place, [-0.005, 0.001, 0.0499], atol=1e-9)
+
+
+def test_contact_meshes_become_an_elastic_foundation(knee):
+    contact = knee[0].scene.contact
+    assert isinstance(contact, ElasticFoundation)
+    written = knee[2] / "scene" / "geometry"
+    from pftwin.geometry.mesh.mesh import load_mesh
+
+    button = load_mesh(written / "patella_button.stl", units="m")  # in millimetres, and scaled by the model
+    assert np.linalg.norm(button.vertices, axis=1).max() == pytest.approx(BUTTON_RADIUS, rel=1e-5)
+    text = (knee[2] / "scene" / "scene.toml").read_text()
+    assert "femur_layer = { modulus_MPa = 4, poisson_ratio = 0.45, thickness_m = 0.005 }" in text
+    assert "button_layer = { modulus_MPa = 5, poisson_ratio = 0.45, thickness_m = 0.005 }" in text
+    assert 'law = "linear"' in text
+    assert any("lumps both" in note for note in knee[1].notes)
+
+
+def test_the_knee_is_bent_through_its_range(knee):
+    """By pftwin's own angles, from the written poses: from 0.8 rad to the farther end of the range, -0.2."""
+    scene = knee[0].scene
+    flexion = np.asarray(tibiofemoral_angles(tibia_orientation(scene.motion)).flexion)
+    assert flexion[0] == pytest.approx(0.8, abs=1e-6)
+    assert flexion[-1] == pytest.approx(-0.2, abs=1e-6)
+    assert np.abs(np.diff(flexion)).max() * 100 <= np.radians(45) * 1.001
+
+
+def test_what_is_left_out_is_listed_with_its_reason(knee):
+    _, told, folder = knee
+    why = {part.name: part.why for part in told.left_out}
+    assert set(why) == {"MCL1", "LPFL1", "vasint_r"}
+    assert why["MCL1"] == "it joins femur and tibia, whose motion is prescribed"
+    assert "3 points" in why["LPFL1"]
+    assert "insertion_m = [-0.008, 0.02, 0], origin_m = [0.035, 0.22, 0.012] on the femur" in why["vasint_r"]
+    report = (folder / "scene" / "not_imported.md").read_text()
+    for name, reason in why.items():
+        assert f"| {name} | {reason} |" in report
+
+
+def test_a_frame_within_a_body_carries_its_mesh(tmp_path):
+    """As in models with implants: a frame among a body's components, its place relative to "..", and meshes on it."""
+    place = np.array([0.002, 0.003, -0.004])
+    frame = (
+        '<components><PhysicalOffsetFrame name="femur_implant"><components><Mesh name="component">'
+        "<socket_frame>..</socket_frame><mesh_file>femur.stl</mesh_file></Mesh></components>"
+        '<FrameGeometry name="frame_geometry"><socket_frame>..</socket_frame></FrameGeometry>'
+        "<socket_parent>..</socket_parent>"
+        f"<translation>{' '.join(map(str, place))}</translation><orientation>0 0 0</orientation>"
+        "</PhysicalOffsetFrame></components>"
+    )
+    text = model().replace('<Body name="femur_r">', f'<Body name="femur_r">{frame}', 1)
+    on_it = f"<socket_frame>{FEMUR}/femur_implant</socket_frame>"
+    surface = '<Smith2018ContactMesh name="femur_cartilage">'
+    assert f"{surface}<socket_frame>{FEMUR}</socket_frame>" in text
+    text = text.replace(f"{surface}<socket_frame>{FEMUR}</socket_frame>", surface + on_it)
+    told = import_osim(write_knee(tmp_path / "model", text), tmp_path / "scene")
+    own = load_mesh(tmp_path / "model" / "femur.stl", units="m").vertices.mean(axis=0)
+    for name, moved in (("femur_cartilage", place), ("component", place), ("femur_r_bone", np.zeros(3))):
+        written = load_mesh(told.scene.parent / "geometry" / f"{name}.stl", units="m").vertices.mean(axis=0)
+        np.testing.assert_allclose(written, own + moved, atol=1e-7, err_msg=name)
+
+
+def test_the_case_of_a_files_name_does_not_matter(tmp_path):
+    """Where models are written, it mostly does not; an exact name comes first, and of two alike none is taken."""
+    folder = tmp_path / "model"
+    path = write_knee(folder, model().replace(">femur.stl<", ">Femur.STL<"))
+    assert any(p.name == "femur_cartilage.stl" for p in import_osim(path, tmp_path / "scene").files)
+    (folder / "FEMUR.stl").write_bytes((folder / "femur.stl").read_bytes())
+    why = {part.name: part.why for part in import_osim(path, tmp_path / "other").left_out}
+    assert "no mesh 'Femur.STL'" in why["pf_contact"]
+
+
+def test_strands_that_wrap_are_told_in_one_line(tmp_path):
+    wrap = "<PathWrap><wrap_object>{}</wrap_object></PathWrap>"
+    numbered = [("PT1", "PatTen_r"), ("PT2", "PatTen_r"), ("PT3", "PatTen_r"), ("MPFL", "condyle")]
+    forces = "".join(
+        ligament(name, (PATELLA, PT[0]), (TIBIA, PT[1]), k=1, slack=0.1, more=wrap.format(over))
+        for name, over in numbered
+    )
+    told = bare(tmp_path, model(forces=forces, meshes=False))
+    assert [n for n in told.notes if "straight" in n] == [
+        "PT1 to PT3 (3 strands): straight lines, though they wrap over PatTen_r",
+        "MPFL: a straight line, though it wraps over condyle",
+    ]
+
+
+def test_every_file_is_there(knee):
+    _, told, folder = knee
+    names = sorted(str(p.relative_to(folder / "scene")) for p in told.files)
+    assert names == [
+        "geometry/femur_cartilage.stl",
+        "geometry/femur_r_bone.stl",
+        "geometry/patella_button.stl",
+        "geometry/patella_r_bone.stl",
+        "not_imported.md",
+        "poses.csv",
+        "scene.toml",
+    ]
+    assert all(p.is_file() for p in told.files)
+
+
+def test_a_file_that_is_there_is_not_overwritten(knee):
+    _, _, folder = knee
+    before = (folder / "scene" / "scene.toml").read_text()
+    with pytest.raises(OutputError, match="is there already"):
+        import_osim(folder / "model" / "knee.osim", folder / "scene")
+    assert (folder / "scene" / "scene.toml").read_text() == before
+
+
+def test_a_left_knee_is_told_by_its_names_and_mirrored(tmp_path):
+    text = model(forces=ligaments(), meshes=False)
+    told = bare(tmp_path, re.sub(r"(femur|tibia|patella|shank)_r\b", r"\1_l", text))
+    scene = load_scene_file(told.scene).scene
+    lateral = effect(scene, "pt").insertion.array()[1, 1]
+    assert lateral == pytest.approx(-0.004)  # to the right of a left knee is medial
+    assert 'side = "left"' in told.scene.read_text()
+
+
+def test_a_motion_of_coordinates_moves_the_bones(tmp_path):
+    """Exported by us, imported again: the tibia moves in the femur as the result's did."""
+    from small_scene import small_result
+
+    from pftwin.files.interchange import export
+
+    result = small_result()
+    export(result, tmp_path / "walk.mot")
+    told = bare(tmp_path, model(forces=ligaments(), meshes=False), motion=tmp_path / "walk.mot")
+    motion = load_scene_file(told.scene).scene.motion
+    assert motion.n_frames == result.times.size
+    from pftwin.model.motion_on_host import tibia_position
+
+    np.testing.assert_allclose(tibia_position(motion), result.tibia[0], atol=1e-9)
+    found = tibiofemoral_angles(tibia_orientation(motion))
+    np.testing.assert_allclose(found.flexion, result.knee.flexion, atol=1e-8)
+    assert told.notes[0].startswith("motion: 12 coordinates from")
+
+
+def test_the_command(knee, tmp_path):
+    _, _, folder = knee
+    done = CliRunner().invoke(
+        app, ["import", str(folder / "model" / "knee.osim"), "-o", str(tmp_path / "s"), "--json", "-"]
+    )
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)
+    assert facts["trouble"] is None
+    assert len(facts["not_imported"]) == 3
+    assert f"next: pftwin simulate {tmp_path / 's' / 'scene.toml'}" in done.stderr.replace("\n", "")
+
+
+def test_a_scene_that_needs_more_is_code_3(tmp_path):
+    (tmp_path / "bare.osim").write_text(model(forces=ligaments(), meshes=False))
+    done = CliRunner().invoke(app, ["import", str(tmp_path / "bare.osim"), "-o", str(tmp_path / "s")])
+    assert done.exit_code == 3, done.output
+    assert "a scene without contact" in done.stderr
+    assert (tmp_path / "s" / "scene.toml").is_file()
+
+
+@pytest.mark.slow
+def test_an_imported_knee_simulates(tmp_path):
+    """With a quadriceps, as a ligament that pulls from the femur: it finds its balance, and follows the motion."""
+    from pftwin import Status, simulate
+
+    quadriceps = ligament("QT1", (PATELLA, (-0.008, 0.02, 0.0)), (FEMUR, (0.035, 0.22, 0.012)), k=3000, slack=0.19)
+    told = import_osim(
+        write_knee(tmp_path / "m", model().replace("<objects><Blank", f"<objects>{quadriceps}<Blank", 1)),
+        tmp_path / "s",
+    )
+    result = simulate(load_scene_file(told.scene).scene, dt=2e-3)
+    assert result.equilibrium.converged
+    assert Status.NOT_FINITE not in result.status
+    assert result.effects["contact"]["force"].max() > 1

@@ -1,0 +1,124 @@
+"""What the live page computes against `simulate`, and what it refuses to show."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+import pytest
+from live_engine import live_engine, load
+from small_scene import small_scene
+
+import pftwin
+from fitting.cli.live.engine import Engine
+from fitting.cli.live.knobs import KNOBS, neutral, turned
+from fitting.cli.live.shown import Shown
+from pftwin.base.errors import InputError
+from pftwin.results.viewer.matrices import of_poses
+
+MOVED = {**neutral(), "medialisation": 6.5, "anteriorisation": 2.0, "quadriceps_stiffness": 120.0}
+
+
+@pytest.fixture(scope="module")
+def engine():
+    return live_engine()
+
+
+def test_gives_what_simulate_gives_of_the_treated_scene(engine):
+    answer = engine.run("groove", MOVED)
+    result = pftwin.simulate(turned(small_scene(), KNOBS, MOVED))
+    data = answer.recorded.data
+    np.testing.assert_array_equal(data["patella_position"].values, result.position)
+    np.testing.assert_array_equal(data["patella_quaternion"].values, result.quaternion)
+    np.testing.assert_array_equal(answer.force, result.effects["contact"]["force"])
+    np.testing.assert_array_equal(answer.tilt, np.degrees(result.angles.tilt))
+    np.testing.assert_array_equal(answer.shift, 1e3 * result.shift)
+    assert answer.highest_force == result.effects["contact"]["force"].max()
+    assert answer.tracking == result.dislocations().describe()
+    assert answer.highest_force > engine.model("groove").before.highest_force + 0.1
+
+
+def test_turning_compiles_nothing(engine):
+    treated = turned(small_scene(), KNOBS, MOVED)
+    assert pftwin.simulate(treated).timing["compile_s"] == 0
+    assert pftwin.simulate(turned(small_scene(), KNOBS, neutral())).timing["compile_s"] == 0
+    assert engine.ready("groove")
+
+
+def test_lines_of_the_treated_scene_are_drawn(engine):
+    before = engine.model("groove").before.recorded
+    after = engine.run("groove", MOVED).recorded
+    moved = after.lines["patellar_tendon"].origin - before.lines["patellar_tendon"].origin
+    np.testing.assert_allclose(moved, [[0, -0.0065, 0.002]], atol=1e-12)
+    assert after.mesh("surface")[0] is not None
+    np.testing.assert_array_equal(after.mesh("surface")[0], before.mesh("surface")[0])
+
+
+def test_values_out_of_range_are_refused_and_the_next_ones_work(engine):
+    with pytest.raises(InputError, match="medialisation"):
+        engine.run("groove", {**MOVED, "medialisation": float("nan")})
+    assert engine.run("groove", MOVED).finite
+
+
+def test_a_scene_that_the_values_make_impossible_is_refused():
+    def short(name):
+        scene = load(name)
+        tendon = scene.effect("patellar_tendon")
+        return scene.with_effect(eqx.tree_at(lambda t: t.slack_length, tendon, tendon.slack_length - 0.02))
+
+    engine = Engine(short, ("groove",))
+    engine.prepare("groove")
+    with pytest.raises(InputError, match=r"patellar_tendon\.slack_length: found -0\.0086; expected: a positive number"):
+        engine.run("groove", {**neutral(), "patellar_tendon_length": -60.0})
+
+
+def test_motions_that_mean_nothing_are_refused(engine):
+    answer = engine.run("groove", MOVED)
+    answer.refuse_if_lost(unlike=answer)
+    with pytest.raises(InputError, match="the patella is lost"):
+        dataclasses.replace(answer, finite=False).refuse_if_lost()
+    loose = dataclasses.replace(answer, settled=False)
+    with pytest.raises(InputError, match="no static equilibrium to start from"):
+        loose.refuse_if_lost(unlike=answer)
+    loose.refuse_if_lost(unlike=loose)
+
+
+def test_contacts_are_prepared_when_they_are_wanted(engine):
+    assert not engine.ready("absent")
+    with pytest.raises(InputError, match="no mesh to fit it to"):
+        engine.prepare("absent")
+    with pytest.raises(InputError, match="expected: one of: groove, cubic"):
+        engine.prepare("x" * 1000)
+    assert engine.prepare("groove") is engine.model("groove")
+
+
+def test_frames_are_those_of_the_result(engine):
+    answer = engine.run("groove", MOVED)
+    shown = Shown(answer.recorded, 10.0).drawn_now()
+    data = answer.recorded.data
+    matrices = of_poses(data["patella_position"].values, data["patella_quaternion"].values)
+    np.testing.assert_allclose(shown.patella.position, matrices[:, :3, 3], atol=1e-4)
+    turns = np.abs(np.sum(shown.patella.wxyz * data["patella_quaternion"].values, axis=1))
+    np.testing.assert_allclose(turns, 1, atol=1e-6)
+    np.testing.assert_allclose(shown.patella.scale, 1, atol=1e-6)
+    force = data["contact_force_lateral"].values
+    arrow = shown.arrows["contact, lateral"]
+    here = arrow.present
+    np.testing.assert_array_equal(here, force > 0)
+    np.testing.assert_allclose(arrow.scale[here], force[here], rtol=1e-5)  # 10 mm for 10 N
+    vertices, _ = shown.lines["patellar_tendon"]
+    length = np.linalg.norm(np.diff(vertices.reshape(len(vertices), 2, -1, 3).mean(axis=2), axis=1)[:, 0], axis=1)
+    np.testing.assert_allclose(length, 1e3 * data["patellar_tendon_length"].values, atol=1e-3)
+
+
+def test_the_surface_goes_on_where_it_is_touched_beyond_its_edge(engine):
+    model = engine.model("groove")
+    shown = Shown(model.before.recorded, 10.0)
+    assert model.still.continued(shown.touched) is None
+    out = np.where(np.arange(len(shown.touched))[:, None] == 3, [[0.0, 0.030, 0.0]], shown.touched)
+    beyond = model.still.continued(out)
+    assert beyond is not None
+    used = beyond.vertices[np.unique(beyond.triangles)]
+    assert 30.0 < used[:, 1].max() < 38.0
+    assert used[:, 1].min() > 15.0

@@ -1,0 +1,256 @@
+"""Pages without a browser: what sliders do, nonsense, several clients, contacts, and what a client leaves behind."""
+
+from __future__ import annotations
+
+import gc
+import socket
+import sys
+import threading
+import time
+import weakref
+
+import numpy as np
+import pytest
+from live_engine import live_engine
+from small_scene import small_scene
+
+import pftwin
+from fitting.cli.live.clock import KEPT
+from fitting.cli.live.knobs import KNOBS, neutral, turned
+from pftwin.base.errors import MissingExtraError
+
+pytest.importorskip("viser")
+from page_client import PageClient
+from websockets.exceptions import InvalidStatus
+
+from fitting.cli.live.server import LiveServer
+
+MEDIALISE = "medialisation [mm]"
+
+
+@pytest.fixture(scope="module")
+def server():
+    made = LiveServer(live_engine(), port=0)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def client(server):
+    gone(server)
+    with PageClient(server.address) as made:
+        made.wait_for("Dislocation: no")
+        until(lambda: server.sessions)
+        yield made
+
+
+def gone(server) -> None:
+    """Until the clients of former tests have left."""
+    until(lambda: not server.sessions)
+
+
+def until(true, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def drawn_for(session, **values) -> None:
+    """Until what is drawn is the motion of these values."""
+    result = pftwin.simulate(turned(small_scene(), KNOBS, {**neutral(), **values}))
+    until(lambda: np.array_equal(session._after.recorded.data["patella_position"].values, result.position))
+
+
+def test_a_slider_simulates_anew_and_the_page_tells_numbers_and_times(client, server):
+    (session,) = server.sessions
+    assert "none yet" in client.text()
+    client.move(MEDIALISE, 8.0)
+    drawn_for(session, medialisation=8.0)
+    client.wait_for("slider to new motion: <b>", "of the last 1: median")
+    text = client.text()
+    for words in ("Whole motion", "untreated", "treated", "tilt [°]", "no treatment should be decided by it alone"):
+        assert words in text
+    place = client.nodes["/treated/tibia/patellar_tendon"]["position"]
+    client.move(MEDIALISE, 10.0)
+    client.wait_for("of the last 2: median")
+    assert client.nodes["/treated/tibia/patellar_tendon"]["position"][1] == pytest.approx(place[1] - 2.0, abs=1e-3)
+
+
+def test_a_fast_drag_does_not_queue_up_and_ends_where_it_ended(client, server):
+    (session,) = server.sessions
+    for k in range(200):
+        client.move(MEDIALISE, 0.1 * k)
+    drawn_for(session, medialisation=0.1 * 199)
+    client.wait_for("of the last")  # noted after the drawing
+    assert 1 <= session.motions.count < KEPT
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("text", "could not convert string to float"),
+        (None, "makes no sense: TypeError"),
+        ([1.0], "makes no sense: TypeError"),
+        (float("nan"), "medialisation [mm]: found nan; expected: -20 to 30 mm"),
+        (float("-inf"), "medialisation [mm]: found -inf"),
+        (4000.0, "medialisation [mm]: found 4000 mm; expected: -20 to 30 mm"),
+    ],
+)
+def test_nonsense_is_said_in_words_and_the_last_drawing_stays(client, server, capfd, value, words):
+    (session,) = server.sessions
+    client.move(MEDIALISE, 3.0)
+    client.wait_for("of the last 1: median")
+    last = session._after
+    client.move(MEDIALISE, value)
+    client.wait_for("Not drawn", words, "those of the last values that worked")
+    assert session._after is last
+    client.move(MEDIALISE, 4.0)
+    drawn_for(session, medialisation=4.0)
+    client.wait_for("Dislocation: no")
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_slider_that_was_out_of_range_goes_back(client):
+    client.move(MEDIALISE, 3.0)
+    client.wait_for("of the last 1: median")
+    client.move(MEDIALISE, 4000.0)
+    client.wait(lambda c: c.elements[c.uuid(MEDIALISE)]["value"] == 3.0)
+
+
+@pytest.mark.parametrize("message", [b"\x00garbage", {"type": "NoSuchMessage"}, {"type": "GuiUpdateMessage"}, {}])
+def test_messages_that_are_none_end_that_page_alone(server, capfd, message):
+    gone(server)
+    with PageClient(server.address) as other:
+        other.wait_for("Dislocation: no")
+        with PageClient(server.address) as mad:
+            mad.wait_for("Dislocation: no")
+            mad.send(message)
+            until(lambda: len(server.sessions) == 1)
+        other.move(MEDIALISE, 2.0)
+        other.wait_for("of the last 1: median")
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_nobody_opens_a_way_to_the_public_internet(client, monkeypatch):
+    import viser
+
+    asked = []
+    monkeypatch.setattr(viser.ViserServer, "request_share_url", lambda *a, **k: asked.append(1))
+    client.send({"type": "ShareUrlRequest"})
+    client.listen(0.5)
+    assert asked == []
+
+
+@pytest.mark.parametrize("origin", ["https://evil.example", "http://localhost:1", "null"])
+def test_a_page_of_another_site_is_refused(server, capfd, origin):
+    with pytest.raises(InvalidStatus) as refused:
+        PageClient(server.address, origin=origin)
+    assert refused.value.response.status_code == 403
+    assert f"a page of another origin was refused: {origin}" in capfd.readouterr().err
+    assert not server.sessions
+
+
+def test_its_own_page_is_let_in(server):
+    gone(server)
+    with PageClient(server.address, origin=server.address) as own:
+        own.wait_for("Dislocation: no")
+
+
+def test_two_pages_are_independent(client, server):
+    with PageClient(server.address) as second:
+        second.wait_for("Dislocation: no")
+        until(lambda: len(server.sessions) == 2)
+        one, two = sorted(server.sessions, key=lambda s: s._client.client_id)
+        client.move(MEDIALISE, 8.0)
+        second.move("distalisation [mm]", 5.0)
+        drawn_for(one, medialisation=8.0)
+        drawn_for(two, distalisation=5.0)
+        second.listen(0.3)
+        assert second.value(MEDIALISE) == 0.0
+
+
+def test_reset_time_play_and_comparison(client, server):
+    (session,) = server.sessions
+    client.move(MEDIALISE, 8.0)
+    drawn_for(session, medialisation=8.0)
+    client.move("Reset", True)
+    drawn_for(session)
+    client.wait(lambda c: c.value(MEDIALISE) == 0.0)
+    client.move("time [s]", 0.2)
+    client.wait_for("<b>0.20 s</b>")
+    client.move("time [s]", float("nan"))
+    client.wait_for("no time nan in the motion, which goes from 0 to 0.4 s")
+    client.move("compare with untreated", True)
+    client.wait(lambda c: c.nodes["/untreated"]["visible"])
+    client.move("Play", True)
+    client.wait(lambda c: any(e.get("label") == "Pause" for e in c.elements.values()))
+    place = client.nodes["/treated/patella"]["position"]
+    client.wait(lambda c: c.nodes["/treated/patella"]["position"] != place)
+    client.move("Pause", True)
+    client.wait(lambda c: any(e.get("label") == "Play" for e in c.elements.values()))
+
+
+@pytest.mark.slow
+def test_another_contact_is_prepared_while_the_page_goes_on(client, server):
+    (session,) = server.sessions
+    client.move("contact", "cubic")
+    client.wait_for("Preparing contact cubic", "turned is with groove")
+    client.move(MEDIALISE, 5.0)
+    client.wait_for("of the last 1: median")
+    client.wait(lambda c: "Preparing" not in c.text(), 300.0)
+    until(lambda: session._contact == "cubic")
+    assert server._engine.ready("cubic")
+
+
+@pytest.mark.parametrize(
+    ("contact", "words"),
+    [
+        ("absent", "no mesh to fit it to"),
+        ("broken", "an error in the program, ZeroDivisionError: see the terminal"),
+        ("no such", "no contact"),
+    ],
+)
+def test_a_contact_that_there_is_not_is_said_and_the_one_before_stays(client, server, contact, words):
+    (session,) = server.sessions
+    client.move("contact", contact)
+    client.wait_for(words)
+    client.wait(lambda c: c.value("contact") == "groove")
+    client.move(MEDIALISE, 5.0)
+    drawn_for(session, medialisation=5.0)
+
+
+def test_a_client_that_leaves_frees_its_things(server):
+    gone(server)
+    with PageClient(server.address) as client:
+        client.wait_for("Dislocation: no")
+        client.move("Play", True)
+        client.wait(lambda c: any(e.get("label") == "Pause" for e in c.elements.values()))
+        until(lambda: server.sessions)
+        session = weakref.ref(server.sessions[0])
+    gone(server)
+    until(lambda: "player" not in [t.name for t in threading.enumerate()])
+
+    def freed() -> bool:
+        gc.collect()
+        return session() is None
+
+    until(freed)
+
+
+def test_a_port_that_is_taken_is_no_mistake(server):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        other = LiveServer(server._engine, port=port)
+        try:
+            assert other.port != port
+            with PageClient(other.address) as client:
+                client.wait_for("Dislocation: no")
+        finally:
+            other.stop()
+
+
+def test_without_viser_the_extra_is_named(server, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingExtraError, match=r"pftwin\[app\]"):
+        LiveServer(server._engine)

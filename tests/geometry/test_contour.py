@@ -1,0 +1,188 @@
+"""Contacts of two meshes: closed forms, both facets, gradients."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from height_meshes import grid, plate
+from mesh_contacts import RADIUS, at, lateral, member, mesh_pair, on_the_groove
+
+from pftwin.base.spatial import Pose, Quaternion, Vec3
+from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.bvh.triangle_pairs import crossing, meet
+from pftwin.geometry.contact.contact_mesh import contact_mesh
+from pftwin.geometry.contact.contour import Contacts, MeshPair
+from pftwin.geometry.mesh.icosphere import icosphere
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+
+@eqx.filter_jit
+def contacts(pair: MeshPair, X: Pose) -> Contacts:
+    return pair.contacts(X)
+
+
+def beyond_middle(mesh: SurfaceMesh) -> np.ndarray:
+    """Which triangles are at y > 0."""
+    return mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > 0
+
+
+def array(v: Vec3) -> np.ndarray:
+    return np.asarray(v.array())
+
+
+@pytest.fixture(scope="module")
+def on_a_plate() -> MeshPair:
+    return mesh_pair(contact_mesh(plate()), contact_mesh(icosphere(RADIUS, 60)))
+
+
+def test_a_sphere_in_a_plate(on_a_plate):
+    depth = 0.4e-3
+    found = contacts(on_a_plate, at(1e-3, 2e-3, RADIUS - depth))
+    (c,) = found.each
+    deviation = 1e-5  # of the icosphere from the sphere, generously
+    np.testing.assert_allclose(c.indentation, depth, atol=deviation)
+    np.testing.assert_allclose(c.area, np.pi * (2 * RADIUS * depth - depth**2), rtol=0.02)
+    np.testing.assert_allclose(array(c.normal), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(array(c.point), [1e-3, 2e-3, 0], atol=5e-5)
+    assert not found.overflow
+    assert not found.too_deep
+    assert not found.merged
+
+
+def test_apart_there_is_nothing_and_its_gradient_is_finite(on_a_plate):
+    def some(z):
+        (c,) = on_a_plate.contacts(_lifted(z)).each
+        return c.indentation + c.area + c.normal.z + c.point.x
+
+    value, slope = jax.jit(jax.value_and_grad(some))(jnp.asarray(RADIUS + 1e-3))
+    assert float(value) == 0
+    assert float(slope) == 0
+
+
+def _lifted(z) -> Pose:
+    return Pose(Vec3(jnp.asarray(0.0), jnp.asarray(0.0), z), Quaternion.identity())
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_gradients_are_those_of_finite_differences(mode):
+    mesh = grid(lambda x, y: 8.0 * (y * y) - 3.0 * x * x, 21)
+    pair = mesh_pair(contact_mesh(mesh), contact_mesh(icosphere(RADIUS, 18)))
+
+    def look(d):
+        turn = Quaternion.from_rotation_vector(Vec3(0.1 + d[3], 0.2 + d[4], 0.3 + d[5]))
+        X = Pose(Vec3(0.7e-3 + d[0], 0.4e-3 + d[1], RADIUS - 0.33e-3 + d[2]), turn)
+        (c,) = pair.contacts(X).each
+        return jnp.concatenate(
+            [jnp.stack([c.indentation * 1e3, c.area * 1e6]), c.normal.array(), c.point.array() * 1e3]
+        )
+
+    zero = jnp.zeros(6)
+    slopes = jax.jit((jax.jacfwd if mode == "forward" else jax.jacrev)(look))(zero)
+    steps = 1e-8 * jnp.eye(6)
+    looked = jax.jit(jax.vmap(look))(jnp.concatenate([steps, -steps]))
+    differences = ((looked[:6] - looked[6:]) / 2e-8).T
+    assert np.isfinite(slopes).all()
+    np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-5 * float(np.abs(differences).max()))
+
+
+@pytest.mark.slow
+def test_a_groove_is_touched_on_both_facets():
+    # A groove of 14 mm radius under a button of 25 mm: two contacts, mirror images of each other.
+    mesh = grid(lambda x, y: 0.6 * np.abs(y) - 2.0 * x * x, 81, (0.02, 0.02))
+    pair = mesh_pair(
+        contact_mesh(mesh, mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > 0), contact_mesh(icosphere(RADIUS, 40))
+    )
+    height = RADIUS * np.sqrt(1 + 0.6**2)
+    found = contacts(pair, at(0.0, 0.0, height - 0.3e-3, (0.0, 0.0, 0.0)))
+    medial, side = found.each
+    assert not found.merged
+    steep = np.arctan(0.6)
+    np.testing.assert_allclose(array(medial.normal), [0, np.sin(steep), np.cos(steep)], atol=2e-3)
+    np.testing.assert_allclose(array(side.normal), [0, -np.sin(steep), np.cos(steep)], atol=2e-3)
+    np.testing.assert_allclose([float(medial.indentation), float(side.indentation)], 0.3e-3 * np.cos(steep), rtol=0.05)
+    np.testing.assert_allclose(array(medial.point), array(side.point) * [1, -1, 1], atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_contact_across_the_border_of_the_facets_is_one():
+    mesh = plate()
+    pair = mesh_pair(
+        contact_mesh(mesh, mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > 0), contact_mesh(icosphere(RADIUS, 60))
+    )
+    whole = mesh_pair(contact_mesh(mesh), contact_mesh(icosphere(RADIUS, 60)))
+    X = at(1e-3, 0.5e-3, RADIUS - 0.4e-3)
+    found, (alone,) = contacts(pair, X), contacts(whole, X).each
+    assert found.merged
+    one, other = found.each
+    assert float(other.indentation) == 0
+    assert float(other.area) == 0
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+def test_deeper_than_is_looked_for_is_flagged(on_a_plate):
+    assert contacts(on_a_plate, at(0.0, 0.0, RADIUS - 8e-3)).too_deep
+    assert not contacts(on_a_plate, at(0.0, 0.0, RADIUS - 1e-3)).too_deep
+
+
+def test_a_surface_that_is_wholly_behind_another_is_flagged():
+    pair = mesh_pair(contact_mesh(plate()), contact_mesh(plate(8, 0.01).flipped()))
+    found = contacts(pair, at(0.0, 0.0, -1e-3, (0.0, 0.0, 0.0)))
+    assert int(found.pairs) == 0
+    assert found.too_deep
+    assert not contacts(pair, at(0.0, 0.0, 1e-3, (0.0, 0.0, 0.0))).too_deep
+
+
+def test_a_contour_that_ends_on_a_rim_is_flagged(on_a_plate):
+    edge = 0.03
+    for place, expected in ((edge - 0.01, False), (edge - 1e-3, True), (edge + 1e-3, True)):
+        assert bool(contacts(on_a_plate, at(place, 0.0, RADIUS - 0.4e-3)).at_rim) is expected
+    dome = icosphere(RADIUS, 30)
+    bottom = dome.vertices[dome.faces].mean(axis=1)[:, 2] < -0.9 * RADIUS
+    pair = mesh_pair(contact_mesh(plate()), contact_mesh(SurfaceMesh(dome.vertices, dome.faces[bottom])))
+    for tilt, expected in ((0.0, False), (0.45, True)):
+        assert bool(contacts(pair, at(0.0, 0.0, RADIUS - 0.4e-3, (tilt, 0.0, 0.0))).at_rim) is expected
+
+
+@pytest.mark.slow
+def test_a_batch_is_what_its_members_are(on_a_plate):
+    heights = RADIUS - jnp.array([-1e-3, 0.1e-3, 0.3e-3])
+    together = jax.jit(jax.vmap(lambda z: on_a_plate.contacts(_lifted(z))))(heights)
+    for k in range(3):
+        for a, b in zip(*map(jax.tree.leaves, (contacts(on_a_plate, _lifted(heights[k])), together)), strict=True):
+            np.testing.assert_allclose(a, b[k], rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.slow
+def test_on_the_implant_the_indentation_is_the_spheres():
+    from pftwin.rig.cases import implant_mesh
+
+    mesh = implant_mesh()
+    pair = mesh_pair(contact_mesh(mesh, lateral(mesh)), contact_mesh(icosphere(RADIUS, 35)))
+    poses = on_the_groove(8, 0.3e-3, seed=5)
+    for k in range(8):
+        X = member(poses, k)
+        found = contacts(pair, X)
+        p = mesh.vertices - np.asarray(X.position.array())
+        deepest = max(float(c.indentation) for c in found.each)
+        np.testing.assert_allclose(deepest, RADIUS - np.linalg.norm(p, axis=1).min(), atol=2e-5)
+        for c in found.each:
+            if float(c.area) > 0:  # towards the sphere's middle
+                arm = array(X.position) - array(c.point)
+                assert arm @ array(c.normal) / np.linalg.norm(arm) > 0.998
+
+
+def test_crossings_of_random_triangles_lie_on_both():
+    rng = np.random.default_rng(4)
+    a, b = (Triangle.of_rows(jnp.asarray(rng.normal(size=(2000, 9)))) for _ in range(2))
+    segment = crossing(a, b)
+    np.testing.assert_array_equal(segment.crossing, meet(a, b))
+    assert 100 < int(segment.crossing.sum()) < 1900
+    for end in (segment.start, segment.end):
+        for t in (a, b):
+            normal = t.area_vector()
+            off = jnp.abs((end - t.a).dot(normal)) / jnp.sqrt(normal.squared_norm())
+            np.testing.assert_array_less(jnp.where(segment.crossing, off, 0.0), 1e-10)

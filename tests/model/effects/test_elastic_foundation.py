@@ -1,0 +1,145 @@
+"""A ball on a plate, both meshes: force, potential, stiffness, a rest, and what is reported."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from height_meshes import plate
+from scenes import J, gravity, look, march, state_at, system, vec
+
+from pftwin.base.spatial import Quaternion
+from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
+from pftwin.geometry.contact.depths import depths
+from pftwin.geometry.mesh.icosphere import icosphere
+from pftwin.model.effects.elastic_foundation import ElasticFoundation
+from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
+
+RADIUS = 0.02
+SOFT = checked_layer(46.3e6, 0.46, 5e-3)
+
+
+@pytest.fixture(scope="module")
+def effect() -> ElasticFoundation:
+    mesh = plate(8)
+    side = (mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0).astype(int)
+    femur = pressed_surface(mesh, labels=side)
+    ball, law = pressing_surface(icosphere(RADIUS, 40)), LinearFoundation(SOFT, SOFT)
+    return ElasticFoundation(femur, ball, law, vec(0, 0, 0), J(0.0))
+
+
+@eqx.filter_jit
+def seen(effect, now):
+    return effect.load(now, None)[0], effect.observe(now, None)
+
+
+def at_depth(d, **rest):
+    return look((0, 0, RADIUS - d), orientation=Quaternion.from_rotation_vector(vec(0.3, 0.2, -0.1)), **rest)
+
+
+@pytest.mark.slow
+def test_a_ball_on_a_plate_bears_what_the_displaced_volume_says(effect):
+    d = 5e-4
+    load, report = seen(effect, at_depth(d))
+    k = float(1 / effect.law.compliance())
+    force = np.asarray(load.total().force.array())
+    assert force[2] == pytest.approx(k * np.pi * d**2 * (RADIUS - d / 3), rel=0.03)  # the mesh is inscribed
+    assert np.abs(force[:2]).max() < 2e-3 * force[2]
+    assert float(report["area"]) == pytest.approx(np.pi * 2 * RADIUS * d, rel=0.03)
+    assert float(report["max_pressure"]) == pytest.approx(k * d, rel=0.03)
+    assert float(report["mean_pressure"]) == pytest.approx(k * d / 2, rel=0.05)
+    np.testing.assert_allclose(report["center_of_pressure"][:2], 0, atol=5e-5)
+    assert float(report["force_medial"] + report["force_lateral"]) == pytest.approx(force[2], rel=1e-3)
+    assert float(report["too_deep"]) == 0
+
+
+@pytest.mark.slow
+def test_the_force_is_minus_the_energys_gradient_and_the_stiffness_its_slope(effect):
+    now = at_depth(0.0)
+
+    def load(z):
+        return effect.load(eqx.tree_at(lambda n: n.patella.position.z, now, z), None)[0]
+
+    def energy_and_force(z):
+        found = load(z)
+        return jnp.stack([found.energy, found.total().force.z])
+
+    @jax.jit
+    def slopes(z):
+        return load(z), jax.jacrev(energy_and_force)(z), jax.jacfwd(energy_and_force)(z)
+
+    found, reverse, forward = slopes(J(RADIUS - 4e-4))
+    expected = [-float(found.total().force.z), -float(found.bed.stiffness[2, 2])]
+    np.testing.assert_allclose(reverse, expected, rtol=1e-9)
+    np.testing.assert_allclose(forward, expected, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_damping_resists_and_never_pulls(effect):
+    damped = eqx.tree_at(lambda e: e.damping_time, effect, J(1e-3))
+    still, sinking, leaving = (seen(damped, at_depth(4e-4, velocity=(0, 0, v)))[0] for v in (0.0, -0.05, 10.0))
+    assert sinking.total().force.z > still.total().force.z
+    assert sinking.dissipation() > 0
+    np.testing.assert_allclose(leaving.total().force.array(), 0, atol=1e-12)
+
+
+def test_a_ball_comes_to_rest_under_its_weight(effect):
+    light = eqx.tree_at(lambda e: e.damping_time, effect, J(2e-3))
+    mass = 0.5
+    sys = system(light, gravity(mass), mass=mass)
+    rest = march(sys, state_at(sys, (0, 0, RADIUS + 1e-4)), 0.3, 300)
+    load, _ = seen(light, look((0, 0, float(rest.position.z)), orientation=rest.orientation))
+    assert float(load.total().force.z) == pytest.approx(9.81 * mass, rel=0.02)
+    assert abs(float(rest.velocity.z)) < 1e-4
+
+
+@pytest.mark.slow
+def test_the_sums_are_those_of_the_list_of_triangles(effect):
+    pose = at_depth(1.5e-3, velocity=(0.01, 0.02, -0.03))
+    pose = eqx.tree_at(lambda n: n.patella.spin, pose, vec(0.3, -0.4, 0.5))
+    damped = eqx.tree_at(lambda e: (e.damping_time, e.origin), effect, (J(2e-3), vec(0.0, 1e-3, 0.0)))
+
+    @eqx.filter_jit
+    def listed(effect, now):
+        at = effect.pressed(now)
+        found = depths(effect.button, effect.femur, at.position, at.rotation)
+        return at, found, effect.law.press(found.depth)
+
+    at, found, answer = listed(damped, pose)
+    count = np.asarray(found.listed)
+    n, local = (np.asarray(v.array()) for v in (found.normal, found.local))
+    turn = np.asarray(at.rotation.array())
+    g = np.hstack([n, np.cross(local + np.array([0.0, 1e-3, 0.0]), n @ turn)])
+    rate = -g @ np.asarray(at.twist)
+    elastic, k = (np.asarray(found.area * a) for a in (answer.pressure, answer.slope))
+    force = elastic + 2e-3 * k * rate
+    count = count & (force > 0)
+    load, _ = seen(damped, pose)
+    bed = load.bed
+    np.testing.assert_allclose(bed.force, force[count] @ g[count], rtol=1e-10)
+    np.testing.assert_allclose(bed.elastic, elastic[count] @ g[count], rtol=1e-10)
+    np.testing.assert_allclose(bed.stiffness, (g[count].T * k[count]) @ g[count], rtol=1e-10)
+    assert float(bed.size) == pytest.approx(force[count].sum(), rel=1e-12)
+    heat = float(((force - elastic)[count] * rate[count]).sum())
+    assert float(load.dissipation()) == pytest.approx(heat, rel=1e-10)
+
+
+def test_apart_nothing_is_borne(effect):
+    load, report = seen(effect, at_depth(-1e-3))
+    np.testing.assert_array_equal(load.total().force.array(), 0)
+    assert report["area"] == 0
+    assert np.isnan(report["center_of_pressure"]).all()
+    assert float(load.energy) == 0
+    assert all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(load.bed))
+
+
+@pytest.mark.slow
+def test_an_offset_button_is_the_same_ball(effect):
+    there = eqx.tree_at(lambda e: e.origin, effect, vec(0.0, 0.0, 0.003))
+    one, _ = seen(there, look((0, 0, RADIUS - 4e-4 - 3e-3)))
+    two, _ = seen(effect, look((0, 0, RADIUS - 4e-4)))
+    np.testing.assert_allclose(one.total().force.array(), two.total().force.array(), rtol=1e-9, atol=1e-9)
+    three, _ = seen(there.about(vec(0, 0, 0.003)), look((0, 0, RADIUS - 4e-4)))
+    np.testing.assert_allclose(three.total().moment.array(), two.total().moment.array(), atol=1e-12)

@@ -1,0 +1,153 @@
+"""A sphere on a mesh by the volume of their overlap: closed forms, seams, energy, the smooth surface."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from height_meshes import grid, lateral, level
+from mesh_volumes import K, contact
+from scenes import RADIUS, J, look
+
+from pftwin.base.spatial import Vec3
+from pftwin.geometry.mesh.icosphere import icosphere
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
+
+SLOPE = np.radians(20)
+
+
+FLAT = grid(level)
+PLATE, HALVED = contact(FLAT), contact(FLAT, labels=lateral(FLAT))
+VEE_MESH = grid(lambda u, v: np.abs(v) * np.tan(SLOPE))
+VEE = contact(VEE_MESH, labels=lateral(VEE_MESH))
+
+
+@eqx.filter_jit
+def loaded(effect, now):
+    load, _ = effect.load(now, effect.remember(now))
+    return load, load.total(), effect.observe(now, effect.remember(now))
+
+
+@pytest.mark.parametrize("depth", [1e-6, 1e-4, 1e-3])
+def test_on_a_plate_the_indentation_is_the_depth_itself(depth):
+    _, total, seen = loaded(PLATE, look((0.0012, 0.0031, RADIUS - depth)))
+    np.testing.assert_allclose(seen["indentation_medial"], depth, rtol=2e-5)
+    np.testing.assert_allclose(total.force.array(), [0, 0, K * depth**1.5], rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(seen["area_medial"], np.pi * (2 * RADIUS * depth - depth**2), rtol=1e-8)
+    np.testing.assert_allclose(seen["point_medial"], [0.0012, 0.0031, 0], atol=1e-9)
+    assert set(seen) == set(MeshVolumeContact.observables)
+    assert float(seen["overflow"]) == float(seen["off_patch"]) == 0
+
+
+def test_a_plate_of_two_triangles_holds_a_sphere_as_well():
+    corners = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0.0]])
+    plate = contact(SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]])))
+    _, total, _ = loaded(plate, look((0.2, 0.01, RADIUS - 1e-4)))
+    np.testing.assert_allclose(total.force.z, K * 1e-6, rtol=1e-4)
+
+
+def test_a_vee_is_touched_on_both_sides_and_told_apart():
+    depth, aside = 1e-4, 2e-5
+    _, total, seen = loaded(VEE, look((0.001, aside, (RADIUS - depth) / np.cos(SLOPE))))
+    for facet, side in (("medial", -1), ("lateral", 1)):
+        expected = depth + side * aside * np.sin(SLOPE)
+        np.testing.assert_allclose(seen[f"indentation_{facet}"], expected, rtol=1e-4)
+        np.testing.assert_allclose(seen[f"force_{facet}"], K * expected**1.5, rtol=1e-4)
+        assert np.sign(seen[f"point_{facet}"][1]) == side
+    np.testing.assert_allclose(total.force.array(), [seen["force_x"], seen["force_y"], seen["force_z"]], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_contact_across_the_seam_of_a_plain_surface_is_one():
+    """Wherever it lies: labels do not change the force."""
+    for y in (-0.004, -2e-3, -1e-3, -1e-9, 0.0, 4e-4, 1.9e-3):
+        now = look((0.001, y, RADIUS - 1e-4))
+        one, two = loaded(PLATE, now), loaded(HALVED, now)
+        np.testing.assert_allclose(two[1].force.array(), one[1].force.array(), rtol=1e-7, atol=1e-6)
+        np.testing.assert_allclose(two[0].energy, one[0].energy, rtol=1e-9)
+        np.testing.assert_allclose(two[2]["force"], one[2]["force"], rtol=1e-7)
+
+
+def energy_of(effect, p):
+    now = eqx.tree_at(lambda n: n.patella.position, look(), Vec3.from_array(p))
+    return effect.load(now, effect.remember(now))[0].energy
+
+
+def force_of(effect, p):
+    now = eqx.tree_at(lambda n: n.patella.position, look(), Vec3.from_array(p))
+    return effect.load(now, effect.remember(now))[0].total().force.array()
+
+
+@pytest.fixture(scope="module")
+def rates():
+    """Force, the energy's gradient, and the force's slopes in both modes."""
+    both = [eqx.filter_jit(lambda e, p, m=m: m(lambda q: force_of(e, q))(p)) for m in (jax.jacfwd, jax.jacrev)]
+    return eqx.filter_jit(force_of), eqx.filter_jit(lambda e, p: jax.grad(lambda q: energy_of(e, q))(p)), *both
+
+
+@pytest.mark.slow
+def test_force_and_energy_go_on_smoothly_while_two_contacts_become_one(rates):
+    """Down into a rounded groove: two contacts, then one across its bottom; the force stays the energy's slope."""
+    groove = grid(lambda u, v: 0.004 * np.sqrt(1 + (v / 0.004) ** 2) * np.tan(np.radians(12)), 81, (0.012, 0.012))
+    effect = contact(groove, labels=lateral(groove), effective=0.03)
+    heights = RADIUS + np.linspace(1.2e-3, -0.6e-3, 46)
+    path = [J([1e-4, 2e-5, z]) for z in heights]
+    merged = np.array([float(_merged(effect, p)) for p in path])
+    assert merged.min() == 0
+    assert merged.max() == 1
+    assert ((merged > 0.02) & (merged < 0.98)).sum() >= 3
+    forces = np.array([rates[0](effect, p) for p in path])
+    slopes = np.array([rates[1](effect, p) for p in path])
+    np.testing.assert_allclose(forces, -slopes, rtol=1e-7, atol=1e-6)
+    # Continuous: halving the step halves the largest jump.
+    fine = np.array([rates[0](effect, J([1e-4, 2e-5, z])) for z in np.linspace(heights[0], heights[-1], 91)])
+    jumps = [np.abs(np.diff(f[:, 2])).max() for f in (forces, fine)]
+    assert jumps[1] < 0.62 * jumps[0]
+
+
+@eqx.filter_jit
+def _merged(effect, p):
+    from pftwin.geometry.contact.overlap import overlap
+    from pftwin.geometry.contact.sphere_patch import sphere_patch
+
+    return overlap(sphere_patch(effect.mesh, Vec3.from_array(p), effect.radius), J(RADIUS), J(0.03)).merged
+
+
+@pytest.mark.parametrize("spot", ["face", "edge", "vertex", "touch", "clear", "deep", "inside", "rim"])
+def test_derivatives_are_finite_and_those_of_differences(spot, rates):
+    bumps = grid(lambda u, v: 1e-3 * np.cos(300 * u) * np.cos(300 * v))
+    effect = contact(bumps, labels=lateral(bumps))
+    step, top = 0.06 / 40, float(bumps.vertices[:, 2].max())
+    place = {
+        "face": (0.0004, 0.0002, top + RADIUS - 2e-4),
+        "edge": (0.5 * step, 0.0, top + RADIUS - 2e-4),
+        "vertex": (0.0, 0.0, top + RADIUS - 2e-4),
+        "touch": (0.0, 0.0, top + RADIUS),
+        "clear": (0.0004, 0.0002, top + RADIUS + 1e-3),
+        "deep": (0.0004, 0.0002, top + RADIUS - 5e-3),
+        "inside": (0.0004, 0.0002, -0.004),
+        "rim": (0.035, 0.0002, top + RADIUS - 3e-3),
+    }[spot]
+    force, gradient, forward, reverse = rates
+    p = J(place)
+    slopes = forward(effect, p)
+    assert np.isfinite(slopes).all()
+    np.testing.assert_allclose(reverse(effect, p), slopes, rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(force(effect, p), -gradient(effect, p), rtol=1e-8, atol=1e-7)
+    if spot not in ("touch", "clear"):
+        difference = np.stack([(force(effect, p + h) - force(effect, p - h)) / 2e-9 for h in 1e-9 * np.eye(3)], axis=1)
+        np.testing.assert_allclose(slopes, difference, atol=2e-4 * np.abs(slopes).max())
+        assert float(force(effect, p)[2]) > 0
+
+
+def test_deep_inside_is_pushed_out_or_seen():
+    """A sphere whose centre is behind a plate goes the long way; one that has no surface in it is at least seen."""
+    _, total, seen = loaded(PLATE, look((0.0, 0.0, -0.018)))
+    assert float(total.force.z) > 0
+    assert float(seen["indentation_medial"]) > RADIUS
+    ball = contact(icosphere(0.03, 16))
+    _, total, seen = loaded(ball, look((0.001, 0.0, 0.0)))
+    assert float(seen["force"]) == 0
+    np.testing.assert_allclose(seen["indentation_medial"], RADIUS + 0.029, atol=2e-4)

@@ -1,0 +1,56 @@
+"""Weight and linear damping."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import numpy as np
+import pytest
+from scenes import J, look, vec
+
+from pftwin.base.spatial import Quaternion
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.motion import Frame
+
+TURN = Quaternion.from_rotation_vector(vec(0.3, -0.5, 0.2))
+
+
+def test_weight_and_its_energy():
+    weight = Gravity(J(0.12), vec(0, 1.0, -9.81))
+    low, high = (weight.load(look(p), None)[0] for p in ((0, 0, 0), (0.3, 0.1, 0.2)))
+    np.testing.assert_allclose(low.total().force.array(), [0, 0.12, -0.12 * 9.81])
+    assert low.energy is not None
+    assert high.energy is not None
+    assert float(high.energy - low.energy) == pytest.approx(0.12 * (9.81 * 0.2 - 0.1))
+    assert low.stiff == ()
+
+
+def moving(spin, femur: Frame | None = None):
+    now = look((0.1, 0.2, 0.3), (1.0, -2.0, 0.5), TURN)
+    now = eqx.tree_at(lambda n: n.patella.spin, now, vec(*spin))
+    return now if femur is None else eqx.tree_at(lambda n: n.femur, now, femur)
+
+
+def test_drag_is_proportional_and_only_takes_energy():
+    now = moving((3.0, 1.0, -2.0))
+    load, _ = LinearDamping(J(0.4), J(0.002)).load(now, None)
+    w = load.total()
+    np.testing.assert_allclose(w.force.array(), -0.4 * np.array([1, -2, 0.5]))
+    np.testing.assert_allclose(w.moment.array(), -0.002 * np.array([3.0, 1, -2]))
+    lost = 0.4 * (1 + 4 + 0.25) + 0.002 * (9 + 1 + 4)
+    assert float(load.dissipation()) == pytest.approx(lost)
+    assert float(load.power(now.patella)) == pytest.approx(-lost)
+
+
+def test_a_patella_carried_along_rigidly_feels_no_drag():
+    spin = vec(0.4, -0.3, 0.2)  # world axes
+    still = look((0.1, 0.2, 0.3), orientation=TURN)
+    origin, linear = vec(0.05, 0.0, -0.1), vec(0.3, 0.2, 0.1)
+    femur = Frame(origin, TURN.rotation(), linear, spin)
+    now = eqx.tree_at(
+        lambda n: (n.femur, n.patella.velocity, n.patella.spin),
+        still,
+        (femur, femur.velocity_at(still.patella.position), TURN.unrotate(spin)),
+    )
+    w = LinearDamping(J(0.4), J(0.002)).load(now, None)[0].total()
+    np.testing.assert_allclose([*w.force.array(), *w.moment.array()], 0, atol=1e-16)

@@ -1,0 +1,154 @@
+"""Courses against flexion: lines are means of the results' own numbers, bands their standard deviations."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import numpy as np
+import pytest
+from small_scene import small_result, small_scene
+
+import pftwin
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.results.plots import COLOURS, against_flexion
+from pftwin.results.plots.quantities import QUANTITIES
+
+
+@pytest.fixture(scope="module")
+def variants():
+    """The small knee, and two with another quadriceps: each bends from 45 to 55 deg and back."""
+    scene = small_scene()
+    i = scene.index("quadriceps")
+    softer = [eqx.tree_at(lambda s: s.effects[i].stiffness, scene, k * scene.effects[i].stiffness) for k in (0.9, 1.2)]
+    return [small_result(), *(pftwin.simulate(s) for s in softer)]
+
+
+def own_numbers(result, name):
+    """Of a result, in the figure's unit, written out once more."""
+    if name == "contact_force":
+        return result.effects["contact"]["force"]
+    if name == "shift":
+        return 1e3 * result.center[:, 1]
+    return np.degrees(getattr(result.angles, name))
+
+
+def lines(ax):
+    return {line.get_label(): line for line in ax.get_lines()}
+
+
+@pytest.mark.parametrize("name", ["tilt", "shift", "rotation", "contact_force"])
+def test_mean_and_band_are_of_the_results(variants, name):
+    figure = against_flexion(variants, show=(name,), strokes="bending")
+    (ax,) = figure.axes
+    (line,) = ax.get_lines()
+    grid = line.get_xdata()
+    knee = np.degrees(variants[0].knee.flexion)
+    top = int(np.argmax(knee))
+    table = np.array([np.interp(grid, knee[: top + 1], own_numbers(r, name)[: top + 1]) for r in variants])
+    np.testing.assert_allclose(line.get_ydata(), table.mean(axis=0), rtol=1e-12)
+    (band,) = ax.collections
+    low, high = table.mean(axis=0) - table.std(axis=0, ddof=1), table.mean(axis=0) + table.std(axis=0, ddof=1)
+    corners = band.get_paths()[0].vertices
+    for x, a, b in zip(grid[1:-1:30], low[1:-1:30], high[1:-1:30], strict=True):
+        there = corners[np.isclose(corners[:, 0], x), 1]
+        np.testing.assert_allclose([there.min(), there.max()], [a, b], rtol=1e-9)
+    assert f"[{QUANTITIES[name].unit}]" in ax.get_ylabel()
+    assert ax.get_xlabel() == "knee flexion [deg]"
+
+
+def test_one_stroke_has_no_band_and_both_ways_are_told_apart(variants):
+    figure = variants[0].plot.against_flexion()
+    assert len(figure.axes) == 4
+    for ax in figure.axes:
+        found = lines(ax)
+        assert list(found) == ["simulated, bending (n = 1)", "simulated, straightening (n = 1)"]
+        assert not ax.collections
+        assert len({str(line.get_linestyle()) for line in found.values()}) == 2
+    knee, tilt = np.degrees(variants[0].knee.flexion), np.degrees(variants[0].angles.tilt)
+    turned = lines(figure.axes[0])["simulated, straightening (n = 1)"]
+    down = slice(int(np.argmax(knee)), None)
+    expected = np.interp(turned.get_xdata(), knee[down][::-1], tilt[down][::-1])
+    known = np.isfinite(turned.get_ydata())
+    assert known.sum() > 100
+    np.testing.assert_allclose(turned.get_ydata()[known], expected[known])
+
+
+def test_strokes_together_have_the_spread_between_both_ways(variants):
+    (ax,) = variants[0].plot.against_flexion(show=("tilt",), strokes="together").axes
+    (line,) = ax.get_lines()
+    assert line.get_label() == "simulated (n = 2)"  # 45 to 55 deg and back
+    assert len(ax.collections) == 1
+
+
+def test_groups_have_colours_of_their_own_and_measurements_are_black(variants):
+    one = variants[0]
+    measured = Measured(one.times, one.center, one.quaternion, one.effects["contact"]["force"], synthetic=True)
+    figure = against_flexion({"before": one, "after": variants[1:]}, measured=measured, strokes="bending")
+    found = lines(figure.axes[0])
+    assert list(found) == [
+        "synthetic measurements, bending (n = 1)", "before, bending (n = 1)", "after, bending (n = 2)",
+    ]  # fmt: skip
+    assert [line.get_color() for line in found.values()] == ["black", COLOURS[0], COLOURS[1]]
+    first, second, _ = found.values()  # measured is what was simulated
+    np.testing.assert_allclose(first.get_ydata(), second.get_ydata(), atol=1e-9)
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == list(found)
+
+
+def test_what_was_not_measured_is_not_drawn(variants):
+    one = variants[0]
+    figure = one.plot.against_flexion(measured=Measured(one.times, one.center), strokes="bending")
+    counts = [len(ax.get_lines()) for ax in figure.axes]
+    assert counts == [1, 2, 1, 1]  # positions alone: the shift
+
+
+def test_axes_of_ones_own(variants):
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    axes = figure.subplots(1, 2)
+    assert against_flexion(variants, show=("tilt", "flexion"), axes=axes) is figure
+    assert all(ax.get_lines() and ax.get_xlabel() for ax in axes)
+    assert figure.get_suptitle() == ""
+    part = Figure().subfigures(1, 2)[0]
+    assert against_flexion(variants, show=("tilt",), axes=part.subplots()) is part.figure
+
+
+def test_three_panels_leave_no_empty_one_and_name_the_axis_of_each_column(variants):
+    figure = against_flexion(variants, show=("tilt", "shift", "rotation"))
+    assert len(figure.axes) == 3
+    assert [ax.xaxis.label.get_visible() for ax in figure.axes] == [False, True, True]
+
+
+def test_texts_lie_within_the_figure_and_the_legend_below_the_panels(variants):
+    figure = against_flexion({"with a rather long name": variants, "another one": variants[:2]})
+    figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.x1
+    assert all(box.y1 <= ax.get_window_extent().y0 for ax in figure.axes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"results": []}, "results: nothing to draw"),
+        ({"results": {"none": []}}, "at least one result in every group"),
+        ({"strokes": "sideways"}, "strokes: found 'sideways'; expected: one of: apart, together"),
+        ({"show": ("tild",)}, "quantities: no quantity 'tild'; expected: of: tilt"),
+        ({"show": ()}, "quantities: nothing to draw"),
+        ({"axes": []}, "axes: 0 axes; expected: 4: one for each of tilt, shift"),
+    ],
+)
+def test_wrong_arguments_are_named(variants, arguments, message):
+    with pytest.raises(InputError, match=message):
+        against_flexion(**{"results": variants, **arguments})
+
+
+@pytest.mark.slow
+def test_a_still_knee_and_other_frames_are_refused(variants):
+    one = variants[0]
+    with pytest.raises(InputError, match=r"5 frames at .*; expected: the simulation's 41 frames"):
+        one.plot.against_flexion(measured=Measured(one.times[:5], one.center[:5]))
+    still = pftwin.simulate(small_scene(5))
+    with pytest.raises(InputError, match="small knee: the knee bends by"):
+        still.plot.against_flexion()

@@ -1,0 +1,85 @@
+"""Strokes of a bending knee, and means over them, against what numpy says of the same numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pftwin.base.errors import InputError
+from pftwin.results.plots.flexion_cycles import band, common_grid, strokes_of
+
+
+def test_three_cycles_have_three_strokes_each_way():
+    t = np.linspace(0, 3, 601)
+    flexion = 45 - 45 * np.cos(2 * np.pi * t)
+    found = strokes_of(flexion)
+    assert [s.bending for s in found] == [True, False] * 3
+    for stroke in found:
+        steps = np.diff(flexion[stroke.frames])
+        assert (steps > 0).all() if stroke.bending else (steps < 0).all()
+        assert np.ptp(flexion[stroke.frames]) == pytest.approx(90, abs=0.1)
+    assert sum(s.frames.size for s in found) >= 601
+
+
+def test_small_movements_to_and_fro_are_no_strokes():
+    rng = np.random.default_rng(0)
+    flexion = np.concatenate([np.linspace(0, 60, 301), np.linspace(60, 0, 301)]) + rng.normal(0, 0.5, 602)
+    one, two = strokes_of(flexion)
+    assert (one.bending, two.bending) == (True, False)
+    assert abs(one.frames[-1] - 300) < 15
+    assert (np.diff(flexion[one.frames]) > 0).all()
+    assert (np.diff(flexion[two.frames]) < 0).all()
+
+
+def test_a_recording_that_starts_half_way():
+    flexion = np.concatenate([np.linspace(45, 90, 46), np.linspace(89, 0, 90), np.linspace(1, 50, 50)])
+    found = strokes_of(flexion)
+    assert [s.bending for s in found] == [True, False, True]
+    np.testing.assert_allclose([flexion[s.frames[0]] for s in found], [45, 90, 0])
+    np.testing.assert_allclose([flexion[s.frames[-1]] for s in found], [90, 0, 50])
+
+
+@pytest.mark.parametrize(
+    ("flexion", "message"),
+    [
+        (np.full(50, 30.0), "walk: the knee bends by 0 deg; expected: a motion of at least 5 deg"),
+        (np.linspace(10, 12, 50), "bends by 2 deg"),
+        (np.array([0.0, 30.0, np.nan, 60.0]), "flexion is not known everywhere"),
+        (np.full(4, np.nan), "flexion is not known everywhere"),
+    ],
+)
+def test_a_knee_that_does_not_bend_is_refused(flexion, message):
+    with pytest.raises(InputError, match=message):
+        strokes_of(flexion, "walk")
+
+
+def test_band_is_mean_and_standard_deviation_over_strokes():
+    rng = np.random.default_rng(1)
+    courses = [(np.sort(rng.uniform(0, 90, 40)), rng.normal(size=40)) for _ in range(5)]
+    courses = [(np.r_[0.0, x, 90.0], np.r_[y[0], y, y[-1]]) for x, y in courses]
+    grid = common_grid([x for x, _ in courses])
+    found = band(courses, grid)
+    table = np.array([np.interp(grid, x, y) for x, y in courses])
+    np.testing.assert_allclose(found.mean, table.mean(axis=0))
+    np.testing.assert_allclose(found.sd, table.std(axis=0, ddof=1))
+    assert (grid[0], grid[-1]) == (0, 90)
+
+
+def test_where_strokes_end_the_line_is_broken():
+    grid = np.linspace(0, 90, 91)
+    found = band([(np.array([0.0, 90.0]), np.zeros(2)), (np.array([45.0, 90.0]), np.array([2.0, 2.0]))], grid)
+    np.testing.assert_allclose(found.mean, np.where(grid < 45, 0, 1))
+    assert np.isnan(found.sd[grid < 45]).all()
+    np.testing.assert_allclose(found.sd[grid >= 45], np.sqrt(2))
+    x, mean, _ = found.with_gaps()
+    (gap,) = np.flatnonzero(np.isnan(x))
+    assert (x[gap - 1], x[gap + 1]) == (44, 45)
+    np.testing.assert_array_equal(np.delete(mean, gap), found.mean)
+
+
+def test_missing_values_leave_the_others():
+    grid = np.array([0.0, 1.0, 2.0])
+    found = band([(grid, np.array([1.0, np.nan, 3.0])), (grid, np.array([2.0, 5.0, 4.0]))], grid)
+    np.testing.assert_allclose(found.mean, [1.5, 5.0, 3.5])
+    np.testing.assert_array_equal(np.isnan(found.sd), [False, True, False])
+    assert np.isnan(band([], grid).mean).all()

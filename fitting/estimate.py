@@ -113,9 +113,9 @@ class Estimate:
         """How sure it is, in plain words."""
         from types import SimpleNamespace
 
-        from pftwin.model.scene_parameters import Place
+        from pftwin.model.scene_parameters import NumberPlace
 
-        places = tuple(Place("", (_field(n),), None, "value") for n in self.names)
+        places = tuple(NumberPlace("", (_field(n),), None, "value") for n in self.names)
         named: Any = SimpleNamespace(names=self.names, places=places, lower=self.lower, upper=self.upper)
         return in_words(named, self.values, self.covariance, self.channels)
 

@@ -80,7 +80,7 @@ class Evaluator:
         found = chosen_devices(self.devices)
         self._count, self._threads = len(found), feeding_threads(self.devices)
         mesh = programs.mesh_of(found)
-        self._program = programs.Program(self.parameters.places, self.computed or self.channels, mesh)
+        self._program = programs.FitProgram(self.parameters.places, self.computed or self.channels, mesh)
         self._plain_scene = self.scene.unnamed()
         self._with_plain = True
         self._recent: list[tuple[NDArray[np.float64], int, Prediction]] = []
@@ -224,7 +224,7 @@ class Evaluator:
         slopes = not self._with_plain
         width = self._wide(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
-        members = self.parameters.spread(_CLOUD, np.random.default_rng(_SEED))
+        members = self.parameters.latin_hypercube(_CLOUD, np.random.default_rng(_SEED))
         members = np.concatenate([self.parameters.nominal[None], members])
         where, poses, guess = np.zeros((0, len(self.parameters))), [], start
         for i in range(0, len(members), width):

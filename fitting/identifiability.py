@@ -31,7 +31,7 @@ _UNFELT = 1e-6  # noise-scaled effect of a whole range, all frames together
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class ExperimentPlan:
     """What a design can tell at best about parameters (p,), and what more would help."""
 
     names: tuple[str, ...]
@@ -93,7 +93,7 @@ def plan_experiment(
     candidates: Sequence[str] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     bounds: Bounds = 0.3,
-) -> Plan:
+) -> ExperimentPlan:
     """The Cramer-Rao bound at the scene's parameters, before anything is measured or fitted.
 
     Args:
@@ -128,7 +128,7 @@ def plan_experiment(
     scale = np.where(parameters.nominal == 0, 1.0, np.abs(parameters.nominal))
     values = np.linalg.eigvalsh(base * np.outer(scale, scale))
     additions = {c: np.sqrt(np.diagonal(inverted(base + information[c]))) / scale for c in more}
-    return Plan(
+    return ExperimentPlan(
         parameters.names,
         parameters.nominal,
         tuple(c for c in wanted if c in use),
@@ -164,7 +164,7 @@ def _information(
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class LikelihoodProfile:
     """How much worse the best fit gets as one parameter is held at values away from its estimate."""
 
     name: str
@@ -186,7 +186,7 @@ def profile_likelihood(
     points: int = 15,
     reach: float = 3.0,
     iterations: int = 6,
-) -> Profile:
+) -> LikelihoodProfile:
     """The profile likelihood of one parameter, all points of the profile fitted at once.
 
     Where residuals are correlated in time it is scaled to the estimate's variance, which allows for that.
@@ -230,7 +230,7 @@ def profile_likelihood(
     values = problem.answer(Request(theta, problem.evaluator.fine, "normal")).value
     deviance = 2 * (values - min(float(at.value[0]), float(np.min(values))))
     deviance *= inverted(at.hessian[0])[i, i] / estimate.covariance[i, i]
-    return Profile(name, held, deviance, theta, _crossings(held, deviance))
+    return LikelihoodProfile(name, held, deviance, theta, _crossings(held, deviance))
 
 
 def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, iterations: int) -> Floats:
@@ -291,4 +291,4 @@ def _springs(estimate: Estimate) -> dict[str, str]:
     return estimate.springs or dict(SPRINGS)
 
 
-__all__ = ["Plan", "Profile", "channels_of", "plan_experiment", "profile_likelihood"]
+__all__ = ["ExperimentPlan", "LikelihoodProfile", "channels_of", "plan_experiment", "profile_likelihood"]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import Place, find
+from pftwin.model.scene_parameters import NumberPlace, find
 
 Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3
@@ -33,7 +33,7 @@ class Parameter:
     """
 
     name: str
-    place: Place
+    place: NumberPlace
     nominal: float
     lower: float
     upper: float
@@ -56,7 +56,7 @@ class Parameters:
         return tuple(p.name for p in self.items)
 
     @property
-    def places(self) -> tuple[Place, ...]:
+    def places(self) -> tuple[NumberPlace, ...]:
         """Where they live."""
         return tuple(p.place for p in self.items)
 
@@ -98,7 +98,7 @@ class Parameters:
         theta = np.asarray(theta, dtype=float)
         return (theta - self.lower) * (self.upper - theta) / (self.upper - self.lower)
 
-    def spread(self, count: int, random: np.random.Generator) -> NDArray[np.float64]:
+    def latin_hypercube(self, count: int, random: np.random.Generator) -> NDArray[np.float64]:
         """Points all over the box (count, p): a Latin hypercube."""
         strata = np.stack([random.permutation(count) for _ in self.items], axis=1)
         share = (strata + random.uniform(size=strata.shape)) / count
@@ -112,7 +112,7 @@ class Parameters:
         return 0.5 * np.sum(precision * off**2, axis=-1), precision * off, precision
 
 
-def applied(places: tuple[Place, ...], scene: Scene, theta: Any) -> Scene:
+def applied(places: tuple[NumberPlace, ...], scene: Scene, theta: Any) -> Scene:
     """The scene with values (p,) at the places; those that are given by a force go last, since stiffness decides."""
     order = sorted(range(len(places)), key=lambda i: places[i].meaning != "value")
     values: list[Scalar] = [theta[i] for i in range(len(places))]
@@ -163,12 +163,12 @@ def _named(name: str, names: Sequence[str]) -> bool:
     return name in names or name.partition("[")[0] in names
 
 
-def _same_number(a: Place, b: Place) -> bool:
+def _same_number(a: NumberPlace, b: NumberPlace) -> bool:
     return a[:3] == b[:3]
 
 
 def _parameter(
-    scene: Scene, own: str, name: str, place: Place, bounds: Bounds, priors: Mapping[str, tuple[float, float]]
+    scene: Scene, own: str, name: str, place: NumberPlace, bounds: Bounds, priors: Mapping[str, tuple[float, float]]
 ) -> Parameter:
     nominal = float(place.read(scene))
     given: Any = bounds

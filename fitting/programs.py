@@ -21,20 +21,20 @@ from fitting.channels import ORIENTATION, POSITION
 from fitting.parameters import applied
 from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.batch.batched import batched
-from pftwin.dynamics.batch.shard_over import AXIS, SPLIT, laid
-from pftwin.dynamics.frame_states import starting_equilibrium, watched
+from pftwin.dynamics.batch.shard_over import AXIS, SPLIT, shard_over
+from pftwin.dynamics.frame_states import scan_observations, starting_equilibrium
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import placed
 from pftwin.dynamics.state import Guide, State
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import Place
+from pftwin.model.scene_parameters import NumberPlace
 
 _COLUMNS = PartitionSpec(None, AXIS)
 
 
 def _laid(mesh: Mesh | None, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
     """function(shared, *each), laid over the mesh's devices; None: JAX's default one."""
-    return function(shared, *each) if mesh is None else laid(mesh, function, shared, each, out)
+    return function(shared, *each) if mesh is None else shard_over(mesh, function, shared, each, out)
 
 
 def _predicted(
@@ -60,12 +60,12 @@ def _predicted(
                 found.append(report["force" if "force" in report else "tension"])
         return jnp.stack(found)
 
-    values = watched(scene, columns, substeps=substeps, start=start)[0]
+    values = scan_observations(scene, columns, substeps=substeps, start=start)[0]
     pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
     return values, pose, start.converged()
 
 
-class Program(NamedTuple):
+class FitProgram(NamedTuple):
     """What is computed, and on what: it decides the compiled programs.
 
     places: of the parameters, in their order.
@@ -73,7 +73,7 @@ class Program(NamedTuple):
     mesh: devices over which the variants are laid; None: JAX's default device.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[NumberPlace, ...]
     channels: tuple[str, ...]
     mesh: Mesh | None
 
@@ -83,7 +83,7 @@ class Program(NamedTuple):
 
 
 @eqx.filter_jit
-def plain(program: Program, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
+def plain(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
     """Values (N, n, c), starting poses, and whether those are equilibria (N,), of parameters (N, p)."""
 
     def batch(shared: tuple[Scene, Array], thetas: Array, near: Pose) -> Any:
@@ -93,7 +93,7 @@ def plain(program: Program, scene: Scene, substeps: Array, theta: Array, guesses
 
 
 @eqx.filter_jit
-def with_slopes(program: Program, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
+def with_slopes(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
     """As `plain`, and the derivatives (p, N, n, c). Columns outside, variants inside: the fastest order in memory."""
 
     def pushed(shared: tuple[Scene, Array], thetas: Array, near: Pose) -> Any:
@@ -112,7 +112,7 @@ def with_slopes(program: Program, scene: Scene, substeps: Array, theta: Array, g
 
 
 @eqx.filter_jit
-def pulled(program: Program, scene: Scene, substeps: int, theta: Array, guesses: Pose, pulls: Array) -> Array:
+def pulled(program: FitProgram, scene: Scene, substeps: int, theta: Array, guesses: Pose, pulls: Array) -> Array:
     """Gradients (N, p) of sum(pull * prediction) by reverse mode, for pulls (N, n, c); the steps' number is fixed."""
 
     def loss(theta: Array, shared: Scene, guess: Pose, pull: Array) -> Array:

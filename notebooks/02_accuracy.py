@@ -49,7 +49,7 @@ from pftwin.dynamics import tolerance
 from pftwin.results.metrics import PAPER_TABLE_1
 from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies.accuracy.figure import work_precision
-from pftwin.studies.accuracy.plan import Setting
+from pftwin.studies.accuracy.plan import MeasuredProgram
 from pftwin.studies.accuracy.run import measure_all
 from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended
 from pftwin.studies.tables import short
@@ -74,7 +74,7 @@ assert measured.synthetic
 
 # %%
 METHODS = ("linear_implicit", "linear_implicit_bdf2", "newmark")
-plan = [Setting("P5", name, "float64", batch=False, gradient=False) for name in METHODS]
+plan = [MeasuredProgram("P5", name, "float64", batch=False, gradient=False) for name in METHODS]
 found = measure_all(plan, lambda contact: pftwin.rig.case(1, contact=contact), measured, tell=print)
 reference = found.references["P5"]
 print(f"a second method's converged run is {reference.doubt_mm:.1g} mm from the first")

@@ -16,10 +16,10 @@ from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_compu
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fitting.cohort.check import Finding
+    from fitting.cohort.check import FileFinding
     from fitting.cohort.description import Cohort
-    from fitting.cohort.progress import Progress
-    from fitting.cohort.report import Report
+    from fitting.cohort.progress import CohortProgress
+    from fitting.cohort.report import CohortReport
 
 CohortArgument = Annotated[Path, typer.Argument(metavar="COHORT.toml", help="Patients, fit and treatments.")]
 
@@ -77,7 +77,7 @@ def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> Non
         flagged("; ".join([*parts, *(f"{what} is not up to date: {why}" for what, why in report.unwritten.items())]))
 
 
-def _said(report: Report, described: Cohort, files: list[str]) -> Iterator[str]:
+def _said(report: CohortReport, described: Cohort, files: list[str]) -> Iterator[str]:
     done = len(report.outcomes) - len(report.failed)
     computed, kept = sum(o.computed for o in report.outcomes), sum(o.kept for o in report.outcomes)
     yield (
@@ -103,7 +103,7 @@ def _check(described: Cohort, folder: Path, json: str | None) -> None:
 
 
 @contextmanager
-def _shown(patients: int) -> Iterator[Callable[[Progress], None]]:
+def _shown(patients: int) -> Iterator[Callable[[CohortProgress], None]]:
     """A line on stderr for each unit that ends; on a terminal also a bar with what runs and the time left."""
     from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as Bar
@@ -113,7 +113,7 @@ def _shown(patients: int) -> Iterator[Callable[[Progress], None]]:
     with Bar(*columns, console=console, transient=True) as bar:
         task = bar.add_task(f"{patients} patients: checking what is there", total=None, now="")
 
-        def show(p: Progress) -> None:
+        def show(p: CohortProgress) -> None:
             left = "" if p.left is None or p.left < 1.0 else f"about {_duration(p.left)} left"
             what = f"{p.unit.patient}: {p.unit.kind}"
             bar.update(task, description=what, total=p.of, completed=p.number - 1 + p.share, now=left)
@@ -132,7 +132,7 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def _table(report: Report) -> Table:
+def _table(report: CohortReport) -> Table:
     """What failed, and why."""
     from rich.markup import escape
     from rich.table import Table
@@ -147,7 +147,7 @@ def _table(report: Report) -> Table:
     return table
 
 
-def _findings(findings: list[Finding]) -> Table:
+def _findings(findings: list[FileFinding]) -> Table:
     """All but the sound ones."""
     from rich.markup import escape
     from rich.table import Table

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from fitting.treatments import Treatment
-    from fitting.treatments.plan import Plan
+    from fitting.treatments.plan import TreatmentPlan
 
 
 @with_amounts("FROM:TO", ", within these limits")
@@ -106,7 +106,7 @@ def _notes(synthetic: bool, estimate: Any) -> list[str]:
     return said
 
 
-def _table(plan: Plan, scene: str) -> Table:
+def _table(plan: TreatmentPlan, scene: str) -> Table:
     """Every limit, and what the treatment comes to."""
     from rich.markup import escape
     from rich.table import Table

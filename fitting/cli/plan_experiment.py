@@ -11,7 +11,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_j
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fitting.identifiability import Plan
+    from fitting.identifiability import ExperimentPlan
 
 
 def plan_experiment(
@@ -43,7 +43,7 @@ def plan_experiment(
     console.print(found.sentence(), markup=False, highlight=False)
 
 
-def _table(plan: Plan, scene: str) -> Table:
+def _table(plan: ExperimentPlan, scene: str) -> Table:
     """Smallest standard deviations, with what is planned and with one more measurement."""
     from rich.markup import escape
     from rich.table import Table

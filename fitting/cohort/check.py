@@ -14,7 +14,7 @@ from pftwin.base.errors import InputError
 SOUND, DAMAGED, OUTDATED, ABSENT, LEFT_OVER = "sound", "damaged", "out of date", "not there yet", "no longer asked for"
 
 
-class Finding(NamedTuple):
+class FileFinding(NamedTuple):
     """About one file."""
 
     file: str
@@ -22,7 +22,7 @@ class Finding(NamedTuple):
     words: str = ""
 
 
-def check_cohort(cohort: Cohort, folder: str | os.PathLike[str] | None = None) -> list[Finding]:
+def check_cohort(cohort: Cohort, folder: str | os.PathLike[str] | None = None) -> list[FileFinding]:
     """Every file of a cohort's folder against checksum and key. Reads all of them; changes nothing.
 
     Raises:
@@ -30,48 +30,48 @@ def check_cohort(cohort: Cohort, folder: str | os.PathLike[str] | None = None) -
     """
     place = Path(cohort.output if folder is None else folder)
     manifest = Manifest.load(place)
-    found: dict[str, Finding] = {}
+    found: dict[str, FileFinding] = {}
     for name, entry in manifest.files.items():
         wrong = fault(entry, place / name)
-        found[name] = Finding(name, LEFT_OVER if wrong is None else DAMAGED, wrong or "")
-    asked: list[Finding] = []
+        found[name] = FileFinding(name, LEFT_OVER if wrong is None else DAMAGED, wrong or "")
+    asked: list[FileFinding] = []
     for patient in cohort.patients:
         try:
             units = units_of(cohort, patient)
         except InputError as error:
             mine = [n for n, entry in manifest.files.items() if entry.patient == patient.name]
             asked += [found.pop(n) if found[n].verdict == DAMAGED else _outdated(found.pop(n), error) for n in mine]
-            asked += [] if mine else [Finding(patient.name, ABSENT, str(error))]
+            asked += [] if mine else [FileFinding(patient.name, ABSENT, str(error))]
             continue
         for unit in units:
             there = found.pop(unit.file, None)
             if there is None:
                 why = manifest.failures.get(patient.name)
-                asked.append(Finding(unit.file, ABSENT, "" if why is None else why.message))
+                asked.append(FileFinding(unit.file, ABSENT, "" if why is None else why.message))
             elif there.verdict == DAMAGED:
                 asked.append(there)
             elif manifest.files[unit.file].key != unit.key:
-                asked.append(Finding(unit.file, OUTDATED, "made from other files, settings or versions"))
+                asked.append(FileFinding(unit.file, OUTDATED, "made from other files, settings or versions"))
             else:
-                asked.append(Finding(unit.file, SOUND))
+                asked.append(FileFinding(unit.file, SOUND))
     return [*asked, *found.values(), _summary(manifest, place / SUMMARY)]
 
 
-def _outdated(finding: Finding, error: InputError) -> Finding:
-    return Finding(finding.file, OUTDATED, str(error))
+def _outdated(finding: FileFinding, error: InputError) -> FileFinding:
+    return FileFinding(finding.file, OUTDATED, str(error))
 
 
-def _summary(manifest: Manifest, path: Path) -> Finding:
+def _summary(manifest: Manifest, path: Path) -> FileFinding:
     """A run that was killed may have left the summary before the last patient's."""
     try:
         digest = file_digest(path) if path.is_file() else None
     except OSError as error:
-        return Finding(SUMMARY, DAMAGED, f"cannot be read: {error.strerror or error}")
+        return FileFinding(SUMMARY, DAMAGED, f"cannot be read: {error.strerror or error}")
     announced = manifest.summary
     if announced is not None and digest == announced.sha256:
-        return Finding(SUMMARY, SOUND)
+        return FileFinding(SUMMARY, SOUND)
     if digest is None and (announced is None or announced.before is None):
-        return Finding(SUMMARY, ABSENT)
+        return FileFinding(SUMMARY, ABSENT)
     if announced is not None and digest == announced.before:
-        return Finding(SUMMARY, OUTDATED, "the run ended before the last patient was in it")
-    return Finding(SUMMARY, DAMAGED, "is missing" if digest is None else "its checksum differs")
+        return FileFinding(SUMMARY, OUTDATED, "the run ended before the last patient was in it")
+    return FileFinding(SUMMARY, DAMAGED, "is missing" if digest is None else "its checksum differs")

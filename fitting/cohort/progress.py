@@ -10,7 +10,7 @@ from fitting.cohort.manifest import Failure
 from fitting.cohort.units import Unit
 
 
-class Progress(NamedTuple):
+class CohortProgress(NamedTuple):
     """Of one run: units that were done before do not count."""
 
     unit: Unit
@@ -55,16 +55,16 @@ class Pace:
         self.waiting = [u for u in self.waiting if u.patient != unit.patient]
         self.total -= before - len(self.waiting)
 
-    def progress(self, unit: Unit, share: float) -> Progress:
+    def progress(self, unit: Unit, share: float) -> CohortProgress:
         """While a unit runs."""
         seconds = time.perf_counter() - self._began
         left = None if not self.times else self._rest() + max(self._usual(unit.kind) - seconds, 0.0)
-        return Progress(unit, share, False, self.number, self.total, seconds, left)
+        return CohortProgress(unit, share, False, self.number, self.total, seconds, left)
 
-    def last(self, unit: Unit, failure: Failure | None) -> Progress:
+    def last(self, unit: Unit, failure: Failure | None) -> CohortProgress:
         """After its end."""
         left = self._rest() if self.times else None
-        return Progress(unit, 1.0, True, self.number, self.total, self._took, left, failure)
+        return CohortProgress(unit, 1.0, True, self.number, self.total, self._took, left, failure)
 
     def _rest(self) -> float:
         return sum(self._usual(u.kind) for u in self.waiting)

@@ -21,7 +21,7 @@ class Outcome:
 
 
 @dataclass
-class Report:
+class CohortReport:
     """Of all of them."""
 
     folder: Path

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from fitting.cohort.description import Cohort, Patient
 from fitting.cohort.folder import check_room, opened
 from fitting.cohort.manifest import Failure, Manifest
-from fitting.cohort.progress import Pace, Progress
-from fitting.cohort.report import Outcome, Report
+from fitting.cohort.progress import CohortProgress, Pace
+from fitting.cohort.report import CohortReport, Outcome
 from fitting.cohort.store import write_store
 from fitting.cohort.summary import require_pyarrow
 from fitting.cohort.summary_file import SummaryFile
@@ -25,7 +25,7 @@ from pftwin.base.errors import InputError, PftwinError
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
 
-_NOTHING: Callable[[Progress], None] = lambda _: None  # noqa: E731
+_NOTHING: Callable[[CohortProgress], None] = lambda _: None  # noqa: E731
 
 
 def run_cohort(
@@ -34,8 +34,8 @@ def run_cohort(
     *,
     resume: bool = False,
     work: Work | None = None,
-    progress: Callable[[Progress], None] | None = None,
-) -> Report:
+    progress: Callable[[CohortProgress], None] | None = None,
+) -> CohortReport:
     """Computes what a cohort's folder lacks: fits, predictions, the summary, the manifest.
 
     Args:
@@ -58,22 +58,22 @@ def run_cohort(
     require_pyarrow()
     place = Path(cohort.output if folder is None else folder)
     with opened(place, cohort.name, resume=resume) as manifest:
-        return _Run(cohort, place, manifest, work or ByPftwin(cohort), progress or _NOTHING).all()
+        return _CohortRun(cohort, place, manifest, work or ByPftwin(cohort), progress or _NOTHING).all()
 
 
-class _Run:
+class _CohortRun:
     """One run over all patients."""
 
     def __init__(
-        self, cohort: Cohort, folder: Path, manifest: Manifest, work: Work, tell: Callable[[Progress], None]
+        self, cohort: Cohort, folder: Path, manifest: Manifest, work: Work, tell: Callable[[CohortProgress], None]
     ) -> None:
         self.cohort, self.folder, self.manifest, self.work, self.tell = cohort, folder, manifest, work, tell
         self.outcomes = {p.name: Outcome(p.name) for p in cohort.patients}
-        self.report = Report(folder, list(self.outcomes.values()))
+        self.report = CohortReport(folder, list(self.outcomes.values()))
         self.summary = SummaryFile(cohort, folder, manifest)
         self.pace = Pace()
 
-    def all(self) -> Report:
+    def all(self) -> CohortReport:
         """Plans, runs what is missing, and writes the summary after every patient."""
         began = time.perf_counter()
         missing = self._plan()

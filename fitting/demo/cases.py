@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from pftwin.results.metrics import Row, Validation
+    from pftwin.results.metrics import Validation, ValidationRow
     from pftwin.results.result import Result
 
 CASES = (1, 2, 3, 4)
@@ -107,7 +107,7 @@ def _table(means: dict[str, Validation]) -> Table:
     return table
 
 
-def _rows(means: dict[str, Validation]) -> list[tuple[Row, ...]]:
+def _rows(means: dict[str, Validation]) -> list[tuple[ValidationRow, ...]]:
     """The rows of all contacts, the paper's figures in them where it has any."""
     from pftwin.results.metrics import PAPER_TABLE_1
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.methods.method import Method, State
-from fitting.methods.problem import Answer, Problem, Request
+from fitting.methods.problem import Problem, ProblemAnswer, Request
 
 Floats = NDArray[np.float64]
 Random = np.random.Generator
@@ -152,7 +152,7 @@ class Genetic(Method):
             state["elite"], state["children"] = self._bred(state)
         return Request(np.concatenate(list(state["children"])), self.problem.evaluator.coarse)
 
-    def tell(self, state: State, request: Request, answer: Answer) -> None:
+    def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
         """The next generation."""
         value = np.where(np.isfinite(answer.value), answer.value, np.inf)
         if state["children"] is None:

@@ -15,7 +15,7 @@ import optax
 from numpy.typing import NDArray
 
 from fitting.methods.method import Method, State, lenient
-from fitting.methods.problem import Answer, Problem, Request
+from fitting.methods.problem import Problem, ProblemAnswer, Request
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Gradient(Method):
     def begin(self) -> State:
         """The nominal point and others all over the box."""
         p = self.problem.parameters
-        others = p.spread(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
+        others = p.latin_hypercube(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
         u = p.to_unbounded(np.concatenate([p.nominal[None], others]))
         return {
             **self.blank(),
@@ -65,7 +65,7 @@ class Gradient(Method):
         u = state["u"] if state["direction"] is None else self._along(state)
         return Request(self.problem.parameters.to_bounded(u), self.problem.evaluator.coarse, "gradient")
 
-    def tell(self, state: State, request: Request, answer: Answer) -> None:
+    def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
         """One step of the method at work."""
         assert answer.gradient is not None
         gradient = answer.gradient * self.problem.parameters.slope(request.theta)

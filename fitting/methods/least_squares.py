@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.methods.method import Method, State
-from fitting.methods.problem import Answer, Problem, Request
+from fitting.methods.problem import Problem, ProblemAnswer, Request
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class LeastSquares(Method):
     def begin(self) -> State:
         """All starts, not looked at yet."""
         p = self.problem.parameters
-        others = p.spread(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
+        others = p.latin_hypercube(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
         u = p.to_unbounded(np.concatenate([p.nominal[None], others]))
         n, k = u.shape
         return {
@@ -80,7 +80,7 @@ class LeastSquares(Method):
         u = state["u"][:, None] if state["looking"] else self._trials(state)[0]
         return Request(self.problem.parameters.to_bounded(u.reshape(-1, u.shape[-1])), substeps, "normal")
 
-    def tell(self, state: State, request: Request, answer: Answer) -> None:
+    def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
         """Accepts what is better."""
         assert answer.gradient is not None
         assert answer.hessian is not None
@@ -104,7 +104,7 @@ class LeastSquares(Method):
         """Of the objective over the starts."""
         return float(np.ptp(state["value"])) if len(state["value"]) else np.inf
 
-    def _unbounded(self, theta: Floats, answer: Answer) -> tuple[Floats, Floats]:
+    def _unbounded(self, theta: Floats, answer: ProblemAnswer) -> tuple[Floats, Floats]:
         """Gradient and Hessian by the unbounded parameters."""
         s = self.problem.parameters.slope(theta)
         assert answer.gradient is not None

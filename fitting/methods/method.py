@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import jax
 
-from fitting.methods.problem import Answer, Problem, Request
+from fitting.methods.problem import Problem, ProblemAnswer, Request
 
 State = dict[str, Any]  # arrays, numbers, texts and None: all that a method knows, so that a checkpoint holds it
 
@@ -35,7 +35,7 @@ class Method(ABC):
         """What it wants evaluated next."""
 
     @abstractmethod
-    def tell(self, state: State, request: Request, answer: Answer) -> None:
+    def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
         """Takes the answer in. Sets state["stopped"] to the reason when it ends."""
 
     @abstractmethod

@@ -28,7 +28,7 @@ class Request(NamedTuple):
     want: Literal["value", "gradient", "normal"] = "value"  # alone, with its gradient, or with the Hessian as well
 
 
-class Answer(NamedTuple):
+class ProblemAnswer(NamedTuple):
     """The objective, infinite where the prediction is not usable; gradient and Gauss-Newton Hessian as asked for."""
 
     value: Floats  # (N,)
@@ -57,20 +57,20 @@ class Problem:
         evaluator = Evaluator(scene, parameters, objective.channels, computed=computed, devices=devices)
         return Problem(scene, parameters, objective, evaluator)
 
-    def answer(self, request: Request) -> Answer:
+    def answer(self, request: Request) -> ProblemAnswer:
         """The objective, what is known beforehand included."""
         theta = np.atleast_2d(request.theta)
         prior, pull, precision = self.parameters.prior_terms(theta)
         if request.want == "value":
             value = self.objective.value(self.evaluator.values(theta, request.substeps))
-            return Answer(value + prior)
+            return ProblemAnswer(value + prior)
         if request.want == "gradient":
             prediction, gradient = self.evaluator.with_pull(theta, request.substeps, self.objective.pull)
             value = self.objective.value(prediction)
             known = np.isfinite(value) & np.isfinite(gradient).all(axis=1)
-            return Answer(np.where(known, value + prior, np.inf), np.where(known[:, None], gradient + pull, 0.0))
+            return ProblemAnswer(np.where(known, value + prior, np.inf), np.where(known[:, None], gradient + pull, 0.0))
         value, gradient, hessian = self.objective.normal(self.evaluator.with_slopes(theta, request.substeps))
-        return Answer(value + prior, gradient + pull, hessian + np.diag(precision))
+        return ProblemAnswer(value + prior, gradient + pull, hessian + np.diag(precision))
 
     def prediction(self, theta: Floats, substeps: int) -> Prediction:
         """With derivatives, at one point (p,)."""

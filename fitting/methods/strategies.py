@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fitting.methods.genetic import STALL, TOLERANCE, default_population, stalled
 from fitting.methods.method import Method, State, lenient
-from fitting.methods.problem import Answer, Problem, Request
+from fitting.methods.problem import Problem, ProblemAnswer, Request
 from pftwin.base.errors import MissingExtraError
 
 Floats = NDArray[np.float64]
@@ -80,7 +80,7 @@ class _Strategy(Method):
         p = self.problem.parameters
         return Request(p.lower + (p.upper - p.lower) * mirrored(state["trial"]), self.problem.evaluator.coarse)
 
-    def tell(self, state: State, request: Request, answer: Answer) -> None:
+    def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
         """Hands the fitness on; what is not finite ranks last."""
         value = np.where(np.isfinite(answer.value), answer.value, np.inf)
         finite = np.isfinite(value)

@@ -21,9 +21,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.prediction.clinical_values import ClinicalIndices, Index, Landmarks
+from fitting.prediction.clinical_values import ClinicalIndex, ClinicalIndices, Landmarks
 from fitting.prediction.course import groove_surface, knee_flexion
-from fitting.prediction.trochlear_section import Section, section
+from fitting.prediction.trochlear_section import TrochlearSection, section
 from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, line_element
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
@@ -69,19 +69,21 @@ def clinical_indices(
         _tt_tg(scene, cut, missing, flexion, tendon),
         _q_angle(scene, known, tendon, quadriceps),
         _caton_deschamps(scene, known),
-        Index(None, "deg", missing) if cut is None else _sulcus_angle(cut),
-        Index(None, "deg", missing) if cut is None else _inclination(cut),
+        ClinicalIndex(None, "deg", missing) if cut is None else _sulcus_angle(cut),
+        ClinicalIndex(None, "deg", missing) if cut is None else _inclination(cut),
     )
 
 
-def _section(scene: Scene, level: float) -> tuple[Section | None, str]:
+def _section(scene: Scene, level: float) -> tuple[TrochlearSection | None, str]:
     try:
         return section(groove_surface(scene), level), ""
     except InputError as error:
         return None, error.problem
 
 
-def _tt_tg(scene: Scene, cut: Section | None, missing: str, flexion: float | None, tendon: str) -> Index:
+def _tt_tg(
+    scene: Scene, cut: TrochlearSection | None, missing: str, flexion: float | None, tendon: str
+) -> ClinicalIndex:
     angles = np.asarray(knee_flexion(scene), dtype=np.float64)
     frame = int(np.argmin(angles if flexion is None else np.abs(angles - flexion)))
     if flexion is not None and abs(angles[frame] - flexion) > _NEAREST:
@@ -92,12 +94,12 @@ def _tt_tg(scene: Scene, cut: Section | None, missing: str, flexion: float | Non
             expected=f"radians from {np.radians(low):.3f} to {np.radians(high):.3f} ({low:.0f} to {high:.0f} deg)",
         )
     if cut is None:
-        return Index(None, "mm", missing)
+        return ClinicalIndex(None, "mm", missing)
     tuberosity = _tuberosity(scene, tendon, frame)
     if isinstance(tuberosity, str):
-        return Index(None, "mm", tuberosity)
+        return ClinicalIndex(None, "mm", tuberosity)
     note = f"at {np.degrees(angles[frame]):.1f} deg of knee flexion, along the femur's medial-lateral axis; {cut.note}"
-    return Index(1e3 * float(tuberosity[1] - cut.bottom[1]), "mm", note)
+    return ClinicalIndex(1e3 * float(tuberosity[1] - cut.bottom[1]), "mm", note)
 
 
 def _tuberosity(scene: Scene, tendon: str, frame: int) -> Floats | str:
@@ -112,7 +114,7 @@ def _tuberosity(scene: Scene, tendon: str, frame: int) -> Floats | str:
     return _row(world if femur is None else femur.to_local(world))
 
 
-def _q_angle(scene: Scene, known: Landmarks, tendon: str, quadriceps: str) -> Index:
+def _q_angle(scene: Scene, known: Landmarks, tendon: str, quadriceps: str) -> ClinicalIndex:
     """In the frontal plane at the first frame, at the scene's start pose of the patella."""
     if known.asis is not None:
         above, line = np.asarray(known.asis, dtype=np.float64), "from the anterior superior iliac spine"
@@ -120,49 +122,51 @@ def _q_angle(scene: Scene, known: Landmarks, tendon: str, quadriceps: str) -> In
         pulls = [e.line_element() for e in scene.effects if e.name == quadriceps]
         pull = pulls[0] if pulls else None
         if pull is None or pull.line_ends[1] != "femur":
-            return Index(None, "deg", "neither the iliac spine nor a quadriceps tendon from the femur is in the scene")
+            return ClinicalIndex(
+                None, "deg", "neither the iliac spine nor a quadriceps tendon from the femur is in the scene"
+            )
         above, line = (
             _middle(pull.origin_at(scene.motion.start_time)),
             "along the quadriceps' line of pull: the iliac spine is not in the scene",
         )
     below = _tuberosity(scene, tendon, 0)
     if isinstance(below, str):
-        return Index(None, "deg", below)
+        return ClinicalIndex(None, "deg", below)
     up, down = above - _patella(scene, scene.tracked_point()), _patella(scene, scene.tracked_point()) - below
     angle = np.arctan2(up[1], up[0]) - np.arctan2(down[1], down[0])
     at = np.degrees(float(np.asarray(knee_flexion(scene))[0]))
-    return Index(float(np.degrees(angle)), "deg", f"{line}; at the start pose, {at:.1f} deg of knee flexion")
+    return ClinicalIndex(float(np.degrees(angle)), "deg", f"{line}; at the start pose, {at:.1f} deg of knee flexion")
 
 
-def _caton_deschamps(scene: Scene, known: Landmarks) -> Index:
+def _caton_deschamps(scene: Scene, known: Landmarks) -> ClinicalIndex:
     points = {
         "tibial_plateau": known.tibial_plateau,
         "articular_inferior": known.articular_inferior,
         "articular_superior": known.articular_superior,
     }
     if absent := [n.replace("_", " ") for n, p in points.items() if p is None]:
-        return Index(None, "", f"not in the scene and not given as landmarks: {', '.join(absent)}")
+        return ClinicalIndex(None, "", f"not in the scene and not given as landmarks: {', '.join(absent)}")
     plateau, low, high = (np.asarray(p, dtype=np.float64) for p in points.values())
     femur, tibia = scene.motion.frames(scene.motion.times[0])
     world = tibia.point(Vec3(*plateau))
     corner = _row(world if femur is None else femur.to_local(world))
     ratio = np.linalg.norm(_patella(scene, Vec3(*low)) - corner) / np.linalg.norm(high - low)
     at = np.degrees(float(np.asarray(knee_flexion(scene))[0]))
-    return Index(float(ratio), "", f"at the start pose, {at:.1f} deg of knee flexion")
+    return ClinicalIndex(float(ratio), "", f"at the start pose, {at:.1f} deg of knee flexion")
 
 
-def _sulcus_angle(cut: Section) -> Index:
+def _sulcus_angle(cut: TrochlearSection) -> ClinicalIndex:
     if cut.medial_ridge is None or cut.lateral_ridge is None:
-        return Index(None, "deg", f"{cut.no_ridge()}; {cut.note}")
+        return ClinicalIndex(None, "deg", f"{cut.no_ridge()}; {cut.note}")
     a, b = cut.medial_ridge - cut.bottom, cut.lateral_ridge - cut.bottom
     cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
-    return Index(float(np.degrees(np.arccos(cosine))), "deg", cut.note)
+    return ClinicalIndex(float(np.degrees(np.arccos(cosine))), "deg", cut.note)
 
 
-def _inclination(cut: Section) -> Index:
+def _inclination(cut: TrochlearSection) -> ClinicalIndex:
     """Of the straight line nearest to the lateral facet, against the femur's medial-lateral axis in the section."""
     if cut.lateral_ridge is None:
-        return Index(None, "deg", f"{cut.no_ridge()}; {cut.note}")
+        return ClinicalIndex(None, "deg", f"{cut.no_ridge()}; {cut.note}")
     facet = cut.lateral_facet - cut.lateral_facet.mean(axis=0)
     along = np.linalg.svd(facet, full_matrices=False)[2][0]
     lateral = np.array([0.0, 1.0, 0.0])
@@ -171,7 +175,7 @@ def _inclination(cut: Section) -> Index:
     outward = cut.outward - (cut.outward @ lateral) * lateral
     along = along if along @ lateral > 0 else -along
     angle = np.arctan2(along @ outward / np.linalg.norm(outward), along @ lateral)
-    return Index(float(np.degrees(angle)), "deg", f"against the femur's medial-lateral axis; {cut.note}")
+    return ClinicalIndex(float(np.degrees(angle)), "deg", f"against the femur's medial-lateral axis; {cut.note}")
 
 
 def _patella(scene: Scene, point: Vec3) -> Floats:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from fitting.prediction.clinical_norms import USUAL
 
 
-class Index(NamedTuple):
+class ClinicalIndex(NamedTuple):
     """One index: its value (None where the scene cannot tell), its unit, and how it was taken or why it was not."""
 
     value: float | None
@@ -32,17 +32,17 @@ class Landmarks:
 class ClinicalIndices:
     """The indices of a scene."""
 
-    tt_tg: Index  # lateral distance from the groove's bottom to the tibial tuberosity [mm]
-    q_angle: Index  # tuberosity lateral of the quadriceps' line: positive [deg]
-    caton_deschamps: Index
-    sulcus_angle: Index  # [deg]
-    lateral_trochlear_inclination: Index  # [deg]
+    tt_tg: ClinicalIndex  # lateral distance from the groove's bottom to the tibial tuberosity [mm]
+    q_angle: ClinicalIndex  # tuberosity lateral of the quadriceps' line: positive [deg]
+    caton_deschamps: ClinicalIndex
+    sulcus_angle: ClinicalIndex  # [deg]
+    lateral_trochlear_inclination: ClinicalIndex  # [deg]
 
     def describe(self) -> str:
         """One line each, with what the literature has as usual."""
         lines = []
         for name in self.__dataclass_fields__:
-            index: Index = getattr(self, name)
+            index: ClinicalIndex = getattr(self, name)
             value = "not known" if index.value is None else f"{index.value:.2f} {index.unit}".rstrip()
             usual = "" if index.value is None else f"; usual in natural knees: {USUAL[name]}"
             lines.append(f"{name.replace('_', ' ')}: {value} ({index.note}){usual}")

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion, Vec3
-from pftwin.dynamics.observe import Frame, Observation
+from pftwin.dynamics.observe import Observation, ObservedFrame
 from pftwin.dynamics.trajectory import knee_angles
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.scene import Scene
@@ -70,7 +70,7 @@ class Course(NamedTuple):
     status: Array  # bits of `pftwin.Status`
 
 
-class Glimpse(NamedTuple):
+class CourseFrame(NamedTuple):
     """What a course is made of, of a frame or of all (leading axis n)."""
 
     center: Vec3  # of the button, femur frame [m]
@@ -79,21 +79,21 @@ class Glimpse(NamedTuple):
     point: tuple[Array, Array]  # (3,) or (n, 3) of contact on each, femur frame [m]; NaN where nothing touches
 
     @staticmethod
-    def of(scene: Scene, seen: Frame | Observation) -> Glimpse:
+    def of(scene: Scene, seen: ObservedFrame | Observation) -> CourseFrame:
         """Of what is seen of a scene with contact."""
         contact = scene.contact
         assert contact is not None
         report = seen.effects[contact.name]
         force, point = ((report[f"{what}_medial"], report[f"{what}_lateral"]) for what in ("force", "point"))
-        return Glimpse(seen.center, seen.patella.orientation, force, point)
+        return CourseFrame(seen.center, seen.patella.orientation, force, point)
 
 
 def course(scene: Scene, seen: Observation, groove: Groove) -> Course:
     """What outcomes need of an observed motion. Pure."""
-    return course_of(scene, Glimpse.of(scene, seen), seen.status, groove)
+    return course_of(scene, CourseFrame.of(scene, seen), seen.status, groove)
 
 
-def course_of(scene: Scene, seen: Glimpse, status: Array, groove: Groove) -> Course:
+def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) -> Course:
     """What outcomes need of glimpses of all frames, and their status (n,). Pure."""
     motion, chart = scene.motion, groove_surface(scene).chart
     u, v = chart.foot(chart.to_frame(seen.center))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.prediction.members import Members
 from fitting.prediction.outcomes import MEASURES
-from fitting.prediction.variants import Batch
+from fitting.prediction.variants import VariantBatch
 from pftwin.base.labels import SYNTHETIC
 from pftwin.dynamics.batch.member import FLAGS
 from pftwin.dynamics.status import Status
@@ -32,7 +32,11 @@ _TROUBLE = (Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM)  # what makes a 
 
 
 def dataset(
-    batches: list[Batch], found: list[Members], estimate: Fitted | None, thetas: NDArray[np.float64], **settings: float
+    batches: list[VariantBatch],
+    found: list[Members],
+    estimate: Fitted | None,
+    thetas: NDArray[np.float64],
+    **settings: float,
 ) -> Dataset:
     """The dataset of members, which stand batch by batch, variants by samples."""
     from xarray import Dataset
@@ -76,7 +80,7 @@ def dataset(
     return Dataset(variables, coordinates, _attributes(batches, estimate, settings))
 
 
-def _coordinates(batches: list[Batch], order: NDArray[np.int64], count: int, timed: bool) -> Variables:
+def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: int, timed: bool) -> Variables:
     """The variant axis: number, scene, words, and each amount; 0 where a variant's treatment has no such amount."""
     words, scenes = [], []
     amounts: dict[str, tuple[NDArray[np.float64], str]] = {}
@@ -112,7 +116,7 @@ def _shown(values: NDArray[Any], unit: str) -> tuple[NDArray[Any], str]:
     return (_DEGREES * values, "deg") if unit == "rad" else (values, unit)
 
 
-def _attributes(batches: list[Batch], estimate: Fitted | None, settings: dict[str, float]) -> dict[str, Any]:
+def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: dict[str, float]) -> dict[str, Any]:
     import jax
 
     from pftwin import __version__

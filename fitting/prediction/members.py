@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from fitting.prediction.course import Glimpse, Groove, course_of
+from fitting.prediction.course import CourseFrame, Groove, course_of
 from fitting.prediction.outcomes import measure
 from fitting.treatments import Treatment
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.batched import good_sizes
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.batch.member import FLAGS, sensible
-from pftwin.dynamics.batch.sharding import Chunk, Spread
+from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.observe import observe_on_the_way
 from pftwin.dynamics.status import Status
@@ -62,7 +62,7 @@ class Members(NamedTuple):
 def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
     """A member's outcomes."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
-    seen, status, _ = observe_on_the_way(scene, lambda frame: Glimpse.of(scene, frame), substeps=recipe.substeps)
+    seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), substeps=recipe.substeps)
     at = course_of(scene, seen, status, recipe.groove)
     flags = jnp.stack([jnp.sum((at.status & int(flag)) != 0) for flag in FLAGS])
     courses = {}
@@ -168,7 +168,7 @@ def _in_chunks(
         starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
     chosen = chosen_devices(devices)
     pieces, piece = good_sizes(size)
-    spread = Spread(chosen, piece, pieces * piece * len(chosen))
+    spread = Sharding(chosen, piece, pieces * piece * len(chosen))
     shared = spread.shared(recipe)
     rows = (np.asarray(amounts, float), np.asarray(thetas, float), starts)
 

@@ -28,7 +28,7 @@ _MOST_LINES = 6
 Floats = NDArray[np.float64]
 
 
-class Spread(NamedTuple):
+class OutcomeBand(NamedTuple):
     """An outcome over variants: of the estimate itself, and the band around it (None without samples)."""
 
     value: Floats
@@ -36,15 +36,15 @@ class Spread(NamedTuple):
     high: Floats | None
 
 
-def spread(values: DataArray) -> Spread:
+def spread(values: DataArray) -> OutcomeBand:
     """Over samples: sample 0, and the 2.5 and 97.5 % quantiles of all that did not fail."""
     if "sample" not in values.dims:
-        return Spread(np.asarray(values.values, dtype=np.float64), None, None)
+        return OutcomeBand(np.asarray(values.values, dtype=np.float64), None, None)
     drawn = values.isel(sample=slice(1, None))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # where no draw has a value there is no band
         low, high = np.nanquantile(drawn.values, BAND, axis=drawn.get_axis_num("sample"))
-    return Spread(values.isel(sample=0).values, low, high)
+    return OutcomeBand(values.isel(sample=0).values, low, high)
 
 
 def amount_names(data: Dataset) -> list[str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitting.prediction.course import Groove
 from fitting.prediction.members import Members, Recipe, run
-from fitting.prediction.variants import Batch, batches
+from fitting.prediction.variants import VariantBatch, batches
 from fitting.treatments import Treatment
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices
@@ -114,7 +114,7 @@ def predict(
 
 
 def _of_batch(
-    batch: Batch,
+    batch: VariantBatch,
     estimate: Fitted | None,
     thetas: Floats,
     dt: float,

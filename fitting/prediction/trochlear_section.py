@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Section:
+class TrochlearSection:
     """Points of the femur's frame, (3,) each [m]. A ridge is None where the surface still rises at its edge."""
 
     bottom: Floats
@@ -35,7 +35,7 @@ class Section:
         return f"no {' and no '.join(sides)} ridge: the fitted surface still rises at its edge"
 
 
-def section(surface: Surface, level: float) -> Section:
+def section(surface: Surface, level: float) -> TrochlearSection:
     """The cut at one place along the groove, at constant chart coordinate u.
 
     Args:
@@ -66,7 +66,7 @@ def section(surface: Surface, level: float) -> Section:
     low, high = (np.asarray(chart.point(jnp.asarray(u), jnp.asarray(bottom_v), jnp.asarray(h)).array()) for h in _LIFT)
     outward = (high - low) / np.linalg.norm(high - low)
     across = np.array([float(a) for a in (chart.axes.ey.x, chart.axes.ey.y, chart.axes.ey.z)])
-    return Section(
+    return TrochlearSection(
         _points(surface, np.array([u]), np.array([bottom_v]))[0],
         ridges[0],
         ridges[1],

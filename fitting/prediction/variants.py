@@ -17,7 +17,7 @@ from pftwin.model.scene import Scene
 Floats = NDArray[np.float64]
 
 
-class Batch(NamedTuple):
+class VariantBatch(NamedTuple):
     """Variants that share a scene and the form of their treatment."""
 
     scene: Scene
@@ -74,7 +74,7 @@ def combinations(shown: Mapping[str, Mapping[str, Sequence[float]]]) -> Treatmen
     return grid(whole, axes)
 
 
-def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] | None) -> list[Batch]:
+def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] | None) -> list[VariantBatch]:
     """Every scene with every variant, those of one scene and form together; scenes vary slowest.
 
     Raises:
@@ -97,7 +97,7 @@ def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] |
         for alike in forms.values():
             amounts = np.concatenate([a for _, a, _ in alike])
             places = i * count + np.concatenate([p for *_, p in alike])
-            out.append(Batch(scene, _bare(alike[0][0]).prepared(scene), amounts, places))
+            out.append(VariantBatch(scene, _bare(alike[0][0]).prepared(scene), amounts, places))
     return out
 
 

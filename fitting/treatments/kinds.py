@@ -35,7 +35,7 @@ class Way(NamedTuple):
         return np.asarray(value, dtype=np.float64) / _SHOWN[self.unit][0]
 
 
-class Kind(NamedTuple):
+class TreatmentKind(NamedTuple):
     """A kind of treatment: its function, its amounts, and what it changes in words."""
 
     change: Callable[..., Scene]
@@ -49,17 +49,21 @@ _ANTERIOR = Way("m", "anteriorly", "posteriorly")
 _LONGER = Way("m", "longer", "shorter")
 
 KINDS = {
-    "tibial_tuberosity_transfer": Kind(
+    "tibial_tuberosity_transfer": TreatmentKind(
         tendons.tibial_tuberosity_transfer,
         "tibial tuberosity",
         {"medialisation": _MEDIAL, "anteriorisation": _ANTERIOR, "distalisation": _DISTAL},
     ),
-    "patellar_tendon_length_change": Kind(
+    "patellar_tendon_length_change": TreatmentKind(
         tendons.patellar_tendon_length_change, "patellar tendon", {"lengthening": _LONGER}
     ),
-    "quadriceps_lengthening": Kind(tendons.quadriceps_lengthening, "quadriceps tendon", {"lengthening": _LONGER}),
-    "trochleoplasty": Kind(trochlea.trochleoplasty, "trochlear groove", {"deepening": Way("m", "deeper", "shallower")}),
-    "femoral_component_rotation": Kind(
+    "quadriceps_lengthening": TreatmentKind(
+        tendons.quadriceps_lengthening, "quadriceps tendon", {"lengthening": _LONGER}
+    ),
+    "trochleoplasty": TreatmentKind(
+        trochlea.trochleoplasty, "trochlear groove", {"deepening": Way("m", "deeper", "shallower")}
+    ),
+    "femoral_component_rotation": TreatmentKind(
         trochlea.femoral_component_rotation,
         "femoral component turned",
         {
@@ -68,18 +72,20 @@ KINDS = {
             "varus": Way("rad", "into varus", "into valgus"),
         },
     ),
-    "femoral_component_translation": Kind(
+    "femoral_component_translation": TreatmentKind(
         trochlea.femoral_component_translation,
         "femoral component",
         {"medialisation": _MEDIAL, "distalisation": _DISTAL, "anteriorisation": _ANTERIOR},
     ),
-    "button_position": Kind(
+    "button_position": TreatmentKind(
         patella.button_position,
         "button",
         {"medialisation": _MEDIAL, "distalisation": _DISTAL, "anteriorisation": _ANTERIOR},
     ),
-    "lateral_release": Kind(patella.lateral_release, "lateral strands", {"release": Way("1", "released", "tightened")}),
-    "mpfl_graft": Kind(
+    "lateral_release": TreatmentKind(
+        patella.lateral_release, "lateral strands", {"release": Way("1", "released", "tightened")}
+    ),
+    "mpfl_graft": TreatmentKind(
         patella.mpfl_graft,
         "MPFL graft",
         {

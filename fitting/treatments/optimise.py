@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fitting.prediction.predicting import STEP, Fitted, predict
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit
-from fitting.treatments.plan import Plan
+from fitting.treatments.plan import TreatmentPlan
 from fitting.treatments.refine import CHUNK, Search, refined
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
@@ -43,7 +43,7 @@ def optimise_treatment(
     seed: int = 0,
     dt: float = STEP,
     threshold: float = DISLOCATED,
-) -> Plan:
+) -> TreatmentPlan:
     """The smallest treatment that meets the limits.
 
         optimise_treatment(scene, Limit("dislocation_margin", at_least=0.003), {"medialisation": (0.0, 0.020)})
@@ -88,11 +88,11 @@ def optimise_treatment(
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
 
-    def plan(met: bool, at: Floats) -> Plan:
+    def plan(met: bool, at: Floats) -> TreatmentPlan:
         share = search.share(at) if samples else None
         outcomes = search.outcomes(at)
         count = simulated + search.count
-        return Plan(met, search.treated(at), outcomes, wanted, count, samples, confidence, share)
+        return TreatmentPlan(met, search.treated(at), outcomes, wanted, count, samples, confidence, share)
 
     if not fine.size:
         return plan(False, amounts[int(np.argmax(room))])
@@ -167,4 +167,4 @@ def _si(values: Any) -> Floats:
     return np.radians(values.values) if values.attrs["units"] == "deg" else values.values
 
 
-__all__ = ["Limit", "Plan", "optimise_treatment"]
+__all__ = ["Limit", "TreatmentPlan", "optimise_treatment"]

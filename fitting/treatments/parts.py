@@ -6,7 +6,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.contact import Contact
-from pftwin.model.effects.line_elements import ElasticLine, Strung
+from pftwin.model.effects.line_elements import ElasticLine, LineElement
 from pftwin.model.scene import Scene
 
 Amount = Scalar | float
@@ -15,7 +15,7 @@ PATELLAR_TENDON, QUADRICEPS, MPFL = "patellar_tendon", "quadriceps", "mpfl"
 LATERAL = ("lpfl", "lateral_retinaculum")  # names that lateral strands go by
 
 
-def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> Strung:
+def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> LineElement:
     """The tendon, strands or muscle of that name.
 
     Args:

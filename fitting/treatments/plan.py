@@ -11,7 +11,7 @@ from fitting.treatments.limits import Limit, in_units
 
 
 @dataclass(frozen=True)
-class Plan:
+class TreatmentPlan:
     """What was found."""
 
     met: bool  # whether any amounts within the range meet all limits, in the share of draws that was asked for

@@ -19,7 +19,7 @@ from pftwin.base.spatial import Scalar
 from pftwin.model.scene import Scene
 
 
-class Step(eqx.Module):
+class TreatmentStep(eqx.Module):
     """One change of a treatment."""
 
     kind: str = eqx.field(static=True)
@@ -42,7 +42,7 @@ class Treatment(eqx.Module):
     treated = treatment.then(Treatment.of("trochleoplasty", deepening=0.002))(scene)
     """
 
-    steps: tuple[Step, ...] = ()
+    steps: tuple[TreatmentStep, ...] = ()
 
     @staticmethod
     def of(kind: str, amounts: Mapping[str, ArrayLike] | None = None, /, **more: Any) -> Treatment:
@@ -68,7 +68,7 @@ class Treatment(eqx.Module):
             if name not in ways:
                 raise InputError(f"no amount {name!r}", where=kind, expected=f"one of: {', '.join(ways)}")
             values[name] = _number(value, f"{kind}.{name}")
-        return Treatment((Step(kind, tuple(values), tuple(values.values()), tuple(sorted(parts.items()))),))
+        return Treatment((TreatmentStep(kind, tuple(values), tuple(values.values()), tuple(sorted(parts.items()))),))
 
     def then(self, after: Treatment) -> Treatment:
         """This treatment, and another one after it."""
@@ -94,7 +94,7 @@ class Treatment(eqx.Module):
         for step in self.steps:
             if step.kind == "trochleoplasty":
                 shape = trochlea.deepening_shape(trochlea.patch_of(scene, step.kind))
-                step = Step(step.kind, step.names, step.amounts, step.parts, jnp.asarray(shape, dtype=float))
+                step = TreatmentStep(step.kind, step.names, step.amounts, step.parts, jnp.asarray(shape, dtype=float))
             step(scene)  # refuses what is not there
             steps.append(step)
         return Treatment(tuple(steps))
@@ -118,7 +118,9 @@ class Treatment(eqx.Module):
         """The treatment with other amounts: a sequence in the order of `names`."""
         rest = iter(values)
         return Treatment(
-            tuple(Step(s.kind, s.names, tuple(next(rest) for _ in s.names), s.parts, s.shape) for s in self.steps)
+            tuple(
+                TreatmentStep(s.kind, s.names, tuple(next(rest) for _ in s.names), s.parts, s.shape) for s in self.steps
+            )
         )
 
     @property
@@ -126,7 +128,7 @@ class Treatment(eqx.Module):
         """What treatments must share to be run in one batch: kinds, amounts' names, and names of parts."""
         return tuple((s.kind, s.names, s.parts) for s in self.steps)
 
-    def _labelled(self) -> list[tuple[str, Step]]:
+    def _labelled(self) -> list[tuple[str, TreatmentStep]]:
         kinds = [s.kind for s in self.steps]
         return [
             (k if kinds.count(k) == 1 else f"{k}_{kinds[: i + 1].count(k)}", self.steps[i]) for i, k in enumerate(kinds)
@@ -152,7 +154,7 @@ def _number(value: ArrayLike, where: str) -> Scalar:
     return jnp.asarray(value, dtype=float)
 
 
-def _words(step: Step) -> str:
+def _words(step: TreatmentStep) -> str:
     """One step: "tibial tuberosity 10 mm medially, 5 mm distally"."""
     kind = KINDS[step.kind]
     said = [_amount(kind.amounts[name], value) for name, value in zip(step.names, step.amounts, strict=True)]

@@ -16,7 +16,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_compu
 if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.model.scene import Scene
-    from pftwin.studies.accuracy.measure import Row, SceneOf
+    from pftwin.studies.accuracy.measure import AccuracyRow, SceneOf
 
 OWN = "as it is"  # a scene file's contact
 
@@ -73,7 +73,7 @@ def _tell(line: str) -> None:
     err().print(line, style="dim", markup=False, highlight=False)
 
 
-def _keep(rows: list[Row], folder: Path) -> None:
+def _keep(rows: list[AccuracyRow], folder: Path) -> None:
     """What there is so far, should anything happen to the rest."""
     from pftwin.base.output import written_whole
     from pftwin.studies.accuracy.table import columns

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pftwin.cli.exit_codes import flagged
-from pftwin.cli.self_test import Finding
+from pftwin.cli.self_test import SelfTestFinding
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
 
 if TYPE_CHECKING:
@@ -57,15 +57,17 @@ def doctor(*, quick: QuickOption = False, json: JsonOption = None) -> None:
     console.print("sound", markup=False, highlight=False)
 
 
-def _looked(name: str, look: Callable[[], Sequence[Finding]]) -> list[Finding]:
+def _looked(name: str, look: Callable[[], Sequence[SelfTestFinding]]) -> list[SelfTestFinding]:
     """What was found; a look that itself fails is a finding too, with the error's words."""
     try:
         return list(look())
     except Exception as error:
-        return [Finding(name, f"{type(error).__name__}: {error}", False, "python -m pip install --upgrade pftwin")]
+        return [
+            SelfTestFinding(name, f"{type(error).__name__}: {error}", False, "python -m pip install --upgrade pftwin")
+        ]
 
 
-def _computing() -> list[Finding]:
+def _computing() -> list[SelfTestFinding]:
     """The devices that JAX sees, its precision, and the fast CPU compilation."""
     start_computing()
     import jax
@@ -78,13 +80,13 @@ def _computing() -> list[Finding]:
     flags = os.environ.get("XLA_FLAGS", "")
     fast = set(fast_cpu_flags(flags).split()) == set(flags.split())
     return [
-        Finding("devices", ", ".join(devices), bool(devices)),
-        Finding("precision", precision, precision == "float64", "unset JAX_ENABLE_X64"),
-        Finding("fast CPU code", "on" if fast else f"off: XLA_FLAGS={flags}", fast, "unset XLA_FLAGS"),
+        SelfTestFinding("devices", ", ".join(devices), bool(devices)),
+        SelfTestFinding("precision", precision, precision == "float64", "unset JAX_ENABLE_X64"),
+        SelfTestFinding("fast CPU code", "on" if fast else f"off: XLA_FLAGS={flags}", fast, "unset XLA_FLAGS"),
     ]
 
 
-def _facts(findings: list[Finding], extras: list[Extra], folder: Path) -> dict[str, Any]:
+def _facts(findings: list[SelfTestFinding], extras: list[Extra], folder: Path) -> dict[str, Any]:
     from pftwin import __version__
 
     return {
@@ -96,7 +98,7 @@ def _facts(findings: list[Finding], extras: list[Extra], folder: Path) -> dict[s
     }
 
 
-def _table(findings: list[Finding]) -> Table:
+def _table(findings: list[SelfTestFinding]) -> Table:
     from rich.markup import escape
     from rich.table import Table
 

@@ -12,9 +12,9 @@ from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, write_json
 
 if TYPE_CHECKING:
-    from pftwin.studies.hard_cases import Case
+    from pftwin.studies.hard_cases import HardCase
     from pftwin.studies.hard_cases import Selection as Selected
-    from pftwin.studies.hard_cases.pieces import Piece
+    from pftwin.studies.hard_cases.pieces import KeptPiece
     from pftwin.studies.hard_cases.verdict import Cell
 
 ContactsOption = Annotated[
@@ -108,13 +108,13 @@ def hard_cases(
         flagged(f"{table.counts(cells)['fail']} of {len(cells)} cells fail")
 
 
-def _run(cases: tuple[Case, ...], chosen: Selected, json: str | None) -> Piece:
+def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> KeptPiece:
     """Runs what was chosen, contact by contact; says how far it has come. Ctrl-C keeps the contacts that are done."""
     import time
 
     from pftwin.base.machine import describe
     from pftwin.studies.hard_cases import run_matrix
-    from pftwin.studies.hard_cases.pieces import Piece
+    from pftwin.studies.hard_cases.pieces import KeptPiece
     from pftwin.studies.runs import run_each
 
     began = time.perf_counter()
@@ -125,7 +125,7 @@ def _run(cases: tuple[Case, ...], chosen: Selected, json: str | None) -> Piece:
 
     found = run_each(chosen.contacts, one)
     cells = tuple(cell for of_contact in found for cell in of_contact)
-    piece = Piece(cells, time.perf_counter() - began, describe(), not chosen.derivatives)
+    piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives)
     write_json(piece.as_dict(), json)
     if len(found) < len(chosen.contacts):
         raise Interrupted(*([Path(json)] if json not in (None, "-") else []))

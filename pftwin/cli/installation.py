@@ -7,7 +7,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pftwin.cli.self_test import Finding
+from pftwin.cli.self_test import SelfTestFinding
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -33,7 +33,7 @@ class Extra(NamedTuple):
         return f"python -m pip install '{PROGRAM}[{self.name}]'"
 
 
-def python() -> Finding:
+def python() -> SelfTestFinding:
     """The interpreter, against what pftwin's metadata demand."""
     from packaging.specifiers import SpecifierSet
 
@@ -41,17 +41,17 @@ def python() -> Finding:
     version = platform.python_version()
     sound = SpecifierSet(wanted).contains(version, prereleases=True)
     found = f"{version} ({platform.system()} {platform.machine()})"
-    return Finding("python", found, sound, f"Python {wanted}")
+    return SelfTestFinding("python", found, sound, f"Python {wanted}")
 
 
-def packages() -> list[Finding]:
+def packages() -> list[SelfTestFinding]:
     """Every package that pftwin needs, with its version."""
     found = []
     for wanted in _requirements(None):
         version = _version(wanted)
         there = _installed(wanted.name) or "not installed"
         remedy = f"python -m pip install '{wanted.name}{wanted.specifier}'"
-        found.append(Finding(wanted.name, there, version is not None, remedy))
+        found.append(SelfTestFinding(wanted.name, there, version is not None, remedy))
     return found
 
 
@@ -65,7 +65,7 @@ def extras() -> list[Extra]:
     ]
 
 
-def cache(folder: Path) -> Finding:
+def cache(folder: Path) -> SelfTestFinding:
     """The folder of compiled programs: how large, and whether it can be written to."""
     import os
 
@@ -76,7 +76,7 @@ def cache(folder: Path) -> Finding:
         there = there.parent
     sound = there.is_dir() and os.access(there, os.W_OK | os.X_OK)
     words = f"{folder}: {len(files)} files, {size / 1e6:.1f} MB"
-    return Finding("cache", words, sound, "set PFTWIN_CACHE to a folder that can be written to")
+    return SelfTestFinding("cache", words, sound, "set PFTWIN_CACHE to a folder that can be written to")
 
 
 def _requirements(extra: str | None) -> list[Requirement]:

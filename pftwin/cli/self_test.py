@@ -10,7 +10,7 @@ FRAMES = 61  # 0.6 s of case 1
 MOST_CREATED = 0.04  # energy that no effect accounts for, as a share of the work done: 0.018 with steps of 1 ms
 
 
-class Finding(NamedTuple):
+class SelfTestFinding(NamedTuple):
     """One thing that was looked at."""
 
     name: str
@@ -19,7 +19,7 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
-def self_test() -> list[Finding]:
+def self_test() -> list[SelfTestFinding]:
     """Simulates, and looks at what has to hold whatever the numbers are: balance at the start, energy, the float type.
 
     The first run on a machine compiles for some seconds; kept programs make the next one short.
@@ -47,8 +47,8 @@ def self_test() -> list[Finding]:
     budget = f"{100 * share:.1f} % of the work unaccounted for; at most {100 * MOST_CREATED:g} %"
     remedy = "a fresh environment: python -m venv; an empty cache folder"
     return [
-        Finding("simulation", f"{ran}: {result.status.describe()}", clean, remedy),
-        Finding("equilibrium at the start", balance, start.residual <= start.tolerance, remedy),
-        Finding("energy budget", budget, share <= MOST_CREATED, remedy),
-        Finding("precision of the run", result.dtype, result.dtype == "float64", "unset JAX_ENABLE_X64"),
+        SelfTestFinding("simulation", f"{ran}: {result.status.describe()}", clean, remedy),
+        SelfTestFinding("equilibrium at the start", balance, start.residual <= start.tolerance, remedy),
+        SelfTestFinding("energy budget", budget, share <= MOST_CREATED, remedy),
+        SelfTestFinding("precision of the run", result.dtype, result.dtype == "float64", "unset JAX_ENABLE_X64"),
     ]

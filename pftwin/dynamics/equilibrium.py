@@ -75,7 +75,7 @@ def _rounding(system: System, pose: Pose, there: Surroundings) -> Scalar:
     it leads. With a force k s along g = (direction, moment / lever) it is off by k |g| sqrt(`ROUNDINGS`) eps / 2 * L;
     the sum of all k |g| is at most the root of that of k times that of k |g|^2.
     """
-    arms = [c.followed().norm() for e in system.effects if (c := e.contact_role()) is not None]
+    arms = [c.tracked_point().norm() for e in system.effects if (c := e.contact_role()) is not None]
     size = pose.position.norm() + (jnp.max(jnp.stack(arms)) if arms else 0.0)
     rows = there.convex()
     force, moment = (rows[i][i] + rows[i + 1][i + 1] + rows[i + 2][i + 2] for i in (0, 3))

@@ -121,7 +121,7 @@ def frame_states(
     return FrameStates(states, books, run.start, run.step, integrator)
 
 
-def watched(
+def scan_observations(
     scene: Scene,
     look: Callable[[State, Ledger | None, Scalar], Any],
     *,
@@ -208,9 +208,9 @@ __all__ = [
     "System",
     "first_guide",
     "frame_states",
+    "scan_observations",
     "start_before_search",
     "starting_equilibrium",
     "starting_state",
     "substeps_for",
-    "watched",
 ]

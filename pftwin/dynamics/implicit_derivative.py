@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.dynamics.inverse_with_pivots import swept
+from pftwin.dynamics.inverse_with_pivots import inverse_with_pivots
 
 Six = list[Scalar]
 
@@ -45,6 +45,6 @@ def changed_by(function: Callable[[Any], Any], values: Any, changes: Any) -> Any
 
 def solution_changes(tangent: Array, right: Six) -> Six:
     """-(dr/dx)^-1 times a change of the residual at unchanged x."""
-    inverse, _ = swept(tangent)
+    inverse, _ = inverse_with_pivots(tangent)
     rows = [[inverse[i, j] * r for j, r in enumerate(right)] for i in range(6)]
     return [-sum(row[1:], start=row[0]) for row in rows]

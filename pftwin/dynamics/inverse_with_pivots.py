@@ -13,7 +13,7 @@ from jaxtyping import Array
 from pftwin.base.spatial import Scalar
 
 
-def swept(matrix: Array) -> tuple[Array, Scalar]:
+def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
     """The inverse of an (n, n) matrix that is definite or nearly so, and whether all its pivots are positive.
 
     The largest pivot left on the diagonal comes first. Where the matrix is symmetric, positive pivots show that it is

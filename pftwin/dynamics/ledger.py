@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from pftwin.base.spatial import Scalar, Twist, Vec3
 from pftwin.dynamics.state import State
-from pftwin.model.effects.base import Bed, Drag, Load
+from pftwin.model.effects.base import AggregateStiffness, Drag, Load
 
 
 class Ledger(eqx.Module):
@@ -80,7 +80,7 @@ def _dragged(drag: Drag, seen: Twist, before: State, after: State, mean: Twist, 
     return put_in, -w.force.dot(mean.linear - moving) - w.moment.dot(mean.angular - turning)
 
 
-def _bedded(bed: Bed, seen: Twist, mean: Twist, at: float, step: Scalar) -> tuple[Scalar, Scalar]:
+def _bedded(bed: AggregateStiffness, seen: Twist, mean: Twist, at: float, step: Scalar) -> tuple[Scalar, Scalar]:
     """Power put in by the body that the bed stands on and power lost, with the bed's force as it is."""
     guided = jnp.concatenate([(seen.linear - bed.velocity).array(), (seen.angular - bed.spin).array()])
     twist = jnp.concatenate([mean.linear.array(), mean.angular.array()]) - guided

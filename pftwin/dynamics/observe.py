@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.frame_states import FrameStates, watched
+from pftwin.dynamics.frame_states import FrameStates, scan_observations
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
@@ -35,7 +35,7 @@ class Observation(eqx.Module):
     drift: Array | None = None  # (n,) largest violation of a constraint so far, where the integrator has any [m]
 
 
-class Frame(NamedTuple):
+class ObservedFrame(NamedTuple):
     """What a look at one frame shows."""
 
     patella: Pose  # patella frame in the femur's
@@ -69,7 +69,7 @@ def observe(scene: Scene, path: FrameStates) -> Observation:
 
 def observe_on_the_way(
     scene: Scene,
-    kept: Callable[[Frame], Any],
+    kept: Callable[[ObservedFrame], Any],
     *,
     integrator: Integrator = LinearImplicit(),
     substeps: int | Scalar = 10,
@@ -94,7 +94,7 @@ def observe_on_the_way(
         energies = None if books is None else (seen.kinetic_energy, seen.potential_energy, books.work)
         return kept(seen), seen.status, energies, chosen.diagnostics(state).snaps
 
-    (found, status, energies, snaps), start, step = watched(
+    (found, status, energies, snaps), start, step = scan_observations(
         scene, at, integrator=integrator, substeps=substeps, start=start, ledger=ledger
     )
     return found, status_of_all(status, start, energies, step, snaps), start
@@ -119,19 +119,19 @@ def tracked_center(scene: Scene, states: State) -> Vec3:
     return center if femur is None else femur.frames(scene.motion.frame_times()).to_local(center)
 
 
-def _look(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], Frame], Guide]:
+def _look(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], ObservedFrame], Guide]:
     """What shows a frame, from the state, the guided bodies and the step; and those bodies at all frames."""
     system = scene.system()
     # Clear of the frames' rounding: the last frame is asked for itself.
     times = scene.motion.frame_times()
 
-    def look(state: State, guide: Guide, step: Scalar) -> Frame:
+    def look(state: State, guide: Guide, step: Scalar) -> ObservedFrame:
         now, patella, center = placed(scene, state, guide)
         reports = {e.name: e.report(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
         seen = {name: shown for name, (shown, _) in reports.items()}
         stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}
         status = status_of_frame(scene, seen, state, step, chosen.diagnostics(state).residual)
         kinetic = system.kinetic_energy(state) if chosen.inertia else jnp.zeros_like(step)
-        return Frame(patella, center, seen, kinetic, stored, status)
+        return ObservedFrame(patella, center, seen, kinetic, stored, status)
 
     return look, Guide.sample(scene.motion, times)

@@ -48,14 +48,14 @@ class Guide(eqx.Module):
         self,
         patella: Patella,
         step: Scalar | float,
-        lead: Scalar | float = 0.0,
+        lookahead: Scalar | float = 0.0,
         *,
-        reach: Scalar | None = None,
+        displacement_gain: Scalar | None = None,
         twist: Twist | None = None,
     ) -> Instant:
         """What effects may look at."""
         femur = Ground() if self.femur is None else self.femur
-        return Instant(patella, femur, self.tibia, self.time, step, lead, reach, twist)
+        return Instant(patella, femur, self.tibia, self.time, step, lookahead, displacement_gain, twist)
 
 
 GuideAt = Callable[[float | Scalar], Guide]  # the guided bodies at a part of a step: 0 its start, 1 its end
@@ -77,9 +77,9 @@ class System(eqx.Module):
         """The memories to start with."""
         return tuple(e.remember(now) for e in self.effects)
 
-    def refined(self, memories: tuple[Any, ...], looked: tuple[Any, ...]) -> tuple[Any, ...]:
+    def refined(self, memories: tuple[Any, ...], trial: tuple[Any, ...]) -> tuple[Any, ...]:
         """Memories with what a look at a trial pose has found better: see `Effect.refined`."""
-        return tuple(e.refined(m, new) for e, m, new in zip(self.effects, memories, looked, strict=True))
+        return tuple(e.refined(m, new) for e, m, new in zip(self.effects, memories, trial, strict=True))
 
     def guess(self, now: Instant) -> tuple[Any, ...]:
         """Rough memories: see `Effect.guess`."""

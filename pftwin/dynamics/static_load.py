@@ -16,7 +16,7 @@ from jaxtyping import Array
 from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
 from pftwin.dynamics.solve import Lower, add_outer
 from pftwin.dynamics.state import Guide, System
-from pftwin.model.effects.base import Bed, Drag, Instant, Patella, StiffTerm
+from pftwin.model.effects.base import AggregateStiffness, Drag, Instant, Patella, StiffTerm
 
 LEVER = 0.02  # turns moments into forces and angles into lengths: about the patella's half width [m]
 
@@ -50,7 +50,7 @@ class Surroundings(NamedTuple):
     memories: tuple[Any, ...]
     table: Array  # (13, 6) loads: here, a little ahead along each axis, a little back
     terms: list[StiffTerm]  # here
-    beds: list[Bed]
+    beds: list[AggregateStiffness]
     drags: list[Drag]
 
     def residual(self) -> list[Scalar]:

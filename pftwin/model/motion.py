@@ -104,9 +104,9 @@ class SegmentMotion(eqx.Module):
             jnp.asarray(powers * np.asarray(self.quaternion_coefficients, dtype=float), dtype=float),
         )
 
-    def pieces(self, interval: Scalar) -> Piece:
+    def pieces(self, interval: Scalar) -> CubicPiece:
         """The cubics between knots `interval` and `interval` + 1 (integers of any shape)."""
-        return Piece(
+        return CubicPiece(
             self.knots[interval], self.position_coefficients[:, interval], self.quaternion_coefficients[:, interval]
         )
 
@@ -119,7 +119,7 @@ class SegmentMotion(eqx.Module):
         return self.pieces(interval).frames(t)
 
 
-class Piece(eqx.Module):
+class CubicPiece(eqx.Module):
     """A segment's cubics between two knots, or many such."""
 
     knot: Scalar  # the first [s]
@@ -229,8 +229,8 @@ class KneeMotion(eqx.Module):
 class MotionPiece(eqx.Module):
     """The guided motion of a knee between two recorded frames."""
 
-    femur: Piece | None
-    tibia: Piece
+    femur: CubicPiece | None
+    tibia: CubicPiece
 
     def frames(self, time: Scalar) -> tuple[Frame | None, Frame]:
         """Frames of femur (None if it is the world) and tibia."""

@@ -95,7 +95,7 @@ class Scene(eqx.Module):
 
     def tracked_point(self) -> Vec3:
         """The point of the patella whose path results show: the button's centre, else the patella's origin."""
-        return Vec3.zero() if self.contact is None else self.contact.followed()
+        return Vec3.zero() if self.contact is None else self.contact.tracked_point()
 
     def get(self, name: str) -> Any:
         """A number, an array or a vector of the scene by its name: "K1", "quadriceps.stiffness", "patella.mass".
@@ -115,7 +115,7 @@ class Scene(eqx.Module):
 
     def system(self) -> System:
         """The equations' view of the scene: points counted from the centre of mass."""
-        about = tuple(e.about(self.patella.center_of_mass) for e in self.effects)
+        about = tuple(e.recentred(self.patella.center_of_mass) for e in self.effects)
         return System(self.patella.mass, self.patella.inertia, about)
 
     def center_of_mass_pose(self) -> Pose:

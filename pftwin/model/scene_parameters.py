@@ -16,7 +16,7 @@ from pftwin.base.spatial import Scalar, Vec3
 
 if TYPE_CHECKING:
     from pftwin.model.effects.base import Effect
-    from pftwin.model.effects.line_elements import ElasticLine, Strung
+    from pftwin.model.effects.line_elements import ElasticLine, LineElement
     from pftwin.model.scene import Scene
 
 _SHORT = re.compile(r"^([A-Z])(\d+)(?:\.(strain|force))?$")
@@ -25,7 +25,7 @@ _UNITS = {"strain": "", "force": "N"}  # of what a slack length may stand there 
 _OWN = ("patella", "start", "motion")  # parts of a scene that are no effects
 
 
-class Place(NamedTuple):
+class NumberPlace(NamedTuple):
     """A number in a scene, or all numbers of one field.
 
     `meaning` is "value" for the number itself. The slack length L0 of a line element may stand there as something else,
@@ -83,7 +83,7 @@ class Field(NamedTuple):
     quantity: Quantity | None  # what is declared of it
 
 
-def start_length(scene: Scene, element: Strung) -> Scalar:
+def start_length(scene: Scene, element: LineElement) -> Scalar:
     """A line element's length at the scene's start pose in the first frame [m]; one for each line of a group."""
     insertion, body = element.line_ends
     start = jnp.asarray(scene.motion.start_time, dtype=float)
@@ -94,12 +94,12 @@ def start_length(scene: Scene, element: Strung) -> Scalar:
     return (origin - scene.start.apply(insertion)).norm()
 
 
-def find(scene: Scene, name: str) -> list[Place]:
+def find(scene: Scene, name: str) -> list[NumberPlace]:
     """The places that a name stands for: one, or those of a whole vector.
 
     "K1", "L1", "K2" ... are what the scene's elastic line elements (tendons, strands), in their order, declare with
     these letters: stiffness and slack length. Otherwise "effect.field.field", "patella.field", with an index for an
-    element ("contact.surface.coefficients[3]"). "L1.strain" and "L1.force": see `Place`.
+    element ("contact.surface.coefficients[3]"). "L1.strain" and "L1.force": see `NumberPlace`.
 
     Raises:
         InputError: no such number in this scene, with the nearest name that there is.
@@ -118,14 +118,14 @@ def find(scene: Scene, name: str) -> list[Place]:
         if line is None or not line.elastic or shape != () or path != ("slack_length",):
             raise InputError(f"{name!r}: only the slack length of a single tendon has a {meaning}", where="free")
     if index is None and not shape:
-        return [Place(owner, path, None, meaning)]
+        return [NumberPlace(owner, path, None, meaning)]
     if len(shape) != 1 or (index is not None and index >= shape[0]):
         raise InputError(
             f"{name!r} in scene {scene.name!r}, which has {shape[0] if shape else 'a single number'} there",
             where="free",
             expected=full if not shape else f"{full}[0] to {full}[{shape[0] - 1}], or {full} for all of them",
         )
-    return [Place(owner, path, i, meaning) for i in (range(shape[0]) if index is None else [index])]
+    return [NumberPlace(owner, path, i, meaning) for i in (range(shape[0]) if index is None else [index])]
 
 
 def known(scene: Scene) -> dict[str, Field]:
@@ -182,11 +182,11 @@ def _vector_from(value: Any, name: str) -> Vec3:
     return Vec3.from_array(value)
 
 
-def _one_place(scene: Scene, name: str) -> Place:
+def _one_place(scene: Scene, name: str) -> NumberPlace:
     """The place of a name, that of a whole field included."""
     full, _ = _long_name(scene, name)
     if full in (numbers := known(scene)) and numbers[full].shape:
-        return Place(numbers[full].owner, numbers[full].path, None, "value")
+        return NumberPlace(numbers[full].owner, numbers[full].path, None, "value")
     return find(scene, name)[0]
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _SAME_TIME = 0.1  # share of a frame's interval: the rounding of printed times
 
 
-class Row(NamedTuple):
+class ValidationRow(NamedTuple):
     """A row of the table."""
 
     key: str  # the field of `Validation`
@@ -87,7 +87,7 @@ class Validation:
         """Plain values, for JSON."""
         return asdict(self)
 
-    def to_rows(self, paper: str | None = None) -> list[Row]:
+    def to_rows(self, paper: str | None = None) -> list[ValidationRow]:
         """The table, beside the paper's column ("CM", "FM", "P2", "P4", "P5") where one is named.
 
         Raises:
@@ -98,7 +98,7 @@ class Validation:
                 f"no column {paper!r} in the paper's Table 1", expected=f"one of: {', '.join(PAPER_TABLE_1)}"
             )
         column = PAPER_TABLE_1[paper] if paper else {}
-        return [Row(key, label, unit, getattr(self, key), column.get(key)) for key, label, unit in _ROWS]
+        return [ValidationRow(key, label, unit, getattr(self, key), column.get(key)) for key, label, unit in _ROWS]
 
 
 def validate(

@@ -57,7 +57,7 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
             beyond = continuation(scene.surface, _points((effects or {}).get(contact.name, {})))
             if beyond is not None:
                 variables |= _mesh("continuation", beyond, "femur", "the smooth surface beyond its rectangle")
-        center = _rows(contact.followed())
+        center = _rows(contact.tracked_point())
         if button is not None:
             vertices, faces = indexed(button)
             variables |= _mesh("button", (vertices + center, faces), "patella", "the button's mesh")

@@ -31,7 +31,7 @@ def _case_number(n: int) -> int:
     return int(n)
 
 
-def springs(case: rig.Case) -> tuple[Tendon, Tendon]:
+def springs(case: rig.RigCase) -> tuple[Tendon, Tendon]:
     """Quadriceps and patellar tendon of a case."""
     x, _, z = rig.INSERTION
     quadriceps = Tendon(
@@ -55,7 +55,7 @@ def springs(case: rig.Case) -> tuple[Tendon, Tendon]:
     return quadriceps, patellar_tendon
 
 
-def effects(case: rig.Case, contact: Effect) -> tuple[Effect, ...]:
+def effects(case: rig.RigCase, contact: Effect) -> tuple[Effect, ...]:
     """What acts on the patella."""
     return (
         Gravity(number(rig.MASS), vector(rig.GRAVITY)),

@@ -45,7 +45,7 @@ TIBIA_MARKERS = {"TIB1": (-0.110, 0.035, 0.060), "TIB2": (-0.190, -0.035, 0.065)
 PATELLA_MARKERS = {"PAT1": (0.032, 0.004, 0.024), "PAT2": (-0.016, 0.033, 0.022), "PAT3": (-0.018, -0.031, 0.026)}
 
 
-class Case(NamedTuple):
+class RigCase(NamedTuple):
     """One of the four configurations."""
 
     femur_support: str  # FM or FL
@@ -54,8 +54,8 @@ class Case(NamedTuple):
 
 
 CASES = {
-    1: Case("FL", "TM", QUADRICEPS_LENGTH),
-    2: Case("FL", "TL", QUADRICEPS_LENGTH),
-    3: Case("FL", "TL", QUADRICEPS_LENGTH_LONG),
-    4: Case("FM", "TL", QUADRICEPS_LENGTH),
+    1: RigCase("FL", "TM", QUADRICEPS_LENGTH),
+    2: RigCase("FL", "TL", QUADRICEPS_LENGTH),
+    3: RigCase("FL", "TL", QUADRICEPS_LENGTH_LONG),
+    4: RigCase("FM", "TL", QUADRICEPS_LENGTH),
 }

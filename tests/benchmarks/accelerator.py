@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.dynamics.batch.member import Task, moved, settled
-from pftwin.dynamics.batch.sharding import Spread, piece_for
+from pftwin.dynamics.batch.sharding import Sharding, piece_for
 from pftwin.dynamics.frame_states import frame_states, starting_state, substeps_for
 from pftwin.dynamics.state import Guide
 from pftwin.model.scene import Scene
@@ -90,7 +90,7 @@ def _parts(scene: Scene, most: int, said: str) -> list[Row]:
     """Of one piece, which is what a device computes at a time: equilibrium, steps, and looking at the frames."""
     device = tuple(jax.devices()[:1])
     piece = piece_for(most, device[0].platform)
-    spread, task = Spread(device, piece, piece), _task(scene)
+    spread, task = Sharding(device, piece, piece), _task(scene)
     shared, chunk = spread.shared(task), next(spread.chunks(min(piece, most)))
     own = spread.placed(amounts(chunk.members), chunk)
     start = spread.run(settled, shared, chunk, (own,))

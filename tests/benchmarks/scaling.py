@@ -72,9 +72,9 @@ def clocked() -> Iterator[list[float]]:
     """The seconds of each run of a compiled program meanwhile, waited for. For batches computed in one thread."""
     import jax
 
-    from pftwin.dynamics.batch.sharding import Spread
+    from pftwin.dynamics.batch.sharding import Sharding
 
-    plain, spent = Spread.run, []
+    plain, spent = Sharding.run, []
 
     def run(*args: Any) -> Any:
         began = time.perf_counter()
@@ -82,7 +82,7 @@ def clocked() -> Iterator[list[float]]:
         spent.append(time.perf_counter() - began)
         return out
 
-    with patch.object(Spread, "run", run):
+    with patch.object(Sharding, "run", run):
         yield spent
 
 
@@ -115,12 +115,12 @@ def of_sizes(devices: int, sizes: tuple[int, ...]) -> list[Row]:
 def of_parts(size: int) -> list[Row]:
     """Writing parts of so many members, reading them back, and joining them."""
     import pftwin
-    from pftwin.dynamics.batch.part_files import Index, read_part, write_part
+    from pftwin.dynamics.batch.part_files import BatchIndex, read_part, write_part
     from pftwin.dynamics.batch.parts import joined
 
     scene = pftwin.rig.case(2, contact="P5")
     members = pftwin.simulate_batch(pftwin.Variants(scene, transferred, amounts(size)), devices=1, **SETTINGS)
-    index, there = Index("0" * 64, {}, [size] * PARTS), []
+    index, there = BatchIndex("0" * 64, {}, [size] * PARTS), []
     with tempfile.TemporaryDirectory(prefix="pftwin-benchmark-") as name:
         folder = Path(name)
         written = [_seconds(lambda u=u: write_part(folder, u, index.key, members)) for u in range(PARTS)]

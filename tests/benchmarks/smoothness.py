@@ -39,7 +39,7 @@ SIZES = {"3k": 0.056e-3, "28k": 0.006e-3, "100k": 0.00167e-3}
 
 def swept(effect: Any, places: NDArray[np.float64], turn: Quaternion) -> NDArray[np.float64]:
     """The size of an effect's force on the patella at places (n, 3) of its origin, at rest [N]."""
-    ready = effect.about(Vec3.zero())
+    ready = effect.recentred(Vec3.zero())
     arrays, fixed = eqx.partition(ready, eqx.is_array)
     zero = jnp.zeros(())
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pftwin.dynamics.integrators.end_of_step import Push, end_of_step
+from pftwin.dynamics.integrators.end_of_step import ConstraintRow, end_of_step
 
 TERMS = 4  # two of them unilateral
 
@@ -23,7 +23,7 @@ def problem(seed: int, dense: bool):
 
 def solved(mass, g, impulses, weights, rest, dense: bool):
     lower = [[mass[i, j] for j in range(i + 1)] for i in range(6)] if dense else [mass[i, i] for i in range(6)]
-    pushes = [Push(list(g[i]), impulses[i], weights[i], i >= TERMS - 2) for i in range(TERMS)]
+    pushes = [ConstraintRow(list(g[i]), impulses[i], weights[i], i >= TERMS - 2) for i in range(TERMS)]
     dv, p = end_of_step(lower, pushes, list(rest))
     return jnp.stack(dv), jnp.stack(p)
 

@@ -12,7 +12,7 @@ from pftwin.base.spatial import Quaternion, Vec3, Wrench
 from pftwin.dynamics.integrators import BDF2, LinearImplicit
 from pftwin.dynamics.integrators.implicit_solve import FEW, LEVER, SPAN, Span, change_of_velocity, load_at_end
 from pftwin.dynamics.state import System
-from pftwin.model.effects.base import Bed, Drag, Load, StiffTerm
+from pftwin.model.effects.base import AggregateStiffness, Drag, Load, StiffTerm
 
 MASS, INERTIA = 0.12, (3e-5, 5e-5, 4e-5)
 SYSTEM = System(J(MASS), vec(*INERTIA), ())
@@ -41,7 +41,9 @@ class Made:
         if bed:
             rows, k = rng.normal(size=(20, 6)) * SCALE, rng.uniform(1e3, 1e4, 20)
             own, force, c = (rows.T * k) @ rows, rng.normal(size=6) * SCALE, 1.5e-3
-            loads.append(Load(bed=Bed(J(force), J(force), J(own), J(c), J(0.0), vec(0, 0, 0), vec(0, 0, 0))))
+            loads.append(
+                Load(bed=AggregateStiffness(J(force), J(force), J(own), J(c), J(0.0), vec(0, 0, 0), vec(0, 0, 0)))
+            )
             self.stiffness, self.damping, self.force = self.stiffness + own, self.damping + c * own, self.force + force
         if drag:
             velocity, spin = rng.normal(size=3), rng.normal(size=3)

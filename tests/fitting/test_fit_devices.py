@@ -29,7 +29,7 @@ def test_variants_that_are_laid_out_give_the_same(program):
     p = fitting.free_parameters(scene, SPRINGS)
     theta = jnp.asarray(p.nominal * np.linspace(0.95, 1.05, 3)[:, None])
     guesses = jax.tree.map(lambda a: jnp.broadcast_to(a, (3,)), scene.start)
-    alone = programs.Program(p.places, ("position", "quadriceps"), None)
+    alone = programs.FitProgram(p.places, ("position", "quadriceps"), None)
     laid = alone._replace(mesh=Mesh(np.array(jax.local_devices()[:1]), (AXIS,)))
     run = getattr(programs, program)
     both = [jax.tree.leaves(run(one, scene.unnamed(), jnp.asarray(2), theta, guesses)) for one in (alone, laid)]

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import fitting
 import pftwin
 from fitting.methods.least_squares import LeastSquares
-from fitting.methods.problem import Answer, Problem, Request
+from fitting.methods.problem import Problem, ProblemAnswer, Request
 from fitting.objective import Objective
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -208,7 +208,7 @@ class _Parabola:
         value = np.sum(request.theta**2, axis=1)
         value[0] = np.nan
         slopes = None if request.want == "value" else 2 * request.theta
-        return Answer(value, slopes)
+        return ProblemAnswer(value, slopes)
 
 
 def test_the_meter_counts_derivatives_and_keeps_the_best():
@@ -253,7 +253,7 @@ def test_fits_side_by_side_are_fits(scene, parameters, measured):
         while alone["stopped"] is None:
             request = search.ask(alone)
             seen = common.with_slopes(request.theta, request.substeps)
-            search.tell(alone, request, Answer(*objective.normal(seen)))
+            search.tell(alone, request, ProblemAnswer(*objective.normal(seen)))
         np.testing.assert_allclose(state["best_theta"], alone["best_theta"], rtol=1e-9)
         assert state["stopped"] == "converged"
 

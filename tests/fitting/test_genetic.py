@@ -17,7 +17,7 @@ from fitting.methods.genetic import (
     stalled,
     stochastic_uniform,
 )
-from fitting.methods.problem import Answer
+from fitting.methods.problem import ProblemAnswer
 
 seeds = st.integers(0, 2**32 - 1)
 LOWER, UPPER = np.array([1.0, -2.0, 10.0]), np.array([2.0, -1.0, 1e3])
@@ -154,7 +154,7 @@ class _Bowl:
     def answer(self, request):
         share = (request.theta - LOWER) / (UPPER - LOWER)
         value = np.sum((share - 0.3) ** 2, axis=1)
-        return Answer(np.where(share[:, 0] < 0.25, np.nan, value))
+        return ProblemAnswer(np.where(share[:, 0] < 0.25, np.nan, value))
 
 
 def evolved(seed: int, populations: int = 1, generations: int = 40):
@@ -200,7 +200,7 @@ def test_populations_side_by_side_do_not_disturb_each_other():
 
 def test_all_failing_stops():
     problem = _Bowl()
-    problem.answer = lambda request: Answer(np.full(len(request.theta), np.nan))
+    problem.answer = lambda request: ProblemAnswer(np.full(len(request.theta), np.nan))
     search = Genetic(problem, 0)  # pyright: ignore
     state = search.begin()
     request = search.ask(state)

@@ -7,7 +7,7 @@ import pytest
 from linear_problems import NOMINAL, design, parameters, problem, scaled
 
 from fitting.methods.least_squares import LeastSquares
-from fitting.methods.problem import Answer
+from fitting.methods.problem import ProblemAnswer
 
 
 def searched(ours, seed=0, starts=6):
@@ -50,7 +50,7 @@ def test_it_takes_no_step_that_is_not_better():
     before = state["u"].copy(), state["value"].copy(), state["damping"].copy()
     worse = search.ask(state)
     n = len(worse.theta)
-    search.tell(state, worse, Answer(np.full(n, 1e30), np.ones((n, 3)), np.tile(np.eye(3), (n, 1, 1))))
+    search.tell(state, worse, ProblemAnswer(np.full(n, 1e30), np.ones((n, 3)), np.tile(np.eye(3), (n, 1, 1))))
     np.testing.assert_array_equal(state["u"], before[0])
     np.testing.assert_array_equal(state["value"], before[1])
     np.testing.assert_allclose(state["damping"], 10 * before[2])
@@ -83,5 +83,7 @@ def test_a_phase_ends_where_a_step_gains_less_than_it_is_worth(phase, gain, goes
     for value in (10.0, 10.0 - gain):
         request = search.ask(state)
         n = len(request.theta)
-        search.tell(state, request, Answer(np.full(n, value), np.full((n, 3), 10.0), np.tile(np.eye(3), (n, 1, 1))))
+        search.tell(
+            state, request, ProblemAnswer(np.full(n, value), np.full((n, 3), 10.0), np.tile(np.eye(3), (n, 1, 1)))
+        )
     assert ((state["phase"], state["stopped"]) == (phase, None)) is goes_on

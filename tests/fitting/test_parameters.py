@@ -102,7 +102,7 @@ def test_the_transform_has_an_inverse_and_a_slope(u):
 
 def test_spread_points_fill_every_stratum():
     p = free_parameters(small_scene(6), SPRINGS)
-    share = (p.spread(16, np.random.default_rng(3)) - p.lower) / (p.upper - p.lower)
+    share = (p.latin_hypercube(16, np.random.default_rng(3)) - p.lower) / (p.upper - p.lower)
     for column in share.T:
         assert sorted(np.floor(16 * column).astype(int)) == list(range(16))
 

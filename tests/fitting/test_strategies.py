@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fitting.methods.problem import Answer
+from fitting.methods.problem import ProblemAnswer
 from fitting.methods.strategies import CmaEs, DifferentialEvolution, mirrored
 
 pytest.importorskip("evosax")
@@ -38,7 +38,7 @@ def populations(kind: Any, seed: int, generations: int) -> tuple[list[np.ndarray
         request = search.ask(state)
         asked.append(request.theta)
         share = (request.theta - LOWER) / (UPPER - LOWER)
-        search.tell(state, request, Answer(np.sum((share - BOTTOM) ** 2, axis=1)))
+        search.tell(state, request, ProblemAnswer(np.sum((share - BOTTOM) ** 2, axis=1)))
     return asked, state
 
 

@@ -14,7 +14,7 @@ from mesh_samples import corners_of, point, soup
 from pftwin.base import cache_folder
 from pftwin.base.errors import InputError
 from pftwin.geometry.bvh import brute_force, tree
-from pftwin.geometry.bvh.nearest_wide import Nearest, nearest_wide
+from pftwin.geometry.bvh.nearest_wide import NearestTriangle, nearest_wide
 from pftwin.geometry.bvh.tree import MeshTree, build_tree, joined, tree_arrays
 from pftwin.geometry.bvh.wide import wide_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -23,7 +23,7 @@ from pftwin.rig.cases import implant_mesh
 KINDS = ["disc", "box"]
 
 
-def searched(t: MeshTree, points: np.ndarray, width: int | None = None, half: int | None = None) -> Nearest:
+def searched(t: MeshTree, points: np.ndarray, width: int | None = None, half: int | None = None) -> NearestTriangle:
     return _searched(wide_tree(t), t.triangles, jnp.asarray(points), half, width)
 
 

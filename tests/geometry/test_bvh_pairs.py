@@ -17,7 +17,7 @@ from mesh_samples import corners_of, random_poses, soup
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.geometry.bvh import brute_force
 from pftwin.geometry.bvh.descent import steps_down
-from pftwin.geometry.bvh.pairs import Pairs, PairSearch, Room, pair_search
+from pftwin.geometry.bvh.pairs import PairListLengths, Pairs, PairSearch, pair_search
 from pftwin.geometry.bvh.queue import pushed_where, queue_of
 from pftwin.geometry.bvh.tree import build_tree
 from pftwin.geometry.mesh.icosphere import icosphere
@@ -81,7 +81,7 @@ def test_steps_lead_from_few_pairs_to_all_leaves(depths):
 def test_random_triangles_at_random_poses(seed, kind, sizes):
     # The last triangle of a soup has no area, and meets by chance only.
     flat = [SurfaceMesh(m.vertices, m.faces[:-1]) for m in (soup(seed, sizes[0]), soup(seed + 1, sizes[1]))]
-    search = pair_search(*(build_tree(m, kind=kind) for m in flat), Room(1024, 1536))
+    search = pair_search(*(build_tree(m, kind=kind) for m in flat), PairListLengths(1024, 1536))
     poses = random_poses(6, seed, 0.05)
     pairs = one_by_one(search, poses)
     assert not pairs.overflow.any()
@@ -114,7 +114,7 @@ def test_a_batch_is_what_its_members_are(searches):
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("room", [Room(8, 8192), Room(2048, 16), Room(2048, 8192, 8)])
+@pytest.mark.parametrize("room", [PairListLengths(8, 8192), PairListLengths(2048, 16), PairListLengths(2048, 8192, 8)])
 def test_overflow_is_flagged_where_room_is_short(searches, room):
     search = eqx.tree_at(lambda s: s.a, searches["disc"], searches["disc"].a)
     search = PairSearch(search.a, search.b, search.way, search.triangles, search.near, room)

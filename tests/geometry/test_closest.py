@@ -18,7 +18,7 @@ from pftwin.model.effects.contact_law import Flores, Hertz
 
 J = jnp.asarray
 GROOVE = groove_patch()
-BUTTON = contact(Hertz(J(2e8)), GROOVE).about(vec(0, 0, 0))
+BUTTON = contact(Hertz(J(2e8)), GROOVE).recentred(vec(0, 0, 0))
 CYLINDER = CylindricalChart(vec(0, 0, 0), Rotation.from_array(np.eye(3)), J(0.026))
 
 
@@ -180,7 +180,7 @@ def path():
 
 def forces(law, path):
     velocity = J(np.gradient(path, axis=0)) / STEP
-    return [np.asarray(a) for a in ride(contact(law, GROOVE).about(vec(0, 0, 0)), J(path), velocity, J(STEP))]
+    return [np.asarray(a) for a in ride(contact(law, GROOVE).recentred(vec(0, 0, 0)), J(path), velocity, J(STEP))]
 
 
 @pytest.fixture(scope="module")
@@ -230,7 +230,7 @@ def test_two_facets_melt_into_one_without_a_jump():
     """A shallow groove flattens along its length: its two facets meet in one floor, at a constant indentation."""
     surface = patch_of(MELTING, 5)
     u = np.linspace(-0.02, 0.02, 4001)
-    button = contact(Hertz(J(2e8)), surface).about(vec(0, 0, 0))
+    button = contact(Hertz(J(2e8)), surface).recentred(vec(0, 0, 0))
     v = np.linspace(0, 0.019, 4000)
     height = np.asarray(jax.jit(jax.vmap(lambda u: surface.height(jnp.full(v.shape, u), J(v))))(J(u)))
     # Across the groove the button rests on the highest of the circles that touch it.

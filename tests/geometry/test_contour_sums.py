@@ -11,7 +11,7 @@ from height_meshes import plate
 from mesh_contacts import RADIUS, at, mesh_pair
 
 from pftwin.base.spatial import Pose, Vec3
-from pftwin.geometry.bvh.pairs import Room
+from pftwin.geometry.bvh.pairs import PairListLengths
 from pftwin.geometry.contact.contact_mesh import contact_mesh
 from pftwin.geometry.contact.contour import MeshPair
 from pftwin.geometry.mesh.icosphere import icosphere
@@ -19,7 +19,7 @@ from pftwin.geometry.mesh.icosphere import icosphere
 
 @pytest.fixture(scope="module")
 def coarse() -> tuple[MeshPair, Pose]:
-    pair = mesh_pair(contact_mesh(plate(9)), contact_mesh(icosphere(RADIUS, 9)), room=Room(1024, 1024, 64))
+    pair = mesh_pair(contact_mesh(plate(9)), contact_mesh(icosphere(RADIUS, 9)), room=PairListLengths(1024, 1024, 64))
     return pair, at(0.7e-3, 0.4e-3, RADIUS - 0.4e-3)
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pftwin.geometry.patch.descent import FLATTEST, PUSH, Slope, Step, descend
+from pftwin.geometry.patch.descent import FLATTEST, PUSH, DescentStep, Slope, descend
 
 GRAM = (1.3, 1.1)
 CASES = {  # gradient, Hessian (uu, uv, vv), longest steps
@@ -26,7 +26,7 @@ CASES = {  # gradient, Hessian (uu, uv, vv), longest steps
 }
 
 
-def step_of(numbers: jax.Array, side: float = 1.0) -> Step:
+def step_of(numbers: jax.Array, side: float = 1.0) -> DescentStep:
     gu, gv, uu, uv, vv, along, across = numbers
     gram = (jnp.asarray(GRAM[0]), jnp.asarray(GRAM[1]))
     return descend(Slope((gu, gv), (uu, uv, vv), gram, (along, across)), side)

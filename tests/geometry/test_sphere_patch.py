@@ -17,7 +17,7 @@ from scenes import OPTIMISED
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.bvh import brute_force
-from pftwin.geometry.bvh.ball import Room
+from pftwin.geometry.bvh.ball import BallListLengths
 from pftwin.geometry.bvh.nearest_wide import nearest_wide
 from pftwin.geometry.bvh.tree import build_tree
 from pftwin.geometry.bvh.triangle import Triangle
@@ -97,7 +97,7 @@ def test_random_triangles_by_the_tree_are_those_of_the_brute_force(seed):
     mesh = soup(seed)
     rng = np.random.default_rng(seed + 1)
     lateral = np.arange(len(mesh.faces)) % 2 == 1
-    made = replace(patch_mesh(mesh, R, lateral), room=Room(64, 65)).prepared()
+    made = replace(patch_mesh(mesh, R, lateral), room=BallListLengths(64, 65)).prepared()
     centers = J(rng.uniform(-0.06, 0.06, (20, 3)))
     found = patch_of(made, centers, J(R))
     every = every_triangle(J(corners_of(mesh).reshape(-1, 9)), centers, J(R))
@@ -197,7 +197,7 @@ def test_a_batch_is_its_members_and_a_list_that_is_too_short_says_so():
     for a, b in zip(jax.tree.leaves(single), jax.tree.leaves(batch), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-20)
     assert not np.asarray(single.overflow)[:3].any()
-    for room in (Room(16, 200), Room(700, 3)):
+    for room in (BallListLengths(16, 200), BallListLengths(700, 3)):
         short = patch_of(replace(READY, room=room), centers, J(R))
         np.testing.assert_array_equal(short.overflow, [False, room.cut < 50, True, True])
 

@@ -207,7 +207,7 @@ def test_the_facets_of_a_brute_force_search_are_found(trochlea):
     """With the button 20 um deep in the nearer facet, whoever else is within 0.1 mm of touching: none is missed."""
     n, rng = 60, np.random.default_rng(5)
     u, y = J(rng.uniform(-0.018, 0.018, n)), J(rng.uniform(-0.0004, 0.0004, n))
-    button = contact(Hertz(J(2e8)), trochlea).about(vec(0, 0, 0))
+    button = contact(Hertz(J(2e8)), trochlea).recentred(vec(0, 0, 0))
 
     @jax.jit
     def lowered(u, y):
@@ -244,7 +244,7 @@ def test_derivatives_by_coefficients_are_those_of_finite_differences(trochlea, p
     """Of the distances at the closest points, forward and in reverse."""
     u, y, gap = place
     law = Hertz(J(2e8))
-    button = contact(law, trochlea).about(vec(0, 0, 0))
+    button = contact(law, trochlea).recentred(vec(0, 0, 0))
     high = groove(u, y) + RADIUS + 0.01
     nearest_first = jax.jit(lambda z: jnp.min(found(button, Vec3(J(u), J(y), z))[0]))
     for _ in range(20):
@@ -252,7 +252,7 @@ def test_derivatives_by_coefficients_are_those_of_finite_differences(trochlea, p
 
     def nearest(coefficients):
         surface = eqx.tree_at(lambda s: s.coefficients, trochlea, coefficients)
-        return jnp.min(found(contact(law, surface).about(vec(0, 0, 0)), Vec3(J(u), J(y), J(high)))[0])
+        return jnp.min(found(contact(law, surface).recentred(vec(0, 0, 0)), Vec3(J(u), J(y), J(high)))[0])
 
     reverse, forward = (np.asarray(jax.jit(f(nearest))(trochlea.coefficients)) for f in (jax.grad, jax.jacfwd))
     np.testing.assert_allclose(forward, reverse, atol=1e-12)

@@ -20,7 +20,7 @@ _REMEDY = "other values"
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class ShownMotion:
     """One motion; series are at the frames that are shown (n,)."""
 
     recorded: Recorded
@@ -36,7 +36,7 @@ class Answer:
     seconds: float = 0.0  # from the treated scene to here
 
     @classmethod
-    def of(cls, result: Result, name: str, geometry: Dataset) -> Answer:
+    def of(cls, result: Result, name: str, geometry: Dataset) -> ShownMotion:
         """From a result.
 
         Args:
@@ -75,11 +75,11 @@ class Answer:
         """Of the frames that are shown (n,) [s]."""
         return self.recorded.times
 
-    def named(self, name: str) -> Answer:
+    def named(self, name: str) -> ShownMotion:
         """The same under another name."""
         return replace(self, recorded=replace(self.recorded, name=name))
 
-    def refuse_if_lost(self, unlike: Answer | None = None) -> None:
+    def refuse_if_lost(self, unlike: ShownMotion | None = None) -> None:
         """Refuses a motion that means nothing.
 
         Args:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.cli.live.answer import Answer
+from fitting.cli.live.answer import ShownMotion
 from pftwin.results.plots import COLOURS
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 class Curves:
     """The charts."""
 
-    def __init__(self, gui: GuiApi, before: Answer) -> None:
+    def __init__(self, gui: GuiApi, before: ShownMotion) -> None:
         self._before = self._after = before
         names = (("tilt", "tilt [°]"), ("shift", "shift [mm]"), ("force", "contact force [N]"))
         self._drawn = {name: self._scales(name) for name, _ in names}
@@ -46,7 +46,7 @@ class Curves:
             for name, title in names
         }
 
-    def set(self, before: Answer, after: Answer) -> None:
+    def set(self, before: ShownMotion, after: ShownMotion) -> None:
         """Takes other motions, which are drawn with the next mark."""
         self._before, self._after = before, after
         for name, chart in self._charts.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fitting.cli.live.shown import Shown, Track
+from fitting.cli.live.shown import Shown, ShownTrack
 from pftwin.results.viewer import bones
 from pftwin.results.viewer.drawing import darker, paler
 from pftwin.results.viewer.knee import BONE, METAL, PLASTIC
@@ -78,7 +78,7 @@ class Bones:
         _place(self._tibia, shown.tibia, k)
 
 
-class Knee:
+class DrawnKnee:
     """The moving parts of one motion: patella and button, tendons, tuberosity, contact points, forces and paths."""
 
     def __init__(self, scene: SceneApi, root: str, code: str, opacity: float = 1.0) -> None:
@@ -153,6 +153,6 @@ class Knee:
             self._mesh("patella/button", button_cap(center, float(recorded.geometry["button_radius"])), PLASTIC, 0.75)
 
 
-def _place(node: Any, track: Track, k: int) -> None:
+def _place(node: Any, track: ShownTrack, k: int) -> None:
     node.position = track.position[k]
     node.wxyz = track.wxyz[k]

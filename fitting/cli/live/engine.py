@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from fitting.cli.live.answer import Answer
+from fitting.cli.live.answer import ShownMotion
 from fitting.cli.live.knobs import neutral, turned, usable
 from fitting.cli.live.still import Still
 from pftwin.base.errors import InputError
@@ -18,13 +18,13 @@ UNTREATED, TREATED = "untreated", "treated"
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class LiveModel:
     """A scene with one contact, ready to be simulated at once."""
 
     contact: str
     scene: Scene
     still: Still
-    before: Answer  # untreated
+    before: ShownMotion  # untreated
     preparation: float  # that it took to compile, or to load what was compiled before [s]
 
 
@@ -45,7 +45,7 @@ class Engine:
             InputError: what the first scene has against it.
         """
         self._load, self.contacts = load, contacts
-        self._models: dict[str, Model] = {}
+        self._models: dict[str, LiveModel] = {}
         self._preparing = threading.Lock()  # two threads cannot trace at once
         self._first = load(contacts[0])
         self.knobs, self.missing = usable(self._first)
@@ -54,11 +54,11 @@ class Engine:
         """Whether nothing has to be compiled for this contact any more."""
         return contact in self._models
 
-    def model(self, contact: str) -> Model:
+    def model(self, contact: str) -> LiveModel:
         """What was prepared."""
         return self._models[contact]
 
-    def prepare(self, contact: str) -> Model:
+    def prepare(self, contact: str) -> LiveModel:
         """Compiles for a contact, unless that was done; takes seconds.
 
         Raises:
@@ -77,10 +77,10 @@ class Engine:
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still)
             before.refuse_if_lost()
-            self._models[contact] = Model(contact, scene, still, before, time.perf_counter() - began)
+            self._models[contact] = LiveModel(contact, scene, still, before, time.perf_counter() - began)
             return self._models[contact]
 
-    def run(self, contact: str, values: Mapping[str, float]) -> Answer:
+    def run(self, contact: str, values: Mapping[str, float]) -> ShownMotion:
         """The whole motion with these values of the knobs and a contact that is ready.
 
         Raises:
@@ -93,8 +93,8 @@ class Engine:
         return answer
 
 
-def _simulated(scene: Scene, name: str, still: Still) -> Answer:
+def _simulated(scene: Scene, name: str, still: Still) -> ShownMotion:
     """With the integrator and the step that every command has if it is not told others."""
     began = time.perf_counter()
-    answer = Answer.of(simulate(scene), name, still.geometry(scene))
+    answer = ShownMotion.of(simulate(scene), name, still.geometry(scene))
     return replace(answer, seconds=time.perf_counter() - began)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.live import words
-from fitting.cli.live.answer import Answer
+from fitting.cli.live.answer import ShownMotion
 from fitting.cli.live.clock import Clock
 from fitting.cli.live.curves import AFTER, BEFORE, Curves
-from fitting.cli.live.drawing import Bones, Knee, component_of
-from fitting.cli.live.engine import TREATED, Engine, Model
+from fitting.cli.live.drawing import Bones, DrawnKnee, component_of
+from fitting.cli.live.engine import TREATED, Engine, LiveModel
 from fitting.cli.live.knobs import Knob
 from fitting.cli.live.shown import Shown
 from pftwin.results.viewer.assembly import per_centimetre
@@ -30,15 +30,15 @@ GHOST = 0.45  # how opaque the untreated knee is beside the treated one
 class Page:
     """What a client sees."""
 
-    def __init__(self, client: ClientHandle, engine: Engine, model: Model, session: Session) -> None:
+    def __init__(self, client: ClientHandle, engine: Engine, model: LiveModel, session: Session) -> None:
         self._client, self._gui, self._session = client, client.gui, session
         self.newtons = per_centimetre([model.before.recorded])
         self._contact: str | None = None
         self._ghost: Shown | None = None
         self._after = self._before = model.before
         self._bones = Bones(client.scene, model.before.recorded, None)
-        self._treated = Knee(client.scene, "/treated", AFTER)
-        self._untreated = Knee(client.scene, "/untreated", BEFORE, GHOST)
+        self._treated = DrawnKnee(client.scene, "/treated", AFTER)
+        self._untreated = DrawnKnee(client.scene, "/untreated", BEFORE, GHOST)
         self._gui.main_panel.dock_right()
         self._gui.set_panel_label("Treatment")
         self._state = self._gui.add_html("")
@@ -56,13 +56,13 @@ class Page:
         panel.dock_left()
         panel.set_width(400)
 
-    def tell(self, model: Model, after: Answer) -> None:
+    def tell(self, model: LiveModel, after: ShownMotion) -> None:
         """Another motion: the table, and the curves, which its next numbers bring."""
         self._before, self._after = model.before, after
         self._curves.set(model.before, after)
         self._whole.content = words.comparison(model.before, after)
 
-    def draw(self, model: Model, shown: Shown) -> None:
+    def draw(self, model: LiveModel, shown: Shown) -> None:
         """Another motion: the knee and its continued surface."""
         if self._contact != model.contact:
             self._contact = model.contact
@@ -114,7 +114,7 @@ class Page:
         """Shows or hides the untreated knee."""
         self._untreated.show(visible)
 
-    def _legend(self, model: Model) -> str:
+    def _legend(self, model: LiveModel) -> str:
         one = model.before.recorded
         said = [*notes([one], self.newtons), words.NOT_FOR_PATIENTS]
         return legend([one, replace(one, name=TREATED)], [BEFORE, AFTER], said).replace("max-width:290px", "")
@@ -162,7 +162,7 @@ class Page:
         async def _(_: Any) -> None:
             self._session.reset()
 
-    def _playing(self, model: Model) -> None:
+    def _playing(self, model: LiveModel) -> None:
         times = model.before.times
         begin, end = float(times[0]), float(times[-1])
         self._time = self._gui.add_slider("time [s]", begin, end, round(float(np.diff(times).min()), 4), begin)
@@ -177,7 +177,7 @@ class Page:
         async def _(_: Any) -> None:
             self._session.play_or_pause()
 
-    def _views(self, model: Model) -> None:
+    def _views(self, model: LiveModel) -> None:
         found = views(model.before.recorded)
         buttons = self._gui.add_button_group("view", tuple(name.capitalize() for name in found))
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.live import words
-from fitting.cli.live.answer import Answer
+from fitting.cli.live.answer import ShownMotion
 from fitting.cli.live.clock import Clock
-from fitting.cli.live.engine import TREATED, Engine, Model
+from fitting.cli.live.engine import TREATED, Engine, LiveModel
 from fitting.cli.live.knobs import Knob, neutral
 from fitting.cli.live.page import Page
 from fitting.cli.live.player import Player
@@ -169,14 +169,14 @@ class Session:
             if self._wanted != contact:
                 self._page.say(words.waiting(self._wanted, contact))
 
-    def _told(self, model: Model, after: Answer) -> None:
+    def _told(self, model: LiveModel, after: ShownMotion) -> None:
         self._contact, self._after = model.contact, after
         self._page.tell(model, after)
         self._page.say(words.outcome(after))
         self._numbered = time.perf_counter()
         self._page.number(self._nearest(self._now), self._now)
 
-    def _drawn(self, model: Model, shown: Shown) -> None:
+    def _drawn(self, model: LiveModel, shown: Shown) -> None:
         self._page.draw(model, shown)
         self._frame(self._now, numbers=False)
 

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class ShownTrack:
     """Where something is, how it is turned, how large it is, and whether it is there, at every frame (n)."""
 
     position: Floats  # (n, 3) [mm]
@@ -27,7 +27,7 @@ class Track:
     present: NDArray[np.bool_]  # (n,)
 
     @classmethod
-    def of(cls, matrices: Matrices, present: NDArray[np.bool_] | None = None) -> Track:
+    def of(cls, matrices: Matrices, present: NDArray[np.bool_] | None = None) -> ShownTrack:
         """From model matrices (n, 4, 4), whose scale is the same along all axes."""
         from scipy.spatial.transform import Rotation
 
@@ -46,14 +46,14 @@ class Shown:
     newtons: float  # drawn as 10 mm of an arrow
 
     @cached_property
-    def patella(self) -> Track:
+    def patella(self) -> ShownTrack:
         """The patella in the femur."""
-        return Track.of(self.recorded.patella)
+        return ShownTrack.of(self.recorded.patella)
 
     @cached_property
-    def tibia(self) -> Track:
+    def tibia(self) -> ShownTrack:
         """The tibia in the femur."""
-        return Track.of(self.recorded.tibia)
+        return ShownTrack.of(self.recorded.tibia)
 
     @cached_property
     def lines(self) -> dict[str, tuple[NDArray[np.float32], NDArray[np.uint32]]]:
@@ -71,20 +71,20 @@ class Shown:
         return {n: MM * lines.origin.reshape(-1, 3).mean(axis=0) for n, lines in on_tibia.items()}
 
     @cached_property
-    def points(self) -> dict[str, Track]:
+    def points(self) -> dict[str, ShownTrack]:
         """Contact points, by the facets' names."""
         pushes = [p for p in self.recorded.pushes if p.touches and p.present.any()]
-        return {p.name: Track.of(at_points(held(p.points, p.present)), p.present) for p in pushes}
+        return {p.name: ShownTrack.of(at_points(held(p.points, p.present)), p.present) for p in pushes}
 
     @cached_property
-    def arrows(self) -> dict[str, Track]:
+    def arrows(self) -> dict[str, ShownTrack]:
         """Contact forces on the patella, for an arrow of length 1 along z."""
         found = {}
         for push in self.recorded.pushes:
             if push.forces is not None and push.present.any():
                 here = push.present
                 along = held(push.forces, here) * (10 / self.newtons)
-                found[push.name] = Track.of(of_arrows(held(push.points, here), along), here)
+                found[push.name] = ShownTrack.of(of_arrows(held(push.points, here), along), here)
         return found
 
     @cached_property

@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from fitting.cli.live.answer import Answer
+from fitting.cli.live.answer import ShownMotion
 from fitting.cli.live.clock import Clock
 from fitting.cli.live.curves import AFTER, BEFORE
 
@@ -22,7 +22,7 @@ def state(tone: str, head: str, more: str = "") -> str:
     return f'<div style="{_FONT};padding:4px 12px;border-left:4px solid {_TONES[tone]}">{lead}{small}</div>'
 
 
-def outcome(answer: Answer) -> str:
+def outcome(answer: ShownMotion) -> str:
     """Of a motion that is drawn: does the patella dislocate, and when; reservations."""
     doubts = "" if answer.status == "ok" else f"Reservations in some frames: {answer.status}."
     if answer.dislocates is None:
@@ -42,7 +42,7 @@ def waiting(contact: str, shown: str) -> str:
     return state("wait", f"Preparing contact {contact} ...", f"Until then everything shown and turned is with {shown}.")
 
 
-def comparison(before: Answer, after: Answer) -> str:
+def comparison(before: ShownMotion, after: ShownMotion) -> str:
     """Extremes of both motions in a table."""
     head = "".join(
         f"<td style='{_CELL};color:#555'>{h}</td>" for h in ("tilt [°]", "shift [mm]", "force", "dislocated")

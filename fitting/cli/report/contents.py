@@ -5,21 +5,21 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fitting.cli.report import figures, fit, html, prediction, quality, scene, settings
-from fitting.cli.report.html import Section
+from fitting.cli.report.html import PageSection
 from fitting.cli.report.material import Material
 
 MOST_BYTES = 12_000_000  # of a page
 RESEARCH = ("Research use, not a medical device.", "No treatment should be decided by this report alone.")
 
 
-class Report(NamedTuple):
+class ReportPage(NamedTuple):
     """The page, and whether the knee in three dimensions is in it."""
 
     page: str
     viewer: bool
 
 
-def report(material: Material, command: str) -> Report:
+def report(material: Material, command: str) -> ReportPage:
     """The page of a report.
 
     Args:
@@ -36,15 +36,15 @@ def report(material: Material, command: str) -> Report:
             "mail lets through. `pftwin view` draws it as a page of its own."
         )
         inside, text = False, _page(material, command, drawing._replace(body=html.paragraph(words, "missing")))
-    return Report(text, inside)
+    return ReportPage(text, inside)
 
 
-def _page(material: Material, command: str, drawing: Section) -> str:
+def _page(material: Material, command: str, drawing: PageSection) -> str:
     labels: list[tuple[str, str]] = [RESEARCH]
     if said := material.synthetic():
         labels.append(("Synthetic data:", f"{'; '.join(said)}."))
     sections = [
-        Section("short", "In short", _short(material)),
+        PageSection("short", "In short", _short(material)),
         scene.section(material),
         quality.section(material),
         fit.section(material),

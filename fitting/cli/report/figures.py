@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from fitting.cli.report.html import Section, drawn, frame, paragraph
+from fitting.cli.report.html import PageSection, drawn, frame, paragraph
 from fitting.cli.report.material import Material
 from pftwin.base.errors import InputError, MissingExtraError
 
 
-def section(material: Material) -> Section:
+def section(material: Material) -> PageSection:
     """Path, tilt and force; courses against knee flexion; the path over the trochlea; the way of the fit."""
     parts = [_case(material), _against_flexion(material), _over_the_trochlea(material)]
     for name, estimate in material.estimates.items():
         if len({h["evaluations"] for h in estimate.history}) > 1:
             words = f"Best objective against evaluations, {name}."
             parts.append(drawn(estimate.plot.history(), f"{words} It ends at {estimate.objective_value:.6g}.", words))
-    return Section("figures", "Figures", "".join(parts))
+    return PageSection("figures", "Figures", "".join(parts))
 
 
-def view(material: Material) -> Section:
+def view(material: Material) -> PageSection:
     """The page of the viewer within the page; without its extra, how to install it."""
     title = "In three dimensions"
     try:
@@ -26,10 +26,10 @@ def view(material: Material) -> Section:
 
         inside = page(draw([(r.name, r.source) for r in material.runs]))
     except (MissingExtraError, InputError) as error:
-        return Section("view", title, paragraph(f"Not drawn: {error}", "missing"))
+        return PageSection("view", title, paragraph(f"Not drawn: {error}", "missing"))
     names = " and ".join(r.name for r in material.runs)
     words = "Drag to turn, wheel to zoom; play and the slider move the knee. Bones are schematic."
-    return Section(
+    return PageSection(
         "view", title, paragraph(words, "on-screen") + frame(inside, f"The moving knee in three dimensions: {names}")
     )
 

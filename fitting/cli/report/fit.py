@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fitting.cli.report.html import Section, bullets, drawn, number, paragraph, subtitle, table
+from fitting.cli.report.html import PageSection, bullets, drawn, number, paragraph, subtitle, table
 from fitting.cli.report.material import Material
 
 if TYPE_CHECKING:
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from pftwin.model.scene import Scene
 
 
-def section(material: Material) -> Section:
+def section(material: Material) -> PageSection:
     """A table and a sentence for every estimate."""
     if not material.estimates:
         words = "This is a simulation: nothing was fitted. `pftwin fit` fits tendons to recorded motion."
-        return Section("fit", "Fit", paragraph(words, "missing"))
+        return PageSection("fit", "Fit", paragraph(words, "missing"))
     scene = None if material.chosen is None else material.chosen.scene
     parts = []
     for name, estimate in material.estimates.items():
@@ -30,7 +30,7 @@ def section(material: Material) -> Section:
         about = f"fitted by {estimate.method} to {estimate.source}; stopped: {estimate.reason}"
         parts.append(paragraph(f"Scene {estimate.scene_name}, {about}.", "small"))
         parts.append(_correlation(estimate))
-    return Section("fit", "Fit", "".join(parts))
+    return PageSection("fit", "Fit", "".join(parts))
 
 
 def sentence(estimate: Estimate) -> str:

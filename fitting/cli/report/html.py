@@ -24,7 +24,7 @@ _POLICY = (
 _MOST_WHOLE = 1e6  # numbers below are written out, above as powers of ten
 
 
-class Section(NamedTuple):
+class PageSection(NamedTuple):
     """A part of the page under a heading."""
 
     key: str  # its anchor
@@ -104,7 +104,7 @@ def frame(page: str, title: str) -> str:
     )
 
 
-def page(title: str, labels: Sequence[tuple[str, str]], sections: Sequence[Section], ending: str) -> str:
+def page(title: str, labels: Sequence[tuple[str, str]], sections: Sequence[PageSection], ending: str) -> str:
     """The whole document.
 
     Args:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fitting.cli.report.run import Run
+from fitting.cli.report.run import ReportedRun
 from pftwin.base.errors import InputError
 from pftwin.cli.scenes import Chosen, chosen_scene
 from pftwin.cli.terminal import working
@@ -31,7 +31,7 @@ class Material:
     title: str
     estimates: dict[str, Estimate] = field(default_factory=dict)  # by what they are called
     chosen: Chosen | None = None  # the scene, and its measurements
-    runs: list[Run] = field(default_factory=list)
+    runs: list[ReportedRun] = field(default_factory=list)
     treatment: Dataset | None = None
     treatment_file: Path | None = None
     demo: Path | None = None  # the folder, where it is one
@@ -87,7 +87,7 @@ def gathered(
     elif source.suffix.lower() == ".json":
         found = _of_estimate(source, given)
     elif source.suffix.lower() == ".nc":
-        run = Run.of_file(source)
+        run = ReportedRun.of_file(source)
         _check_same(str(run.data.attrs.get("scene", "")), given, source)
         found = Material(source, f"Simulated knee: {run.name}", chosen=given, runs=[run], files=[source])
     else:
@@ -108,7 +108,7 @@ def _of_estimate(path: Path, given: Chosen | None) -> Material:
     estimate.nominal_scene, estimate.measured = chosen.scene, chosen.measured
     scenes = {"nominal": chosen.scene, "fitted": estimate.scene}
     with working("compiling and simulating"):
-        runs = [Run.of_result(simulate(scene), name) for name, scene in scenes.items()]
+        runs = [ReportedRun.of_result(simulate(scene), name) for name, scene in scenes.items()]
     title = f"Fitted knee: {estimate.scene_name}"
     return Material(path, title, {"the fit": estimate}, chosen, runs, files=[path])
 
@@ -136,7 +136,7 @@ def _of_demo(folder: Path, given: Chosen | None) -> Material:
     contact = named[1] if named else "P5"
     words = {PATHOLOGY: "pathology", TREATMENT: "treatment"}
     results = {folder / f"case{n}_{contact}.nc": f"case {n}, {what}" for n, what in words.items()}
-    runs = [Run.of_file(path, name) for path, name in results.items() if path.is_file()]
+    runs = [ReportedRun.of_file(path, name) for path, name in results.items() if path.is_file()]
     files = [*present.values(), *(p for p in results if p.is_file())]
     return Material(folder, "The demo on the virtual rig", estimates, chosen, runs, demo=folder, files=files)
 

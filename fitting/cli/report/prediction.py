@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting.cli.report.html import Section, bullets, drawn, number, paragraph, picture, subtitle, table
+from fitting.cli.report.html import PageSection, bullets, drawn, number, paragraph, picture, subtitle, table
 from fitting.cli.report.material import Material
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import read_bytes, read_lines
@@ -21,7 +21,7 @@ _TITLE = "Treatment prediction"
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def section(material: Material) -> Section:
+def section(material: Material) -> PageSection:
     """The prediction that was given; without one, the demo's; without that, how to make one."""
     parts = []
     if material.treatment is not None:
@@ -31,7 +31,7 @@ def section(material: Material) -> Section:
     if not parts:
         words = "No prediction was given. `pftwin treat -o variants.nc` makes one, --treatment variants.nc adds it."
         parts.append(paragraph(words, "missing"))
-    return Section("treatment", _TITLE, "".join(parts))
+    return PageSection("treatment", _TITLE, "".join(parts))
 
 
 def finding_of(data: Dataset) -> str:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting.cli.report.html import Section, bullets, number, paragraph, table
+from fitting.cli.report.html import PageSection, bullets, number, paragraph, table
 from fitting.cli.report.material import Material
 
 if TYPE_CHECKING:
-    from fitting.cli.report.run import Run
+    from fitting.cli.report.run import ReportedRun
     from fitting.estimate import Estimate
     from pftwin.model.measured import Measured
 
@@ -24,7 +24,7 @@ _CHANNELS = {
 _READ = {"orientation": (180 / np.pi, "deg"), "position": (1e3, "mm"), **dict.fromkeys("XYZ", (1e3, "mm"))}
 
 
-def section(material: Material) -> Section:
+def section(material: Material) -> PageSection:
     """Of the measurements, of each fit, and of each run."""
     parts = []
     measured = None if material.chosen is None else material.chosen.measured
@@ -34,7 +34,7 @@ def section(material: Material) -> Section:
         parts.append(paragraph("No measurements of the patella are known to this report.", "missing"))
     parts += [_residuals(name, e) for name, e in material.estimates.items()]
     parts += [_run(run) for run in material.runs]
-    return Section("quality", "Data quality", "".join(parts))
+    return PageSection("quality", "Data quality", "".join(parts))
 
 
 def missing(values: np.ndarray) -> tuple[int, int]:
@@ -77,7 +77,7 @@ def _residuals(name: str, e: Estimate) -> str:
     return table(f"Residuals of {name}", headings, rows) + bullets(facts)
 
 
-def _run(run: Run) -> str:
+def _run(run: ReportedRun) -> str:
     """Flags, equilibrium and energy of a simulation."""
     about, frames = run.data.attrs, run.data.sizes["time"]
     facts = [f"{m.frames} of {frames} frames: {m.words}" for m in run.marks] or [f"All {frames} frames clean."]

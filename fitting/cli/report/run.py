@@ -29,7 +29,7 @@ class Mark(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class ReportedRun:
     """One simulation."""
 
     name: str
@@ -37,7 +37,7 @@ class Run:
     source: Path | Result  # what the viewer draws
 
     @classmethod
-    def of_file(cls, path: Path, name: str | None = None) -> Run:
+    def of_file(cls, path: Path, name: str | None = None) -> ReportedRun:
         """From what `Result.save` wrote.
 
         Raises:
@@ -64,7 +64,7 @@ class Run:
         return cls(name or str(data.attrs.get("scene", path.stem)), data, path)
 
     @classmethod
-    def of_result(cls, result: Result, name: str) -> Run:
+    def of_result(cls, result: Result, name: str) -> ReportedRun:
         """From memory."""
         return cls(name, result.to_dataset(), result)
 

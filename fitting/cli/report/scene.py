@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.cli.report.html import Section, bullets, number, paragraph, table
+from fitting.cli.report.html import PageSection, bullets, number, paragraph, table
 from fitting.cli.report.material import Material
 
 if TYPE_CHECKING:
-    from fitting.cli.report.run import Run
+    from fitting.cli.report.run import ReportedRun
     from pftwin.model.scene import Scene
 
 # Fields of effects: words, what the number is multiplied by, and the unit then.
@@ -48,7 +48,7 @@ _GEOMETRY = ("surface", "femur", "patella", "mesh", "button")  # parts that are 
 _UNITS = {"m": (1e3, "mm"), "1": (1.0, "")}
 
 
-def section(material: Material) -> Section:
+def section(material: Material) -> PageSection:
     """The scene's parameters, where it is known, and the forces of every run."""
     parts = []
     if material.chosen is not None:
@@ -61,7 +61,7 @@ def section(material: Material) -> Section:
         parts.append(paragraph(words, "missing"))
     parts += [_forces(run) for run in material.runs]
     parts.append(bullets(["x points proximally, y laterally, z anteriorly; a left knee is mirrored to a right one."]))
-    return Section("scene", "Scene: what acts on the patella", "".join(parts))
+    return PageSection("scene", "Scene: what acts on the patella", "".join(parts))
 
 
 def motion(scene: Scene) -> str:
@@ -110,7 +110,7 @@ def _value(leaf: Any, scale: float) -> str:
     return f"{number(values.min())} to {number(values.max())}"
 
 
-def _forces(run: Run) -> str:
+def _forces(run: ReportedRun) -> str:
     """What the run's tendons and contacts came to: smallest, mean and largest over the frames."""
     rows = []
     for name, variable in run.data.data_vars.items():

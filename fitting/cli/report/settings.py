@@ -7,7 +7,7 @@ import platform
 from datetime import UTC, datetime
 from typing import Any
 
-from fitting.cli.report.html import Section, number, table
+from fitting.cli.report.html import PageSection, number, table
 from fitting.cli.report.material import Material
 
 _SIMULATED = {
@@ -23,7 +23,7 @@ _SIMULATED = {
 _PREDICTED = {"source": "made by", "jax_version": "JAX", "dt": "longest time step [s]", "seed": "seed of the draws"}
 
 
-def section(material: Material, command: str) -> Section:
+def section(material: Material, command: str) -> PageSection:
     """Tables of settings; `command` is what the report was asked for with."""
     parts = [_versions(command)]
     for run in material.runs:
@@ -48,7 +48,7 @@ def section(material: Material, command: str) -> Section:
         parts.append(table("Prediction of treatments", ("setting", "value"), rows))
     rows = [(path.name, f"{path.stat().st_size:,}", _digest(path), _changed(path)) for path in material.files]
     parts.append(table("Files that this report was made from", ("file", "bytes", "SHA-256", "last changed"), rows))
-    return Section("settings", "Settings and versions", "".join(parts))
+    return PageSection("settings", "Settings and versions", "".join(parts))
 
 
 def now() -> str:

@@ -19,10 +19,10 @@ import numpy as np
 from pftwin.base.program_cache import settings, versions
 from pftwin.base.serialization import fingerprint
 from pftwin.dynamics.batch.member import Task, moved, settled
-from pftwin.dynamics.batch.plan import Plan
+from pftwin.dynamics.batch.plan import BatchPlan
 
 
-def features(plan: Plan, unit: int) -> dict[str, str]:
+def features(plan: BatchPlan, unit: int) -> dict[str, str]:
     """What distinguishes a batch, in words a person can use, each with a hash or a text.
 
     Args:

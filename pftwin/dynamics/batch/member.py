@@ -17,7 +17,7 @@ from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.observe import Frame, Observation, observe, observe_on_the_way
+from pftwin.dynamics.observe import Observation, ObservedFrame, observe, observe_on_the_way
 from pftwin.dynamics.relaxation import THROWN, relax
 from pftwin.dynamics.status import Status
 from pftwin.model.scene import Scene
@@ -84,7 +84,7 @@ class _Kept(NamedTuple):
     force: Scalar | None  # of contact, where there is any [N]
 
     @staticmethod
-    def of(scene: Scene, seen: Frame | Observation) -> _Kept:
+    def of(scene: Scene, seen: ObservedFrame | Observation) -> _Kept:
         """Of what is seen."""
         contact = scene.contact
         return _Kept(seen.patella, seen.center, None if contact is None else seen.effects[contact.name]["force"])

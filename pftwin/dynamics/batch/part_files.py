@@ -32,7 +32,7 @@ SHOWN = 60.0  # [s] that a network file system may take to show one machine what
 _ANEW = "the same call again computes this part anew; delete it first if it comes from elsewhere"
 
 
-class Index(NamedTuple):
+class BatchIndex(NamedTuple):
     """What `batch.json` says."""
 
     key: str
@@ -50,7 +50,7 @@ def part_file(folder: Path, unit: int) -> Path:
     return folder / f"part_{unit:05d}.nc"
 
 
-def begin(folder: Path, index: Index) -> None:
+def begin(folder: Path, index: BatchIndex) -> None:
     """Makes the folder ready for a batch, which may have been begun before.
 
     Raises:
@@ -82,7 +82,7 @@ def begin(folder: Path, index: Index) -> None:
     remove_unfinished(folder, _UNFINISHED, older=_LEFT)
 
 
-def check_seen(folder: Path, index: Index, wait: float) -> None:
+def check_seen(folder: Path, index: BatchIndex, wait: float) -> None:
     """Refuses a folder that is not the one which another process has begun, before anything is computed.
 
     Raises:
@@ -97,7 +97,7 @@ def check_seen(folder: Path, index: Index, wait: float) -> None:
         )
 
 
-def read_index(folder: Path) -> Index:
+def read_index(folder: Path) -> BatchIndex:
     """What batch a folder is of.
 
     Raises:
@@ -109,7 +109,7 @@ def read_index(folder: Path) -> Index:
         if content["format"] != FORMAT:
             raise ValueError(f"its format is {content['format']!r}")
         features = {str(k): str(v) for k, v in content["features"].items()}
-        return Index(str(content["key"]), features, [int(n) for n in content["units"]])
+        return BatchIndex(str(content["key"]), features, [int(n) for n in content["units"]])
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"not a batch: {error}", where=path, expected=_EXPECTED, remedy="another folder") from None
 
@@ -126,7 +126,7 @@ def write_part(folder: Path, unit: int, key: str, members: Dataset) -> None:
     save_dataset(members.assign_attrs(marks), part_file(folder, unit))
 
 
-def read_part(folder: Path, unit: int, index: Index, wait: float = 0.0, like: Dataset | None = None) -> Dataset:
+def read_part(folder: Path, unit: int, index: BatchIndex, wait: float = 0.0, like: Dataset | None = None) -> Dataset:
     """A unit's members.
 
     Args:
@@ -153,7 +153,7 @@ def read_part(folder: Path, unit: int, index: Index, wait: float = 0.0, like: Da
     return _unmarked(found)
 
 
-def _fault(found: Dataset, unit: int, index: Index) -> str | None:
+def _fault(found: Dataset, unit: int, index: BatchIndex) -> str | None:
     if found.attrs.get("part_key") != index.key or found.attrs.get("part") != unit:
         return "belongs to another batch, or to another place in it"
     if found.sizes.get("variant") != index.units[unit] or found.attrs.get("part_sha256") != checksum(found):

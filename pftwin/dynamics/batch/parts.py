@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pftwin.base.errors import InputError
-from pftwin.dynamics.batch.part_files import Index, part_file, read_index, read_part
+from pftwin.dynamics.batch.part_files import BatchIndex, part_file, read_index, read_part
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -55,7 +55,7 @@ def missing_parts(folder: str | os.PathLike[str]) -> dict[int, str]:
     return _looked_through(place, read_index(place))[1]
 
 
-def _looked_through(folder: Path, index: Index) -> tuple[dict[int, Dataset], dict[int, str]]:
+def _looked_through(folder: Path, index: BatchIndex) -> tuple[dict[int, Dataset], dict[int, str]]:
     there: dict[int, Dataset] = {}
     wrong: dict[int, str] = {}
     for unit in range(len(index.units)):

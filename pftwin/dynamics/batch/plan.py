@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from pftwin.dynamics.batch.member import Task
 from pftwin.dynamics.batch.retry import Found, all_members, with_care
-from pftwin.dynamics.batch.sharding import Spread
+from pftwin.dynamics.batch.sharding import Sharding
 from pftwin.dynamics.batch.variants import Group
 
 
-class Plan(NamedTuple):
+class BatchPlan(NamedTuple):
     """What is to be computed, and on what."""
 
     groups: list[Group]
@@ -23,7 +23,7 @@ class Plan(NamedTuple):
     values: Any  # what the change was given, (n, k); None for a list of scenes
     settings: dict[str, Any]  # that the dataset names
     care: bool
-    spread: Spread
+    spread: Sharding
     threads: int
 
     @property

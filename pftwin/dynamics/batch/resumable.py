@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError, OutputError, PftwinError, PftwinWarning
 from pftwin.dynamics.batch.batch_dataset import dataset
 from pftwin.dynamics.batch.batch_key import features, key_of
-from pftwin.dynamics.batch.part_files import SHOWN, Index, begin, check_seen, part_file, read_part, write_part
+from pftwin.dynamics.batch.part_files import SHOWN, BatchIndex, begin, check_seen, part_file, read_part, write_part
 from pftwin.dynamics.batch.parts import joined
-from pftwin.dynamics.batch.plan import Plan, some_of
+from pftwin.dynamics.batch.plan import BatchPlan, some_of
 from pftwin.dynamics.batch.processes import Processes
 
 if TYPE_CHECKING:
@@ -43,11 +43,11 @@ class InParts:
         tell: called with the members done and of all that this process has to do.
     """
 
-    def __init__(self, plan: Plan, folder: Path, unit: int, share: Share | None, tell: Tell | None) -> None:
+    def __init__(self, plan: BatchPlan, folder: Path, unit: int, share: Share | None, tell: Tell | None) -> None:
         self.plan, self.folder, self.share, self.tell = plan, folder, share, tell
         self.units = _units(plan, unit)
         found = features(plan, unit)
-        self.index = Index(key_of(found), found, [len(which) for _, which in self.units])
+        self.index = BatchIndex(key_of(found), found, [len(which) for _, which in self.units])
         self.processes = Processes()
         self.done: dict[int, Dataset] = {}
         self.own, self.counted = 0, 0  # members to compute, and computed
@@ -167,7 +167,7 @@ class InParts:
         self.counted += last
 
 
-def _units(plan: Plan, size: int) -> list[tuple[int, NDArray[np.int64]]]:
+def _units(plan: BatchPlan, size: int) -> list[tuple[int, NDArray[np.int64]]]:
     """Group and members of each unit, by their numbers within the group."""
     numbers = [np.arange(len(g.places)) for g in plan.groups]
     return [(k, n[i : i + size]) for k, n in enumerate(numbers) for i in range(0, len(n), size)]

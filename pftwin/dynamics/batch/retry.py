@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.member import FLAGS, Task, moved, settled, settled_after_relaxing
-from pftwin.dynamics.batch.sharding import Chunk, Spread
+from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, Newmark
 from pftwin.dynamics.status import Status
@@ -25,7 +25,7 @@ Found = dict[str, Any]
 
 
 def all_members(
-    spread: Spread, task: Task, rows: Any, relaxed: bool = False, threads: int = 1, progress: Any = None
+    spread: Sharding, task: Task, rows: Any, relaxed: bool = False, threads: int = 1, progress: Any = None
 ) -> Found:
     """Equilibria and motions of all rows (n, ...), on the host.
 
@@ -34,7 +34,7 @@ def all_members(
         task: what members share.
         rows: tree of (n, ...).
         relaxed: whether damped motion comes before the search for equilibrium.
-        threads, progress: as `Spread.over` has them.
+        threads, progress: as `Sharding.over` has them.
     """
     shared = spread.shared(task)
 
@@ -46,7 +46,7 @@ def all_members(
     return spread.over(work, len(jax.tree.leaves(rows)[0]), threads, progress)
 
 
-def with_care(spread: Spread, task: Task, rows: Any, found: Found) -> NDArray[np.int8]:
+def with_care(spread: Sharding, task: Task, rows: Any, found: Found) -> NDArray[np.int8]:
     """Recomputes, in `found`, the members that are bad: from another start, by smaller steps, by another integrator.
 
     Returns:

@@ -13,7 +13,7 @@ AXIS = "batch"
 SHARED, SPLIT = PartitionSpec(), PartitionSpec(AXIS)
 
 
-def laid(mesh: Mesh, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
+def shard_over(mesh: Mesh, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
     """function(shared, *each) on every device of a mesh with its own rows. For use within a compiled program.
 
     Args:

@@ -24,7 +24,7 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from pftwin.dynamics.batch.batched import PIECE
-from pftwin.dynamics.batch.shard_over import AXIS, SHARED, SPLIT, laid
+from pftwin.dynamics.batch.shard_over import AXIS, SHARED, SPLIT, shard_over
 
 FEW = 16  # members of a piece where there are few
 _ACCELERATED = 2048  # members of a piece on an accelerator, whose lanes are thousands
@@ -61,7 +61,7 @@ def _on_devices(function: Callable[..., Any], mesh: Mesh, shared: Any, counts: A
 
         return jax.lax.fori_loop(0, counts[0], put, empty)
 
-    return laid(mesh, of_one_device, shared, (counts, each))
+    return shard_over(mesh, of_one_device, shared, (counts, each))
 
 
 class Chunk(NamedTuple):
@@ -73,7 +73,7 @@ class Chunk(NamedTuple):
     members: int
 
 
-class Spread:
+class Sharding:
     """Devices, and how members are laid on them.
 
     Args:

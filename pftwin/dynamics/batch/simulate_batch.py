@@ -14,8 +14,8 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.batch.member import Outcome, Task
 from pftwin.dynamics.batch.outcomes import check_outcomes
-from pftwin.dynamics.batch.plan import Plan
-from pftwin.dynamics.batch.sharding import Spread, piece_for
+from pftwin.dynamics.batch.plan import BatchPlan
+from pftwin.dynamics.batch.sharding import Sharding, piece_for
 from pftwin.dynamics.batch.variants import Group, Variants, groups_of
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
@@ -98,7 +98,7 @@ def simulate_batch(
     courses = _with_courses(groups, trajectories)
     total = sum(len(g.places) for g in groups)
     piece = piece_for(total, found_devices[0].platform)
-    spread = Spread(found_devices, piece, chunk or _PIECES * piece * len(found_devices))
+    spread = Sharding(found_devices, piece, chunk or _PIECES * piece * len(found_devices))
     threads = feeding_threads(devices)
     substeps = [_substeps(group, chosen, dt, tolerance) for group in groups]
     tasks = [
@@ -109,7 +109,7 @@ def simulate_batch(
     dt_s = max(float(g.scene.motion.frame_interval) / n for g, n in zip(groups, substeps, strict=True))
     settings = {"integrator": chosen.text, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
     values = scenes.values if isinstance(scenes, Variants) else None
-    plan = Plan(groups, tasks, values, settings, care, spread, threads)
+    plan = BatchPlan(groups, tasks, values, settings, care, spread, threads)
     if parts is None:
         return _whole(plan, progress)
     from pftwin.dynamics.batch.resumable import InParts
@@ -117,7 +117,7 @@ def simulate_batch(
     return InParts(plan, Path(parts), unit_for(total, piece, chunk), share, progress).all()
 
 
-def _whole(plan: Plan, progress: Callable[[int, int], None] | None) -> Dataset:
+def _whole(plan: BatchPlan, progress: Callable[[int, int], None] | None) -> Dataset:
     from pftwin.dynamics.batch.batch_dataset import dataset
 
     found, before = [], 0

@@ -68,7 +68,7 @@ class BDF2(Integrator):
         expected = now.plus(3 * last.share, last.change)
         with jax.named_scope("loads"):
             ahead = moved(state, last.way.times(last.share).plus(span, expected), expected)
-            there = guide_at(1.0).instant(ahead.patella(), step, step, reach=span, twist=now)
+            there = guide_at(1.0).instant(ahead.patella(), step, step, displacement_gain=span, twist=now)
             loads, memories = system.loads(there, state.memories)
         with jax.named_scope("implicit_solve"):
             # What the expected velocity is more than the formula's share of the past has to be taken back.

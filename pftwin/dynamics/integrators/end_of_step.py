@@ -27,7 +27,7 @@ from pftwin.dynamics.solve import Lower, eliminate, factor, solve
 Row = Sequence[Scalar]  # six components: force in world axes, moment in patella axes
 
 
-class Push(NamedTuple):
+class ConstraintRow(NamedTuple):
     """One scalar force's part in a step."""
 
     direction: Row  # g
@@ -61,7 +61,7 @@ def _by_mass(low: Lower | None, inverse: Row, b: Row) -> list[Scalar]:
     return solve(low, inverse, b)
 
 
-def _eliminate(mass: Row | Lower, pushes: Sequence[Push]) -> _Eliminated:
+def _eliminate(mass: Row | Lower, pushes: Sequence[ConstraintRow]) -> _Eliminated:
     if isinstance(mass[0], list):
         low, inverse = factor(mass)  # type: ignore[arg-type]
     else:
@@ -96,7 +96,7 @@ def _free(e: _Eliminated, active: list[Scalar] | None, t: list[Scalar]) -> list[
 
 
 def _impulses(
-    e: _Eliminated, pushes: Sequence[Push], rest: Row, given: Row, active: list[Scalar] | None
+    e: _Eliminated, pushes: Sequence[ConstraintRow], rest: Row, given: Row, active: list[Scalar] | None
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar] | None]:
     """dv and p for right-hand sides R = `rest`, P = `given`; which unilateral terms push is found if not told."""
     m = e.n_bilateral
@@ -119,7 +119,7 @@ def _impulses(
 
 
 @eqx.filter_custom_jvp
-def end_of_step(mass: Row | Lower, pushes: Sequence[Push], rest: Row) -> tuple[list[Scalar], list[Scalar]]:
+def end_of_step(mass: Row | Lower, pushes: Sequence[ConstraintRow], rest: Row) -> tuple[list[Scalar], list[Scalar]]:
     """The change of velocity and every term's impulse.
 
     Args:

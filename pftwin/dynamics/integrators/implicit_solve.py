@@ -21,7 +21,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.base.spatial import Scalar, Vec3, Wrench
-from pftwin.dynamics.integrators.end_of_step import Push, end_of_step
+from pftwin.dynamics.integrators.end_of_step import ConstraintRow, end_of_step
 from pftwin.dynamics.solve import Lower, add_outer
 from pftwin.dynamics.state import System
 from pftwin.model.effects.base import Load, StiffTerm
@@ -35,7 +35,7 @@ class Span(NamedTuple):
     """How long forces act, and how far ahead a change of velocity is felt."""
 
     impulse: Scalar  # an end force's time in the change of velocity [s]
-    reach: Scalar  # displacement at the step's end per change of velocity [s]
+    displacement_gain: Scalar  # displacement at the step's end per change of velocity [s]
 
 
 def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span: Span) -> list[Scalar]:
@@ -61,7 +61,7 @@ def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span
     if beds or any(jnp.ndim(t.force) for t in terms) or len(two_sided) > FEW:
         mass: Lower = [[jnp.zeros_like(step)] * i + [d] for i, d in enumerate(diagonal)]
         for bed in beds:
-            more = step * bed.slope(span.reach)
+            more = step * bed.slope(span.displacement_gain)
             mass = [[a + more[i, j] for j, a in enumerate(row)] for i, row in enumerate(mass)]
             right = [a + step * bed.force[i] for i, a in enumerate(right)]
         for term in two_sided:
@@ -70,7 +70,7 @@ def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span
     else:
         mass = diagonal  # type: ignore[assignment]
     pushes = [
-        Push(_components(Wrench(t.direction, t.moment)), step * t.force, _weight(t, span), t.unilateral)
+        ConstraintRow(_components(Wrench(t.direction, t.moment)), step * t.force, _weight(t, span), t.unilateral)
         for t in (*two_sided, *(t for t in terms if t.unilateral))
     ]
     return end_of_step(mass, pushes, right)[0]
@@ -81,24 +81,24 @@ def _components(w: Wrench) -> list[Scalar]:
 
 
 def _weight(term: StiffTerm, span: Span) -> Scalar:
-    return span.impulse * (span.reach * term.stiffness + term.damping)
+    return span.impulse * (span.displacement_gain * term.stiffness + term.damping)
 
 
-def load_at_end(load: Load, dv: list[Scalar], reach: Scalar) -> Load:
+def load_at_end(load: Load, dv: list[Scalar], displacement_gain: Scalar) -> Load:
     """The load as it is at the end of the step, with the forces that the solve has reckoned with."""
-    load = load._replace(stiff=tuple(_at_end(term, dv, reach) for term in load.stiff))
+    load = load._replace(stiff=tuple(_at_end(term, dv, displacement_gain) for term in load.stiff))
     if load.bed is None:
         return load
-    force = load.bed.force - load.bed.slope(reach) @ jnp.stack(dv)
-    elastic = load.bed.elastic - reach * load.bed.stiffness @ jnp.stack(dv)
+    force = load.bed.force - load.bed.slope(displacement_gain) @ jnp.stack(dv)
+    elastic = load.bed.elastic - displacement_gain * load.bed.stiffness @ jnp.stack(dv)
     return load._replace(bed=eqx.tree_at(lambda b: (b.force, b.elastic), load.bed, (force, elastic)))
 
 
-def _at_end(term: StiffTerm, dv: list[Scalar], reach: Scalar) -> StiffTerm:
+def _at_end(term: StiffTerm, dv: list[Scalar], displacement_gain: Scalar) -> StiffTerm:
     """See `load_at_end`."""
     change = term.direction.dot(Vec3(*dv[:3])) + term.moment.dot(Vec3(*dv[3:]))
-    elastic = term.elastic - reach * term.stiffness * change
-    force = term.force - (reach * term.stiffness + term.damping) * change
+    elastic = term.elastic - displacement_gain * term.stiffness * change
+    force = term.force - (displacement_gain * term.stiffness + term.damping) * change
     if term.unilateral:
         force = jnp.maximum(force, 0.0)
     return eqx.tree_at(lambda t: (t.force, t.elastic), term, (force, elastic))
@@ -116,8 +116,8 @@ def _diagonal(system: System, loads: list[Load], span: Span) -> list[Scalar]:
     pushes = [jnp.sum(jnp.where(t.force > 0, t.force, 0.0)) for t in terms]
     pushes += [load.bed.size for load in loads if load.bed is not None]
     total = sum(pushes, start=jnp.zeros_like(span.impulse))
-    across = system.mass + (span.impulse * span.reach / SPAN) * total
-    about = (span.impulse * span.reach * LEVER) * total
+    across = system.mass + (span.impulse * span.displacement_gain / SPAN) * total
+    about = (span.impulse * span.displacement_gain * LEVER) * total
     for load in loads:
         if load.drag is not None:
             across = across + span.impulse * load.drag.translational

@@ -46,11 +46,11 @@ class Branch(NamedTuple):
         patella = self.after(d, 1 - held).patella()
         twist = Twist(patella.velocity, patella.spin)
         guide = self.guide.slowed(self.rates)
-        return guide.instant(patella, 0.0, held * self.step, reach=self.step, twist=twist)
+        return guide.instant(patella, 0.0, held * self.step, displacement_gain=self.step, twist=twist)
 
-    def recalling(self, looked: tuple[Any, ...]) -> Branch:
+    def recalling(self, trial: tuple[Any, ...]) -> Branch:
         """The same with memories that a look has refined."""
-        memories = self.system.refined(self.origin.memories, looked)
+        memories = self.system.refined(self.origin.memories, trial)
         return self._replace(origin=eqx.tree_at(lambda s: s.memories, self.origin, memories))
 
     def residual(self, d: Six) -> Six:

@@ -40,7 +40,7 @@ class Iterate(NamedTuple):
     remainder: Array  # (6, 6) of the tangent [N/m]
     count: Scalar
     done: Scalar
-    looked: tuple[Any, ...]  # memories of the last look
+    trial: tuple[Any, ...]  # memories of the last look
 
 
 def newton(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -> Iterate:

@@ -20,7 +20,7 @@ from pftwin.dynamics.state import State, moved
 LEAST_HELD = 1e-9  # stiffness of every direction, for derivatives alone [N/m]
 
 
-class Found(NamedTuple):
+class NextEquilibrium(NamedTuple):
     """A solution."""
 
     d: Six  # from the state's pose, or after a snap from the place where the burst ended
@@ -28,23 +28,23 @@ class Found(NamedTuple):
     snapped: Scalar  # 1 after a snap
     residual: Scalar
     remainder: Array  # (6, 6) of the tangent there [N/m]
-    looked: tuple[Any, ...]  # memories of the last look
+    trial: tuple[Any, ...]  # memories of the last look
 
     def landed(self, branch: Branch) -> Branch:
         """The branch that it lies on."""
         origin = jax.tree.map(lambda a, b: jnp.where(self.snapped > 0, a, b), self.place, branch.origin)
-        return branch._replace(origin=origin, rates=branch.rates - self.snapped).recalling(self.looked)
+        return branch._replace(origin=origin, rates=branch.rates - self.snapped).recalling(self.trial)
 
 
 @eqx.filter_custom_jvp
-def solved(branch: Branch) -> Found:
+def solved(branch: Branch) -> NextEquilibrium:
     """The next equilibrium: the same one further on, or where a snap from the present pose comes to rest."""
     last = branch.origin.carried.way
     ahead = components_of(last)
     none = [jnp.zeros_like(a) for a in ahead]
     led = moved(branch.origin, last, last)
 
-    def attempt(now: tuple[Found, Scalar, Scalar]) -> tuple[Found, Scalar, Scalar]:
+    def attempt(now: tuple[NextEquilibrium, Scalar, Scalar]) -> tuple[NextEquilibrium, Scalar, Scalar]:
         _, tries, _ = now
         snapped = jnp.where(tries > 0, 1.0, 0.0).astype(branch.step.dtype)
         place = jax.tree.map(lambda a, b: jnp.where(tries > 0, a, b), led, branch.origin)
@@ -54,10 +54,10 @@ def solved(branch: Branch) -> Found:
         at = newton(there, guess, branch.origin.carried.remainder, tries == 0)
         residual = jnp.where(at.settled, 0.0, at.size)
         again = ~(at.settled & at.stable) & (tries == 0)
-        return Found(at.d, place, snapped, residual, at.remainder, at.looked), tries + 1, again
+        return NextEquilibrium(at.d, place, snapped, residual, at.remainder, at.trial), tries + 1, again
 
     zero = jnp.zeros_like(branch.step)
-    start = Found(ahead, branch.origin, zero, zero, branch.origin.carried.remainder, branch.origin.memories)
+    start = NextEquilibrium(ahead, branch.origin, zero, zero, branch.origin.carried.remainder, branch.origin.memories)
     return jax.lax.while_loop(lambda now: now[2], attempt, (start, jnp.zeros((), int), jnp.array(True)))[0]
 
 

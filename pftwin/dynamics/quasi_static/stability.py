@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar
-from pftwin.dynamics.inverse_with_pivots import swept
+from pftwin.dynamics.inverse_with_pivots import inverse_with_pivots
 
 NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts as none, neutral and not unstable
 SQUARINGS = 16  # from a factor that is 0.2 % off 1, as the slack's and the trace's own are, to one of 1e-57
@@ -28,12 +28,12 @@ def stable(tangent: Array) -> Scalar:
     trace = jnp.trace(tangent)
     slack = trace * jnp.asarray(NEUTRAL, tangent.dtype)
     shifted = tangent + slack * one
-    definite = swept(0.5 * (shifted + shifted.T))[1]
+    definite = inverse_with_pivots(0.5 * (shifted + shifted.T))[1]
     scale = jnp.asarray(NEUTRAL**0.5, tangent.dtype) * trace  # geometric mean of the slack and the trace
 
     def squared(now: tuple[Array, Scalar]) -> tuple[Array, Scalar]:
         power, count = now
-        first = one - 2 * scale * swept(power + scale * one)[0]
+        first = one - 2 * scale * inverse_with_pivots(power + scale * one)[0]
         return jnp.where(count == 0, first, power @ power), count + 1
 
     # Not one round where the symmetric part is definite, as it is wherever forces have a potential.

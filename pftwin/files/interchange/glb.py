@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
-from pftwin.files.interchange.moving_parts import TENDON, Part, Track, frames, lines, parts
+from pftwin.files.interchange.moving_parts import TENDON, MovingPart, PartTrack, frames, lines, parts
 
 if TYPE_CHECKING:
     from trimesh import Scene, Trimesh
@@ -65,7 +65,7 @@ def glb(result: Recorded) -> bytes:
     return export_glb(scene, include_normals=True, buffer_postprocessor=animate)
 
 
-def _scene(result: Recorded, solids: list[Part], rods: dict[str, Track]) -> Scene:
+def _scene(result: Recorded, solids: list[MovingPart], rods: dict[str, PartTrack]) -> Scene:
     """Nodes and meshes at the first frame."""
     from trimesh import Scene, Trimesh
     from trimesh.creation import cylinder
@@ -122,7 +122,7 @@ class _Animation:
         self.channels: list[dict[str, Any]] = []
         self.samplers: list[dict[str, Any]] = []
 
-    def add(self, tracks: dict[str, Track]) -> None:
+    def add(self, tracks: dict[str, PartTrack]) -> None:
         """One channel for each of translation, rotation and scale of every node that moves."""
         for name, track in tracks.items():
             node = self.tree["nodes"][self.nodes[name]]

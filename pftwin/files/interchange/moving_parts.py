@@ -19,7 +19,7 @@ THICK, THIN = 1.7e-3, 0.55e-3  # their radii [m]
 Floats = NDArray[np.float64]
 
 
-class Part(NamedTuple):
+class MovingPart(NamedTuple):
     """A solid that moves with a frame."""
 
     name: str
@@ -29,7 +29,7 @@ class Part(NamedTuple):
     colour: tuple[int, int, int, int]
 
 
-class Track(NamedTuple):
+class PartTrack(NamedTuple):
     """Where something is in the femur's frame, frame by frame (n)."""
 
     translation: Floats  # (n, 3) [m]
@@ -37,7 +37,7 @@ class Track(NamedTuple):
     scale: Floats | None = None  # (n, 3), of what changes its length
 
 
-def parts(result: Recorded) -> list[Part]:
+def parts(result: Recorded) -> list[MovingPart]:
     """The femoral component, the button, and schematic bones."""
     from pftwin.results.viewer import bones
     from pftwin.results.viewer.shapes import behind_plane, button_cap, shell
@@ -45,11 +45,11 @@ def parts(result: Recorded) -> list[Part]:
     found = []
     mesh, fitted, beyond = (result.mesh(n) for n in ("femur", "surface", "continuation"))
     if mesh is not None:
-        found.append(Part("femoral mesh", "femur", *mesh, METAL))
+        found.append(MovingPart("femoral mesh", "femur", *mesh, METAL))
     if fitted is not None:
         found.append(_drawn("femoral surface", "femur", shell(fitted), METAL))
     if beyond is not None:
-        found.append(Part("surface continued", "femur", *beyond, (*METAL[:3], PALE)))
+        found.append(MovingPart("surface continued", "femur", *beyond, (*METAL[:3], PALE)))
     pale = (*BONE[:3], PALE)
     found.append(_drawn("femur (schematic)", "femur", bones.femur_shaft(mesh or fitted), pale))
     found.append(_drawn("tibia (schematic)", "tibia", bones.tibia_shaft(result), pale))
@@ -68,15 +68,15 @@ def parts(result: Recorded) -> list[Part]:
     return found
 
 
-def frames(result: Recorded) -> dict[str, Track]:
+def frames(result: Recorded) -> dict[str, PartTrack]:
     """How patella and tibia move in the femur."""
     return {
-        body: Track(result.data[f"{body}_position"].values, result.data[f"{body}_quaternion"].values)
+        body: PartTrack(result.data[f"{body}_position"].values, result.data[f"{body}_quaternion"].values)
         for body in ("patella", "tibia")
     }
 
 
-def lines(result: Recorded) -> dict[str, Track]:
+def lines(result: Recorded) -> dict[str, PartTrack]:
     """Every line of force as a rod: what carries a cylinder of length and radius 1 along z, its middle at nought."""
     moving = frames(result)
     found = {}
@@ -92,7 +92,7 @@ def lines(result: Recorded) -> dict[str, Track]:
     return found
 
 
-def rod(start: Floats, end: Floats, radius: float) -> Track:
+def rod(start: Floats, end: Floats, radius: float) -> PartTrack:
     """Between points (n, 3) [m]."""
     along = end - start
     length = np.linalg.norm(along, axis=1)
@@ -104,10 +104,10 @@ def rod(start: Floats, end: Floats, radius: float) -> Track:
     flips = np.where(np.einsum("ij,ij->i", turn[1:], turn[:-1]) < 0, -1.0, 1.0)
     turn = turn * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
     thick = np.full_like(length, radius)
-    return Track(0.5 * (start + end), turn, np.stack([thick, thick, length], axis=1))
+    return PartTrack(0.5 * (start + end), turn, np.stack([thick, thick, length], axis=1))
 
 
-def _carried(frame: Track, points: Floats) -> Floats:
+def _carried(frame: PartTrack, points: Floats) -> Floats:
     """Points (k, 3), or (n, k, 3) that move in it, of a frame: (n, k, 3) in the femur."""
     from scipy.spatial.transform import Rotation
 
@@ -116,5 +116,5 @@ def _carried(frame: Track, points: Floats) -> Floats:
     return np.einsum("nij,nkj->nki", turn, points) + frame.translation[:, None]
 
 
-def _drawn(name: str, frame: str, shape: Shape, colour: tuple[int, int, int, int]) -> Part:
-    return Part(name, frame, MM * shape.vertices.astype(np.float64), shape.triangles.astype(np.int64), colour)
+def _drawn(name: str, frame: str, shape: Shape, colour: tuple[int, int, int, int]) -> MovingPart:
+    return MovingPart(name, frame, MM * shape.vertices.astype(np.float64), shape.triangles.astype(np.int64), colour)

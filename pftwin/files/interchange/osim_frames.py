@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 GROUND = "ground"
 
 
-class Frame(NamedTuple):
+class OsimFrame(NamedTuple):
     """A place fixed in a body."""
 
     body: str
@@ -29,7 +29,7 @@ class Frames:
         self.bodies = {b.name for b in model.all("Body")}
         self.offsets = list(model.all("PhysicalOffsetFrame"))
 
-    def find(self, path: str, near: Element, where: str, depth: int = 0) -> Frame:
+    def find(self, path: str, near: Element, where: str, depth: int = 0) -> OsimFrame:
         """By the last part of a path: a frame of this very element, a body, ground, or a frame elsewhere.
 
         A path may begin with ".." for what the element is part of, as meshes and frames in a body's components do.
@@ -53,21 +53,21 @@ class Frames:
         if own:
             return self._offset(own[0], depth)
         if name == GROUND or name in self.bodies:
-            return Frame(name, np.eye(4))
+            return OsimFrame(name, np.eye(4))
         others = [f for f in self.offsets if f.name == name]
         if not others:
             raise InputError(f"no body and no frame is called {path.strip()!r}", where=where)
         return self._offset(others[0], depth)
 
-    def _of(self, element: Element, depth: int) -> Frame:
+    def _of(self, element: Element, depth: int) -> OsimFrame:
         """Of an element that is a frame itself."""
         if element.tag == "PhysicalOffsetFrame":
             return self._offset(element, depth)
         if element.tag in ("Body", "Ground"):
-            return Frame(GROUND if element.tag == "Ground" else element.name, np.eye(4))
+            return OsimFrame(GROUND if element.tag == "Ground" else element.name, np.eye(4))
         raise InputError(f"<{element.tag}> {element.name!r} is no frame", where=element.where)
 
-    def _offset(self, element: Element, depth: int) -> Frame:
+    def _offset(self, element: Element, depth: int) -> OsimFrame:
         place = np.eye(4)
         for tag, part in (("translation", 0), ("orientation", 1)):
             found = element.child(tag)
@@ -81,4 +81,4 @@ class Frames:
         # A name alone is never that of a frame within this one: it would hang on what hangs on it.
         near = element if parent.strip().startswith("..") else Element("", "", element.file, element.line)
         base = self.find(parent, near, element.where, depth + 1)
-        return Frame(base.body, base.pose @ place)
+        return OsimFrame(base.body, base.pose @ place)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import Element
-from pftwin.files.interchange.osim_frames import Frame, Frames
+from pftwin.files.interchange.osim_frames import Frames, OsimFrame
 from pftwin.files.interchange.osim_functions import Function, function_in
 
 Floats = NDArray[np.float64]
@@ -54,8 +54,8 @@ class Joint:
     kind: str
     name: str
     where: str
-    parent: Frame
-    child: Frame
+    parent: OsimFrame
+    child: OsimFrame
     rotations: tuple[Axis, ...]  # in this order, fixed to the moving body
     translations: tuple[Axis, ...]  # along the parent's frame
     coordinates: tuple[Coordinate, ...]

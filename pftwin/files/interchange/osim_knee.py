@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_frames import Frame
+from pftwin.files.interchange.osim_frames import OsimFrame
 from pftwin.files.interchange.osim_joints import Joint
-from pftwin.files.interchange.osim_model import Model
+from pftwin.files.interchange.osim_model import OsimModel
 
 Floats = NDArray[np.float64]
 SIDES = {"right": "_r", "left": "_l"}
 
 
-class Knee(NamedTuple):
+class OsimKnee(NamedTuple):
     """Names of three bodies, and the side."""
 
     femur: str
@@ -29,7 +29,7 @@ class Knee(NamedTuple):
         return {self.femur: "femur", self.tibia: "tibia", self.patella: "patella"}.get(body, body)
 
 
-def find_knee(model: Model, side: str | None = None, **named: str | None) -> Knee:
+def find_knee(model: OsimModel, side: str | None = None, **named: str | None) -> OsimKnee:
     """By what was named, else by the bodies' names and the joints between them.
 
     Args:
@@ -57,10 +57,10 @@ def find_knee(model: Model, side: str | None = None, **named: str | None) -> Kne
     tibia = named.get("tibia") or _called("tibia", children, side, model)
     sides = [s for s, end in SIDES.items() if patella.lower().endswith(end)]
     chosen = side or (sides[0] if sides else "right")
-    return Knee(femur, tibia, patella, chosen)
+    return OsimKnee(femur, tibia, patella, chosen)
 
 
-def placed(model: Model, knee: Knee, frame: Frame) -> tuple[str, Floats]:
+def placed(model: OsimModel, knee: OsimKnee, frame: OsimFrame) -> tuple[str, Floats]:
     """The part of the knee that carries a frame, and the frame's pose (4, 4) in it; other bodies keep their name."""
     body, pose = model.tree.welded(frame.body)
     own = {name: model.tree.welded(name) for name in (knee.femur, knee.tibia, knee.patella)}
@@ -70,7 +70,7 @@ def placed(model: Model, knee: Knee, frame: Frame) -> tuple[str, Floats]:
     return body, pose @ frame.pose
 
 
-def _femur(model: Model, joint: Joint, side: str | None) -> str:
+def _femur(model: OsimModel, joint: Joint, side: str | None) -> str:
     """What carries the patella, if that is a femur; else the body that is called so."""
     parent = joint.parent.body
     if "femur" in parent.lower():
@@ -78,12 +78,12 @@ def _femur(model: Model, joint: Joint, side: str | None) -> str:
     return _called("femur", list(model.bodies), side, model)
 
 
-def _hangs_on(model: Model, joint: Joint, femur: str) -> bool:
+def _hangs_on(model: OsimModel, joint: Joint, femur: str) -> bool:
     """Whether a joint with degrees of freedom joins a body to the femur or to what is welded to it."""
     return joint.kind != "WeldJoint" and model.tree.welded(joint.parent.body)[0] == model.tree.welded(femur)[0]
 
 
-def _called(part: str, names: list[str], side: str | None, model: Model) -> str:
+def _called(part: str, names: list[str], side: str | None, model: OsimModel) -> str:
     found = [n for n in names if part in n.lower()]
     if side is not None and any(n.lower().endswith(SIDES[side]) for n in found):
         found = [n for n in found if n.lower().endswith(SIDES[side])]

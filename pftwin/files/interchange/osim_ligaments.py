@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import Element
-from pftwin.files.interchange.osim_frames import Frame, Frames
+from pftwin.files.interchange.osim_frames import Frames, OsimFrame
 
 Floats = NDArray[np.float64]
 LIGAMENT = "Blankevoort1991Ligament"
@@ -29,11 +29,11 @@ class LeftOut(NamedTuple):
     why: str
 
 
-class Ligament(NamedTuple):
+class OsimLigament(NamedTuple):
     """A strand between two points."""
 
     name: str
-    ends: tuple[tuple[Frame, Floats], tuple[Frame, Floats]]
+    ends: tuple[tuple[OsimFrame, Floats], tuple[OsimFrame, Floats]]
     stiffness: float  # [N per strain]
     slack_length: float  # [m]
     toe_strain: float
@@ -42,7 +42,9 @@ class Ligament(NamedTuple):
     where: str
 
 
-def ligaments(model: Element, defaults: dict[str, Element], frames: Frames, left: list[LeftOut]) -> Iterator[Ligament]:
+def ligaments(
+    model: Element, defaults: dict[str, Element], frames: Frames, left: list[LeftOut]
+) -> Iterator[OsimLigament]:
     """Those that are straight lines; the others are added to what is left out.
 
     Raises:
@@ -72,7 +74,7 @@ def ligaments(model: Element, defaults: dict[str, Element], frames: Frames, left
                 where=element.where,
                 expected="positive numbers",
             )
-        yield Ligament(element.name, (ends[0], ends[1]), k, slack, toe, damping, wraps, element.where)
+        yield OsimLigament(element.name, (ends[0], ends[1]), k, slack, toe, damping, wraps, element.where)
 
 
 def value(element: Element, tag: str, defaults: dict[str, Element]) -> float:

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_knee import Knee, placed
+from pftwin.files.interchange.osim_knee import OsimKnee, placed
 from pftwin.files.interchange.osim_ligaments import LeftOut
-from pftwin.files.interchange.osim_model import Mesh, Model, plain_name
+from pftwin.files.interchange.osim_model import Mesh, OsimModel, plain_name
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 FOLDER = "geometry"
@@ -25,7 +25,7 @@ class Written(NamedTuple):
     mesh: SurfaceMesh  # in the part's frame [m]
 
 
-def load(mesh: Mesh, model: Model, knee: Knee, places: list[Path]) -> Written:
+def load(mesh: Mesh, model: OsimModel, knee: OsimKnee, places: list[Path]) -> Written:
     """A mesh of one of the knee's bones.
 
     Args:
@@ -49,7 +49,9 @@ def load(mesh: Mesh, model: Model, knee: Knee, places: list[Path]) -> Written:
     return Written(part, f"{FOLDER}/{plain_name(mesh.name)}.stl", SurfaceMesh(points, faces, mesh.file))
 
 
-def bones(model: Model, knee: Knee, places: list[Path], taken: set[str], left: list[LeftOut]) -> Iterator[Written]:
+def bones(
+    model: OsimModel, knee: OsimKnee, places: list[Path], taken: set[str], left: list[LeftOut]
+) -> Iterator[Written]:
     """What is drawn of the knee's bones; what cannot be read is left out."""
     for body in model.bodies.values():
         for mesh in body.meshes:

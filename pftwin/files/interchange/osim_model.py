@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pftwin.files.interchange.osim_document import Element, read_osim
-from pftwin.files.interchange.osim_frames import Frame, Frames
-from pftwin.files.interchange.osim_ligaments import LeftOut, Ligament, ligaments, value
+from pftwin.files.interchange.osim_frames import Frames, OsimFrame
+from pftwin.files.interchange.osim_ligaments import LeftOut, OsimLigament, ligaments, value
 from pftwin.files.interchange.osim_tree import Tree, read_tree
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ class Mesh(NamedTuple):
 
     name: str
     file: str
-    frame: Frame
+    frame: OsimFrame
     scale: Floats  # (3,)
     where: str
 
@@ -51,7 +51,7 @@ class ContactSurface(NamedTuple):
     variable: bool  # whether the model measures the thickness against a second mesh
 
 
-class Contact(NamedTuple):
+class OsimContact(NamedTuple):
     """Between two surfaces."""
 
     name: str
@@ -61,7 +61,7 @@ class Contact(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Model:
+class OsimModel:
     """The parts of a file."""
 
     name: str
@@ -69,13 +69,13 @@ class Model:
     gravity: Floats  # (3,) in ground [m/s^2]
     bodies: dict[str, Body]
     tree: Tree
-    ligaments: list[Ligament]
+    ligaments: list[OsimLigament]
     surfaces: dict[str, ContactSurface]
-    contacts: list[Contact]
+    contacts: list[OsimContact]
     left_out: list[LeftOut] = field(default_factory=list)
 
 
-def read_model(path: str) -> Model:
+def read_model(path: str) -> OsimModel:
     """Of a file.
 
     Raises:
@@ -86,7 +86,7 @@ def read_model(path: str) -> Model:
     defaults = {d.tag: d for holder in root.children if holder.tag == "defaults" for d in holder.children}
     used = Element(root.tag, root.name, root.file, root.line, "", [c for c in root.children if c.tag != "defaults"])
     gravity = root.child("gravity")
-    return Model(
+    return OsimModel(
         root.name,
         path,
         np.array([0.0, -9.80665, 0.0]) if gravity is None else gravity.numbers(3),
@@ -131,19 +131,21 @@ def _surface(element: Element, defaults: dict[str, Element], frames: Frames) -> 
         elif found is not None:
             place[:3, :3] = Rotation.from_euler("XYZ", found.numbers(3)).as_matrix()
     base = frames.find(element.needed("socket_frame").text, element, element.where)
-    mesh = Mesh(element.name, element.words("mesh_file"), Frame(base.body, base.pose @ place), factors, element.where)
+    mesh = Mesh(
+        element.name, element.words("mesh_file"), OsimFrame(base.body, base.pose @ place), factors, element.where
+    )
     modulus, poisson, thickness = (
         value(element, tag, defaults) for tag in ("elastic_modulus", "poissons_ratio", "thickness")
     )
     return ContactSurface(mesh, modulus, poisson, thickness, element.words("use_variable_thickness") == "true")
 
 
-def _contact(element: Element) -> Contact:
+def _contact(element: Element) -> OsimContact:
     target, casting = (
         element.needed(f"socket_{k}_mesh").text.strip().rpartition("/")[2] for k in ("target", "casting")
     )
     law = "logarithmic" if element.words("elastic_foundation_formulation") == "nonlinear" else "linear"
-    return Contact(element.name, (target, casting), law, element.words("use_lumped_contact_model") != "false")
+    return OsimContact(element.name, (target, casting), law, element.words("use_lumped_contact_model") != "false")
 
 
 def plain_name(name: str) -> str:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_joints import Coordinate
-from pftwin.files.interchange.osim_knee import Knee
+from pftwin.files.interchange.osim_knee import OsimKnee
 from pftwin.files.interchange.osim_tree import Tree
 from pftwin.files.mocap.sto import read_sto
 
@@ -20,7 +20,7 @@ FASTEST = np.radians(45.0)  # of it [rad/s]
 FARTHEST = np.radians(90.0)  # of it, where the model's range goes further
 
 
-def bent(tree: Tree, knee: Knee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:
+def bent(tree: Tree, knee: OsimKnee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:
     """The knee bent from its default to the end of its range: times (n,), coordinates by name, and what was done.
 
     Smoothly (a polynomial of fifth degree), so that it starts and ends at rest.

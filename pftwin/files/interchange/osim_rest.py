@@ -8,9 +8,9 @@ import numpy as np
 
 from pftwin.files.interchange.osim_document import Element
 from pftwin.files.interchange.osim_frames import Frames
-from pftwin.files.interchange.osim_knee import Knee, placed
+from pftwin.files.interchange.osim_knee import OsimKnee, placed
 from pftwin.files.interchange.osim_ligaments import LIGAMENT, LeftOut
-from pftwin.files.interchange.osim_model import CONTACT, SURFACE, Model
+from pftwin.files.interchange.osim_model import CONTACT, SURFACE, OsimModel
 
 _SETS = {
     "ControllerSet": "a scene has no controllers",
@@ -21,7 +21,7 @@ _SETS = {
 _READ = (LIGAMENT, CONTACT, "CoordinateCouplerConstraint")
 
 
-def rest(root: Element, model: Model, knee: Knee) -> Iterator[LeftOut]:
+def rest(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
     """Everything that nobody has read, in the file's order."""
     frames = Frames(root)
     for group in root.children:
@@ -42,7 +42,7 @@ def rest(root: Element, model: Model, knee: Knee) -> Iterator[LeftOut]:
                     yield LeftOut(part.tag, part.name, _SETS[group.tag])
 
 
-def _why(force: Element, model: Model, knee: Knee, frames: Frames) -> str:
+def _why(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> str:
     """For what pulls at the patella: where, so that the user can put it into the scene."""
     points = list(force.all("PathPoint"))
     if force.tag == "Ligament" or not points:

@@ -14,13 +14,13 @@ from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_meshes, osim_motion
 from pftwin.files.interchange.osim_document import read_osim
-from pftwin.files.interchange.osim_knee import Knee, find_knee, placed
+from pftwin.files.interchange.osim_knee import OsimKnee, find_knee, placed
 from pftwin.files.interchange.osim_ligaments import LIGAMENT, LeftOut
-from pftwin.files.interchange.osim_model import CONTACT, Contact, Model, read_model
+from pftwin.files.interchange.osim_model import CONTACT, OsimContact, OsimModel, read_model
 from pftwin.files.interchange.osim_rest import rest
 
 if TYPE_CHECKING:
-    from pftwin.files.interchange.osim_toml import Strand
+    from pftwin.files.interchange.osim_toml import OsimStrand
 
 REPORT = "not_imported.md"
 
@@ -99,11 +99,11 @@ def import_osim(
     return told
 
 
-def _strands(model: Model, knee: Knee, told: Imported) -> dict[tuple[str, str], list[Strand]]:
+def _strands(model: OsimModel, knee: OsimKnee, told: Imported) -> dict[tuple[str, str], list[OsimStrand]]:
     """Ligaments of the patella by name and other body; those of one name without its number are one group."""
-    from pftwin.files.interchange.osim_toml import Strand
+    from pftwin.files.interchange.osim_toml import OsimStrand
 
-    groups: dict[tuple[str, str], list[Strand]] = {}
+    groups: dict[tuple[str, str], list[OsimStrand]] = {}
     straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for ligament in model.ligaments:
         ends = [(placed(model, knee, frame), point) for frame, point in ligament.ends]
@@ -117,7 +117,7 @@ def _strands(model: Model, knee: Knee, told: Imported) -> dict[tuple[str, str], 
         name = ligament.name.rstrip("0123456789") or ligament.name
         if ligament.wraps:
             straight.setdefault((name, ligament.wraps), []).append(ligament.name)
-        groups.setdefault((name, body), []).append(Strand(ligament, insertion, origin))
+        groups.setdefault((name, body), []).append(OsimStrand(ligament, insertion, origin))
     for (_, wraps), names in straight.items():
         which = f"{names[0]}: a straight line, though it wraps"
         if len(names) > 1:
@@ -132,7 +132,7 @@ def _why_not(parts: list[str]) -> str:
     return f"it joins {' and '.join(parts)}: pftwin knows femur, tibia and ground beside the patella"
 
 
-def _contact(model: Model, knee: Knee, told: Imported) -> Contact | None:
+def _contact(model: OsimModel, knee: OsimKnee, told: Imported) -> OsimContact | None:
     """The contact of femur and patella, the femur's surface first."""
     chosen = None
     for contact in model.contacts:
@@ -153,8 +153,8 @@ def _contact(model: Model, knee: Knee, told: Imported) -> Contact | None:
 
 
 def _pressing(
-    model: Model, knee: Knee, places: list[Path], told: Imported
-) -> tuple[Contact | None, list[osim_meshes.Written]]:
+    model: OsimModel, knee: OsimKnee, places: list[Path], told: Imported
+) -> tuple[OsimContact | None, list[osim_meshes.Written]]:
     """The contact with its two meshes; neither where a mesh cannot be read."""
     contact = _contact(model, knee, told)
     if contact is None:

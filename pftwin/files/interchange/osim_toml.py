@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.files.interchange.osim_knee import Knee
-from pftwin.files.interchange.osim_ligaments import LeftOut, Ligament
-from pftwin.files.interchange.osim_model import Contact, Model, plain_name
+from pftwin.files.interchange.osim_knee import OsimKnee
+from pftwin.files.interchange.osim_ligaments import LeftOut, OsimLigament
+from pftwin.files.interchange.osim_model import OsimContact, OsimModel, plain_name
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_meshes import Written
@@ -23,19 +23,19 @@ Floats = NDArray[np.float64]
 AXES = {"right": '["+y", "+z", "+x"]', "left": '["+y", "-z", "+x"]'}
 
 
-class Strand(NamedTuple):
+class OsimStrand(NamedTuple):
     """A ligament's line, its ends in the frames of patella and other bone [m]."""
 
-    ligament: Ligament
+    ligament: OsimLigament
     insertion: Floats
     origin: Floats
 
 
 def scene_text(
-    model: Model,
-    knee: Knee,
-    strands: dict[tuple[str, str], list[Strand]],
-    contact: Contact | None,
+    model: OsimModel,
+    knee: OsimKnee,
+    strands: dict[tuple[str, str], list[OsimStrand]],
+    contact: OsimContact | None,
     meshes: Sequence[Written],
     told: Imported,
 ) -> str:
@@ -54,7 +54,7 @@ def scene_text(
     return "\n\n".join(tables) + "\n"
 
 
-def _head(model: Model, knee: Knee) -> str:
+def _head(model: OsimModel, knee: OsimKnee) -> str:
     axes = AXES[knee.side]
     bodies = "\n\n".join(f"[{part}]\nbody = {json.dumps(part)}" for part in ("femur", "tibia"))
     return "\n".join(
@@ -76,7 +76,7 @@ def _head(model: Model, knee: Knee) -> str:
     )
 
 
-def _patella(model: Model, knee: Knee, told: Imported) -> str:
+def _patella(model: OsimModel, knee: OsimKnee, told: Imported) -> str:
     body = model.bodies[knee.patella]
     if np.any(body.inertia[3:]):
         told.notes.append(f"{body.name}: the products of inertia are left out")
@@ -91,7 +91,7 @@ def _patella(model: Model, knee: Knee, told: Imported) -> str:
     )
 
 
-def _strands(name: str, body: str, group: list[Strand], used: set[str]) -> str:
+def _strands(name: str, body: str, group: list[OsimStrand], used: set[str]) -> str:
     label = plain_name(name)
     if label in used:
         label = f"{label}_{body}"
@@ -112,7 +112,7 @@ def _strands(name: str, body: str, group: list[Strand], used: set[str]) -> str:
     )
 
 
-def _contact(model: Model, contact: Contact, meshes: Sequence[Written], told: Imported) -> str:
+def _contact(model: OsimModel, contact: OsimContact, meshes: Sequence[Written], told: Imported) -> str:
     layers = [model.surfaces[s] for s in contact.surfaces]
     for layer in layers:
         if layer.variable:

@@ -12,7 +12,7 @@ from pftwin.base.leaves import number, vector
 from pftwin.files.mocap import PoseSeries
 from pftwin.files.scene_file.host_pose import HostPose
 from pftwin.files.scene_file.section import Point, Positive, Section
-from pftwin.files.scene_file.segments import PoseSection, Recording, SegmentSection
+from pftwin.files.scene_file.segments import PoseSection, SegmentRecording, SegmentSection
 from pftwin.files.scene_file.side import Side
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody
@@ -51,7 +51,7 @@ class TibiaSection(SegmentSection):
 
 
 def guided_motion(
-    femur: SegmentSection, tibia: TibiaSection, recording: Recording, side: Side
+    femur: SegmentSection, tibia: TibiaSection, recording: SegmentRecording, side: Side
 ) -> tuple[KneeMotion, HostPose | None, PoseSeries | None]:
     """The motion; the fixed femur's pose in the world or None; the moving femur's poses or None (mirrored)."""
     document = recording.document
@@ -75,7 +75,7 @@ def guided_motion(
 
 def start_pose(
     start: StartSection,
-    recording: Recording,
+    recording: SegmentRecording,
     side: Side,
     motion: KneeMotion,
     fixed_femur: HostPose | None,

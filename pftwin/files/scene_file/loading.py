@@ -21,7 +21,7 @@ from pftwin.files.scene_file.measured_table import MeasuredSection
 from pftwin.files.scene_file.problems import scene_error
 from pftwin.files.scene_file.registry import effect_tables
 from pftwin.files.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
-from pftwin.files.scene_file.segments import MotionSection, PoseSection, Recording
+from pftwin.files.scene_file.segments import MotionSection, PoseSection, SegmentRecording
 from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.side import AxesSection, Side
 from pftwin.model.scene import Scene, check
@@ -120,7 +120,7 @@ def _loaded(
     file = _validated(document)
     side = Side.read(file.side == "left", file.axes, document)
     notes: list[str] = []
-    recording = Recording(file.motion, document, notes)
+    recording = SegmentRecording(file.motion, document, notes)
     motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, recording, side)
     start = start_pose(file.patella.start, recording, side, motion, fixed_femur, femur)
     beside = start if femur is None else HostPose.of(femur.positions[0], femur.quaternions[0]).inverse() @ start

@@ -13,7 +13,7 @@ from pftwin.files.mocap import PoseSeries, read_csv, singular_spectrum_filter
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.host_pose import HostPose
 from pftwin.files.scene_file.section import FileName, Section
-from pftwin.files.scene_file.segments import Recording, SegmentSection
+from pftwin.files.scene_file.segments import SegmentRecording, SegmentSection
 from pftwin.files.scene_file.side import Side
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
@@ -39,7 +39,12 @@ class MeasuredSection(Section):
     synthetic: bool = Field(default=False, description="whether these are simulated measurements")
 
     def build(
-        self, scene: Scene, recording: Recording, side: Side, fixed_femur: HostPose | None, femur: PoseSeries | None
+        self,
+        scene: Scene,
+        recording: SegmentRecording,
+        side: Side,
+        fixed_femur: HostPose | None,
+        femur: PoseSeries | None,
     ) -> Measured:
         """The measurements in the femur's frame, at the scene's frames.
 

@@ -111,7 +111,7 @@ def _check_there(file: Path) -> None:
         raise InputError("no such file", where=file, remedy="check the path; relative ones start at the scene file")
 
 
-class Recording:
+class SegmentRecording:
     """Reads the recording once, and gives each segment's poses in the world."""
 
     def __init__(self, motion: MotionSection, document: Document, notes: list[str]) -> None:

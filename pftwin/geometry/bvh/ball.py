@@ -20,7 +20,7 @@ from pftwin.geometry.bvh.queue import written_where
 from pftwin.geometry.bvh.wide import FAN, SLACK, WideTree, squares
 
 
-class Room(NamedTuple):
+class BallListLengths(NamedTuple):
     """How long the lists are."""
 
     cut: int  # triangles that the ball's surface may cut
@@ -40,13 +40,13 @@ class InBall(NamedTuple):
         return (self.n_cut > self.cut.shape[0]) | (self.n_inside > self.inside.shape[0])
 
 
-def in_ball(tree: WideTree, center: Vec3, radius: Scalar, room: Room) -> InBall:
+def in_ball(tree: WideTree, center: Vec3, radius: Scalar, room: BallListLengths) -> InBall:
     """What is inside a ball about a point of the mesh's frame [m]. Nothing here is differentiated."""
     ball = jnp.stack([jnp.asarray(a, jnp.float32) for a in (center.x, center.y, center.z, radius)])
     return member_by_member(partial(_search, room))(tree, ball)
 
 
-def _search(room: Room, tree: WideTree, ball: Array) -> InBall:
+def _search(room: BallListLengths, tree: WideTree, ball: Array) -> InBall:
     # One array for both lists, nodes inside behind those to look at: XLA copies a second one in every round.
     shelf = 2 * room.cut + 2 * FAN  # half of it for inner nodes on the way
     size = shelf + room.inside + FAN

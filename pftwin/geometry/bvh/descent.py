@@ -24,7 +24,7 @@ Test = Callable[[Array, Array], Array]  # both nodes' descendants (components, m
 TWO = 2  # levels of a step in both trees
 
 
-class Step(NamedTuple):
+class LevelStep(NamedTuple):
     """Levels of the two trees before and after a step; sixteen pairs of descendants each."""
 
     start: tuple[int, int]
@@ -52,7 +52,7 @@ class Descent(eqx.Module):
     depths: tuple[int, int] = eqx.field(static=True)
 
     @property
-    def steps(self) -> tuple[list[Step], list[Step]]:
+    def steps(self) -> tuple[list[LevelStep], list[LevelStep]]:
         """Steps down in one tree, then in both."""
         return steps_down(self.depths)
 
@@ -80,17 +80,17 @@ class Descent(eqx.Module):
         return Descendants(*side_by_side(*rows), child)
 
 
-def steps_down(depths: tuple[int, int]) -> tuple[list[Step], list[Step]]:
+def steps_down(depths: tuple[int, int]) -> tuple[list[LevelStep], list[LevelStep]]:
     """From few pairs of nodes to all pairs of leaves: steps down in the deeper tree alone, then in both."""
-    together: list[Step] = []
+    together: list[LevelStep] = []
     a, b = depths
     while a >= TWO and b >= TWO:
-        together.append(Step((a - TWO, b - TWO), (a, b)))
+        together.append(LevelStep((a - TWO, b - TWO), (a, b)))
         a, b = a - TWO, b - TWO
-    alone: list[Step] = []
+    alone: list[LevelStep] = []
     while max(a, b) >= 2 * TWO:
         above = (a - 4, b) if a > b else (a, b - 4)
-        alone.append(Step(above, (a, b)))
+        alone.append(LevelStep(above, (a, b)))
         a, b = above
     return alone[::-1], together[::-1]
 
@@ -161,7 +161,7 @@ def go_down(way: Descent, test: Test, width: int, stop: int = 0) -> tuple[Queue,
     return jax.lax.fori_loop(jnp.zeros((), jnp.int32), jnp.asarray(n, jnp.int32), one_step, (queue, lost))
 
 
-def _one_down(step: Step, blocks: tuple[Blocks, Blocks], queue: Queue, test: Test, width: int) -> Queue:
+def _one_down(step: LevelStep, blocks: tuple[Blocks, Blocks], queue: Queue, test: Test, width: int) -> Queue:
     """A step of any shape: four levels down in one tree."""
     of_a, of_b = blocks
     n, below = step.many[1], step.end[1]

@@ -24,7 +24,7 @@ WIDTH = 1024  # nodes and triangles that may stay in the race: some ten times wh
 LAST = 16  # triangles compared in full precision at a time
 
 
-class Nearest(NamedTuple):
+class NearestTriangle(NamedTuple):
     """The nearest triangle."""
 
     place: Array  # () int32, in the tree
@@ -33,7 +33,7 @@ class Nearest(NamedTuple):
 
 def nearest_wide(
     tree: WideTree, triangles: Array, point: Vec3, half: int | None = None, *, width: int | None = None
-) -> Nearest:
+) -> NearestTriangle:
     """The triangle nearest to a point of the mesh's frame. Nothing here is differentiated.
 
     Args:
@@ -47,7 +47,7 @@ def nearest_wide(
     return member_by_member(partial(_search, half, room))(tree, triangles, jnp.stack([point.x, point.y, point.z]))
 
 
-def _search(half: int | None, room: int, tree: WideTree, rows: Array, point: Array) -> Nearest:
+def _search(half: int | None, room: int, tree: WideTree, rows: Array, point: Array) -> NearestTriangle:
     p = jax.lax.convert_element_type(point, jnp.float32)
     lanes = jnp.arange(FAN, dtype=jnp.int32)
     taken = (lanes >= tree.first // 2) == bool(half)
@@ -74,7 +74,7 @@ def _search(half: int | None, room: int, tree: WideTree, rows: Array, point: Arr
     head, nodes, end, _ = jax.lax.while_loop(more, look, start)
     last = jnp.minimum(end, room)
     place, _ = _among(rows, point, nodes - tree.n_inner, head, last)
-    return Nearest(place, (end > room) | (head >= last))
+    return NearestTriangle(place, (end > room) | (head >= last))
 
 
 def _among(rows: Array, point: Array, places: Array, first: Array, end: Array) -> tuple[Array, Array]:

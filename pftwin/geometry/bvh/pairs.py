@@ -41,7 +41,7 @@ class Pairs(NamedTuple):
         return jnp.arange(self.a.shape[0], dtype=jnp.int32) < self.count
 
 
-class Room(NamedTuple):
+class PairListLengths(NamedTuple):
     """How long the lists of a search are."""
 
     nodes: int
@@ -57,14 +57,14 @@ class PairSearch(eqx.Module):
     way: Descent
     triangles: tuple[Array, Array]  # of both trees' leaves (leaves, 13, 4): with their planes
     near: Scalar  # how near to a plane a triangle counts as reaching it [m]
-    room: Room = eqx.field(static=True)
+    room: PairListLengths = eqx.field(static=True)
 
     def meeting(self, X_AB: Pose) -> Pairs:
         """The triangles that meet with b's mesh at a pose in a's frame. Jit and vmap apply; not differentiated."""
         return member_by_member(_meeting)(self, X_AB)
 
 
-def pair_search(a: MeshTree, b: MeshTree, room: Room | None = None) -> PairSearch:
+def pair_search(a: MeshTree, b: MeshTree, room: PairListLengths | None = None) -> PairSearch:
     """The search for pairs of two trees.
 
     Args:
@@ -75,7 +75,7 @@ def pair_search(a: MeshTree, b: MeshTree, room: Room | None = None) -> PairSearc
         raise TypeError(f"trees of different kinds: {a.kind} and {b.kind}")
     if (a.leaf, b.leaf) != (LEAF, LEAF):
         raise TypeError(f"leaves of {a.leaf} and {b.leaf} triangles: expected {LEAF}")
-    room = Room(NODES[a.kind], CANDIDATES[a.kind]) if room is None else room
+    room = PairListLengths(NODES[a.kind], CANDIDATES[a.kind]) if room is None else room
     triangles = leaves_with_planes(a), leaves_with_planes(b)
     return PairSearch(a, b, descent(a.levels, b.levels), triangles, SLACK * (size(a) + size(b)), room)
 

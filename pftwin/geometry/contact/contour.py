@@ -21,7 +21,7 @@ from jaxtyping import Array
 
 from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.deepest import Deepest, DepthSearch, depth_search
-from pftwin.geometry.bvh.pairs import PairSearch, Room, pair_search
+from pftwin.geometry.bvh.pairs import PairListLengths, PairSearch, pair_search
 from pftwin.geometry.bvh.rays import ray_depth
 from pftwin.geometry.bvh.triangle import Triangle
 from pftwin.geometry.contact.contact_mesh import ContactMesh
@@ -31,7 +31,7 @@ LIMIT = 5e-3  # [m]: no indentation is looked for beyond it
 FULL = 0.9  # share of the limit from which on there may be deeper corners
 
 
-class Contact(NamedTuple):
+class ContourContact(NamedTuple):
     """One contact, in the frame of the first mesh; every leaf zero where there is none."""
 
     point: Vec3  # the contour's middle [m]
@@ -43,7 +43,7 @@ class Contact(NamedTuple):
 class Contacts(NamedTuple):
     """Every contact of two meshes at a pose."""
 
-    each: tuple[Contact, ...]  # one for each facet of the first mesh; where they are one, the first has it
+    each: tuple[ContourContact, ...]  # one for each facet of the first mesh; where they are one, the first has it
     pairs: Array  # () int32: of triangles that meet
     merged: Array  # () bool: whether both facets' contacts are one
     at_rim: (
@@ -89,7 +89,9 @@ class MeshPair(eqx.Module):
         return [depth[k] for k in range(self.a.facets)]
 
 
-def mesh_pair(a: ContactMesh, b: ContactMesh, *, limit: Scalar | float = LIMIT, room: Room | None = None) -> MeshPair:
+def mesh_pair(
+    a: ContactMesh, b: ContactMesh, *, limit: Scalar | float = LIMIT, room: PairListLengths | None = None
+) -> MeshPair:
     """The searches of two meshes, b's corners looked for inside a.
 
     Args:
@@ -108,11 +110,11 @@ def _chosen(which: Array, one: SegmentSums, other: SegmentSums) -> SegmentSums:
     return jax.tree.map(lambda x, y: jnp.where(which, x, y), one, other)
 
 
-def _contact(sums: SegmentSums, depth: Scalar, origin: Vec3) -> Contact:
+def _contact(sums: SegmentSums, depth: Scalar, origin: Vec3) -> ContourContact:
     square = sums.area.squared_norm()
     there = stop_gradient((square > 0) & (sums.length > 0))
     area = jnp.where(there, jnp.sqrt(jnp.where(there, square, 1.0)), 0.0)
     over_area, over_length = (jnp.where(there, 1 / jnp.where(there, x, 1.0), 0.0) for x in (area, sums.length))
     # The segments run along (normal of a) x (normal of b): around what of b is inside a, seen from there.
     point = jax.tree.map(lambda m, o: jnp.where(there, over_length * m + o, 0.0), sums.moment, origin)
-    return Contact(point, over_area * sums.area, jnp.where(there, depth, 0.0), area)
+    return ContourContact(point, over_area * sums.area, jnp.where(there, depth, 0.0), area)

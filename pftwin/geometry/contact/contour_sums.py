@@ -38,7 +38,7 @@ class SegmentSums(NamedTuple):
     length: Scalar  # [m]
 
 
-class Sums(NamedTuple):
+class ContourSums(NamedTuple):
     """Over the segments of all pairs."""
 
     facets: tuple[SegmentSums, ...]
@@ -49,21 +49,21 @@ class Sums(NamedTuple):
 class Sloped(NamedTuple):
     """Sums and their slopes."""
 
-    sums: Sums
-    slopes: Sums  # by the pose's position and quaternion: (7,) each
+    sums: ContourSums
+    slopes: ContourSums  # by the pose's position and quaternion: (7,) each
 
 
 Piece = Callable[["MeshPair", Pose, Pairs, Array], T]  # of the pairs from a place on
 
 
 @eqx.filter_custom_jvp
-def contour_sums(meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> Sums:
+def contour_sums(meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> ContourSums:
     """Sums over the segments in which pairs of triangles cross; in a batch one member after the other."""
     return member_by_member(partial(_over_found, _piece))(meshes, X_AB, pairs)
 
 
 @contour_sums.def_jvp
-def _contour_sums_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
+def _contour_sums_jvp(primals: Any, tangents: Any) -> tuple[ContourSums, ContourSums]:
     if jax.tree.leaves(tangents[0]):
         return _jvp_over_room(_piece, primals, tangents)
     sums, slopes = _sloped_sums(*primals)
@@ -124,14 +124,14 @@ def _sloped_piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> S
     leaves, structure = jax.tree.flatten(X_AB)
     directions = jnp.eye(len(leaves), dtype=leaves[0].dtype)
 
-    def along(direction: Array) -> tuple[Sums, Sums]:
+    def along(direction: Array) -> tuple[ContourSums, ContourSums]:
         change = jax.tree.unflatten(structure, [direction[k] for k in range(len(leaves))])
         return jax.jvp(lambda X: _piece(meshes, X, pairs, start), (X_AB,), (change,))
 
     return Sloped(*jax.vmap(along, out_axes=(None, 0))(directions))
 
 
-def _piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> Sums:
+def _piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> ContourSums:
     """Sums over some of the pairs."""
     a, b = meshes.a, meshes.b
     which, other = (jax.lax.dynamic_slice_in_dim(x, start, PIECE) for x in (pairs.a, pairs.b))
@@ -149,7 +149,7 @@ def _piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> Sums:
     own, others = segment.edges
     across = there & ((seam & own) > 0)
     at_rim = there & (((rim & own) > 0) | ((other_rim & others) > 0))
-    return Sums(sums, *(jnp.sum(x).astype(origin.x.dtype) for x in (across, at_rim)))
+    return ContourSums(sums, *(jnp.sum(x).astype(origin.x.dtype) for x in (across, at_rim)))
 
 
 def _sums(p: Vec3, q: Vec3, there: Array) -> SegmentSums:

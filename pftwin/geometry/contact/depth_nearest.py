@@ -18,24 +18,24 @@ from pftwin.geometry.bvh.walk import walk
 from pftwin.geometry.contact.depth_sides import PressedSurface
 
 
-class Nearest(NamedTuple):
+class NearestDistances(NamedTuple):
     """Squares of distances [m^2] to the nearest triangles and their places; scalars, or one for each lane."""
 
     square: Array
     place: Array
 
 
-def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> Nearest:
+def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDistances:
     """The place of the triangle nearest to a point, from one that is anywhere; the nearer, the quicker."""
 
-    def at_leaf(known: Nearest, leaf: Array) -> Nearest:
+    def at_leaf(known: NearestDistances, leaf: Array) -> NearestDistances:
         square = closest_on_triangle(femur.leaf(leaf), _as_lanes(p, femur)).square
         best = jnp.argmin(square).astype(jnp.int32)
         better = square[best] < known.square
         place = leaf * jnp.int32(femur.width) + best
-        return Nearest(*(jnp.where(better, n, o) for n, o in zip((square[best], place), known, strict=True)))
+        return NearestDistances(*(jnp.where(better, n, o) for n, o in zip((square[best], place), known, strict=True)))
 
-    start = Nearest(closest_on_triangle(_one(femur, guess), p).square, guess)
+    start = NearestDistances(closest_on_triangle(_one(femur, guess), p).square, guess)
     at = _single(p)
     return walk(
         femur.bounds,
@@ -53,18 +53,18 @@ def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
     low, high = (Vec3(*(f(a) for a in (points.x, points.y, points.z))) for f in (jnp.min, jnp.max))
     middle = 0.5 * (low + high)
 
-    def at_leaf(known: Nearest, number: Array) -> Nearest:
+    def at_leaf(known: NearestDistances, number: Array) -> NearestDistances:
         rows = jax.tree.map(lambda a: a[None, :], femur.leaf(number))
         square = closest_on_triangle(rows, jax.tree.map(lambda a: a[:, None], points)).square
         best = jnp.argmin(square, axis=1).astype(jnp.int32)
         least = jnp.min(square, axis=1)
         better = least < known.square
         place = number * jnp.int32(femur.width) + best
-        return Nearest(jnp.where(better, least, known.square), jnp.where(better, place, known.place))
+        return NearestDistances(jnp.where(better, least, known.square), jnp.where(better, place, known.place))
 
     lanes = points.x.shape
     same = jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), _one(femur, guess))
-    start = Nearest(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
+    start = NearestDistances(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
     at, around = _single(middle), (points - Vec3(*(jnp.broadcast_to(a, lanes) for a in _parts(middle)))).squared_norm()
     spread = jnp.sqrt(jnp.max(around))
     return walk(

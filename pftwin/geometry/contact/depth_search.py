@@ -24,7 +24,7 @@ from pftwin.geometry.contact.depth_nearest import nearest, nearest_to_all, signe
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 
 
-class Found(NamedTuple):
+class TouchingLeaves(NamedTuple):
     """Leaves of the button's tree in a list of fixed length; entries past the count mean nothing."""
 
     leaf: Array  # (width,) int32
@@ -41,7 +41,7 @@ def find(
     width: int,
     band: float,
     reach: float,
-) -> Found:
+) -> TouchingLeaves:
     """The leaves of the button in which a centroid's depth is above -band.
 
     Args:
@@ -63,7 +63,7 @@ def _search(
     width: int,
     band: float,
     reach: float,
-) -> Found:
+) -> TouchingLeaves:
     pieces, count = _pieces(button, femur, position, rotation, band, reach)
 
     def take(k: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -86,7 +86,7 @@ def _search(
 
     start = jnp.zeros((width + 1, 1 + button.lanes), jnp.int32), jnp.int32(0)
     table, total = jax.lax.fori_loop(jnp.int32(0), count, take, start)
-    return Found(table[:width, 0], table[:width, 1:], total)
+    return TouchingLeaves(table[:width, 0], table[:width, 1:], total)
 
 
 def _pieces(

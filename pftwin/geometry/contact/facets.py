@@ -35,7 +35,7 @@ MERGED, APART = 0.02, 0.20  # separations, in radii, between which one contact b
 ASTRAY = 1.2  # spacings from the fan's minimum beyond which a followed point starts again
 
 
-class Place(NamedTuple):
+class FollowedPoint(NamedTuple):
     """Where a point that is followed was left, and moved along with the sphere since."""
 
     u: Scalar
@@ -51,7 +51,7 @@ class Facets(NamedTuple):
     share: Scalar  # of the contact law's force, for each: 1/2 where they are one, 1 where they are two
 
 
-def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Place, Place]) -> Facets:
+def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> Facets:
     """One Newton step for both points from the places where they were left.
 
     Args:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.bvh.features import features_of
-from pftwin.geometry.bvh.nearest_wide import Nearest, nearest_wide
+from pftwin.geometry.bvh.nearest_wide import NearestTriangle, nearest_wide
 from pftwin.geometry.bvh.order import depth_for
 from pftwin.geometry.bvh.tree import build_tree, joined
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
@@ -59,7 +59,7 @@ class MeshFacets(eqx.Module):
         halves = (None,) if self.count == 1 else (0, 1)
         return [self._point(nearest_wide(self.wide, self.triangles, c, half), c) for half in halves]
 
-    def _point(self, near: Nearest, c: Vec3) -> FacetPoint:
+    def _point(self, near: NearestTriangle, c: Vec3) -> FacetPoint:
         on = closest_on_triangle(Triangle.of_rows(self.triangles[near.place]), c)
         away = c - on.point
         length = away.norm()

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.bvh.ball import Room
+from pftwin.geometry.bvh.ball import BallListLengths
 from pftwin.geometry.bvh.triangle import Triangle
 from pftwin.geometry.contact.mesh_facets import MeshFacets, mesh_facets
 from pftwin.geometry.contact.seam import edges_between, rim_edges, seam_depth
@@ -27,7 +27,7 @@ class PatchMesh(eqx.Module):
     facets: MeshFacets
     seam: Array  # (k, 6) edges between the facets [m]
     rim: Array  # (r, 6) edges of an open mesh's boundary [m]
-    room: Room = eqx.field(static=True)
+    room: BallListLengths = eqx.field(static=True)
     sums: Array | None = None  # (nodes, 10), see `prepared`
 
     def prepared(self) -> PatchMesh:
@@ -76,7 +76,7 @@ def patch_mesh(mesh: SurfaceMesh, radius: float, lateral: ArrayLike | None = Non
     cut = CHUNK * int(np.ceil(min(max(ALONG * outline / side, 2 * CHUNK), len(mesh.faces)) / CHUNK))
     dtype = facets.triangles.dtype
     seam, rim = jnp.asarray(edges_between(mesh, label), dtype), jnp.asarray(rim_edges(mesh), dtype)
-    return PatchMesh(facets, seam, rim, Room(cut, cut + 1))
+    return PatchMesh(facets, seam, rim, BallListLengths(cut, cut + 1))
 
 
 def _sums_of(rows: Array) -> Array:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.files import read_triangles
 from pftwin.geometry.mesh.findings import (
-    Finding,
+    MeshFinding,
     crowded_edges,
     flat_triangles,
     holes,
@@ -29,7 +29,7 @@ from pftwin.geometry.mesh.findings import (
     sides,
 )
 from pftwin.geometry.mesh.mesh import SurfaceMesh, weld
-from pftwin.geometry.mesh.parts import Part, parts_of
+from pftwin.geometry.mesh.parts import MeshPart, parts_of
 from pftwin.geometry.mesh.units import UNITS, plausible_units
 from pftwin.geometry.mesh.zero_area import repeated, zero_area
 
@@ -43,12 +43,12 @@ class Diagnosis:
     n_faces: int  # as the file has them
     longest_side: float
     units: list[str]  # in which that is the size of a part of the knee, likeliest first
-    parts: list[Part]
-    findings: list[Finding]
+    parts: list[MeshPart]
+    findings: list[MeshFinding]
     turn: NDArray[np.bool_]  # (m,) faces to turn, where that is safe
     drop: NDArray[np.bool_]  # (m,) faces to drop, where that is safe
 
-    def of(self, severity: str) -> list[Finding]:
+    def of(self, severity: str) -> list[MeshFinding]:
         """The findings of one severity."""
         return [f for f in self.findings if f.severity == severity]
 
@@ -112,7 +112,7 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
     bad = corners[~np.isfinite(p[corners]).all(axis=1)]
     if bad.size:
         words = f"{bad.size} vertices of triangles are not finite, the first is number {bad[0]}: export the mesh again"
-        lost = Finding("not_finite", "fatal", int(bad.size), words)
+        lost = MeshFinding("not_finite", "fatal", int(bad.size), words)
         return Diagnosis(source, len(p), n, float("nan"), [], [], [lost], none, none)
     points, joined = weld(p, f)
     flat = zero_area(points, joined)
@@ -121,7 +121,7 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
     drop = flat | copies
     findings = [*flat_triangles(points, joined, flat), *repeated_triangles(points, joined, copies, opposed)]
     if not kept.size:
-        nothing = Finding("no_surface", "fatal", n, f"all {n} triangles have no area: export the mesh again")
+        nothing = MeshFinding("no_surface", "fatal", n, f"all {n} triangles have no area: export the mesh again")
         return Diagnosis(source, len(points), n, float(np.ptp(p, axis=0).max()), [], [], [nothing], none, drop)
     mesh = SurfaceMesh(points, joined[kept], source)
     parts = parts_of(mesh)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.geometry.mesh.parts import Part, edges_of
+from pftwin.geometry.mesh.parts import MeshPart, edges_of
 from pftwin.geometry.mesh.winding import agreement
 
 FEW = 0.25  # share of a part's triangles up to which those that disagree are the ones to turn
@@ -16,7 +16,7 @@ INWARD = -0.3  # mean cosine between normals and the way out from the middle, be
 
 
 @dataclass(frozen=True)
-class Finding:
+class MeshFinding:
     """One thing that is wrong, or worth knowing."""
 
     kind: str  # "mixed_winding", "hole", ...
@@ -30,29 +30,29 @@ def _places(points: NDArray, faces: NDArray, which: NDArray) -> list[list[float]
     return points[faces[np.flatnonzero(which)[:5]]].mean(axis=1).tolist()
 
 
-def flat_triangles(points: NDArray, faces: NDArray, flat: NDArray[np.bool_]) -> list[Finding]:
+def flat_triangles(points: NDArray, faces: NDArray, flat: NDArray[np.bool_]) -> list[MeshFinding]:
     """Triangles without area."""
     if not flat.any():
         return []
     words = f"{flat.sum()} triangles have no area; without them the surface is the same"
-    return [Finding("zero_area", "safe", int(flat.sum()), words, _places(points, faces, flat))]
+    return [MeshFinding("zero_area", "safe", int(flat.sum()), words, _places(points, faces, flat))]
 
 
-def repeated_triangles(points: NDArray, faces: NDArray, copies: NDArray, opposed: NDArray) -> list[Finding]:
+def repeated_triangles(points: NDArray, faces: NDArray, copies: NDArray, opposed: NDArray) -> list[MeshFinding]:
     """Triangles that are there twice, the same way or the other."""
     found = []
     if copies.any():
         words = f"{copies.sum()} triangles are there more than once; contact would count them twice"
-        found.append(Finding("duplicate", "safe", int(copies.sum()), words, _places(points, faces, copies)))
+        found.append(MeshFinding("duplicate", "safe", int(copies.sum()), words, _places(points, faces, copies)))
     if opposed.any():
         words = (
             f"{opposed.sum()} triangles lie on their own reverse: a sheet without thickness has no outside; remove one"
         )
-        found.append(Finding("two_faced", "fatal", int(opposed.sum()), words, _places(points, faces, opposed)))
+        found.append(MeshFinding("two_faced", "fatal", int(opposed.sum()), words, _places(points, faces, opposed)))
     return found
 
 
-def crowded_edges(mesh: SurfaceMesh) -> list[Finding]:
+def crowded_edges(mesh: SurfaceMesh) -> list[MeshFinding]:
     """Edges of more than two triangles."""
     edges = edges_of(mesh.faces)
     many = edges.corners[edges.count > 2]
@@ -60,10 +60,10 @@ def crowded_edges(mesh: SurfaceMesh) -> list[Finding]:
         return []
     words = f"{len(many)} edges border more than two triangles: the mesh is no surface there; take the extra sheet out"
     places = mesh.vertices[many[:5]].mean(axis=1).tolist()
-    return [Finding("non_manifold_edge", "fatal", len(many), words, places)]
+    return [MeshFinding("non_manifold_edge", "fatal", len(many), words, places)]
 
 
-def sides(mesh: SurfaceMesh, parts: list[Part]) -> tuple[NDArray[np.bool_], list[Finding]]:
+def sides(mesh: SurfaceMesh, parts: list[MeshPart]) -> tuple[NDArray[np.bool_], list[MeshFinding]]:
     """Faces to turn (m,), and what there is to say about sides."""
     turned, one_sided, _ = agreement(mesh.faces)
     centers = mesh.vertices[mesh.faces].mean(axis=1)
@@ -92,7 +92,9 @@ def sides(mesh: SurfaceMesh, parts: list[Part]) -> tuple[NDArray[np.bool_], list
             turned[own] = ~turned[own]
     counts["mixed_winding"] = int(mixed.sum())
     places["mixed_winding"] = centers[mixed][:5].tolist()
-    said = [Finding(k, s, counts[k], w.format(counts[k]), places[k][:5]) for k, (s, w) in _SIDES.items() if counts[k]]
+    said = [
+        MeshFinding(k, s, counts[k], w.format(counts[k]), places[k][:5]) for k, (s, w) in _SIDES.items() if counts[k]
+    ]
     return turned, said
 
 
@@ -113,29 +115,29 @@ _SIDES = {
 }
 
 
-def _inside(part: Part, parts: list[Part], mesh: SurfaceMesh) -> bool:
+def _inside(part: MeshPart, parts: list[MeshPart], mesh: SurfaceMesh) -> bool:
     """Whether another closed part's bounding box holds this one's."""
     low, high = _box(part, mesh)
     others = [_box(other, mesh) for other in parts if other is not part and not other.loops]
     return any((a <= low).all() and (high <= b).all() for a, b in others)
 
 
-def _box(part: Part, mesh: SurfaceMesh) -> tuple[NDArray, NDArray]:
+def _box(part: MeshPart, mesh: SurfaceMesh) -> tuple[NDArray, NDArray]:
     corners = mesh.vertices[mesh.faces[part.faces].ravel()]
     return corners.min(axis=0), corners.max(axis=0)
 
 
-def holes(mesh: SurfaceMesh, parts: list[Part]) -> list[Finding]:
+def holes(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
     """Short boundary loops. Long ones are rims: an open surface has them."""
     holes = [loop for part in parts for loop in part.loops if loop.is_hole]
     if not holes:
         return []
     lengths = f"{holes[0].length:.3g}" if len(holes) == 1 else f"up to {max(k.length for k in holes):.3g}"
     words = f"{len(holes)} holes, {lengths} around: nothing touches there; filling them would invent surface"
-    return [Finding("hole", "left", len(holes), words, [k.center.tolist() for k in holes[:5]])]
+    return [MeshFinding("hole", "left", len(holes), words, [k.center.tolist() for k in holes[:5]])]
 
 
-def isolated_parts(mesh: SurfaceMesh, parts: list[Part]) -> list[Finding]:
+def isolated_parts(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
     """All parts but the largest."""
     rest = parts[1:]
     if not rest:
@@ -145,14 +147,14 @@ def isolated_parts(mesh: SurfaceMesh, parts: list[Part]) -> list[Finding]:
         f"{len(rest)} parts with {100 * share:.2g} % of the area are not connected to the largest: "
         "contact counts them; remove them in a mesh editor if they are debris"
     )
-    return [Finding("isolated_part", "left", len(rest), words, [p.center.tolist() for p in rest[:5]])]
+    return [MeshFinding("isolated_part", "left", len(rest), words, [p.center.tolist() for p in rest[:5]])]
 
 
-def scale(longest: float, likely: list[str], units: str | None) -> list[Finding]:
+def scale(longest: float, likely: list[str], units: str | None) -> list[MeshFinding]:
     """Whether the size is that of a part of the knee, in the stated unit or in any."""
     if units in likely or (units is None and likely):
         return []
     stated = "any unit" if units is None else units
     guess = f"; in {likely[0]} it is" if likely else ""
     words = f"a longest side of {longest:.4g} is not the size of a part of the knee in {stated}{guess}"
-    return [Finding("scale", "left", 1, words)]
+    return [MeshFinding("scale", "left", 1, words)]

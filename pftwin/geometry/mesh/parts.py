@@ -13,7 +13,7 @@ from pftwin.geometry.mesh.winding import adjacent, directed_edges
 HOLE = 0.5  # of a part's size: a loop whose length is below that is a hole, a longer one a rim of an open surface
 
 
-class Loop(NamedTuple):
+class BoundaryLoop(NamedTuple):
     """Edges with a triangle on one side only, connected with each other."""
 
     n_edges: int
@@ -22,14 +22,14 @@ class Loop(NamedTuple):
     is_hole: bool  # short for its part: a gap rather than the rim of an open surface
 
 
-class Part(NamedTuple):
+class MeshPart(NamedTuple):
     """Triangles connected over common edges."""
 
     faces: NDArray[np.int64]  # (k,) which triangles
     area: float
     size: float  # diagonal of the bounding box
     center: NDArray[np.float64]  # (3,) of the bounding box
-    loops: tuple[Loop, ...]  # longest first; none where the part is closed
+    loops: tuple[BoundaryLoop, ...]  # longest first; none where the part is closed
     volume: float  # enclosed, where the part is closed
 
 
@@ -48,7 +48,7 @@ def edges_of(faces: NDArray[np.int64]) -> Edges:
     return Edges(corners, count, of_face.reshape(3, -1).T)
 
 
-def parts_of(mesh: SurfaceMesh) -> list[Part]:
+def parts_of(mesh: SurfaceMesh) -> list[MeshPart]:
     """The connected parts, largest area first."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -62,7 +62,7 @@ def parts_of(mesh: SurfaceMesh) -> list[Part]:
     return sorted((_part(mesh, edges, group) for group in groups), key=lambda part: -part.area)
 
 
-def _part(mesh: SurfaceMesh, edges: Edges, group: NDArray[np.int64]) -> Part:
+def _part(mesh: SurfaceMesh, edges: Edges, group: NDArray[np.int64]) -> MeshPart:
     corners = mesh.vertices[np.unique(mesh.faces[group])]
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = float(np.linalg.norm(high - low))
@@ -71,10 +71,10 @@ def _part(mesh: SurfaceMesh, edges: Edges, group: NDArray[np.int64]) -> Part:
     middle = 0.5 * (low + high)
     at = mesh.vertices[mesh.faces[group]].mean(axis=1) - middle
     volume = float(np.einsum("ij,ij->", at, mesh.area_vectors[group]) / 3)
-    return Part(group, float(mesh.face_areas[group].sum()), size, middle, loops, volume)
+    return MeshPart(group, float(mesh.face_areas[group].sum()), size, middle, loops, volume)
 
 
-def _loops(mesh: SurfaceMesh, boundary: NDArray[np.int64], size: float) -> tuple[Loop, ...]:
+def _loops(mesh: SurfaceMesh, boundary: NDArray[np.int64], size: float) -> tuple[BoundaryLoop, ...]:
     """Boundary edges (k, 2) by connection; loops that touch in a vertex count as one."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -91,5 +91,5 @@ def _loops(mesh: SurfaceMesh, boundary: NDArray[np.int64], size: float) -> tuple
     for k in range(n_loops):
         own = label[ends[:, 0]] == k
         length = float(lengths[own].sum())
-        loops.append(Loop(int(own.sum()), length, centers[own].mean(axis=0), length < HOLE * size))
+        loops.append(BoundaryLoop(int(own.sum()), length, centers[own].mean(axis=0), length < HOLE * size))
     return tuple(sorted(loops, key=lambda loop: -loop.length))

@@ -15,7 +15,7 @@ from pftwin.geometry.patch.descent import Slope, descend
 SHORT = 0.5  # of the longest step: up to here a point counts as having arrived
 
 
-class Profile(NamedTuple):
+class SurfaceProfile(NamedTuple):
     """A surface along v at one u: functions of v for v on the surface's domain."""
 
     height_and_slope: Callable[[Scalar], tuple[Scalar, Scalar]]  # the slope is that along u
@@ -48,7 +48,7 @@ class Surface(Protocol):
         """The nearest coordinate across the groove that lies on the domain."""
         ...
 
-    def profile(self, u: Scalar) -> Profile:
+    def profile(self, u: Scalar) -> SurfaceProfile:
         """The surface along v at one u."""
         ...
 

@@ -27,7 +27,7 @@ class Slope(NamedTuple):
     longest: tuple[Scalar, Scalar]  # the longest step along u and v
 
 
-class Step(NamedTuple):
+class DescentStep(NamedTuple):
     """A step, and how its equations were solved."""
 
     du: Scalar
@@ -44,7 +44,7 @@ def _limited(x: Scalar, most: Scalar) -> Scalar:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
-def descend(slope: Slope, side: float) -> Step:
+def descend(slope: Slope, side: float) -> DescentStep:
     """The step from where a slope was looked at.
 
     Where the Hessian is positive definite it is Newton's, with pivots raised to `FLATTEST`; elsewhere curvatures are
@@ -63,11 +63,11 @@ def descend(slope: Slope, side: float) -> Step:
     over_v = 1 / jnp.maximum(jnp.where(convex, hvv - ratio * huv, jnp.abs(hvv)), FLATTEST * gram[1])
     dv = _limited((ratio * gu - gv) * over_v + jnp.where(convex, 0.0, side * PUSH * across), across)
     du = _limited(-gu * over_u - ratio * dv, along)
-    return Step(du, dv, over_u, over_v, ratio, jnp.where(convex, 1.0, 0.0))
+    return DescentStep(du, dv, over_u, over_v, ratio, jnp.where(convex, 1.0, 0.0))
 
 
 @descend.defjvp
-def _descend_jvp(side: float, primals: tuple[Any], tangents: tuple[Any]) -> tuple[Step, Step]:
+def _descend_jvp(side: float, primals: tuple[Any], tangents: tuple[Any]) -> tuple[DescentStep, DescentStep]:
     ((slope,), (change,)) = primals, tangents
     ((gu, _), (huu, huv, hvv), gram, (along, across)), (dg, dh, _, dl) = slope, change
     step = descend(slope, side)
@@ -89,4 +89,4 @@ def _descend_jvp(side: float, primals: tuple[Any], tangents: tuple[Any]) -> tupl
     ddu = -right_u * over_u - ratio * ddv
     ddu = jnp.where(jnp.abs(du) < along, ddu, jnp.sign(du) * dl[0])
     none = jnp.zeros_like(du)
-    return step, Step(ddu, ddv, none, none, none, none)
+    return step, DescentStep(ddu, ddv, none, none, none, none)

@@ -20,7 +20,7 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Rotation, Scalar, Vec3
 from pftwin.geometry.patch.charts import CylindricalChart, Jet
-from pftwin.geometry.patch.closest import Profile
+from pftwin.geometry.patch.closest import SurfaceProfile
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -100,13 +100,13 @@ class FemoralComponent(eqx.Module):
         """The nearest coordinate across the groove that lies on the component."""
         return jnp.clip(v, -self.half_width, self.half_width)
 
-    def profile(self, u: Scalar) -> Profile:
+    def profile(self, u: Scalar) -> SurfaceProfile:
         """The surface along v at one u, by forward differentiation."""
 
         def height_and_slope(v: Scalar) -> tuple[Scalar, Scalar]:
             return jax.jvp(lambda a: self.height(a, v), (u,), (jnp.ones_like(u),))
 
-        return Profile(height_and_slope, lambda v: self.jet(u, v).uu)
+        return SurfaceProfile(height_and_slope, lambda v: self.jet(u, v).uu)
 
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
         """How far beyond the component's edge a point lies [m]; zero inside."""

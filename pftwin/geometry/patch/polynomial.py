@@ -17,7 +17,7 @@ from jaxtyping import Array
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
 from pftwin.geometry.patch.charts import Chart, Jet
-from pftwin.geometry.patch.closest import Profile
+from pftwin.geometry.patch.closest import SurfaceProfile
 
 
 def exponents(degree: int) -> list[tuple[int, int]]:
@@ -78,7 +78,7 @@ class PolynomialPatch(eqx.Module):
         """The nearest coordinate across the groove that lies on the fitted rectangle."""
         return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
 
-    def profile(self, u: Scalar) -> Profile:
+    def profile(self, u: Scalar) -> SurfaceProfile:
         """The patch along v at one u, at a fifth of a jet's price for each v.
 
         Only for v on the fitted rectangle; u may lie beyond it.
@@ -104,7 +104,7 @@ class PolynomialPatch(eqx.Module):
             bends = [bend for *_, bend in rows if bend is not None]
             return inside * _value(bends, across(v)) if bends else jnp.zeros_like(v)
 
-        return Profile(height_and_slope, curvature)
+        return SurfaceProfile(height_and_slope, curvature)
 
 
 def _value(c: Sequence[Scalar], x: Scalar) -> Scalar:

@@ -28,14 +28,14 @@ from jaxtyping import Array
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
 from pftwin.geometry.patch.charts import Chart, Jet
-from pftwin.geometry.patch.closest import Profile
+from pftwin.geometry.patch.closest import SurfaceProfile
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.geometry.patch.spline_basis import CELL_POWERS, legendre_to_powers, polynomial_projection
 
 FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm rms of a trochlea
 
 
-class Loop(NamedTuple):
+class PreparedSpline(NamedTuple):
     """What is made of a spline's coefficients before a loop."""
 
     table: Array  # (n_u * n_v, 16): the coefficient of x^p y^q in column 4 p + q, x and y 0 to 1 in the cell
@@ -52,7 +52,7 @@ class SplinePatch(eqx.Module):
     coefficients: Array = eqx.field(metadata=quantity("m"))  # (n_u + 3, n_v + 3) for n_u x n_v cells
     center: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m"))  # (u0, v0)
     half_size: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m", positive=True))  # (half_u, half_v)
-    loop: Loop | None = None  # once it has been made
+    loop: PreparedSpline | None = None  # once it has been made
     smooth: ClassVar[bool] = False  # third derivatives jump from cell to cell
 
     @property
@@ -66,8 +66,8 @@ class SplinePatch(eqx.Module):
             return self
         return eqx.tree_at(lambda s: s.loop, self, self._loop(), is_leaf=lambda x: x is None)
 
-    def _loop(self) -> Loop:
-        return self.loop or Loop(self._table(), self.nearest_polynomial())
+    def _loop(self) -> PreparedSpline:
+        return self.loop or PreparedSpline(self._table(), self.nearest_polynomial())
 
     def _table(self) -> Array:
         n_u, n_v = self.cells
@@ -97,7 +97,7 @@ class SplinePatch(eqx.Module):
         """The nearest coordinate across the groove that lies on the fitted rectangle."""
         return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
 
-    def profile(self, u: Scalar) -> Profile:
+    def profile(self, u: Scalar) -> SurfaceProfile:
         """The patch along v at one u, near enough to start a search; only for v on the fitted rectangle."""
         return self._loop().fan.profile(u)
 

@@ -20,7 +20,7 @@ from pftwin.model.motion import Frame, SegmentMotion
 
 if TYPE_CHECKING:
     from pftwin.model.effects.contact import Contact
-    from pftwin.model.effects.line_elements import Strung
+    from pftwin.model.effects.line_elements import LineElement
 
 
 class Ground:
@@ -67,8 +67,8 @@ class Instant(eqx.Module):
     tibia: Frame
     time: Scalar | float  # [s]
     step: Scalar | float  # time until the next look [s], for memories that move along; 0 when only looking
-    lead: Scalar | float = 0.0  # how far this instant lies ahead of the state that an implicit step starts from [s]
-    reach: Scalar | None = None  # where not the lead: displacement here per change of velocity [s]
+    lookahead: Scalar | float = 0.0  # time from the state that an implicit step starts from to this instant [s]
+    displacement_gain: Scalar | None = None  # where not `lookahead`: displacement here per change of velocity [s]
     twist: Twist | None = None  # where not the patella's here: that of the state that the step starts from
 
     def turn_in_femur(self) -> Rotation:
@@ -125,7 +125,7 @@ class Drag(eqx.Module):
         return self.translational * self.velocity.squared_norm() + self.rotational * self.spin.squared_norm()
 
 
-class Bed(eqx.Module):
+class AggregateStiffness(eqx.Module):
     """A great many like stiff terms on one body, summed: all that a step and the energy budget need of them.
 
     With g_i = (direction, moment) of each, forces f_i >= 0 and slopes k_i, and c_i = c k_i.
@@ -157,7 +157,7 @@ class Load(NamedTuple):
     """What an effect does to the patella at an instant."""
 
     stiff: tuple[StiffTerm, ...] = ()
-    bed: Bed | None = None
+    bed: AggregateStiffness | None = None
     drag: Drag | None = None
     wrench: Wrench | None = None  # all that is not stiff: force in world axes, moment in patella axes
     energy: Scalar | None = None  # stored [J]
@@ -226,7 +226,7 @@ class Effect(eqx.Module):
         """A rough memory that a few loads at rest make right: cheaper to compile where loads are taken anyway."""
         return self.remember(now)
 
-    def refined(self, memory: Any, looked: Any) -> Any:
+    def refined(self, memory: Any, trial: Any) -> Any:
         """A memory with what a look at a trial pose has found better: places, not what began or went by."""
         return memory
 
@@ -238,7 +238,7 @@ class Effect(eqx.Module):
         """What `observe` shows, and the energy stored; for effects that find both at once to override."""
         return self.observe(now, memory), self.load(now, memory)[0].energy
 
-    def line_element(self) -> Strung | None:
+    def line_element(self) -> LineElement | None:
         """The effect as a line of force that pulls at the patella; None for all others."""
         return None
 
@@ -262,7 +262,7 @@ class Effect(eqx.Module):
         """The effect where a moving femur's frame is taken for an inertial one; None where it cannot be had there."""
         return self
 
-    def about(self, center_of_mass: Vec3) -> Effect:
+    def recentred(self, center_of_mass: Vec3) -> Effect:
         """The same effect with patella points counted from the centre of mass, ready for the inner loop."""
         return self
 

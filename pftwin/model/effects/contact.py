@@ -44,7 +44,7 @@ class Contact(Effect):
         return self
 
     @abstractmethod
-    def followed(self) -> Vec3:
+    def tracked_point(self) -> Vec3:
         """The point of the patella whose path results show: the middle of the button's sphere, patella frame [m]."""
 
     @abstractmethod
@@ -72,7 +72,9 @@ class Contact(Effect):
         return None
 
     def button_triangles(self) -> Array | None:
-        """Corners (n, 9) of the button's triangles from `followed`, patella axes [m]; None where it is a sphere."""
+        """Corners (n, 9) of the button's triangles from `tracked_point`, patella axes [m]; None where it is a
+        sphere.
+        """
         return None
 
     def with_friction(self, friction: Friction) -> Contact:

@@ -33,7 +33,7 @@ def pushed(
 
     Args:
         law: the normal contact law.
-        now: the instant; its lead says how far ahead of a step's start it is.
+        now: the instant; its `lookahead` says how far ahead of a step's start it is.
         indentation, rate: [m], [m/s].
         direction, moment: of a unit force on the patella: world axes, and patella axes about the centre of mass [m].
         approach_speed: what `approach_speed` was at the last look.
@@ -45,10 +45,10 @@ def pushed(
     # Sliding along a curve, a tangent leads off the surface: linearised about the deeper of where the step starts
     # and where it leads, contact does not open and close from step to step.
     # The viscous part is left to the step as well, which sees that the force does not pull.
-    if isinstance(now.lead, float):
+    if isinstance(now.lookahead, float):
         force = law.force(indentation, rate, approach_speed)
     else:
-        deeper = jnp.where(rate < 0, -now.lead * rate, 0.0)
+        deeper = jnp.where(rate < 0, -now.lookahead * rate, 0.0)
         force = law.force(indentation + deeper, jnp.zeros_like(rate), approach_speed)
         back = force.elastic - deeper * force.stiffness
         force = force._replace(total=back + force.damping * rate, elastic=back)

@@ -22,7 +22,7 @@ from pftwin.geometry.contact.depth_search import centroid
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import DEEPEST
 from pftwin.geometry.patch.closest import Surface
-from pftwin.model.effects.base import Bed, Ground, Instant, Load, Observable
+from pftwin.model.effects.base import AggregateStiffness, Ground, Instant, Load, Observable
 from pftwin.model.effects.contact import FACETS, FORCE, Contact
 from pftwin.model.effects.foundation_law import FoundationLaw
 from pftwin.model.effects.foundation_sums import Bedded, Pressures, sums
@@ -81,7 +81,9 @@ class ElasticFoundation(Contact):
         at = self.pressed(now)
         found = sums(at)[0]
         velocity, spin = Vec3.from_array(at.twist[:3]), Vec3.from_array(at.twist[3:])
-        bed = Bed(found.force, found.elastic, found.stiffness, at.damping_time, found.size, velocity, spin)
+        bed = AggregateStiffness(
+            found.force, found.elastic, found.stiffness, at.damping_time, found.size, velocity, spin
+        )
         return Load(bed=bed, energy=found.energy), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
@@ -120,7 +122,7 @@ class ElasticFoundation(Contact):
         femur = self.femur
         return behind(femur.corners, femur.triangle, femur.rim_edges(), middle, found.area == 0).there
 
-    def followed(self) -> Vec3:
+    def tracked_point(self) -> Vec3:
         """The origin of the button's mesh: the middle of a sphere."""
         return self.origin
 
@@ -144,6 +146,6 @@ class ElasticFoundation(Contact):
         """See `Contact`."""
         return self.button.corners
 
-    def about(self, center_of_mass: Vec3) -> ElasticFoundation:
+    def recentred(self, center_of_mass: Vec3) -> ElasticFoundation:
         """The button's frame counted from the centre of mass."""
         return eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)

@@ -17,7 +17,7 @@ from jaxtyping import Array
 from pftwin.base.leaves import all_changes
 from pftwin.base.spatial import Rotation, Scalar, Vec3
 from pftwin.geometry.bvh.members import member_by_member
-from pftwin.geometry.contact.depth_search import Found, find
+from pftwin.geometry.contact.depth_search import TouchingLeaves, find
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import REACH, Depths, depths_in
 from pftwin.model.effects.foundation_law import FoundationLaw
@@ -40,7 +40,7 @@ class Bedded(eqx.Module):
 
 
 class Forces(NamedTuple):
-    """Sums over the triangles in contact: see `pftwin.model.effects.base.Bed`."""
+    """Sums over the triangles in contact: see `pftwin.model.effects.base.AggregateStiffness`."""
 
     force: Array  # (6,)
     elastic: Array  # (6,)
@@ -81,7 +81,7 @@ def sums(at: Bedded) -> Sums:
 
 
 @eqx.filter_custom_jvp
-def _summed(at: Bedded, found: Found) -> Sums:
+def _summed(at: Bedded, found: TouchingLeaves) -> Sums:
     return member_by_member(_sum_of_all)(at, found)
 
 
@@ -104,7 +104,7 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
     return jax.jvp(total, (moving,), (changes,))
 
 
-def _sum_of_all(at: Bedded, found: Found) -> Sums:
+def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Sums:
     def piece(state: tuple[Array, Sums]) -> tuple[Array, Sums]:
         start, so_far = state
         return start + PIECE, _together(so_far, _piece(at, found, start))
@@ -126,7 +126,7 @@ def _together(one: Sums, other: Sums) -> Sums:
     return forces, pressures._replace(most=most, deepest=deepest)
 
 
-def _piece(at: Bedded, found: Found, start: Array) -> Sums:
+def _piece(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     """Sums over some of the leaves."""
     # The last piece begins early enough to be whole, and counts only what no other has counted.
     first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))

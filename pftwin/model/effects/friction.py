@@ -48,7 +48,9 @@ class LastPush(NamedTuple):
     @staticmethod
     def of(push: StiffTerm, now: Instant) -> LastPush:
         """To be remembered."""
-        weight = (now.lead if now.reach is None else now.reach) * push.stiffness + push.damping
+        weight = (
+            now.lookahead if now.displacement_gain is None else now.displacement_gain
+        ) * push.stiffness + push.damping
         here = Twist(now.patella.velocity, now.patella.spin)
         unchanged = push.force + weight * _pace(push.direction, push.moment, here)
         return LastPush(push.direction, push.moment, unchanged, weight)
@@ -111,9 +113,9 @@ class WithFriction(Contact):
         """What the contact guesses, and no force before."""
         return self._first(now, self.alone().guess(now))
 
-    def refined(self, memory: FrictionMemory, looked: FrictionMemory) -> FrictionMemory:
+    def refined(self, memory: FrictionMemory, trial: FrictionMemory) -> FrictionMemory:
         """What the contact refines."""
-        return memory._replace(contact=self.alone().refined(memory.contact, looked.contact))
+        return memory._replace(contact=self.alone().refined(memory.contact, trial.contact))
 
     def _first(self, now: Instant, memory: Any) -> FrictionMemory:
         zero = jnp.zeros_like(now.patella.position.x)
@@ -126,7 +128,7 @@ class WithFriction(Contact):
         load, contact = self.alone().load(now, memory.contact)
         pushes, last = _pushes(load), memory.last
         slidings = [self._sliding(now, push, before) for push, before in zip(pushes, last, strict=True)]
-        if not isinstance(now.lead, float):
+        if not isinstance(now.lookahead, float):
             last = tuple(LastPush.of(push, now) for push in pushes)
         tangential = [term for sliding in slidings for term in sliding.terms]
         return load._replace(stiff=(*load.stiff, *tangential)), FrictionMemory(contact, last)
@@ -176,7 +178,7 @@ def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
     The force looked at is not the one that the step will come to: a stiff contact that is being made presses there
     hundreds of times as hard, and so would friction.
     """
-    if isinstance(now.lead, float):
+    if isinstance(now.lookahead, float):
         return jnp.maximum(push.force, 0.0)
     twist = Twist(now.patella.velocity, now.patella.spin) if now.twist is None else now.twist
     came_to = jnp.maximum(last.unchanged - last.weight * _pace(last.direction, last.moment, twist), 0.0)

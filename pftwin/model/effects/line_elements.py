@@ -50,7 +50,7 @@ def _at_least(length: Scalar, least: float = 1e-9) -> Scalar:
     return jnp.where(length > least, length, least)
 
 
-class Strung(Effect):
+class LineElement(Effect):
     """An effect along straight lines, from its field `insertion` on the patella [m] to points of the guided `body`.
 
     Subclasses declare `insertion` and `body`, in their own order among their fields, and how hard the lines pull. What
@@ -76,7 +76,7 @@ class Strung(Effect):
         """None where it is fixed to the ground, which would move then."""
         return None if self.line_ends[1] == "ground" else self
 
-    def line_element(self) -> Strung:
+    def line_element(self) -> LineElement:
         """Itself."""
         return self
 
@@ -92,7 +92,7 @@ class Strung(Effect):
         return line_of_force(now, insertion, body, self.origin_at(now.time))
 
 
-class ElasticLine(Strung):
+class ElasticLine(LineElement):
     """Lines that pull by their stretch: the fields `stiffness`, `slack_length` [m], `insertion`, `origin`, `body`."""
 
     elastic: ClassVar[bool] = True
@@ -112,7 +112,7 @@ class ElasticLine(Strung):
 
     @property
     def line_ends(self) -> tuple[Vec3, str]:
-        """See `Strung`."""
+        """See `LineElement`."""
         return self.insertion, self.body
 
     def origin_at(self, time: Scalar | float) -> Vec3:
@@ -120,7 +120,7 @@ class ElasticLine(Strung):
         return self.origin
 
     def with_origin_moved(self, by: Vec3) -> Self:
-        """See `Strung`."""
+        """See `LineElement`."""
         return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
 
     def lengthened(self, by: Scalar | float) -> Self:
@@ -151,6 +151,6 @@ class ElasticLine(Strung):
         kind = type(self).__name__
         return InputError(f"{kind} does not say how its slack length follows from a tension", where=self.name)
 
-    def about(self, center_of_mass: Vec3) -> Self:
+    def recentred(self, center_of_mass: Vec3) -> Self:
         """Insertions counted from the centre of mass."""
         return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

@@ -18,7 +18,7 @@ from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.geometry.bvh.triangle import Triangle, half_extent
 from pftwin.geometry.contact.behind import Behind, behind
 from pftwin.geometry.contact.contact_mesh import ContactMesh
-from pftwin.geometry.contact.contour import Contact, Contacts, MeshPair, mesh_pair
+from pftwin.geometry.contact.contour import Contacts, ContourContact, MeshPair, mesh_pair
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.contact import Contact as FemoralContact
@@ -39,7 +39,7 @@ class MeshContact(FemoralContact):
     law: ContactLaw
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the patella's mesh; axes are the patella's
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
-    meshes: MeshPair | None = None  # laid out for the inner loop by `about`
+    meshes: MeshPair | None = None  # laid out for the inner loop by `recentred`
     method: ClassVar[str] = "contours"
     jumps: ClassVar[bool] = True  # where a corner or a triangle joins a contour
     observables: ClassVar[dict[str, Observable]] = {
@@ -54,7 +54,7 @@ class MeshContact(FemoralContact):
     def contacts(self, now: Instant) -> Contacts:
         """The contacts at an instant, in the femur's frame."""
         if self.meshes is None:
-            raise TypeError("a mesh contact takes loads only once it has been made ready: call `about` first")
+            raise TypeError("a mesh contact takes loads only once it has been made ready: call `recentred` first")
         return self.meshes.contacts(self._pose(now))
 
     def _pose(self, now: Instant) -> Pose:
@@ -97,7 +97,7 @@ class MeshContact(FemoralContact):
         speeds = memory or (None,) * len(found.each)
         return [self._push(now, c, speed) for c, speed in zip(found.each, speeds, strict=True)]
 
-    def _push(self, now: Instant, contact: Contact, approach_speed: Scalar | None) -> ContactPush:
+    def _push(self, now: Instant, contact: ContourContact, approach_speed: Scalar | None) -> ContactPush:
         patella, femur = now.patella, now.femur
         world = femur.direction(contact.normal)
         point = femur.point(contact.point)
@@ -144,7 +144,7 @@ class MeshContact(FemoralContact):
         report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}
         return report, sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
 
-    def followed(self) -> Vec3:
+    def tracked_point(self) -> Vec3:
         """The origin of the patella's mesh: the middle of a button's sphere."""
         return self.origin
 
@@ -153,7 +153,7 @@ class MeshContact(FemoralContact):
         return half_extent(self.patella.tree.triangles)
 
     def with_button_moved(self, by: Vec3) -> Self:
-        """See `Contact`."""
+        """See `ContourContact`."""
         return eqx.tree_at(lambda e: e.origin, self, self.origin + by)
 
     def groove_surface(self) -> Surface | None:
@@ -161,14 +161,14 @@ class MeshContact(FemoralContact):
         return self.surface
 
     def femur_triangles(self) -> Array:
-        """See `Contact`."""
+        """See `ContourContact`."""
         return self.femur.tree.triangles
 
     def button_triangles(self) -> Array:
-        """See `Contact`."""
+        """See `ContourContact`."""
         return self.patella.tree.triangles
 
-    def about(self, center_of_mass: Vec3) -> MeshContact:
+    def recentred(self, center_of_mass: Vec3) -> MeshContact:
         """Origin counted from the centre of mass; the meshes laid out for searches."""
         moved = eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)
         pair = mesh_pair(self.femur, self.patella)

@@ -104,7 +104,7 @@ class MeshSphereContact(Contact):
             report["overflow"] = jnp.maximum(report["overflow"], t.at.overflow.astype(zero.dtype))
         return {**report, "force_x": total.x, "force_y": total.y, "force_z": total.z}
 
-    def followed(self) -> Vec3:
+    def tracked_point(self) -> Vec3:
         """The sphere's centre."""
         return self.center
 
@@ -130,7 +130,7 @@ class MeshSphereContact(Contact):
 
         return RoughMeshSphereContact.of(self, friction)
 
-    def about(self, center_of_mass: Vec3) -> MeshSphereContact:
+    def recentred(self, center_of_mass: Vec3) -> MeshSphereContact:
         """Sphere centre counted from the centre of mass."""
         return eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)
 

@@ -124,7 +124,7 @@ class MeshVolumeContact(Contact):
         t = self.touch(now, memory)
         return Load(stiff=t.terms, energy=t.energy), t.speeds
 
-    def followed(self) -> Vec3:
+    def tracked_point(self) -> Vec3:
         """The sphere's centre."""
         return self.center
 
@@ -150,7 +150,7 @@ class MeshVolumeContact(Contact):
 
         return RoughMeshVolumeContact.of(self, friction)
 
-    def about(self, center_of_mass: Vec3) -> MeshVolumeContact:
+    def recentred(self, center_of_mass: Vec3) -> MeshVolumeContact:
         """Sphere centre counted from the centre of mass; the mesh made ready for many looks."""
         moved = eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)
         return eqx.tree_at(lambda e: e.mesh, moved, self.mesh.prepared())

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.contact.facets import MERGED, Place, follow_facets
+from pftwin.geometry.contact.facets import MERGED, FollowedPoint, follow_facets
 from pftwin.geometry.patch.closest import ClosestPoint, Surface
 from pftwin.model.effects.base import Instant, Load, Observable, StiffTerm, applied_at
 from pftwin.model.effects.contact import FORCE, Contact
@@ -30,7 +30,7 @@ SEARCH_STEPS = 10  # steps that find the contacts from nothing
 class ContactMemory(NamedTuple):
     """What contact carries from step to step."""
 
-    places: tuple[Place, Place]  # of the medial and the lateral point
+    places: tuple[FollowedPoint, FollowedPoint]  # of the medial and the lateral point
     approach_speeds: tuple[Scalar, Scalar] | None  # at the moment each contact began, 0 while apart [m/s]
 
 
@@ -71,7 +71,7 @@ class SphereContact(Contact):
     def guess(self, now: Instant) -> ContactMemory:
         """Both points below the sphere's centre, from where they find their way; no contact has begun yet."""
         c, _ = self.centre_in_chart(now)
-        foot = Place(*self.surface.chart.foot(c), jnp.zeros_like(c.x))
+        foot = FollowedPoint(*self.surface.chart.foot(c), jnp.zeros_like(c.x))
         zero = jnp.zeros_like(c.x)
         return ContactMemory((foot, foot), (zero, zero) if self.law.remembers_approach else None)
 
@@ -79,17 +79,17 @@ class SphereContact(Contact):
         """Both points, found from nothing; no contact has begun yet."""
         c, _ = self.centre_in_chart(now)
 
-        def improve(_: Scalar, places: tuple[Place, Place]) -> tuple[Place, Place]:
+        def improve(_: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> tuple[FollowedPoint, FollowedPoint]:
             found = follow_facets(self.surface, c, self.radius, places)
-            medial, lateral = (Place(p.u, p.v, p.settled) for p in (found.medial, found.lateral))
+            medial, lateral = (FollowedPoint(p.u, p.v, p.settled) for p in (found.medial, found.lateral))
             return medial, lateral
 
         start = self.guess(now)
         return start._replace(places=jax.lax.fori_loop(0, SEARCH_STEPS, improve, start.places))
 
-    def refined(self, memory: ContactMemory, looked: ContactMemory) -> ContactMemory:
+    def refined(self, memory: ContactMemory, trial: ContactMemory) -> ContactMemory:
         """The look's points."""
-        return memory._replace(places=looked.places)
+        return memory._replace(places=trial.places)
 
     def touches(self, now: Instant, memory: ContactMemory) -> tuple[Touch, Touch, ContactMemory]:
         """The medial and the lateral contact at this instant, and the memory for the next."""
@@ -99,7 +99,7 @@ class SphereContact(Contact):
         speeds = memory.approach_speeds or (None, None)
         one, two = (self._touch(now, p, velocity, speed, facets.share) for p, speed in zip(points, speeds, strict=True))
         way = now.step * velocity
-        medial, lateral = (Place(p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled) for p in points)
+        medial, lateral = (FollowedPoint(p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled) for p in points)
         begun = None
         if one.approach_speed is not None and two.approach_speed is not None:
             begun = one.approach_speed, two.approach_speed
@@ -142,7 +142,7 @@ class SphereContact(Contact):
             off_patch = jnp.maximum(off_patch, jnp.where(loaded, self.surface.outside(p.u, p.v), 0.0))
         return {**report, "off_patch": off_patch}
 
-    def followed(self) -> Vec3:
+    def tracked_point(self) -> Vec3:
         """The sphere's centre."""
         return self.center
 
@@ -172,7 +172,7 @@ class SphereContact(Contact):
 
         return RoughSphereContact.of(self, friction)
 
-    def about(self, center_of_mass: Vec3) -> SphereContact:
+    def recentred(self, center_of_mass: Vec3) -> SphereContact:
         """Sphere centre counted from the centre of mass; the patch's coefficients one array each."""
         moved = eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)
         return eqx.tree_at(lambda e: e.surface, moved, self.surface.unstacked())

@@ -25,7 +25,7 @@ from pftwin.base.spatial import Scalar
 RELAXED = -1.0  # in place of the dashpot's stretch, which is never negative: wherever a solid at rest has it [m]
 
 
-class Pull(NamedTuple):
+class SolidPull(NamedTuple):
     """What the solid does at an instant, or at the end of a step."""
 
     tension: Scalar  # [N]
@@ -46,7 +46,7 @@ class StandardLinearSolid(eqx.Module):
         """The dashpot's stretch, with `RELAXED` made a number."""
         return jnp.where(dashpot < 0, jnp.maximum(stretch, 0.0), dashpot)
 
-    def at(self, stretch: Scalar, dashpot: Scalar) -> Pull:
+    def at(self, stretch: Scalar, dashpot: Scalar) -> SolidPull:
         """At an instant; where the dashpot is `RELAXED` it follows the stretch, at the long-term stiffness."""
         e = self.resting(stretch, dashpot)
         at_once = self.stiffness + self.maxwell_stiffness
@@ -56,9 +56,9 @@ class StandardLinearSolid(eqx.Module):
         slope = jnp.where(dashpot < 0, self.stiffness, at_once)
         heat = self.maxwell_stiffness * jnp.square(material - e) / self.relaxation_time
         tension, stiffness = (jnp.where(taut, a, 0.0) for a in (pull, slope))
-        return Pull(tension, stiffness, self._energy(material, e), heat, dashpot)
+        return SolidPull(tension, stiffness, self._energy(material, e), heat, dashpot)
 
-    def over(self, start: Scalar, end: Scalar, dashpot: Scalar, duration: Scalar | float) -> Pull:
+    def over(self, start: Scalar, end: Scalar, dashpot: Scalar, duration: Scalar | float) -> SolidPull:
         """At the end of a time over which the stretch goes from `start` to `end`.
 
         Args:
@@ -88,7 +88,7 @@ class StandardLinearSolid(eqx.Module):
         square = jnp.square(average) + jnp.square(last - first) / 12 + jnp.square(bow) / 5
         heat = self.maxwell_stiffness * square / self.relaxation_time
         tension, stiffness = (jnp.where(taut, a, 0.0) for a in (pull, slope))
-        return Pull(tension, stiffness, self._energy(ends, after), heat, after)
+        return SolidPull(tension, stiffness, self._energy(ends, after), heat, after)
 
     def _energy(self, material: Scalar, dashpot: Scalar) -> Scalar:
         """Of both springs [J]."""

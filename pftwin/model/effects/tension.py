@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.model.effects.base import Instant, Load, Observable
-from pftwin.model.effects.line_elements import Strung
+from pftwin.model.effects.line_elements import LineElement
 
 
-class PrescribedTension(Strung):
+class PrescribedTension(LineElement):
     """Lines that pull with tensions given over time, from origins that may move on their body (wrapping muscles).
 
     `tension` has shape (n_samples, n_lines), `origin` the same per coordinate, `insertion` (n_lines,). Between samples
@@ -44,7 +44,7 @@ class PrescribedTension(Strung):
 
     @property
     def line_ends(self) -> tuple[Vec3, str]:
-        """See `Strung`."""
+        """See `LineElement`."""
         return self.insertion, self.body
 
     def origin_at(self, time: Scalar | float) -> Vec3:
@@ -52,10 +52,10 @@ class PrescribedTension(Strung):
         return self.at(time)[1]
 
     def with_origin_moved(self, by: Vec3) -> PrescribedTension:
-        """See `Strung`."""
+        """See `LineElement`."""
         return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
 
-    def about(self, center_of_mass: Vec3) -> PrescribedTension:
+    def recentred(self, center_of_mass: Vec3) -> PrescribedTension:
         """Insertions counted from the centre of mass."""
         return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
 

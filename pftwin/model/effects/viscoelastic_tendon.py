@@ -11,7 +11,7 @@ from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.line_elements import ElasticLine, Line
-from pftwin.model.effects.standard_linear_solid import RELAXED, Pull, StandardLinearSolid
+from pftwin.model.effects.standard_linear_solid import RELAXED, SolidPull, StandardLinearSolid
 
 
 class ViscoelasticTendon(ElasticLine):
@@ -57,8 +57,8 @@ class ViscoelasticTendon(ElasticLine):
         """
         line = self.line(now)
         stretch = line.length - self.slack_length
-        if not isinstance(now.lead, float):  # the end of a step, seen from its start
-            pull = self.solid.over(stretch - now.lead * line.lengthening, stretch, memory, now.lead)
+        if not isinstance(now.lookahead, float):  # the end of a step, seen from its start
+            pull = self.solid.over(stretch - now.lookahead * line.lengthening, stretch, memory, now.lookahead)
             return self._load(line, pull), pull.dashpot
         pull = self.solid.at(stretch, memory)
         if isinstance(now.step, float) and now.step == 0.0:
@@ -66,7 +66,7 @@ class ViscoelasticTendon(ElasticLine):
         later = self.solid.over(stretch, stretch + now.step * line.lengthening, memory, now.step)
         return self._load(line, pull), later.dashpot
 
-    def _load(self, line: Line, pull: Pull) -> Load:
+    def _load(self, line: Line, pull: SolidPull) -> Load:
         # The tension is all elastic: what the dashpot loses does not depend on how fast the ends move apart.
         term = line.term(pull.tension, pull.tension, pull.stiffness, jnp.zeros_like(pull.tension))
         return Load(stiff=(term,), energy=jnp.sum(pull.energy), heat=jnp.sum(pull.heat))

@@ -12,7 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.results.metrics import validate
 from pftwin.results.plots.flexion_cycles import Band, band, common_grid, strokes_of
 from pftwin.results.plots.panels import entries, figure_of, given_axes, panels_in_rows
-from pftwin.results.plots.quantities import Quantity, provenance, quantities
+from pftwin.results.plots.quantities import PlottedQuantity, provenance, quantities
 from pftwin.results.plots.style import BAND, COLOURS, house_style, legend_below
 from pftwin.results.plots.style import title as name_figure
 
@@ -133,7 +133,9 @@ def bands(courses: list[tuple[Floats, Floats, str]], grid: Floats, way: Strokes 
     return {words: band(some, grid) for words, some in found.items()}
 
 
-def _of(quantity: Quantity, group: list[Result], measured: Measured | None = None) -> list[tuple[Floats, Floats, str]]:
+def _of(
+    quantity: PlottedQuantity, group: list[Result], measured: Measured | None = None
+) -> list[tuple[Floats, Floats, str]]:
     """Knee flexion and the quantity of every result that has it, or of the measurements."""
     out = []
     for result in group:

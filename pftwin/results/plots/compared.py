@@ -10,7 +10,7 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.results.metrics import Validation, validate
 from pftwin.results.plots.panels import figure_of, given_axes, panels_in_rows
-from pftwin.results.plots.quantities import FEMORAL, QUANTITIES, TIBIAL, Quantity, provenance, tension
+from pftwin.results.plots.quantities import FEMORAL, QUANTITIES, TIBIAL, PlottedQuantity, provenance, tension
 from pftwin.results.plots.style import MEASURED, SMALL, house_style, legend_above, legend_below, line
 from pftwin.results.plots.style import title as name_figure
 
@@ -75,7 +75,9 @@ def compared(
     return figure_of(own[0])
 
 
-def _panels(measured: Measured, errors: list[Validation], tibial: str | None, femoral: str | None) -> list[Quantity]:
+def _panels(
+    measured: Measured, errors: list[Validation], tibial: str | None, femoral: str | None
+) -> list[PlottedQuantity]:
     """What was measured and is simulated, so that it has an error."""
     springs = {"tibial_spring": tibial, "femoral_spring": femoral}
     found = []
@@ -89,13 +91,13 @@ def _panels(measured: Measured, errors: list[Validation], tibial: str | None, fe
     return found
 
 
-def _error(errors: Validation, quantity: Quantity) -> float | None:
+def _error(errors: Validation, quantity: PlottedQuantity) -> float | None:
     return getattr(errors, quantity.error)
 
 
 def _panel(
-    ax: Any, quantity: Quantity, named: Mapping[str, Result], measured: Measured, errors: Mapping[str, Validation],
-    against: str,
+    ax: Any, quantity: PlottedQuantity, named: Mapping[str, Result], measured: Measured,
+    errors: Mapping[str, Validation], against: str,
 ) -> None:  # fmt: skip
     first = next(iter(named.values()))
     across = first.times if against == "time" else np.degrees(np.asarray(first.knee.flexion))

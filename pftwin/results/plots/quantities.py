@@ -27,7 +27,7 @@ def as_read(unit: str) -> tuple[float, str]:
     return _READ.get(unit, (1.0, unit))
 
 
-class Quantity(NamedTuple):
+class PlottedQuantity(NamedTuple):
     """A course over the frames, in the unit in which people read it."""
 
     words: str  # with the sense of its sign
@@ -42,18 +42,18 @@ class Quantity(NamedTuple):
         return f"{self.words} [{self.unit}]"
 
 
-def _angle(name: str, words: str) -> Quantity:
+def _angle(name: str, words: str) -> PlottedQuantity:
     def of(source: Any) -> Floats | None:
         return None if source.angles is None else np.degrees(getattr(source.angles, name))
 
-    return Quantity(words, "deg", of, of, "internal_rotation" if name == "rotation" else name)
+    return PlottedQuantity(words, "deg", of, of, "internal_rotation" if name == "rotation" else name)
 
 
-def _place(axis: int, words: str) -> Quantity:
+def _place(axis: int, words: str) -> PlottedQuantity:
     def of(source: Any) -> Floats:
         return 1e3 * source.center[:, axis]
 
-    return Quantity(words, "mm", of, of, "xyz"[axis])
+    return PlottedQuantity(words, "mm", of, of, "xyz"[axis])
 
 
 def contact_force(result: Result) -> Floats | None:
@@ -61,9 +61,9 @@ def contact_force(result: Result) -> Floats | None:
     return None if result.contact is None else _summed(result, result.contact, "force")
 
 
-def tension(effect: str, words: str, attribute: str, error: str) -> Quantity:
+def tension(effect: str, words: str, attribute: str, error: str) -> PlottedQuantity:
     """The tension of a tendon or a group of strands, beside a measured spring force."""
-    return Quantity(words, "N", lambda r: _summed(r, effect, "tension"), lambda m: getattr(m, attribute), error)
+    return PlottedQuantity(words, "N", lambda r: _summed(r, effect, "tension"), lambda m: getattr(m, attribute), error)
 
 
 def _summed(result: Result, effect: str, observable: str) -> Floats | None:
@@ -72,12 +72,12 @@ def _summed(result: Result, effect: str, observable: str) -> Floats | None:
     return None if values is None else np.asarray(values, dtype=np.float64).reshape(result.times.size, -1).sum(axis=1)
 
 
-QUANTITIES: dict[str, Quantity] = {
+QUANTITIES: dict[str, PlottedQuantity] = {
     "tilt": _angle("tilt", "tilt, lateral positive"),
     "shift": _place(1, "shift, lateral positive"),
     "rotation": _angle("rotation", "rotation, internal positive"),
     "flexion": _angle("flexion", "patellar flexion"),
-    "contact_force": Quantity("contact force", "N", contact_force, lambda m: m.contact_force, "contact_force"),
+    "contact_force": PlottedQuantity("contact force", "N", contact_force, lambda m: m.contact_force, "contact_force"),
     "x": _place(0, "centre x, proximal"),
     "y": _place(1, "centre y, lateral"),
     "z": _place(2, "centre z, anterior"),
@@ -86,7 +86,7 @@ QUANTITIES: dict[str, Quantity] = {
 }
 
 
-def quantities(names: tuple[str, ...] | list[str]) -> dict[str, Quantity]:
+def quantities(names: tuple[str, ...] | list[str]) -> dict[str, PlottedQuantity]:
     """Some of them, by name.
 
     Raises:

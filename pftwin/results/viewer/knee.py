@@ -9,7 +9,7 @@ import numpy as np
 from pftwin.results.viewer import bones
 from pftwin.results.viewer.drawing import body, carried, darker, held, keyed, paler, where_present
 from pftwin.results.viewer.matrices import MM, applied, at_points, of_arrows
-from pftwin.results.viewer.pushes import Push
+from pftwin.results.viewer.pushes import ContactArrow
 from pftwin.results.viewer.recorded import Lines, Recorded
 from pftwin.results.viewer.shapes import (
     Shape,
@@ -101,7 +101,7 @@ def contacts(result: Recorded, code: str, newtons: float) -> list[Drawable]:
     return [part for push in result.pushes if push.present.any() for part in _contact(result, push, code, newtons)]
 
 
-def _contact(result: Recorded, push: Push, code: str, newtons: float) -> list[Drawable]:
+def _contact(result: Recorded, push: ContactArrow, code: str, newtons: float) -> list[Drawable]:
     times, here, group = result.times, push.present, result.name
     points, drawn = held(push.points, here), []
     if push.touches:
@@ -116,7 +116,7 @@ def _contact(result: Recorded, push: Push, code: str, newtons: float) -> list[Dr
     return drawn
 
 
-def _path(result: Recorded, push: Push, code: str) -> list[Drawable]:
+def _path(result: Recorded, push: ContactArrow, code: str) -> list[Drawable]:
     """The whole way, pale, and on it what has been gone of it, which grows."""
     points = MM * np.where(push.present[:, None], push.points, np.nan)
     taken = apart(points, REST)

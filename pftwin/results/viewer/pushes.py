@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Push:
+class ContactArrow:
     """A contact, or the sum of several, at the frames shown (n)."""
 
     contact: str  # the effect
@@ -34,7 +34,7 @@ class Push:
         return np.asarray(there)
 
 
-def pushes(result: Recorded) -> list[Push]:
+def pushes(result: Recorded) -> list[ContactArrow]:
     """The contacts of a result.
 
     A sphere is pushed towards its centre, so the (normal) force on each facet has a direction. Of other contacts the
@@ -44,7 +44,7 @@ def pushes(result: Recorded) -> list[Push]:
     return [push for name in contacts for push in _of(result, name)]
 
 
-def _of(result: Recorded, contact: str) -> list[Push]:
+def _of(result: Recorded, contact: str) -> list[ContactArrow]:
     words = contact.replace("_", " ")
     names = [f"{words}, {facet}" for facet in FACETS]
     points, sizes = ([result.series(f"{contact}_{kind}_{facet}") for facet in FACETS] for kind in ("point", "force"))
@@ -52,19 +52,19 @@ def _of(result: Recorded, contact: str) -> list[Push]:
     center = result.series("sphere_center")
     if len(facets) == len(FACETS) and center is not None and "button_radius" in result.geometry:
         directed = [_towards(center, p, s) for p, s in facets]
-        return [Push(contact, n, p, f) for n, (p, _), f in zip(names, facets, directed, strict=True)]
+        return [ContactArrow(contact, n, p, f) for n, (p, _), f in zip(names, facets, directed, strict=True)]
     components = [result.series(f"{contact}_force_{axis}") for axis in "xyz"]
     total = np.stack([c for c in components if c is not None], axis=-1)
     if total.shape[-1] != 3:
         return []
     pressed = result.series(f"{contact}_center_of_pressure")
     if pressed is not None:
-        return [Push(contact, words, pressed, total)]
+        return [ContactArrow(contact, words, pressed, total)]
     if len(facets) < len(FACETS):
         return []
     borne = [np.where((s > 0)[:, None], p, np.nan) for p, s in facets]
-    touching = [Push(contact, n, p, None) for n, p in zip(names, borne, strict=True)]
-    return [*touching, Push(contact, words, _middle(facets), total, touches=False)]
+    touching = [ContactArrow(contact, n, p, None) for n, p in zip(names, borne, strict=True)]
+    return [*touching, ContactArrow(contact, words, _middle(facets), total, touches=False)]
 
 
 def _towards(center: Floats, points: Floats, sizes: Floats) -> Floats:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.matrices import Matrices, of_poses
-from pftwin.results.viewer.pushes import Push, pushes
+from pftwin.results.viewer.pushes import ContactArrow, pushes
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -98,7 +98,7 @@ class Recorded:
         return {n: Lines(self, n) for n in names}
 
     @cached_property
-    def pushes(self) -> list[Push]:
+    def pushes(self) -> list[ContactArrow]:
         """Contact points and forces."""
         return pushes(self)
 

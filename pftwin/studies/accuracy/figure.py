@@ -10,7 +10,7 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.results.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
-from pftwin.studies.accuracy.measure import Row
+from pftwin.studies.accuracy.measure import AccuracyRow
 from pftwin.studies.accuracy.table import front
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PANELS = (("real_time", "one run"), ("real_time_batch", "64 variants side by side"))
 
 
-def work_precision(rows: Sequence[Row], title: str, *, contact: str | None = None) -> Figure:
+def work_precision(rows: Sequence[AccuracyRow], title: str, *, contact: str | None = None) -> Figure:
     """Two panels: one run, and many side by side; a line for each integrator, its steps along it.
 
     Args:
@@ -52,7 +52,7 @@ def work_precision(rows: Sequence[Row], title: str, *, contact: str | None = Non
     return figure
 
 
-def _panel(ax: Axes, rows: Sequence[Row], speed: str) -> None:
+def _panel(ax: Axes, rows: Sequence[AccuracyRow], speed: str) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     names = list(dict.fromkeys(r.integrator for r in rows))

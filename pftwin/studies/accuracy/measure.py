@@ -19,7 +19,7 @@ from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 from pftwin.results.metrics import validate
 from pftwin.results.result import Result
-from pftwin.studies.accuracy.plan import MESHES, REFERENCE, REFERENCE_ON_MESHES, Setting
+from pftwin.studies.accuracy.plan import MESHES, REFERENCE, REFERENCE_ON_MESHES, MeasuredProgram
 from pftwin.studies.accuracy.programs import VARIANTS, Programs, programs
 from pftwin.studies.runs import Difference, difference, rms, time_in_turn
 
@@ -28,7 +28,7 @@ GRADIENT_SUBSTEPS = 2
 
 
 @dataclass(frozen=True)
-class Row:
+class AccuracyRow:
     """A line of the table. NaN: not measured, or nothing to measure."""
 
     contact: str
@@ -92,7 +92,7 @@ def converged(scene: Scene, contact: str) -> Converged:
     return Converged(found[0], 1e3 * rms(_apart(scene, found[1], found[0]).center))
 
 
-def rows(setting: Setting, scene: Scene, reference: Converged, measured: Measured | None) -> list[Row]:
+def rows(setting: MeasuredProgram, scene: Scene, reference: Converged, measured: Measured | None) -> list[AccuracyRow]:
     """One for each step, all of one compiled program."""
     start, relaxed = settle(scene.unnamed())
     p = programs(scene, setting.integrator)
@@ -107,7 +107,7 @@ def rows(setting: Setting, scene: Scene, reference: Converged, measured: Measure
     for n, at in steps.items():
         result = _result(scene, start.answer, relaxed, one(p.arrays, start.answer, at))
         found.append(
-            Row(
+            AccuracyRow(
                 setting.contact,
                 setting.integrator,
                 integrator_from_text(setting.integrator).order,
@@ -131,7 +131,7 @@ def _times(program: Callable[..., Any], p: Programs, start: Any, steps: dict[int
     return {n: time_in_turn([run], rounds=3, seconds=0.2, own=False)[0].seconds for n, run in runs.items()}
 
 
-def _gradient(p: Programs, start: Any, substeps: Any, setting: Setting) -> float:
+def _gradient(p: Programs, start: Any, substeps: Any, setting: MeasuredProgram) -> float:
     """The cost of a run with its derivatives, in runs."""
     if not setting.gradient:
         return float("nan")

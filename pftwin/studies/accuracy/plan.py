@@ -24,7 +24,7 @@ LONG = (1, 2, 5, 10)  # its steps, 1 ms as in the paper among them
 FLOATS = ("float64", "float32")
 
 
-class Setting(NamedTuple):
+class MeasuredProgram(NamedTuple):
     """One program to measure: everything but the step."""
 
     contact: str
@@ -43,7 +43,7 @@ class Setting(NamedTuple):
         return {"symplectic_euler": SHORT, PAPERS: LONG}.get(name, steps)
 
 
-def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence[str]) -> list[Setting]:
+def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence[str]) -> list[MeasuredProgram]:
     """Everything with everything, batches and derivatives included.
 
     Raises:
@@ -54,10 +54,10 @@ def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence
     for name in floats:
         if name not in FLOATS:
             raise InputError(f"no float type {name!r}", where="--dtype", expected=f"one of: {', '.join(FLOATS)}")
-    return [Setting(c, i, d, True, True) for c in contacts for i in integrators for d in floats]
+    return [MeasuredProgram(c, i, d, True, True) for c in contacts for i in integrators for d in floats]
 
 
-def everything() -> list[Setting]:
+def everything() -> list[MeasuredProgram]:
     """The whole table. Single precision on P5; batches and derivatives for the steps that batches are for, and of every
     integrator on P5.
     """
@@ -67,9 +67,11 @@ def everything() -> list[Setting]:
         # Contours' forces jump from facet to facet: `quasi_static` refuses them. By volume it takes minutes.
         for integrator in (*COMMON, *FURTHER) if smooth else COMMON[:3]:
             more = smooth and (chief or integrator in stepping)
-            found.append(Setting(contact, integrator, "float64", more, more))
+            found.append(MeasuredProgram(contact, integrator, "float64", more, more))
         if chief:
-            found += [Setting(contact, integrator, "float32", integrator in stepping, False) for integrator in COMMON]
+            found += [
+                MeasuredProgram(contact, integrator, "float32", integrator in stepping, False) for integrator in COMMON
+            ]
         if contact in ("P5", "CM"):
-            found.append(Setting(contact, PAPERS, "float64", False, False))
+            found.append(MeasuredProgram(contact, PAPERS, "float64", False, False))
     return found

@@ -13,29 +13,29 @@ from pftwin.model.measured import Measured
 from pftwin.results.metrics import PAPER_TABLE_1, Validation, validate
 from pftwin.results.plots import save_figure
 from pftwin.studies.accuracy.figure import work_precision
-from pftwin.studies.accuracy.measure import Converged, Row, SceneOf, compiling_anew, converged, float_type, rows
-from pftwin.studies.accuracy.plan import Setting
+from pftwin.studies.accuracy.measure import AccuracyRow, Converged, SceneOf, compiling_anew, converged, float_type, rows
+from pftwin.studies.accuracy.plan import MeasuredProgram
 from pftwin.studies.accuracy.table import advice, columns, everything
 from pftwin.studies.runs import run_each
 from pftwin.studies.tables import Sheet, to_csv, to_dataset
 
 
 @dataclass(frozen=True)
-class Found:
+class AccuracyMeasured:
     """What was measured."""
 
-    rows: list[Row]
+    rows: list[AccuracyRow]
     references: dict[str, Converged]  # by contact
     models: dict[str, Validation]  # converged runs against the measurements, by contact; none without measurements
 
 
 def measure_all(
-    plan: Sequence[Setting],
+    plan: Sequence[MeasuredProgram],
     scene_of: SceneOf,
     measured: Measured | None,
     tell: Callable[[str], None],
-    keep: Callable[[list[Row]], None] = lambda _: None,
-) -> Found:
+    keep: Callable[[list[AccuracyRow]], None] = lambda _: None,
+) -> AccuracyMeasured:
     """Rows of a plan, the converged runs first.
 
     Args:
@@ -47,14 +47,14 @@ def measure_all(
     """
     references: dict[str, Converged] = {}
 
-    def before(k: int, setting: Setting) -> None:
+    def before(k: int, setting: MeasuredProgram) -> None:
         if setting.contact not in references:
             tell(f"{setting.contact}: converged run")
             with float_type("float64"):
                 references[setting.contact] = converged(scene_of(setting.contact), setting.contact)
         tell(f"{k + 1} of {len(plan)}: {setting.contact}, {setting.integrator}, {setting.dtype}")
 
-    def one(setting: Setting) -> list[Row]:
+    def one(setting: MeasuredProgram) -> list[AccuracyRow]:
         with float_type(setting.dtype):
             return rows(setting, scene_of(setting.contact), references[setting.contact], measured)
 
@@ -63,7 +63,7 @@ def measure_all(
     if len(found) < len(plan):
         raise KeyboardInterrupt  # `keep` has what was measured
     models = {} if measured is None else {c: _against(r, measured) for c, r in references.items()}
-    return Found([row for piece in found for row in piece], references, models)
+    return AccuracyMeasured([row for piece in found for row in piece], references, models)
 
 
 def _against(reference: Converged, measured: Measured) -> Validation:
@@ -76,7 +76,7 @@ def _against(reference: Converged, measured: Measured) -> Validation:
     return validate(reference.result, measured, **springs)
 
 
-def write(found: Found, folder: Path, title: str, about: dict[str, Any]) -> list[Path]:
+def write(found: AccuracyMeasured, folder: Path, title: str, about: dict[str, Any]) -> list[Path]:
     """accuracy.nc, accuracy.csv, accuracy.md, and a figure for each contact model."""
     folder.mkdir(parents=True, exist_ok=True)
     save_dataset(to_dataset(columns(found.rows), "setting", about), folder / "accuracy.nc")
@@ -91,7 +91,7 @@ def write(found: Found, folder: Path, title: str, about: dict[str, Any]) -> list
     return paths
 
 
-def report(found: Found, title: str, about: dict[str, Any]) -> str:
+def report(found: AccuracyMeasured, title: str, about: dict[str, Any]) -> str:
     """Everything in Markdown."""
     doubts = "; ".join(f"{c} {r.doubt_mm:.1g} mm" for c, r in found.references.items())
     return "\n".join(

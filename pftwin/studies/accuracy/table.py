@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pftwin.studies import tables
-from pftwin.studies.accuracy.measure import Row
+from pftwin.studies.accuracy.measure import AccuracyRow
 from pftwin.studies.tables import Column, Sheet, short
 
 LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors that settings are recommended for [mm]
@@ -36,26 +36,26 @@ class Advice(NamedTuple):
     """The fastest setting within an error."""
 
     level_mm: float
-    row: Row | None  # None: no setting that was measured is that accurate
-    best_batch: Row | None
+    row: AccuracyRow | None  # None: no setting that was measured is that accurate
+    best_batch: AccuracyRow | None
 
 
-def columns(rows: Sequence[Row]) -> list[Column]:
+def columns(rows: Sequence[AccuracyRow]) -> list[Column]:
     """Every field of the rows, units in the names."""
-    names = [f.name for f in fields(Row)]
+    names = [f.name for f in fields(AccuracyRow)]
     return [Column(n, [getattr(r, n) for r in rows], *ABOUT.get(n, ())) for n in names]
 
 
-def read_csv(path: str | os.PathLike[str]) -> list[Row]:
+def read_csv(path: str | os.PathLike[str]) -> list[AccuracyRow]:
     """Rows that were kept, of this version or of one that knew fewer columns: what it lacks is NaN.
 
     Raises:
         InputError: no such file, or one without the columns that make a row.
     """
-    return tables.read_csv(path, Row, _NEEDED, "a table of pftwin accuracy")
+    return tables.read_csv(path, AccuracyRow, _NEEDED, "a table of pftwin accuracy")
 
 
-def front(rows: Iterable[Row], speed: str = "real_time") -> list[Row]:
+def front(rows: Iterable[AccuracyRow], speed: str = "real_time") -> list[AccuracyRow]:
     """Settings that no other is both faster and more accurate than, the fastest first."""
     usable = [r for r in rows if np.isfinite(r.position_rms_mm) and np.isfinite(getattr(r, speed))]
     best, found = np.inf, []
@@ -66,12 +66,12 @@ def front(rows: Iterable[Row], speed: str = "real_time") -> list[Row]:
     return found
 
 
-def recommended(rows: Sequence[Row], levels: Sequence[float] = LEVELS) -> list[Advice]:
+def recommended(rows: Sequence[AccuracyRow], levels: Sequence[float] = LEVELS) -> list[Advice]:
     """For each level of error the fastest setting, alone and in a batch; of equally fast ones that in double precision,
     and the most accurate.
     """
 
-    def fastest(level: float, speed: str) -> Row | None:
+    def fastest(level: float, speed: str) -> AccuracyRow | None:
         within = [r for r in rows if r.position_rms_mm <= level and np.isfinite(getattr(r, speed))]
         enough = ALIKE * max((getattr(r, speed) for r in within), default=0.0)
         fast = [r for r in within if getattr(r, speed) >= enough]
@@ -80,7 +80,7 @@ def recommended(rows: Sequence[Row], levels: Sequence[float] = LEVELS) -> list[A
     return [Advice(level, fastest(level, "real_time"), fastest(level, "real_time_batch")) for level in levels]
 
 
-def advice(rows: Sequence[Row]) -> Sheet:
+def advice(rows: Sequence[AccuracyRow]) -> Sheet:
     """For each rms error the fastest, run alone and 64 side by side, with its largest error and the force's, rms."""
     found = []
     for level, one, many in recommended(rows):
@@ -95,7 +95,7 @@ def advice(rows: Sequence[Row]) -> Sheet:
     return Sheet(title, headings, tuple(found), words=(0, 1, 2), narrow=True)
 
 
-def everything(rows: Sequence[Row]) -> Sheet:
+def everything(rows: Sequence[AccuracyRow]) -> Sheet:
     """All figures of all rows."""
     headings = (
         "contact", "integrator", "float", "step, ms", "position rms (max), mm", "tilt, deg", "force, N",
@@ -112,7 +112,7 @@ def everything(rows: Sequence[Row]) -> Sheet:
     return Sheet("Everything measured", headings, tuple(found))
 
 
-def overview(rows: Sequence[Row]) -> Sheet:
+def overview(rows: Sequence[AccuracyRow]) -> Sheet:
     """What fits a terminal; the rest is in the files."""
     found, groups = [], []
     for r in rows:
@@ -128,7 +128,7 @@ def overview(rows: Sequence[Row]) -> Sheet:
     return Sheet(title, headings, tuple(found), tuple(groups), words=(0,), narrow=True)
 
 
-def described(row: Row) -> str:
+def described(row: AccuracyRow) -> str:
     """A setting in words."""
     single = "" if row.dtype == "float64" else ", float32"
     return f"{row.contact}, {row.integrator}, {row.step_ms:g} ms{single}"

@@ -18,12 +18,12 @@ from pftwin.dynamics.observe import observe
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State
 from pftwin.model.scene import Scene
-from pftwin.studies.audit.parts import Part, load_of, parts
+from pftwin.studies.audit.parts import EffectPart, load_of, parts
 from pftwin.studies.audit.step import frame_time, guide_over, one_step, step_length
 from pftwin.studies.audit.stiffness import Rates, rates
 
 
-class Sums(NamedTuple):
+class PartAccount(NamedTuple):
     """Of one part over the run."""
 
     work: Scalar  # done on the patella [J]
@@ -37,7 +37,7 @@ class Account(eqx.Module):
 
     states: State  # at the recorded frames (leading axis n)
     status: Array  # (n,) bits of `Status`
-    sums: tuple[Sums, ...]  # by part
+    sums: tuple[PartAccount, ...]  # by part
     kinetic: Array  # (2,) kinetic energy at the start and at the end [J]
 
 
@@ -73,7 +73,9 @@ def account(scene: Scene, start: Solution, integrator: Integrator, substeps: int
     return Account(states, seen.status, sums, kinetic)
 
 
-def _at_end(scene: Scene, listed: list[Part], state: State, guide: Guide, step: Scalar) -> tuple[Sums, ...]:
+def _at_end(
+    scene: Scene, listed: list[EffectPart], state: State, guide: Guide, step: Scalar
+) -> tuple[PartAccount, ...]:
     """One step's entries, from its end."""
     system, now = scene.system(), guide.instant(state.patella(), 0.0)
     out = []
@@ -81,12 +83,14 @@ def _at_end(scene: Scene, listed: list[Part], state: State, guide: Guide, step: 
         loads = load_of(part, system.effects[part.index], now, state.memories[part.index])
         power = sum((sign * load.power(now.patella) for sign, load in loads), start=jnp.zeros_like(step))
         heat = sum((sign * load.dissipation() for sign, load in loads), start=jnp.zeros_like(step))
-        out.append(Sums(step * power, step * jnp.abs(power), step * heat, rates(system, loads)))
+        out.append(PartAccount(step * power, step * jnp.abs(power), step * heat, rates(system, loads)))
     return tuple(out)
 
 
-def _added(before: tuple[Sums, ...], new: tuple[Sums, ...]) -> tuple[Sums, ...]:
+def _added(before: tuple[PartAccount, ...], new: tuple[PartAccount, ...]) -> tuple[PartAccount, ...]:
     return tuple(
-        Sums(a.work + b.work, a.moved + b.moved, a.heat + b.heat, jax.tree.map(jnp.maximum, a.fastest, b.fastest))
+        PartAccount(
+            a.work + b.work, a.moved + b.moved, a.heat + b.heat, jax.tree.map(jnp.maximum, a.fastest, b.fastest)
+        )
         for a, b in zip(before, new, strict=True)
     )

@@ -18,7 +18,7 @@ from pftwin.results.result import Result
 from pftwin.studies.audit.ablations import ablations
 from pftwin.studies.audit.additions import additions
 from pftwin.studies.audit.changes import Changes, changes, lost
-from pftwin.studies.audit.runs import Run, run_alone, run_side_by_side
+from pftwin.studies.audit.runs import VariantRun, run_alone, run_side_by_side
 from pftwin.studies.audit.variant import KINDS, Kind, NotApplicable, Variant
 from pftwin.studies.runs import Cost, run_each, time_in_turn
 
@@ -135,11 +135,13 @@ def _listed(scene: Scene, integrator: Integrator, only: Collection[str] | None) 
     return [v for v in listed if v.name in only]
 
 
-def _runs(scene: Scene, wanted: list[Variant], integrator: Integrator, substeps: int) -> dict[tuple[str, Kind], Run]:
+def _runs(
+    scene: Scene, wanted: list[Variant], integrator: Integrator, substeps: int
+) -> dict[tuple[str, Kind], VariantRun]:
     """Those that differ in numbers only side by side, the others one by one; after Ctrl-C, those that are done."""
     alike, alone = [v for v in wanted if v.alike], [v for v in wanted if not v.alike]
 
-    def run(group: list[Variant]) -> list[Run]:
+    def run(group: list[Variant]) -> list[VariantRun]:
         if group is alike:
             return run_side_by_side(scene, group, integrator, substeps)
         return [run_alone(v.scene, v.integrator or integrator, v.refine * substeps) for v in group]
@@ -162,7 +164,7 @@ def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> in
     return len(kinds) + len(moving) + (len(alone) < len(wanted))
 
 
-def _shares(own: Run, runs: list[Run]) -> list[Cost | None]:
+def _shares(own: VariantRun, runs: list[VariantRun]) -> list[Cost | None]:
     """Times of the scene's own run and of all that ran alone, in turn; none of them after Ctrl-C."""
     timed = [run.again for run in (own, *runs) if run.again is not None]
     try:

@@ -16,9 +16,9 @@ from pftwin.dynamics.simulate import settle
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
-from pftwin.studies.audit.account import Account, Sums, account
+from pftwin.studies.audit.account import Account, PartAccount, account
 from pftwin.studies.audit.equations import equations
-from pftwin.studies.audit.parts import Part, parts
+from pftwin.studies.audit.parts import EffectPart, parts
 from pftwin.studies.audit.step_cost import through_frames
 from pftwin.studies.runs import Cost, time_in_turn
 
@@ -117,7 +117,7 @@ def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float = 1
     )
 
 
-def _shares(scene: Scene, listed: list[Part], kept: Account, integrator: Integrator, substeps: int) -> list[Cost]:
+def _shares(scene: Scene, listed: list[EffectPart], kept: Account, integrator: Integrator, substeps: int) -> list[Cost]:
     """Of the whole scene, and of it without each part."""
     runs = [partial(through_frames, scene, kept.states, integrator, substeps)]
     for part in listed:
@@ -130,7 +130,7 @@ def _shares(scene: Scene, listed: list[Part], kept: Account, integrator: Integra
     return time_in_turn(runs)
 
 
-def _cost(part: Part, added: int, share: Cost, sums: Sums, step: float) -> PartCost:
+def _cost(part: EffectPart, added: int, share: Cost, sums: PartAccount, step: float) -> PartCost:
     longest = float(sums.fastest.longest_step())
     return PartCost(
         name=part.name,

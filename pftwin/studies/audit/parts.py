@@ -13,7 +13,7 @@ Memories = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
-class Part:
+class EffectPart:
     """An effect, or a part of one."""
 
     name: str
@@ -29,20 +29,20 @@ def separable(effect: Effect) -> list[tuple[Change, Callable[[Any], Any]]]:
     return [(c, c.memory) for c in effect.simplifications() if c.memory is not None]
 
 
-def parts(scene: Scene) -> list[Part]:
+def parts(scene: Scene) -> list[EffectPart]:
     """All parts, an effect before its own."""
     found = []
     for i, effect in enumerate(scene.effects):
         less = scene.without(effect.name)
-        found.append(Part(effect.name, type(effect).__name__, i, less, lambda m, i=i: (*m[:i], *m[i + 1 :])))
+        found.append(EffectPart(effect.name, type(effect).__name__, i, less, lambda m, i=i: (*m[:i], *m[i + 1 :])))
         for c, rest in separable(effect):
             forgetting = lambda m, i=i, rest=rest: (*m[:i], rest(m[i]), *m[i + 1 :])  # noqa: E731
             name, kind = f"{effect.name}: {c.label}", c.label.capitalize()
-            found.append(Part(name, kind, i, scene.with_effect(c.effect), forgetting, of=effect.name))
+            found.append(EffectPart(name, kind, i, scene.with_effect(c.effect), forgetting, of=effect.name))
     return found
 
 
-def load_of(part: Part, effect: Effect, now: Instant, memory: Any) -> list[tuple[float, Load]]:
+def load_of(part: EffectPart, effect: Effect, now: Instant, memory: Any) -> list[tuple[float, Load]]:
     """The part's load as a sum of loads with their signs; `effect` is made ready by `about`."""
     loads = [(1.0, effect.load(now, memory)[0])]
     own = [(c, rest) for c, rest in separable(effect) if part.name == f"{part.of}: {c.label}"]

@@ -25,7 +25,7 @@ Leaves = tuple[Any, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class VariantRun:
     """A variant's result, and a way to run it once more."""
 
     result: Result
@@ -55,7 +55,7 @@ def _side_by_side(
     return jax.vmap(member)(values)
 
 
-def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> Run:
+def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun:
     """One scene, from its own equilibrium.
 
     Raises:
@@ -65,10 +65,12 @@ def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> Run:
     plain = scene.unnamed()
     start, relaxed = settle(plain)
     again = partial(_moving, plain, start.answer, integrator, substeps)
-    return Run(_result(scene, start.answer, again(), relaxed, integrator, substeps), again)
+    return VariantRun(_result(scene, start.answer, again(), relaxed, integrator, substeps), again)
 
 
-def run_side_by_side(base: Scene, variants: Sequence[Variant], integrator: Integrator, substeps: int) -> list[Run]:
+def run_side_by_side(
+    base: Scene, variants: Sequence[Variant], integrator: Integrator, substeps: int
+) -> list[VariantRun]:
     """Variants of the base in numbers only, each from its own equilibrium, in one program.
 
     One whose search fails runs alone once more, by the base's program.
@@ -86,7 +88,7 @@ def run_side_by_side(base: Scene, variants: Sequence[Variant], integrator: Integ
     runs = []
     for k, v in enumerate(variants):
         start, observed = jax.tree.map(lambda a, k=k: np.asarray(a)[k], (starts, seen))
-        run = Run(_result(v.scene, start, observed, False, integrator, substeps), None)
+        run = VariantRun(_result(v.scene, start, observed, False, integrator, substeps), None)
         if not run.result.equilibrium.converged:  # alone, the damped relaxation helps
             run = replace(run_alone(v.scene, integrator, substeps), again=None)
         runs.append(run)

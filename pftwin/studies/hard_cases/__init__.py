@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pftwin.studies.hard_cases.case import Case
+from pftwin.studies.hard_cases.case import HardCase
 from pftwin.studies.hard_cases.catalogue import case_named, catalogue
 from pftwin.studies.hard_cases.contacts import CONTACTS
 from pftwin.studies.hard_cases.integrators import INTEGRATORS, method_named
@@ -14,8 +14,8 @@ __all__ = [
     "CONTACTS",
     "DTYPES",
     "INTEGRATORS",
-    "Case",
     "Cell",
+    "HardCase",
     "Selection",
     "case_named",
     "catalogue",

@@ -12,20 +12,20 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.model.scene import Scene, check
-from pftwin.studies.hard_cases.case import Case
+from pftwin.studies.hard_cases.case import HardCase
 from pftwin.studies.hard_cases.contacts import contact_on
-from pftwin.studies.hard_cases.integrators import Method
+from pftwin.studies.hard_cases.integrators import CaseIntegrator
 from pftwin.studies.hard_cases.knee import RATE
 
 
-class Batch(NamedTuple):
+class CaseBatch(NamedTuple):
     """Cases of one structure, one behind the other along the leading axis of every array."""
 
-    cases: tuple[Case, ...]
+    cases: tuple[HardCase, ...]
     scenes: Scene
 
 
-def built(case: Case, contact: str) -> Scene:
+def built(case: HardCase, contact: str) -> Scene:
     """The case as a scene that may be simulated.
 
     Raises:
@@ -37,9 +37,9 @@ def built(case: Case, contact: str) -> Scene:
     return scene
 
 
-def batches(cases: Sequence[Case], contact: str) -> tuple[list[Batch], dict[str, InputError]]:
+def batches(cases: Sequence[HardCase], contact: str) -> tuple[list[CaseBatch], dict[str, InputError]]:
     """The cases that run with a kind of contact, by group, and why the others are refused."""
-    groups: dict[str, list[tuple[Case, Scene]]] = {}
+    groups: dict[str, list[tuple[HardCase, Scene]]] = {}
     refused: dict[str, InputError] = {}
     for case in cases:
         if contact not in case.contacts:
@@ -50,7 +50,7 @@ def batches(cases: Sequence[Case], contact: str) -> tuple[list[Batch], dict[str,
             refused[case.name] = error
         else:
             groups.setdefault(case.group, []).append((case, scene))
-    return [Batch(tuple(c for c, _ in g), stacked([s for _, s in g])) for g in groups.values()], refused
+    return [CaseBatch(tuple(c for c, _ in g), stacked([s for _, s in g])) for g in groups.values()], refused
 
 
 def stacked(trees: Sequence[Any]) -> Any:
@@ -79,19 +79,19 @@ def member(tree: Any, k: int) -> Any:
     return jax.tree.map(lambda a: np.asarray(a)[k], tree)
 
 
-def steps_of(case: Case, method: Method) -> int:
+def steps_of(case: HardCase, method: CaseIntegrator) -> int:
     """Steps within a frame."""
     return substeps_for(1 / RATE, min(case.step, method.longest_step))
 
 
-def short_enough(batch: Batch, method: Method) -> list[int]:
+def short_enough(batch: CaseBatch, method: CaseIntegrator) -> list[int]:
     """Which of a batch's cases need no more steps than a method is given."""
     frames = batch.scenes.motion.n_frames
     most = method.most_steps
     return [k for k, c in enumerate(batch.cases) if most is None or (frames - 1) * steps_of(c, method) <= most]
 
 
-def part(batch: Batch, which: list[int]) -> Batch:
+def part(batch: CaseBatch, which: list[int]) -> CaseBatch:
     """Some of a batch."""
     at = np.asarray(which)
-    return Batch(tuple(batch.cases[k] for k in which), jax.tree.map(lambda a: a[at], batch.scenes))
+    return CaseBatch(tuple(batch.cases[k] for k in which), jax.tree.map(lambda a: a[at], batch.scenes))

@@ -9,15 +9,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.studies.hard_cases.batch import Batch
-from pftwin.studies.hard_cases.integrators import Method
-from pftwin.studies.hard_cases.programs import Run, compiled, poses, run
+from pftwin.studies.hard_cases.batch import CaseBatch
+from pftwin.studies.hard_cases.integrators import CaseIntegrator
+from pftwin.studies.hard_cases.programs import CaseRun, compiled, poses, run
 
 LARGEST = 2000  # steps of a run that is looked at: side by side all take as many as the longest
 AGREE = {"float64": 1e-10, "float32": 1e-4}  # of poses side by side with different mates [m, quaternion components]
 
 
-def batch_mates(batch: Batch, starts: Any, substeps: Any, plain: Run, method: Method, dtype: str) -> dict[str, str]:
+def batch_mates(
+    batch: CaseBatch, starts: Any, substeps: Any, plain: CaseRun, method: CaseIntegrator, dtype: str
+) -> dict[str, str]:
     """By case: what differs.
 
     All cases run side by side (`jax.vmap`), in reversed order with every second one NaN in all its numbers, and then

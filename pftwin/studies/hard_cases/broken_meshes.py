@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.mesh.repair import repaired
-from pftwin.studies.hard_cases.ground import Ground, mesh_on
+from pftwin.studies.hard_cases.ground import TiltedGround, mesh_on
 
 _PLACE = (0.004, 0.006)  # below the button, inside of a triangle [m]
 _OVER_HOLE = (-0.005, 0.011)  # over the triangle that the hole takes out [m]
@@ -22,10 +22,10 @@ Vertices, Faces = NDArray[np.float64], NDArray[np.int64]
 Change = Callable[[Vertices, Faces], tuple[Vertices, Faces]]
 
 
-def _doctored(change: Change) -> Callable[[Ground], SurfaceMesh]:
+def _doctored(change: Change) -> Callable[[TiltedGround], SurfaceMesh]:
     """The ground's mesh, changed, and repaired as far as a repair leaves the surface what it is."""
 
-    def made(ground: Ground) -> SurfaceMesh:
+    def made(ground: TiltedGround) -> SurfaceMesh:
         plain = mesh_on(ground)
         return repaired(*change(plain.vertices.copy(), plain.faces.copy()), source="a broken ground")[0]
 
@@ -71,17 +71,17 @@ def _crossing(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
     return np.concatenate([vertices, sheet]), np.concatenate([faces, [[n, n + 1, n + 2], [n, n + 2, n + 3]]])
 
 
-def _one_triangle(ground: Ground) -> SurfaceMesh:
+def _one_triangle(ground: TiltedGround) -> SurfaceMesh:
     corners = np.array([[-0.03, -0.03, 0.0], [0.06, 0.0, 0.0], [-0.03, 0.03, 0.0]])
     return SurfaceMesh(corners, np.array([[0, 1, 2]]), "one triangle")
 
 
-def _wide(ground: Ground) -> SurfaceMesh:
+def _wide(ground: TiltedGround) -> SurfaceMesh:
     """A mesh that goes on where a patch does: by its edge a small button would roll over the rim on its way to rest."""
     return mesh_on(replace(ground, half=(0.03, 0.03)))
 
 
-MESH_MAKERS: dict[str, Callable[[Ground], SurfaceMesh]] = {
+MESH_MAKERS: dict[str, Callable[[TiltedGround], SurfaceMesh]] = {
     "wide": _wide,
     "one_triangle": _one_triangle,
     "zero_area": _doctored(_with_faces(lambda v, f: [f[0, 0], f[0, 0], f[0, 1]])),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases.contacts import CONTACTS
-from pftwin.studies.hard_cases.knee import Knee
+from pftwin.studies.hard_cases.knee import KneeNumbers
 
 NOTHING = Status.OK
 RELEASED = Status.START_NOT_IN_EQUILIBRIUM
@@ -35,7 +35,7 @@ class Expected:
 
 
 @dataclass(frozen=True)
-class Case:
+class HardCase:
     """A scene that is hard to simulate.
 
     `builder` makes its numbers; the scene follows from them and a kind of contact.
@@ -44,7 +44,7 @@ class Case:
     name: str
     topic: str
     about: str  # what is hard, and what is expected, in a sentence or two
-    builder: Callable[[], Knee]
+    builder: Callable[[], KneeNumbers]
     expected: Expected = Expected()
     step: float = 1e-3  # [s]
     released: bool = False  # starts where it is put, at rest, and not in its equilibrium

@@ -12,26 +12,26 @@ from typing import Any
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases.broken_meshes import MESH_MAKERS
-from pftwin.studies.hard_cases.case import RELEASED, Case, Expected
+from pftwin.studies.hard_cases.case import RELEASED, Expected, HardCase
 from pftwin.studies.hard_cases.contacts import CONTACTS, MESHES, PATCHES
 from pftwin.studies.hard_cases.grounds import GROUNDS, PLATE
-from pftwin.studies.hard_cases.knee import RADIUS, TROCHLEA, Knee, Strand, standing
+from pftwin.studies.hard_cases.knee import RADIUS, TROCHLEA, KneeNumbers, TendonNumbers, standing
 from pftwin.studies.hard_cases.motions import MOTIONS
 from pftwin.studies.hard_cases.random_knees import drawn
 
-_ABSENT = Strand(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
+_ABSENT = TendonNumbers(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
 _ORIGIN = (0.0, 0.0, 0.0)
-FREE = Knee(
+FREE = KneeNumbers(
     ground=PLATE, center_of_mass=_ORIGIN, quadriceps=_ABSENT, patellar_tendon=_ABSENT, tibia=standing,
     start=(0.0, 0.0, RADIUS),
 )  # fmt: skip
 KNEES = {
-    "plain": Knee(),
+    "plain": KneeNumbers(),
     "free": FREE,
     "level": replace(
         FREE,
-        quadriceps=Strand(156, 0.06, (0.02, 0, -0.008), (0.1, 0.0, RADIUS - 0.02)),
-        patellar_tendon=Strand(156, 0.06, (-0.02, 0, -0.008), (-0.1, 0.0, RADIUS - 0.02)),
+        quadriceps=TendonNumbers(156, 0.06, (0.02, 0, -0.008), (0.1, 0.0, RADIUS - 0.02)),
+        patellar_tendon=TendonNumbers(156, 0.06, (-0.02, 0, -0.008), (-0.1, 0.0, RADIUS - 0.02)),
     ),
     # A button of triangles comes down on one of them: on a corner it would stand, and fall to a side by rounding.
     "on_mesh": replace(FREE, ground=GROUNDS["floor"], start=(0.004, 0.006, RADIUS + 5e-4), turn=(0.0, 0.087, 0.0)),
@@ -43,13 +43,13 @@ _KINDS = {"patches": PATCHES, "meshes": MESHES}
 
 
 @cache
-def catalogue() -> tuple[Case, ...]:
+def catalogue() -> tuple[HardCase, ...]:
     """All cases, topic by topic."""
     topics = tomllib.loads(files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8"))
     return tuple(_case(topic, entry) for topic, entries in topics.items() for entry in entries)
 
 
-def case_named(name: str) -> Case:
+def case_named(name: str) -> HardCase:
     """The case of that name.
 
     Raises:
@@ -61,7 +61,7 @@ def case_named(name: str) -> Case:
     raise InputError(f"no case {name!r}", where="hard cases", expected="a name that pftwin hard-cases --list shows")
 
 
-def _case(topic: str, entry: dict[str, Any]) -> Case:
+def _case(topic: str, entry: dict[str, Any]) -> HardCase:
     flags = {key: reduce(Status.__or__, (Status[n] for n in entry.get(key, ())), Status.OK) for key in ("must", "may")}
     if entry.get("released"):
         flags["may"] |= RELEASED
@@ -71,11 +71,11 @@ def _case(topic: str, entry: dict[str, Any]) -> Case:
         **{f.name: entry[f.name] for f in fields(Expected) if f.name in entry and f.name not in flags},
     )
     kinds = [k for name in entry.get("contacts", CONTACTS) for k in _KINDS.get(name, (name,))]
-    own = {f.name: entry[f.name] for f in fields(Case) if f.name in entry and f.name != "contacts"}
-    return Case(topic=topic, builder=lambda: _knee(entry), expected=expected, contacts=tuple(kinds), **own)
+    own = {f.name: entry[f.name] for f in fields(HardCase) if f.name in entry and f.name != "contacts"}
+    return HardCase(topic=topic, builder=lambda: _knee(entry), expected=expected, contacts=tuple(kinds), **own)
 
 
-def _knee(entry: dict[str, Any]) -> Knee:
+def _knee(entry: dict[str, Any]) -> KneeNumbers:
     base = drawn(entry["seed"]) if "seed" in entry else KNEES[entry.get("knee", "plain")]
     return _changed(base, entry.get("change", {}))
 

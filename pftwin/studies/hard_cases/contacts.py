@@ -21,7 +21,7 @@ from pftwin.model.effects.mesh_contact import MeshContact
 from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
 from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.studies.hard_cases.ground import lateral_of, patch_on
-from pftwin.studies.hard_cases.knee import Knee
+from pftwin.studies.hard_cases.knee import KneeNumbers
 
 PATCHES = ("P2", "P4", "P5", "P5 cylinder", "P8", "spline")
 MESHES = ("contours", "volume")
@@ -32,7 +32,7 @@ _CORNERS, _EDGES = 64, 64  # places that every femur's mesh has
 _NOWHERE = -1e3  # [m] where an edge lies that fills a place
 
 
-def contact_on(knee: Knee, kind: str) -> Effect:
+def contact_on(knee: KneeNumbers, kind: str) -> Effect:
     """The contact of that kind for a knee.
 
     Raises:

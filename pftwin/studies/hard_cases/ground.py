@@ -29,7 +29,7 @@ MESH = (3, 4)  # cells of the mesh along and across: 12 triangles on each facet
 
 
 @dataclass(frozen=True)
-class Ground:
+class TiltedGround:
     """A surface over a plane that is tilted about the femur's y axis."""
 
     height: Height  # of arrays u (proximal) and v (lateral) [m]
@@ -55,7 +55,7 @@ class Ground:
         return local @ self.axes().T
 
 
-def patch_on(ground: Ground, kind: str) -> PolynomialPatch | SplinePatch:
+def patch_on(ground: TiltedGround, kind: str) -> PolynomialPatch | SplinePatch:
     """The patch of that kind nearest to a ground: "P5", "P5 cylinder", "spline".
 
     All patches of one kind have one structure, so that scenes on them can be stacked.
@@ -70,17 +70,17 @@ def patch_on(ground: Ground, kind: str) -> PolynomialPatch | SplinePatch:
     return PolynomialPatch(chart, number(coefficients), *sizes, parse_degree(name))
 
 
-def axis_below(ground: Ground, kind: str) -> float:
+def axis_below(ground: TiltedGround, kind: str) -> float:
     """How far below the plane the patch's coordinates are counted from: over a cylinder from its axis [m]."""
     return _depth(ground) if kind.endswith(CYLINDER) else 0.0
 
 
-def _depth(ground: Ground) -> float:
+def _depth(ground: TiltedGround) -> float:
     """Of a cylinder's axis below the plane [m]: no angle of the rectangle is then wide."""
     return max(0.026, 1.2 * ground.half[0])
 
 
-def _chart(ground: Ground, round_: bool) -> Chart:
+def _chart(ground: TiltedGround, round_: bool) -> Chart:
     axes, depth = Rotation.from_array(number(ground.axes())), _depth(ground)
     if not round_:
         return PlaneChart(vector(ground.above * ground.axes()[:, 2]), axes)
@@ -88,7 +88,7 @@ def _chart(ground: Ground, round_: bool) -> Chart:
 
 
 @lru_cache(maxsize=512)
-def _fitted(ground: Ground, name: str, round_: bool) -> tuple[Floats, tuple[float, float], tuple[float, float]]:
+def _fitted(ground: TiltedGround, name: str, round_: bool) -> tuple[Floats, tuple[float, float], tuple[float, float]]:
     """Coefficients, middle and half size of the rectangle."""
     u, v, h = ground.grid(SAMPLES, SAMPLES)
     if round_:
@@ -130,7 +130,7 @@ def _hats(a: Floats, n: int) -> Floats:
     return out
 
 
-def mesh_on(ground: Ground, cells: tuple[int, int] = MESH) -> SurfaceMesh:
+def mesh_on(ground: TiltedGround, cells: tuple[int, int] = MESH) -> SurfaceMesh:
     """A grid's triangles, normals out of the bone, in the femur's frame.
 
     Raises:

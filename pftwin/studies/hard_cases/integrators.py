@@ -7,7 +7,7 @@ from typing import NamedTuple
 from pftwin.studies.hard_cases.contacts import PATCHES
 
 
-class Method(NamedTuple):
+class CaseIntegrator(NamedTuple):
     """An integrator, and how it is used here."""
 
     name: str  # as `pftwin.dynamics.integrators` has it
@@ -24,15 +24,17 @@ class Method(NamedTuple):
 QUICK = (*PATCHES, "volume")  # derivatives on contours take tens of minutes but for the linearly implicit steps
 
 INTEGRATORS = (
-    Method("linear_implicit"),
-    Method("linear_implicit_bdf2", may_refuse=True),  # not damped enough for impacts shorter than a step
-    Method("newmark", may_refuse=True, side_by_side=False, differentiated_on=QUICK),  # a batch compiles for minutes
-    Method("symplectic_euler", longest_step=1e-4, may_refuse=True, differentiated_on=QUICK),
-    Method("diffrax:Tsit5", may_refuse=True, only=("P5",), float32=False),
+    CaseIntegrator("linear_implicit"),
+    CaseIntegrator("linear_implicit_bdf2", may_refuse=True),  # not damped enough for impacts shorter than a step
+    CaseIntegrator(
+        "newmark", may_refuse=True, side_by_side=False, differentiated_on=QUICK
+    ),  # a batch compiles for minutes
+    CaseIntegrator("symplectic_euler", longest_step=1e-4, may_refuse=True, differentiated_on=QUICK),
+    CaseIntegrator("diffrax:Tsit5", may_refuse=True, only=("P5",), float32=False),
     # By volume its derivatives were not there after 40 minutes, most of it compiling.
-    Method("quasi_static", may_refuse=True, inertia=False, side_by_side=False, differentiated_on=PATCHES),
+    CaseIntegrator("quasi_static", may_refuse=True, inertia=False, side_by_side=False, differentiated_on=PATCHES),
     # Some 0.3 ms a step, and so few steps; undamped, as Newmark's method.
-    Method(
+    CaseIntegrator(
         "ali3p",
         most_steps=1000,
         may_refuse=True,
@@ -44,6 +46,6 @@ INTEGRATORS = (
 )
 
 
-def method_named(name: str) -> Method:
+def method_named(name: str) -> CaseIntegrator:
     """That of `INTEGRATORS`, or any other integrator as it comes."""
-    return next((m for m in INTEGRATORS if m.name == name), Method(name))
+    return next((m for m in INTEGRATORS if m.name == name), CaseIntegrator(name))

@@ -22,7 +22,7 @@ from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.tendon import Tendon
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody, Scene
-from pftwin.studies.hard_cases.ground import Ground, mesh_on
+from pftwin.studies.hard_cases.ground import TiltedGround, mesh_on
 
 Triple = tuple[float, float, float]
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ RADIUS = 0.022  # of the button [m]
 
 
 @dataclass(frozen=True)
-class Strand:
+class TendonNumbers:
     """A tendon's numbers."""
 
     stiffness: float  # [N/m]
@@ -90,8 +90,8 @@ def standing(n: int = FRAMES) -> PoseSeries:
     return flexed(np.full(n, 45.0))
 
 
-QUADRICEPS = Strand(156, 0.1432, (0.02, 0, -0.008), (0.22, 0.012, 0.035))
-PATELLAR_TENDON = Strand(629, 0.0714, (-0.02, 0, -0.008), (-0.07, 0.01, 0.045))
+QUADRICEPS = TendonNumbers(156, 0.1432, (0.02, 0, -0.008), (0.22, 0.012, 0.035))
+PATELLAR_TENDON = TendonNumbers(629, 0.0714, (-0.02, 0, -0.008), (-0.07, 0.01, 0.045))
 
 
 def _trochlea(u: Floats, v: Floats) -> Floats:
@@ -99,26 +99,26 @@ def _trochlea(u: Floats, v: Floats) -> Floats:
     return np.sqrt(0.026**2 - (0.85 * u) ** 2) - 0.026 + np.sqrt(v**2 + 0.006**2) * np.tan(np.radians(18))
 
 
-TROCHLEA = Ground(_trochlea, tilt=float(np.radians(40)), above=0.026)
+TROCHLEA = TiltedGround(_trochlea, tilt=float(np.radians(40)), above=0.026)
 
 
 @dataclass(frozen=True)
-class Knee:
+class KneeNumbers:
     """All numbers of a scene."""
 
-    ground: Ground = TROCHLEA
+    ground: TiltedGround = TROCHLEA
     law: Law = Law()
     radius: float = RADIUS
     center: Triple = (0.0, 0.0, 0.0)  # of the button, patella frame [m]
     mass: float = MASS
     center_of_mass: Triple = (0.001, 0.0, 0.004)
     gravity: Triple = (0.0, 0.0, -9.81)  # femur axes [m/s^2]
-    quadriceps: Strand = QUADRICEPS
-    patellar_tendon: Strand = PATELLAR_TENDON
+    quadriceps: TendonNumbers = QUADRICEPS
+    patellar_tendon: TendonNumbers = PATELLAR_TENDON
     tibia: Callable[[], PoseSeries] = field(default=swinging)
     start: Triple = (-0.005, 0.001, 0.05)
     turn: Triple = (0.0, 0.0, 0.0)  # of the start, a rotation vector [rad]
-    mesh: Callable[[Ground], SurfaceMesh] = mesh_on  # the femur's, where contact is between meshes
+    mesh: Callable[[TiltedGround], SurfaceMesh] = mesh_on  # the femur's, where contact is between meshes
     facets: int = 2  # of that mesh
 
     def scene(self, contact: Effect, name: str) -> Scene:

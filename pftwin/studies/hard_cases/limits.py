@@ -10,7 +10,7 @@ from typing import NamedTuple
 from pftwin.dynamics.status import Status
 
 
-class Limit(NamedTuple):
+class KnownRefusal(NamedTuple):
     """What runs on a kind of contact may refuse themselves with."""
 
     flags: Status = Status.OK
@@ -18,15 +18,15 @@ class Limit(NamedTuple):
     without_inertia: str | None = None  # words with which integrators without inertia are refused
 
 
-_NONE = Limit()
+_NONE = KnownRefusal()
 LIMITS = {
-    "contours": Limit(
+    "contours": KnownRefusal(
         Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM, "forces that jump from triangle to triangle"
     ),
-    "volume": Limit(at_rim=Status.START_NOT_IN_EQUILIBRIUM | Status.ENERGY_FROM_NOWHERE),
+    "volume": KnownRefusal(at_rim=Status.START_NOT_IN_EQUILIBRIUM | Status.ENERGY_FROM_NOWHERE),
 }
 
 
-def limit_of(contact: str) -> Limit:
+def limit_of(contact: str) -> KnownRefusal:
     """That of a kind of contact."""
     return LIMITS.get(contact, _NONE)

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.studies.hard_cases.case import UNKNOWN, Case
-from pftwin.studies.hard_cases.knee import Knee
-from pftwin.studies.hard_cases.programs import Run
+from pftwin.studies.hard_cases.case import UNKNOWN, HardCase
+from pftwin.studies.hard_cases.knee import KneeNumbers
+from pftwin.studies.hard_cases.programs import CaseRun
 
 Floats = NDArray[np.float64]
 
@@ -35,10 +35,10 @@ TOLERANCES = {
 class Look(NamedTuple):
     """One case's run on the host, with what the checks need."""
 
-    case: Case
-    knee: Knee
+    case: HardCase
+    knee: KneeNumbers
     contact: str
-    run: Run
+    run: CaseRun
     tolerance: Tolerance
     step: float  # [s]
     depth: Floats  # (n,) of the button in the surface, by exhaustive search [m]

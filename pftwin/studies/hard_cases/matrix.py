@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.studies.hard_cases import derivatives
-from pftwin.studies.hard_cases.batch import Batch, batches, member, part, short_enough, steps_of
+from pftwin.studies.hard_cases.batch import CaseBatch, batches, member, part, short_enough, steps_of
 from pftwin.studies.hard_cases.batch_independence import batch_mates
-from pftwin.studies.hard_cases.case import Case
+from pftwin.studies.hard_cases.case import HardCase
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
-from pftwin.studies.hard_cases.integrators import INTEGRATORS, Method
+from pftwin.studies.hard_cases.integrators import INTEGRATORS, CaseIntegrator
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.limits import limit_of
-from pftwin.studies.hard_cases.programs import PARAMETERS, Run, compiled, depths, poses, run, slopes
+from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, compiled, depths, poses, run, slopes
 from pftwin.studies.hard_cases.starts import Starts, starts_of, starts_part
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
 
@@ -34,7 +34,7 @@ class Selection(NamedTuple):
     """What of the matrix to run."""
 
     contacts: tuple[str, ...] = CONTACTS
-    integrators: tuple[Method, ...] = INTEGRATORS
+    integrators: tuple[CaseIntegrator, ...] = INTEGRATORS
     dtypes: tuple[str, ...] = DTYPES
     derivatives: bool = True
     mates: bool = True
@@ -43,7 +43,7 @@ class Selection(NamedTuple):
 EVERYTHING = Selection()
 
 
-def run_matrix(cases: Sequence[Case], selection: Selection = EVERYTHING, say: Say = lambda _: None) -> list[Cell]:
+def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say: Say = lambda _: None) -> list[Cell]:
     """Runs cases and judges them.
 
     Args:
@@ -64,7 +64,7 @@ def run_matrix(cases: Sequence[Case], selection: Selection = EVERYTHING, say: Sa
 
 
 def _of_contact(
-    cases: Sequence[Case],
+    cases: Sequence[HardCase],
     contact: str,
     dtype: str,
     selection: Selection,
@@ -93,7 +93,7 @@ def _of_contact(
     return cells
 
 
-def _refusal(case: Case, contact: str, method: Method, dtype: str, error: InputError) -> Cell:
+def _refusal(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, error: InputError) -> Cell:
     words = case.expected.refusal
     if words is None:
         return Cell(case.name, contact, method.name, dtype, "fail", f"refused: {error}")
@@ -102,7 +102,7 @@ def _refusal(case: Case, contact: str, method: Method, dtype: str, error: InputE
     return Cell(case.name, contact, method.name, dtype, "refused", str(error))
 
 
-def _unfit(case: Case, batch: Batch, contact: str, method: Method, dtype: str) -> Cell:
+def _unfit(case: HardCase, batch: CaseBatch, contact: str, method: CaseIntegrator, dtype: str) -> Cell:
     """An integrator that has to say that it has no answer with this contact."""
     words = limit_of(contact).without_inertia or ""
     try:
@@ -114,10 +114,10 @@ def _unfit(case: Case, batch: Batch, contact: str, method: Method, dtype: str) -
 
 
 def _run_batch(
-    batch: Batch,
+    batch: CaseBatch,
     starts: Starts,
     contact: str,
-    method: Method,
+    method: CaseIntegrator,
     dtype: str,
     selection: Selection,
     references: dict[tuple[str, str], NDArray[np.float64]],
@@ -156,7 +156,7 @@ def _run_batch(
     return cells
 
 
-def _depths(batch: Batch, plain: Run, float64: bool) -> NDArray[np.float64]:
+def _depths(batch: CaseBatch, plain: CaseRun, float64: bool) -> NDArray[np.float64]:
     """(cases, frames): by exhaustive search, NaN at the frames of long motions that are passed over."""
     frames = plain.seen.status.shape[1]
     looked = np.arange(0, frames, max(1, frames // MOST_LOOKS))
@@ -166,7 +166,7 @@ def _depths(batch: Batch, plain: Run, float64: bool) -> NDArray[np.float64]:
     return depth
 
 
-def _references(batch: Batch, slopes: NDArray[Any], forward: Callable[[Any], Run]) -> NDArray[np.float64]:
+def _references(batch: CaseBatch, slopes: NDArray[Any], forward: Callable[[Any], CaseRun]) -> NDArray[np.float64]:
     """(cases, frames, 7, 4): finite differences of the poses; where some case's differ from slopes, as they settle."""
     found, n = _differences(forward, len(batch.cases)), len(batch.cases)
     smooth = [c.expected.smooth for c in batch.cases]
@@ -177,7 +177,7 @@ def _references(batch: Batch, slopes: NDArray[Any], forward: Callable[[Any], Run
     return found
 
 
-def _differences(forward: Callable[[Any], Run], n: int, share: float = 1.0) -> NDArray[np.float64]:
+def _differences(forward: Callable[[Any], CaseRun], n: int, share: float = 1.0) -> NDArray[np.float64]:
     """(cases, frames, 7, 4): central differences of the poses."""
     sides = [
         [np.asarray(poses(forward(jnp.tile(jnp.asarray(p), (n, 1))).states)) for p in side]

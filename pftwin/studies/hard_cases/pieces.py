@@ -13,7 +13,7 @@ from pftwin.studies.tables import Sheet, read_rows
 _EXPECTED = "what pftwin hard-cases --json has written"
 
 
-class Piece(NamedTuple):
+class KeptPiece(NamedTuple):
     """Cells that were run in one go."""
 
     rows: tuple[Cell, ...]
@@ -26,7 +26,7 @@ class Piece(NamedTuple):
         return {**self._asdict(), "rows": [c._asdict() for c in self.rows]}
 
 
-def read_piece(path: Path) -> Piece:
+def read_piece(path: Path) -> KeptPiece:
     """A piece that `pftwin hard-cases --json` has written.
 
     Raises:
@@ -34,12 +34,12 @@ def read_piece(path: Path) -> Piece:
     """
     found, rows = read_rows(path, Cell, _EXPECTED)
     try:
-        return Piece(tuple(rows), float(found["seconds"]), dict(found["machine"]), bool(found["quick"]))
+        return KeptPiece(tuple(rows), float(found["seconds"]), dict(found["machine"]), bool(found["quick"]))
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"no piece of the matrix: {error}", where=path, expected=_EXPECTED) from error
 
 
-def read_pieces(path: Path) -> list[Piece]:
+def read_pieces(path: Path) -> list[KeptPiece]:
     """A piece, or all that lie in a folder as *.json, from the oldest to the newest.
 
     Raises:
@@ -53,7 +53,7 @@ def read_pieces(path: Path) -> list[Piece]:
     return sorted(found, key=lambda piece: str(piece.machine["date"]))
 
 
-def merged(pieces: Sequence[Piece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
+def merged(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
     """All cells, each once: of the last piece that has it.
 
     Args:
@@ -70,7 +70,7 @@ def merged(pieces: Sequence[Piece], order: Sequence[tuple[str, ...]]) -> list[Ce
     return sorted(kept.values(), key=rank)
 
 
-def runs(pieces: Sequence[Piece]) -> Sheet:
+def runs(pieces: Sequence[KeptPiece]) -> Sheet:
     """Rows of what each piece ran and when."""
     rows = []
     for piece in pieces:

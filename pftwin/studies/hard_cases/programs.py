@@ -44,7 +44,7 @@ class Rest(eqx.Module):
     slopes: Array  # (7, 4) of the equilibrium's position and quaternion by `PARAMETERS`
 
 
-class Run(eqx.Module):
+class CaseRun(eqx.Module):
     """What came out of a run; leading axis: frames."""
 
     states: State
@@ -117,12 +117,12 @@ def relaxed(scene: Scene) -> Pose:
     return Pose(pose.apply(-scene.patella.center_of_mass), pose.orientation)
 
 
-def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: Integrator) -> Run:
+def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: Integrator) -> CaseRun:
     """A simulation with its ledger, and all that is looked at."""
     changed = varied(scene, p)
     path = frame_states(changed, integrator=integrator, substeps=substeps, start=start, ledger=True)
     assert path.ledger is not None
-    return Run(path.states, observe(changed, path), path.ledger)
+    return CaseRun(path.states, observe(changed, path), path.ledger)
 
 
 def depths(scene: Scene, centers: Vec3) -> Array:

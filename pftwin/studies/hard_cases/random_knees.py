@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from pftwin.geometry.patch.polynomial import exponents
-from pftwin.studies.hard_cases.ground import Ground
-from pftwin.studies.hard_cases.knee import PATELLAR_TENDON, QUADRICEPS, TROCHLEA, Knee, Law
+from pftwin.studies.hard_cases.ground import TiltedGround
+from pftwin.studies.hard_cases.knee import PATELLAR_TENDON, QUADRICEPS, TROCHLEA, KneeNumbers, Law
 
 DEGREE, BUMPS = 5, 4e-4  # of the bumps that are added to the trochlea, and their coefficients' size [m]
 
 
-def bumpy(coefficients: np.ndarray) -> Ground:
+def bumpy(coefficients: np.ndarray) -> TiltedGround:
     """The trochlea with a polynomial of `DEGREE` added to its height, in coordinates from -1 to 1 [m]."""
     half, powers = TROCHLEA.half, exponents(DEGREE)
 
@@ -24,7 +24,7 @@ def bumpy(coefficients: np.ndarray) -> Ground:
     return replace(TROCHLEA, height=height)
 
 
-def drawn(seed: int) -> Knee:
+def drawn(seed: int) -> KneeNumbers:
     """A knee at random: every number is within what the rest of the catalogue has."""
     random = np.random.default_rng(seed)
     quadriceps, tendon = (
@@ -36,4 +36,4 @@ def drawn(seed: int) -> Knee:
     law = Law(10 ** random.uniform(7.5, 9.5), random.uniform(1.3, 1.7), random.uniform(0.1, 1.0))
     ground = bumpy(random.normal(0, BUMPS, len(exponents(DEGREE))))
     mass = float(10 ** random.uniform(-1.5, -0.5))
-    return Knee(ground=ground, law=law, mass=mass, quadriceps=quadriceps, patellar_tendon=tendon)
+    return KneeNumbers(ground=ground, law=law, mass=mass, quadriceps=quadriceps, patellar_tendon=tendon)

@@ -11,7 +11,7 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.results.result import Result
 from pftwin.studies.hard_cases.batch import batches, built, member, steps_of
-from pftwin.studies.hard_cases.case import Case
+from pftwin.studies.hard_cases.case import HardCase
 from pftwin.studies.hard_cases.integrators import method_named
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import PARAMETERS, compiled, run
@@ -19,7 +19,7 @@ from pftwin.studies.hard_cases.starts import starts_of
 
 
 def results(
-    cases: Sequence[Case], contact: str = "P5", integrator: str = "linear_implicit"
+    cases: Sequence[HardCase], contact: str = "P5", integrator: str = "linear_implicit"
 ) -> dict[str, Result | InputError]:
     """What comes out of each case that there is with a kind of contact, in float64: a result, or what refused it.
 

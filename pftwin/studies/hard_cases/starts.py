@@ -12,7 +12,7 @@ import numpy as np
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.relaxation import thrown
 from pftwin.studies.hard_cases import derivatives
-from pftwin.studies.hard_cases.batch import Batch
+from pftwin.studies.hard_cases.batch import CaseBatch
 from pftwin.studies.hard_cases.programs import PARAMETERS, Rest, compiled, relaxed, rest
 
 
@@ -23,7 +23,7 @@ class Starts(NamedTuple):
     wrong: dict[str, str]  # by case: what is wrong with its equilibrium
 
 
-def starts_of(batch: Batch, dtype: str) -> Starts:
+def starts_of(batch: CaseBatch, dtype: str) -> Starts:
     """Solves for all equilibria, with derivatives; where the search fails the damped relaxation helps."""
     double, n = dtype == "float64", len(batch.cases)
     search, nothing = compiled(rest, double), jnp.zeros((n, len(PARAMETERS)))
@@ -61,7 +61,7 @@ def _where(which: Any, a: Any, b: Any) -> Any:
     return jax.tree.map(pick, a, b)
 
 
-def _wrong(batch: Batch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:
+def _wrong(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:
     """Cases that start from an equilibrium: does the search end, and are its derivatives finite, and right."""
     n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, _patella_frame(scenes, found.equilibrium))
     said, columns = {}, np.asarray(found.slopes)

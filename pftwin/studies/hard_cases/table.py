@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
 
-from pftwin.studies.hard_cases.case import Case
-from pftwin.studies.hard_cases.pieces import Piece, runs
+from pftwin.studies.hard_cases.case import HardCase
+from pftwin.studies.hard_cases.pieces import KeptPiece, runs
 from pftwin.studies.hard_cases.verdict import Cell
 from pftwin.studies.tables import Sheet
 
@@ -20,7 +20,7 @@ def counts(cells: Iterable[Cell]) -> Counter[str]:
     return Counter(c.outcome for c in cells)
 
 
-def named(cases: Sequence[Case]) -> Sheet:
+def named(cases: Sequence[HardCase]) -> Sheet:
     """The cases, and what is hard about them."""
     return Sheet("hard cases", ("case", "what is hard"), tuple((c.name, c.about) for c in cases))
 
@@ -74,7 +74,7 @@ def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
     return Sheet(title, ("case", "integrator", "contacts", "why (of the first)"), tuple(rows))
 
 
-def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piece]) -> str:
+def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[KeptPiece]) -> str:
     """The page docs/hard_cases.md, from the pieces that were run."""
     found, m = counts(cells), pieces[-1].machine
     by_name = {c.name: c for c in cases}
@@ -96,7 +96,7 @@ def markdown(cells: Sequence[Cell], cases: Sequence[Case], pieces: Sequence[Piec
     )
 
 
-def _list(cases: Iterable[Case]) -> str:
+def _list(cases: Iterable[HardCase]) -> str:
     return "\n".join(f"- **{c.name}**: {c.about}" for c in cases)
 
 

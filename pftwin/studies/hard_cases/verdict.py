@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import derivatives
-from pftwin.studies.hard_cases.case import UNKNOWN, Case
-from pftwin.studies.hard_cases.integrators import Method
+from pftwin.studies.hard_cases.case import UNKNOWN, HardCase
+from pftwin.studies.hard_cases.integrators import CaseIntegrator
 from pftwin.studies.hard_cases.invariants import CHECKS
 from pftwin.studies.hard_cases.limits import limit_of
 from pftwin.studies.hard_cases.look import TOLERANCES, Look
-from pftwin.studies.hard_cases.programs import Run
+from pftwin.studies.hard_cases.programs import CaseRun
 
 GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # checked by themselves
 REFUSES = (
@@ -36,7 +36,7 @@ class Cell(NamedTuple):
 class Evidence(NamedTuple):
     """What there is to judge one case by."""
 
-    runs: dict[str, Run]  # of the whole batch, on the host
+    runs: dict[str, CaseRun]  # of the whole batch, on the host
     slopes: NDArray[np.float64] | None  # (n, 7, 4)
     reference: NDArray[np.float64] | None  # float64's finite differences, likewise
     start: str | None  # what is wrong with its equilibrium
@@ -45,7 +45,7 @@ class Evidence(NamedTuple):
     step: float  # [s]
 
 
-def verdict(case: Case, contact: str, method: Method, dtype: str, evidence: Evidence) -> Cell:
+def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, evidence: Evidence) -> Cell:
     """Pass; fail with the first thing that is wrong; refused where the run itself says that its step is too long."""
     run, tolerance = evidence.runs[case.name], TOLERANCES[dtype]
     look = Look(case, case.builder(), contact, run, tolerance, evidence.step, evidence.depth, method.inertia)

@@ -14,7 +14,7 @@ import numpy as np
 
 from fitting.evaluation import Evaluator, Prediction
 from fitting.methods.least_squares import LeastSquares
-from fitting.methods.problem import Answer, Problem, Request
+from fitting.methods.problem import Problem, ProblemAnswer, Request
 from fitting.objective import Objective
 
 LANES = 8  # points that one fit asks for at once, all its starts together
@@ -73,7 +73,7 @@ def fitted(common: Evaluator, objectives: Sequence[Objective], starts: int, seed
         for substeps in {request.substeps for request in asked.values()}:
             alike = {i: request for i, request in asked.items() if request.substeps == substeps}
             for i, prediction in _predicted(common, alike, substeps).items():
-                answer = Answer(*objectives[i].normal(seen_by(objectives[i], prediction)))
+                answer = ProblemAnswer(*objectives[i].normal(seen_by(objectives[i], prediction)))
                 searches[i].tell(states[i], alike[i], answer)
     return states
 

@@ -25,7 +25,7 @@ from pftwin.base.errors import OutputError, PftwinError
 from pftwin.dynamics.batch import batch_key, resumable
 from pftwin.dynamics.batch.member import FLAGS
 from pftwin.dynamics.batch.part_files import write_part
-from pftwin.dynamics.batch.plan import Plan
+from pftwin.dynamics.batch.plan import BatchPlan
 
 COUNT, UNIT = 600, 120  # five parts
 LIMIT = 120  # [s] for processes that ought to end by themselves
@@ -39,7 +39,7 @@ class Cheap:
         self.rows: list[int] = []  # members of each call
         self.dies_at: int | None = None  # the call at which the process kills itself
 
-    def found(self, plan: Plan, k: int, rows: Any, progress: Any = None) -> dict[str, Any]:
+    def found(self, plan: BatchPlan, k: int, rows: Any, progress: Any = None) -> dict[str, Any]:
         if self.dies_at == len(self.rows):
             os.kill(os.getpid(), signal.SIGKILL)
         first = rows[0] if isinstance(rows, tuple) else rows
@@ -62,7 +62,7 @@ class Cheap:
 def made_cheap(put: Any = setattr) -> Cheap:
     """Puts it in the place of the physics, by setattr or pytest's `monkeypatch.setattr`."""
     cheap = Cheap()
-    put(Plan, "found", lambda plan, k, rows, progress=None: cheap.found(plan, k, rows, progress))
+    put(BatchPlan, "found", lambda plan, k, rows, progress=None: cheap.found(plan, k, rows, progress))
     put(batch_key, "_program", lambda task, row: "cheap")
     return cheap
 

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from pftwin.dynamics.batch import sharding as module
-from pftwin.dynamics.batch.sharding import Spread
+from pftwin.dynamics.batch.sharding import Sharding
 
 
 @pytest.fixture
 def layout(monkeypatch):
     """Spreads over any number of devices: only numbers of places are asked for, no program is run."""
     monkeypatch.setattr(module, "Mesh", lambda devices, axes: SimpleNamespace(size=devices.size))
-    return lambda devices, piece, chunk: Spread(tuple(range(devices)), piece, chunk)
+    return lambda devices, piece, chunk: Sharding(tuple(range(devices)), piece, chunk)
 
 
 def of_one_device(rows: np.ndarray, counts: np.ndarray, devices: int) -> np.ndarray:
@@ -78,7 +78,7 @@ def cubed(shared: Any, row: Any) -> Any:
 
 
 def test_the_program_itself_gives_each_member_its_answer():
-    spread = Spread((jax.devices()[0],), 4, 8)
+    spread = Sharding((jax.devices()[0],), 4, 8)
     x = np.random.default_rng(0).normal(size=19)
     each = ({"x": x, "y": np.stack([x, -x], axis=1)},)
     shared = spread.shared({"offset": jnp.asarray(0.5)})

@@ -17,7 +17,7 @@ from pftwin import Variants, simulate_batch
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch import retry as again
 from pftwin.dynamics.batch.batched import PIECE
-from pftwin.dynamics.batch.sharding import FEW, Spread, piece_for
+from pftwin.dynamics.batch.sharding import FEW, Sharding, piece_for
 from pftwin.dynamics.integrators import SymplecticEuler
 
 FRAMES, DT, COUNT = 6, 5e-3, 5
@@ -183,7 +183,7 @@ def test_outcomes_that_cannot_be_kept_are_refused_before_anything_runs(outcome, 
 @pytest.mark.parametrize("n", [1, 119, 120, 121, 241, 5000])
 @pytest.mark.parametrize("chunk", [1, 120, 500])
 def test_every_member_has_a_place(n, chunk):
-    spread = Spread(tuple(jax.devices()[:1]), PIECE, chunk)
+    spread = Sharding(tuple(jax.devices()[:1]), PIECE, chunk)
     chunks = list(spread.chunks(n))
     places = np.concatenate([c.rows[c.used].ravel()[: c.members] for c in chunks])
     np.testing.assert_array_equal(places, np.arange(n))
@@ -199,7 +199,7 @@ def test_a_function_is_traced_once():
         traced.append(row.shape)
         return {"double": factor * row}
 
-    spread = Spread(tuple(jax.devices()[:1]), FEW, 2 * FEW)
+    spread = Sharding(tuple(jax.devices()[:1]), FEW, 2 * FEW)
     rows = np.arange(FEW + 3.0)
     (chunk,) = spread.chunks(len(rows))
     found = spread.run(doubled, spread.shared(jnp.asarray(2.0)), chunk, spread.placed((rows,), chunk))

@@ -91,11 +91,11 @@ def test_apart_nothing_touches(scene, height):
 @pytest.mark.slow
 def test_pairs_that_there_is_no_room_for_are_said():
     """Of contours; a foundation's load is not known then, see `test_elastic_foundation_motion`."""
-    from pftwin.geometry.bvh.pairs import Room
+    from pftwin.geometry.bvh.pairs import PairListLengths
     from pftwin.geometry.contact.contour import mesh_pair
 
     made = contours()
-    tight = eqx.filter_jit(mesh_pair)(made.femur, made.patella, room=Room(2048, 8192, 32))  # type: ignore[attr-defined]
+    tight = eqx.filter_jit(mesh_pair)(made.femur, made.patella, room=PairListLengths(2048, 8192, 32))  # type: ignore[attr-defined]
     short = eqx.tree_at(lambda e: e.meshes, made, tight, is_leaf=lambda x: x is None)
     report = eqx.filter_jit(lambda e, now: e.report(now, None)[0])
     deep, apart = (report(short, look((0, 0, BONE + BUTTON - d))) for d in (4e-3, -3e-3))
@@ -119,9 +119,9 @@ def test_a_bone_wholly_inside_the_button_is_too_deep_and_says_how_far():
     """A part of the femur's surface that a large button has gone over: no triangles meet."""
     from pftwin.geometry.contact.contact_mesh import contact_mesh
     from pftwin.model.effects.mesh_contact import MeshContact
-    from pftwin.studies.hard_cases.ground import Ground, mesh_on
+    from pftwin.studies.hard_cases.ground import TiltedGround, mesh_on
 
-    plate = contact_mesh(mesh_on(Ground(lambda u, v: 0.0 * u, (0.01, 0.01))))
+    plate = contact_mesh(mesh_on(TiltedGround(lambda u, v: 0.0 * u, (0.01, 0.01))))
     made = about(MeshContact(plate, contact_mesh(icosphere(0.05, 2)), LAW, vec(0, 0, 0)), vec(0, 0, 0))
     report = eqx.filter_jit(lambda now: made.report(now, None)[0])
     inside, apart = (report(look((0, 0, z))) for z in (0.02, 0.06))
@@ -135,9 +135,9 @@ def test_behind_an_open_surface_is_too_deep_and_says_how_far():
     """A femur's surface without its back: a button that hangs far below it does not just touch nothing."""
     from pftwin.geometry.contact.contact_mesh import contact_mesh
     from pftwin.model.effects.mesh_contact import MeshContact
-    from pftwin.studies.hard_cases.ground import Ground, lateral_of, mesh_on
+    from pftwin.studies.hard_cases.ground import TiltedGround, lateral_of, mesh_on
 
-    plate = mesh_on(Ground(lambda u, v: 0.0 * u, (0.025, 0.02)))
+    plate = mesh_on(TiltedGround(lambda u, v: 0.0 * u, (0.025, 0.02)))
     femur, button = contact_mesh(plate, lateral_of(plate)), contact_mesh(icosphere(BUTTON, 6))
     made = about(MeshContact(femur, button, LAW, vec(0, 0, 0)), vec(0, 0, 0))
     report = eqx.filter_jit(lambda now: made.report(now, None)[0])

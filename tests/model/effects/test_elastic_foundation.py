@@ -141,5 +141,5 @@ def test_an_offset_button_is_the_same_ball(effect):
     one, _ = seen(there, look((0, 0, RADIUS - 4e-4 - 3e-3)))
     two, _ = seen(effect, look((0, 0, RADIUS - 4e-4)))
     np.testing.assert_allclose(one.total().force.array(), two.total().force.array(), rtol=1e-9, atol=1e-9)
-    three, _ = seen(there.about(vec(0, 0, 0.003)), look((0, 0, RADIUS - 4e-4)))
+    three, _ = seen(there.recentred(vec(0, 0, 0.003)), look((0, 0, RADIUS - 4e-4)))
     np.testing.assert_allclose(three.total().moment.array(), two.total().moment.array(), atol=1e-12)

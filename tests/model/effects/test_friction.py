@@ -177,7 +177,7 @@ def test_a_contact_that_has_opened_lets_go_at_once():
 
     def forces(z):
         now = look((0, 0, z), (0.3, 0, 0))
-        now = eqx.tree_at(lambda n: (n.step, n.lead), now, (J(1e-3), J(1e-3)))
+        now = eqx.tree_at(lambda n: (n.step, n.lookahead), now, (J(1e-3), J(1e-3)))
         memory = effect.guess(now)
         pressed = eqx.tree_at(lambda m: [p.unchanged for p in m.last], memory, [J(10.0), J(10.0)])
         return [float(t.force) for t in effect.load(now, pressed)[0].stiff if not t.unilateral]
@@ -187,7 +187,7 @@ def test_a_contact_that_has_opened_lets_go_at_once():
 
 
 def test_the_force_is_the_laws_and_opposes_sliding():
-    effect = rough().about(vec(0, 0, 0))
+    effect = rough().recentred(vec(0, 0, 0))
     for v in ((0.0, 0.0), (3e-4, 4e-4), (0.3, -0.4)):
         now = look((0, 0, RADIUS - DEEP), (*v, 0))
         load, _ = effect.load(now, effect.guess(now))

@@ -14,7 +14,7 @@ from scenes import RADIUS, J, energies, gravity, knee, record, run, settled, sta
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.geometry.bvh.ball import Room
+from pftwin.geometry.bvh.ball import BallListLengths
 from pftwin.geometry.contact.effective_radius import beside_groove, effective_radius
 from pftwin.geometry.contact.mesh_facets import lateral_of_groove
 from pftwin.geometry.contact.patch_mesh import patch_mesh
@@ -74,7 +74,7 @@ def test_a_knee_settles_and_moves_on_a_mesh_as_on_its_patch_and_a_list_too_short
     assert way.max() < 0.08e-3
     assert float(np.ptp(np.asarray(ideal.states.position.array()), axis=0).max()) > 0.2e-3
     effect = scene.effect("contact")
-    short = scene.with_effect(replace(effect, mesh=replace(effect.mesh, room=Room(2, 3))))
+    short = scene.with_effect(replace(effect, mesh=replace(effect.mesh, room=BallListLengths(2, 3))))
     flags = np.asarray(eqx.filter_jit(lambda s, p: observe(s, p))(short, path).status)
     assert (flags & int(Status.SEARCH_OVERFLOW)).all()
     assert "ran out of room" in Status(int(flags[0])).describe()

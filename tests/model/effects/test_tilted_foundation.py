@@ -184,5 +184,5 @@ def test_a_patella_that_speeds_up_within_the_step_is_met_halfway(found, by_hand)
 
 
 def test_counted_from_the_centre_of_mass_an_arm_loses_it(effect):
-    moved = effect.about(vec(0.001, 0.002, -0.003))
+    moved = effect.recentred(vec(0.001, 0.002, -0.003))
     np.testing.assert_allclose(Vec3.array(moved.origin), ORIGIN - [0.001, 0.002, -0.003], rtol=1e-12)

@@ -279,7 +279,7 @@ def test_a_group_is_the_sum_of_its_members():
     group = jax.tree.map(lambda a: a * jnp.ones(3), one)
     group = eqx.tree_at(lambda t: (t.stiffness, t.relaxation_time), group, (K * scale, TAU * scale))
     now = stretched_by(0.006, 0.05)
-    now = eqx.tree_at(lambda n: (n.step, n.lead), now, (J(1e-3), J(1e-3)))
+    now = eqx.tree_at(lambda n: (n.step, n.lookahead), now, (J(1e-3), J(1e-3)))
     memory = J([0.001, RELAXED, 0.02])
     whole, after = group.load(now, memory)
     parts = [jax.tree.map(lambda a, i=i: a[i], group).load(now, memory[i]) for i in range(3)]

@@ -16,20 +16,20 @@ from pftwin.base.errors import InputError
 from pftwin.cli.app import app
 from pftwin.files.result_files import load_dataset
 from pftwin.results.metrics import validate
-from pftwin.studies.accuracy.measure import Row, compiling_anew, converged, float_type, rows
-from pftwin.studies.accuracy.plan import COMMON, FLOATS, MESHES, SMOOTH, Setting, chosen, everything
-from pftwin.studies.accuracy.run import Found, report, write
+from pftwin.studies.accuracy.measure import AccuracyRow, compiling_anew, converged, float_type, rows
+from pftwin.studies.accuracy.plan import COMMON, FLOATS, MESHES, SMOOTH, MeasuredProgram, chosen, everything
+from pftwin.studies.accuracy.run import AccuracyMeasured, report, write
 from pftwin.studies.accuracy.table import advice, columns, front, read_csv, recommended
 from pftwin.studies.tables import to_csv
 
 
-def row(error: float, speed: float, **more) -> Row:
+def row(error: float, speed: float, **more) -> AccuracyRow:
     known = dict.fromkeys(
         ("tilt_rms_deg", "force_rms_n", "dislocation_ms", "measured_mm", "compile_s", "gradient"), 1.0
     )
     given = {"contact": "P5", "integrator": "newmark", "order": 2, "dtype": "float64", "step_ms": 1.0, "status": "ok"}
     errors = {"position_rms_mm": error, "position_max_mm": 2 * error}
-    return Row(**{**given, **known, **errors, "real_time": speed, "real_time_batch": 10 * speed, **more})
+    return AccuracyRow(**{**given, **known, **errors, "real_time": speed, "real_time_batch": 10 * speed, **more})
 
 
 def test_the_front_is_what_nothing_beats():
@@ -77,18 +77,18 @@ def short_case():
 
 
 @pytest.fixture(scope="module")
-def found(short_case) -> Found:
+def found(short_case) -> AccuracyMeasured:
     scene_of, measured = short_case
     reference = converged(scene_of("P5"), "P5")
     plan = [
-        Setting("P5", "linear_implicit_bdf2", "float64", True, True),
-        Setting("P5", "linear_implicit", "float32", False, False),
+        MeasuredProgram("P5", "linear_implicit_bdf2", "float64", True, True),
+        MeasuredProgram("P5", "linear_implicit", "float32", False, False),
     ]
     measured_rows = []
     for setting in plan:
         with float_type(setting.dtype):
             measured_rows += rows(setting, scene_of("P5"), reference, measured)
-    return Found(measured_rows, {"P5": reference}, {"P5": validate(reference.result, measured)})
+    return AccuracyMeasured(measured_rows, {"P5": reference}, {"P5": validate(reference.result, measured)})
 
 
 @pytest.mark.slow

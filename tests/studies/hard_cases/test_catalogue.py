@@ -24,10 +24,10 @@ from pftwin.studies.hard_cases import (
     run_matrix,
 )
 from pftwin.studies.hard_cases.batch import batches, built
-from pftwin.studies.hard_cases.case import Case, Expected
+from pftwin.studies.hard_cases.case import Expected, HardCase
 from pftwin.studies.hard_cases.contacts import contact_on
-from pftwin.studies.hard_cases.knee import Knee
-from pftwin.studies.hard_cases.pieces import Piece
+from pftwin.studies.hard_cases.knee import KneeNumbers
+from pftwin.studies.hard_cases.pieces import KeptPiece
 from pftwin.studies.hard_cases.table import by_case, counts, markdown, reasons, summary
 from pftwin.studies.hard_cases.verdict import Cell
 
@@ -49,7 +49,7 @@ def test_a_case_says_what_is_hard_and_what_is_expected(case):
 
 
 def test_the_table_of_cases_has_no_word_that_is_not_read():
-    known = {f.name for kind in (Case, Expected) for f in fields(kind)} - {"topic", "builder", "expected"}
+    known = {f.name for kind in (HardCase, Expected) for f in fields(kind)} - {"topic", "builder", "expected"}
     known = known - {"smooth", "symmetric", "still"} | {"holds", "knee", "seed", "change"}
     text = resources.files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8")
     for entries in tomllib.loads(text).values():
@@ -59,7 +59,7 @@ def test_the_table_of_cases_has_no_word_that_is_not_read():
 
 def test_changes_reach_the_numbers_that_they_name():
     knee = case_named("tendon_stiff").builder()
-    assert (knee.patellar_tendon.stiffness, knee.quadriceps) == (5e5, Knee().quadriceps)
+    assert (knee.patellar_tendon.stiffness, knee.quadriceps) == (5e5, KneeNumbers().quadriceps)
     dropped = case_named("bounce_to_rest")
     assert dropped.builder().start == (0.0, 0.0, 0.025)
     assert dropped.expected.symmetric
@@ -122,7 +122,7 @@ def test_tables_count_every_cell_once(cells):
     assert sum(int(x) for x in row[3:]) == len(cells)
     assert len(by_case(cells).rows) == len({c.case for c in cells})
     machine = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
-    page = markdown(cells, catalogue(), [Piece(tuple(cells), 60.0, machine, False)])
+    page = markdown(cells, catalogue(), [KeptPiece(tuple(cells), 60.0, machine, False)])
     cases = len({c.case for c in cells})
     assert f"| 2026-01-01T10:00 | 1.0 | P5 | linear_implicit | float64 | {cases} | everything |" in page
     assert all(f"**{c.name}**" in page for c in catalogue())

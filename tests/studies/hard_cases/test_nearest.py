@@ -7,7 +7,7 @@ from scenes import vec
 
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.grounds import PLATE
-from pftwin.studies.hard_cases.knee import RADIUS, Knee
+from pftwin.studies.hard_cases.knee import RADIUS, KneeNumbers
 from pftwin.studies.hard_cases.nearest import depth_everywhere
 
 WIDE = PLATE.half[1]  # [m]
@@ -15,7 +15,7 @@ WIDE = PLATE.half[1]  # [m]
 
 @pytest.fixture(scope="module")
 def button():
-    return contact_on(Knee(ground=PLATE), "volume").about(vec(0, 0, 0))
+    return contact_on(KneeNumbers(ground=PLATE), "volume").recentred(vec(0, 0, 0))
 
 
 @pytest.mark.parametrize(

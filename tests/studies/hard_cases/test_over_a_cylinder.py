@@ -47,7 +47,7 @@ def test_a_button_that_is_to_touch_the_plate_exactly_does():
 @pytest.mark.parametrize("along", [-0.3, 0.0, 0.2])
 def test_the_exhaustive_search_goes_round_the_axis_once_at_most(height, along):
     """For a button of 1 m, whose squares are long enough for many turns, against samples of one turn of its surface."""
-    button = contact_on(case_named("button_of_1_m").builder(), KIND).about(vec(0, 0, 0))
+    button = contact_on(case_named("button_of_1_m").builder(), KIND).recentred(vec(0, 0, 0))
     assert isinstance(button, SphereContact)
     surface = button.surface
     center = surface.chart.from_frame(vec(along, 0.01, height))

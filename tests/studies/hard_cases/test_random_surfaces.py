@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.geometry.patch.polynomial import exponents
 from pftwin.studies.hard_cases.batch import built, member, stacked
-from pftwin.studies.hard_cases.case import Case
+from pftwin.studies.hard_cases.case import HardCase
 from pftwin.studies.hard_cases.invariants import CHECKS
-from pftwin.studies.hard_cases.knee import Knee
+from pftwin.studies.hard_cases.knee import KneeNumbers
 from pftwin.studies.hard_cases.look import TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import compiled, depths, rest, run
 from pftwin.studies.hard_cases.random_knees import BUMPS, DEGREE, bumpy
@@ -30,9 +30,9 @@ COEFFICIENTS = st.lists(
 @hypothesis.given(COEFFICIENTS, st.floats(7.5, 9.5), st.floats(0.03, 0.3))
 @pytest.mark.slow
 def test_invariants_hold_on_any_surface(coefficients, stiffness, mass):
-    plain = Knee(ground=bumpy(np.array(coefficients)), mass=mass)
+    plain = KneeNumbers(ground=bumpy(np.array(coefficients)), mass=mass)
     knee = replace(plain, law=replace(plain.law, stiffness=10**stiffness))
-    case = Case("any", "at random", "Any surface.", lambda: knee)
+    case = HardCase("any", "at random", "Any surface.", lambda: knee)
     scenes, none = stacked([built(case, "P5").unnamed()]), jnp.zeros((1, 4))
     start = compiled(rest, True)(scenes, none).equilibrium
     hypothesis.assume(float(start.residual[0]) < 1e-6)

@@ -12,7 +12,7 @@ import pytest
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.studies.hard_cases import starts
-from pftwin.studies.hard_cases.batch import Batch
+from pftwin.studies.hard_cases.batch import CaseBatch
 from pftwin.studies.hard_cases.programs import Rest, relaxed
 
 HIGH, LOW = 22.5e-3, 21.9e-3  # where both are put, and where they come to rest [m]
@@ -51,5 +51,5 @@ def test_a_case_that_is_let_go_stays_where_it_was_put(monkeypatch, wanted):
     monkeypatch.setattr(starts, "_wrong", lambda *given: {})
     cases = tuple(SimpleNamespace(released=r, name=n) for r, n in ((not wanted, "one"), (True, "let go")))
     scenes = Put(pose(HIGH), None)
-    chosen = starts.starts_of(Batch(cases, scenes), "float32").chosen  # pyright: ignore[reportArgumentType]
+    chosen = starts.starts_of(CaseBatch(cases, scenes), "float32").chosen  # pyright: ignore[reportArgumentType]
     np.testing.assert_allclose(chosen.pose.position.z, [LOW if wanted else HIGH, HIGH])

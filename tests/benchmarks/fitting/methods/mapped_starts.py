@@ -24,7 +24,7 @@ from pftwin.base.errors import MissingExtraError
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import Place
+from pftwin.model.scene_parameters import NumberPlace
 from tests.benchmarks.fitting.methods.meter import Meter
 from tests.benchmarks.problem import tracked_path
 
@@ -41,7 +41,7 @@ class Residuals(eqx.Module):
     upper: Array
     measured: Array  # (n, 3), 0 where missing
     present: Array  # (n, 1)
-    places: tuple[Place, ...] = eqx.field(static=True)
+    places: tuple[NumberPlace, ...] = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
 
     @staticmethod
@@ -72,7 +72,7 @@ def optimistix_levenberg_marquardt(meter: Meter, seed: int) -> str:
     """All starts side by side, one step of each after another, until all have converged."""
     solver = _solver()
     p, residuals = meter.problem.parameters, Residuals.of(meter.problem)
-    others = p.spread(STARTS - 1, np.random.default_rng(seed))
+    others = p.latin_hypercube(STARTS - 1, np.random.default_rng(seed))
     first = np.concatenate([p.nominal[None], others])
     guesses, u = meter.problem.evaluator.guesses(first), jnp.asarray(p.to_unbounded(first))
     with lenient():

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator
-from fitting.methods.problem import Answer, Problem, Request
+from fitting.methods.problem import Problem, ProblemAnswer, Request
 
 Floats = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ class Meter:
         self.problem, self.course, self.budget = problem, course, budget
         self._cpu, self._wall = time.process_time(), time.perf_counter()
 
-    def answer(self, request: Request) -> Answer:
+    def answer(self, request: Request) -> ProblemAnswer:
         """What the problem answers.
 
         Raises:

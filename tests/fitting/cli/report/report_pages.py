@@ -11,7 +11,7 @@ from made_estimates import made_estimate
 from small_scene import small_result, small_scene
 
 from fitting.cli.report.material import Material
-from fitting.cli.report.run import Run
+from fitting.cli.report.run import ReportedRun
 from fitting.estimate import Estimate
 from pftwin.cli.scenes import Chosen
 from pftwin.model.measured import Measured
@@ -82,7 +82,7 @@ def fitted(folder: Path, **more) -> Material:
     found = estimate(**more)
     found.save(path)
     found.nominal_scene, found.measured = small_scene(), measured()
-    runs = [Run.of_result(small_result(), "fitted")]
+    runs = [ReportedRun.of_result(small_result(), "fitted")]
     chosen = Chosen(dataclasses.replace(small_scene(), measured=measured()), None)
     return Material(path, "Fitted knee: small knee", {"the fit": found}, chosen, runs, files=[path])
 

@@ -13,7 +13,7 @@ from small_scene import small_result
 from fitting.cli.report import contents
 from fitting.cli.report.contents import report
 from fitting.cli.report.material import Material
-from fitting.cli.report.run import Run
+from fitting.cli.report.run import ReportedRun
 from pftwin.base.labels import SYNTHETIC
 
 
@@ -25,7 +25,7 @@ def file(tmp_path_factory):
 
 
 def of_file(path, **more):
-    run = Run.of_file(path)
+    run = ReportedRun.of_file(path)
     return Material(path, f"Simulated knee: {run.name}", runs=[run], files=[path], **more)
 
 
@@ -85,7 +85,7 @@ def test_quality_and_settings_are_those_of_the_file(seen):
 
 
 def test_flagged_frames_are_counted(file):
-    run = Run.of_file(file)
+    run = ReportedRun.of_file(file)
     flag = int(run.data["status"].attrs["flag_masks"][0])
     run.data["status"].values[:] = 0
     run.data["status"].values[3:6] = flag
@@ -144,7 +144,7 @@ def test_labels(page, fit_page, tmp_path):
 
 
 def test_a_synthetic_motion_is_labelled_from_its_file(file):
-    run = Run.of_file(file)
+    run = ReportedRun.of_file(file)
     run.data.attrs["note"] = SYNTHETIC
     seen = Seen(report(Material(file, "made up", runs=[run], files=[file]), "").page)
     assert f"Synthetic data: {SYNTHETIC}." in seen.text
@@ -152,7 +152,7 @@ def test_a_synthetic_motion_is_labelled_from_its_file(file):
 
 def test_names_do_not_break_out(file, tmp_path):
     evil = "</script></style><img src=x onerror=alert(1)>\"'&"
-    run = Run.of_file(file, evil)
+    run = ReportedRun.of_file(file, evil)
     run.data.attrs |= {"tracking": evil, "equilibrium": evil, "integrator": evil}
     material = fitted(tmp_path, source=evil, reason=evil, notes=[evil])
     material.title, material.treatment = evil, prediction(title=evil, parameters=evil)

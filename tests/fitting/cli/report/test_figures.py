@@ -9,7 +9,7 @@ from small_scene import small_result
 
 from fitting.cli.report import figures, fit
 from fitting.cli.report.material import Material
-from fitting.cli.report.run import Run
+from fitting.cli.report.run import ReportedRun
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_of_two_runs_each_is_drawn_under_its_own_name(shown, material):
     import dataclasses
 
     other = dataclasses.replace(small_result(), scene=small_result().scene)
-    two = dataclasses.replace(material, runs=[*material.runs, Run.of_result(other, "treated")])
+    two = dataclasses.replace(material, runs=[*material.runs, ReportedRun.of_result(other, "treated")])
     figures.section(two)
     figure, alternative, _ = shown[0]
     assert {"fitted", "treated"} <= {t.get_text() for legend in figure.legends for t in legend.get_texts()}

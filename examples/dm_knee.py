@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation as Turn
 import pftwin
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
-from pftwin.dynamics.state import Guide
+from pftwin.dynamics.state import Guide, System
 from pftwin.files.mocap import (
     PoseSeries,
     Table,
@@ -286,7 +286,7 @@ def pulls_at_recorded_poses(knee: Knee) -> dict[str, tuple[NDArray[np.float64], 
 
     Everything stands still, as in the recorded tensions.
     """
-    system, com = knee.scene.system(), knee.scene.patella.center_of_mass
+    system, com = System.of(knee.scene), knee.scene.patella.center_of_mass
     guides = Guide.sample(knee.scene.motion, array(knee.patella.times))
     still = jax.tree.map(jnp.zeros_like, (guides.tibia.velocity, guides.tibia.angular_velocity))
     guides = eqx.tree_at(lambda g: (g.tibia.velocity, g.tibia.angular_velocity), guides, still)

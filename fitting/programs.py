@@ -25,7 +25,7 @@ from pftwin.dynamics.batch.shard_over import AXIS, SPLIT, shard_over
 from pftwin.dynamics.frame_states import scan_observations, starting_equilibrium
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import placed
-from pftwin.dynamics.state import Guide, State
+from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import NumberPlace
 
@@ -42,7 +42,7 @@ def _predicted(
 ) -> tuple[Array, Pose, Array]:
     """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
     start = starting_equilibrium(scene, guess)
-    motion, effects = scene.motion, scene.system().effects
+    motion, effects = scene.motion, System.of(scene).effects
     guides = Guide.sample(motion, motion.frame_times())
 
     def columns(state: State, _: Ledger | None, index: Scalar) -> Array:

@@ -226,4 +226,4 @@ def starting_as_it_is(scene: Scene) -> Solution:
     """The scene's own start pose in the place of an equilibrium."""
     pose = scene.center_of_mass_pose()
     still = first_guide(scene).instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
-    return Solution(pose, scene.system().remember(still), J(0.0), J(0), jnp.zeros((6, 6)))
+    return Solution(pose, System.of(scene).remember(still), J(0.0), J(0), jnp.zeros((6, 6)))

@@ -1,4 +1,4 @@
-"""Which package may know which: pftwin knows nothing of fitting, and nothing but a command line knows one."""
+"""Which room may know which: imports run one way, and nothing but a command line knows one."""
 
 from __future__ import annotations
 
@@ -10,6 +10,25 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted(p.relative_to(ROOT) for package in ("pftwin", "fitting") for p in (ROOT / package).rglob("*.py"))
+# From below to above: a room knows itself and those below it. Files that hold no scene come before the model, scene
+# files make scenes, other programs' files take results too.
+ROOMS = (
+    "base",
+    "geometry",
+    "files",
+    "model",
+    "files.scene_file",
+    "dynamics",
+    "results",
+    "files.interchange",
+    "rig",
+    "studies",
+    "cli",
+)
+# Lazy imports of what is built on top, so that users have it where they look for it.
+BACKWARDS = {
+    ("pftwin/dynamics/simulate.py", "pftwin.results.result"),  # `simulate` gives a Result
+}
 
 
 def imported(text: str) -> Iterator[str]:
@@ -28,10 +47,31 @@ def test_a_source_is_read_to_its_depth() -> None:
     assert set(imported(text)) == {"a.b", "c.d", "e.{x}"}
 
 
-@pytest.mark.parametrize("file", [f for f in FILES if f.parts[0] == "pftwin"], ids=str)
-def test_pftwin_does_not_know_fitting(file: Path) -> None:
-    text = (ROOT / file).read_text(encoding="utf-8")
-    assert not [name for name in imported(text) if name.partition(".")[0] == "fitting"]
+def test_every_file_is_in_a_room() -> None:
+    loose = [f for f in FILES if f.parts[0] == "pftwin" and len(f.parts) == 2]
+    assert {f.name for f in loose} == {"__init__.py", "__main__.py"}
+    rooms = {f.parts[1] for f in FILES if f.parts[0] == "pftwin" and len(f.parts) > 2}
+    assert rooms == {room.partition(".")[0] for room in ROOMS}
+
+
+def room_of(module: str) -> int:
+    """The number of a pftwin module's room; -1 of the package itself."""
+    inside = module.partition(".")[2] + "."
+    return max(
+        (i for i, room in enumerate(ROOMS) if inside.startswith(f"{room}.")), key=lambda i: len(ROOMS[i]), default=-1
+    )
+
+
+@pytest.mark.parametrize("file", [f for f in FILES if f.parts[0] == "pftwin" and len(f.parts) > 2], ids=str)
+def test_imports_run_one_way(file: Path) -> None:
+    own, wrong = room_of(".".join(file.with_suffix("").parts)), []
+    for name in imported((ROOT / file).read_text(encoding="utf-8")):
+        above = name.startswith("pftwin.") and room_of(name) > own
+        if name.partition(".")[0] == "fitting" or (
+            above and (file.as_posix(), name.rpartition(".")[0]) not in BACKWARDS
+        ):
+            wrong.append(name)
+    assert not wrong
 
 
 @pytest.mark.parametrize("file", [f for f in FILES if f.parts[1] not in ("cli", "__main__.py")], ids=str)

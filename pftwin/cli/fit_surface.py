@@ -111,7 +111,7 @@ def _direction(text: str, name: str) -> tuple[float, ...]:
 
 def _draw(region: Any, surface: Any, output: Path) -> None:
     from pftwin.base.output import written_whole
-    from pftwin.geometry.patch.region import plot_region
+    from pftwin.results.plots.region import plot_region
 
     figure = plot_region(region, surface)
     with written_whole(output) as temporary:

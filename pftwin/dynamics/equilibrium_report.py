@@ -14,6 +14,7 @@ from pftwin.base.program_cache import Program
 from pftwin.base.spatial import Pose, Quaternion
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide
+from pftwin.dynamics.state import System
 from pftwin.dynamics.static_load import LEVER
 from pftwin.dynamics.status import RESERVATIONS, Status
 from pftwin.model.effects.base import Patella
@@ -144,7 +145,7 @@ class EquilibriumReport:
 @Program
 def _look(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
     """Pose of the patella in the femur and observables, with the patella at rest at a pose of its centre of mass."""
-    system, guide = scene.system(), first_guide(scene)
+    system, guide = System.of(scene), first_guide(scene)
     now = guide.instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
     memories = system.remember(now)
     seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, memories, strict=True)}

@@ -48,12 +48,12 @@ def substeps_for(interval: float, dt: float) -> int:
 def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
     """The equilibrium at the first frame, from the scene's own start pose or another pose of the patella's frame."""
     pose = scene.center_of_mass_pose() if guess is None else _of_center(scene, guess)
-    return solve_equilibrium(scene.system(), first_guide(scene), pose)
+    return solve_equilibrium(System.of(scene), first_guide(scene), pose)
 
 
 def start_before_search(scene: Scene) -> Solution:
     """Of the same structure as `starting_equilibrium`'s answer, at no cost."""
-    return unsolved(scene.system(), first_guide(scene), scene.center_of_mass_pose())
+    return unsolved(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
 
 
 def _of_center(scene: Scene, pose: Pose) -> Pose:
@@ -67,7 +67,7 @@ def first_guide(scene: Scene) -> Guide:
 
 def starting_state(scene: Scene, start: Solution) -> State:
     """At rest on the femur: one that moves at the first frame already carries the patella along, not runs into it."""
-    state = scene.system().at_rest(start.pose, start.memories)
+    state = System.of(scene).at_rest(start.pose, start.memories)
     if scene.motion.femur is None:
         return state
     femur = scene.motion.femur.frames(jnp.asarray(scene.motion.start_time, dtype=float))
@@ -164,7 +164,7 @@ class _Run(NamedTuple):
 
 def _run(scene: Scene, chosen: Integrator, substeps: int | Scalar, start: Solution | None, ledger: bool) -> _Run:
     chosen.refuse_unfit(scene.effects)
-    system = scene.system()
+    system = System.of(scene)
     if start is None:
         start = starting_equilibrium(scene)
     motion = scene.motion

@@ -17,7 +17,7 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import map_rows
-from pftwin.dynamics.state import Guide, State
+from pftwin.dynamics.state import Guide, State, System
 from pftwin.dynamics.status import status_of_all, status_of_frame
 from pftwin.model.effects.base import Instant
 from pftwin.model.scene import Scene
@@ -121,7 +121,7 @@ def tracked_center(scene: Scene, states: State) -> Vec3:
 
 def _look(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], ObservedFrame], Guide]:
     """What shows a frame, from the state, the guided bodies and the step; and those bodies at all frames."""
-    system = scene.system()
+    system = System.of(scene)
     # Clear of the frames' rounding: the last frame is asked for itself.
     times = scene.motion.frame_times()
 

@@ -30,6 +30,7 @@ from pftwin.dynamics.integrators import BDF2, LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax, thrown
+from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Path, coarsest, settings_of, tolerance_in_metres
 from pftwin.dynamics.trajectory import checked_integrator
@@ -47,7 +48,7 @@ def _solve(scene: Scene) -> Solution:
 
 @Program
 def _relaxed(scene: Scene) -> Pose:
-    pose = relax(scene.system(), first_guide(scene), scene.center_of_mass_pose())
+    pose = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
     return Pose(pose.apply(-scene.patella.center_of_mass), pose.orientation)
 
 

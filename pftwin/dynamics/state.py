@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from pftwin.base.spatial import Pose, Quaternion, Scalar, Twist, Vec3, Wrench
 from pftwin.model.effects.base import Effect, Ground, Instant, Load, Patella
 from pftwin.model.motion import Frame, KneeMotion, MotionPiece
+from pftwin.model.scene import Scene
 
 
 class State(eqx.Module):
@@ -67,6 +68,12 @@ class System(eqx.Module):
     mass: Scalar  # [kg]
     inertia: Vec3  # [kg m^2]
     effects: tuple[Effect, ...]
+
+    @staticmethod
+    def of(scene: Scene) -> System:
+        """The equations' view of a scene: points counted from the centre of mass."""
+        effects = tuple(e.recentred(scene.patella.center_of_mass) for e in scene.effects)
+        return System(scene.patella.mass, scene.patella.inertia, effects)
 
     def loads(self, now: Instant, memories: tuple[Any, ...]) -> tuple[list[Load], tuple[Any, ...]]:
         """Every effect's load, and the memories for the next step."""

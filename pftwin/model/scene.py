@@ -13,7 +13,6 @@ from jax.core import Tracer
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import bounded_leaves, declarations, quantity
 from pftwin.base.spatial import Pose, Scalar, Vec3
-from pftwin.dynamics.state import System
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Effect
 from pftwin.model.motion import KneeMotion
@@ -112,11 +111,6 @@ class Scene(eqx.Module):
             InputError: no such number; a value of another shape.
         """
         return with_value(self, name, value)
-
-    def system(self) -> System:
-        """The equations' view of the scene: points counted from the centre of mass."""
-        about = tuple(e.recentred(self.patella.center_of_mass) for e in self.effects)
-        return System(self.patella.mass, self.patella.inertia, about)
 
     def center_of_mass_pose(self) -> Pose:
         """The start pose of the centre of mass."""

@@ -131,7 +131,7 @@ def _derivative(time: Scalar, y: tuple[Vec3, Quaternion, Vec3, Vec3], args: tupl
 def _integrate(scene: Scene) -> tuple[State, Any, Scalar]:
     import diffrax
 
-    system = scene.system()
+    system = System.of(scene)
     start = solve_equilibrium(system, first_guide(scene), scene.center_of_mass_pose())
     times = scene.motion.frame_times()
     zero = Vec3(*(jnp.zeros_like(start.residual) for _ in range(3)))

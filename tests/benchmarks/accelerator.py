@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from pftwin.dynamics.batch.member import Task, moved, settled
 from pftwin.dynamics.batch.sharding import Sharding, piece_for
 from pftwin.dynamics.frame_states import frame_states, starting_state, substeps_for
-from pftwin.dynamics.state import Guide
+from pftwin.dynamics.state import Guide, System
 from pftwin.model.scene import Scene
 from tests.benchmarks.batches import SETTINGS, amounts, transferred
 from tests.benchmarks.row import Row
@@ -119,7 +119,7 @@ def kernels_of_step(scene: Scene, count: int) -> int:
     def begun(row: Any) -> Any:
         one = task.change(scene, row)
         first = Guide.sample(one.motion, jnp.asarray(one.motion.start_time, dtype=float))
-        return chosen.begin(one.system(), starting_state(one, settled(task, row)), first, step)
+        return chosen.begin(System.of(one), starting_state(one, settled(task, row)), first, step)
 
     def advanced(row: Any, state: Any) -> Any:
         one = task.change(scene, row)
@@ -127,7 +127,7 @@ def kernels_of_step(scene: Scene, count: int) -> int:
         def guide_at(part: Any) -> Guide:
             return Guide.sample(one.motion, one.motion.start_time + step * jnp.asarray(part, dtype=float))
 
-        return chosen.advance(one.system(), state, guide_at, step, None)[0]
+        return chosen.advance(System.of(one), state, guide_at, step, None)[0]
 
     some = jnp.asarray(amounts(count), dtype=float)
     states = jax.vmap(begun)(some)

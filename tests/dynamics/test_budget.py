@@ -12,7 +12,7 @@ from scenes import J, knee, order_of, settled
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.state import Guide
+from pftwin.dynamics.state import Guide, System
 from pftwin.model.scene import Scene
 
 DURATION = 0.2
@@ -22,7 +22,7 @@ COUNTS = (200, 400, 800, 1600)
 @eqx.filter_jit
 def journey(scene: Scene, start, count, integrator: Integrator):
     """Final position [mm], energies at start and end, and the ledger, after `count` (traced) steps."""
-    sys, advance = scene.system(), integrator.advance
+    sys, advance = System.of(scene), integrator.advance
     step = DURATION / count
 
     def guide_at(t):

@@ -13,6 +13,7 @@ from pftwin.base.spatial import Pose, Quaternion
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.dynamics.observe import observe
+from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.contact_law import Hertz
 from pftwin.model.effects.damping import LinearDamping
@@ -22,7 +23,7 @@ from pftwin.model.effects.damping import LinearDamping
 def long_damped(scene):
     """Ten seconds, heavily damped, the tibia held still."""
     damped = scene.with_effect(LinearDamping(J(3.0), J(1e-3), body="ground"))
-    sys, guide = damped.system(), first_guide(damped)
+    sys, guide = System.of(damped), first_guide(damped)
     state = sys.start(damped.center_of_mass_pose(), guide)
     return jax.lax.fori_loop(
         0, 10_000, lambda _, s: LinearImplicit().advance(sys, s, lambda _: guide, J(1e-3))[0], state

@@ -28,6 +28,7 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_state
 from pftwin.dynamics.integrators import Diagnostics, Newmark, integrator_from_text, newmark
 from pftwin.dynamics.observe import observe
+from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
@@ -226,7 +227,7 @@ def test_what_an_integrator_carries_it_knows(held):
     state, guide = starting_state(scene, start), first_guide(scene)
     for name in (*NAMES, "quasi_static", "diffrax:Tsit5"):
         chosen = integrator_from_text(name)
-        carried = chosen.begin(scene.system(), state, guide, J(1e-3)).carried
+        carried = chosen.begin(System.of(scene), state, guide, J(1e-3)).carried
         fields = set(getattr(carried, "_fields", ())) & set(Diagnostics._fields)
         told = chosen.diagnostics(replace(state, carried=carried))
         assert {n for n, value in told._asdict().items() if value is not None} == fields
@@ -236,7 +237,7 @@ def test_what_an_integrator_carries_it_knows(held):
 def test_a_frame_tells_of_the_worst_of_its_steps(held):
     scene, start = held
     chosen, guide = integrator_from_text("newmark"), first_guide(scene)
-    state = chosen.begin(scene.system(), starting_state(scene, start), guide, J(1e-3))
+    state = chosen.begin(System.of(scene), starting_state(scene, start), guide, J(1e-3))
     bad = eqx.tree_at(lambda s: s.carried.residual, state, J(0.3))
     assert float(chosen.diagnostics(chosen.with_worst_residual(state, bad)).residual) == 0.3
     assert float(chosen.diagnostics(chosen.with_residual_cleared(bad)).residual) == 0

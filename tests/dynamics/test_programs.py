@@ -10,6 +10,7 @@ import pytest
 from scenes import J, contact, flat_patch, knee, starting_as_it_is
 
 from pftwin.dynamics.frame_states import first_guide, frame_states
+from pftwin.dynamics.state import System
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.geometry.patch.polynomial import PolynomialPatch
 from pftwin.model.effects.contact_law import Flores, Hertz
@@ -87,7 +88,7 @@ def test_memory_is_there_only_for_laws_that_remember():
     def memory(law):
         scene = knee(5).with_effect(contact(law, flat_patch()))
         pose = scene.center_of_mass_pose()
-        state = jax.eval_shape(lambda: scene.system().start(pose, first_guide(scene)))
+        state = jax.eval_shape(lambda: System.of(scene).start(pose, first_guide(scene)))
         return state.memories[scene.index("contact")]
 
     assert memory(Hertz(J(2e8))).approach_speeds is None

@@ -11,6 +11,7 @@ import pytest
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution, tolerance_of, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide, starting_equilibrium
+from pftwin.dynamics.state import System
 from pftwin.dynamics.static_load import moved, residual
 from pftwin.studies.hard_cases import case_named
 from pftwin.studies.hard_cases.batch import built
@@ -20,7 +21,7 @@ CASES = ("contact_hard", "button_of_1_m")
 
 def load(scene, memories, poses):
     """(n, 6): what is left of the load at poses."""
-    system, guide = scene.system(), first_guide(scene)
+    system, guide = System.of(scene), first_guide(scene)
     return jax.lax.map(lambda pose: jnp.stack(residual(system, guide, pose, memories)), poses)
 
 

@@ -16,6 +16,7 @@ from fitting.objective import Objective
 from fitting.prediction.course import Groove, groove_surface
 from pftwin.base.leaves import number
 from pftwin.base.spatial import Vec3
+from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status, status_of_frame
 from pftwin.geometry.contact.contact_mesh import contact_mesh
 from pftwin.geometry.mesh.icosphere import icosphere
@@ -115,7 +116,7 @@ def test_the_button_of_a_mesh_can_be_moved() -> None:
 @pytest.mark.parametrize(("speed", "too_long"), [(4.5, False), (5.1, True)])
 def test_a_step_may_not_leap_over_a_mesh_button(speed: float, too_long: bool) -> None:
     scene = with_mesh()  # a quarter of 20 mm in a step of 1 ms is 5 m/s
-    state = scene.system().at_rest(scene.center_of_mass_pose(), (None,) * len(scene.effects))
+    state = System.of(scene).at_rest(scene.center_of_mass_pose(), (None,) * len(scene.effects))
     state = eqx.tree_at(lambda s: s.velocity, state, vec(speed, 0, 0))
     nothing = {name: jnp.asarray(0.0) for name in ("force", "indentation_medial", "indentation_lateral")}
     seen = {e.name: dict(nothing) for e in scene.effects}

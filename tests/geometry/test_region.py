@@ -13,7 +13,8 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh
 from pftwin.geometry.patch.groove import fit_axis_direction, fit_circle
 from pftwin.geometry.patch.implant import FemoralComponent, rig_implant
 from pftwin.geometry.patch.polynomial_fit import fit_patch
-from pftwin.geometry.patch.region import plot_region, trochlear_region
+from pftwin.geometry.patch.region import trochlear_region
+from pftwin.results.plots.region import plot_region
 
 _FRONT = {"anterior": (0, 0, 1), "proximal": (1, 0, 0)}
 _DM = {"anterior": (-1, 0, 0), "proximal": (0, 1, 0)}

@@ -19,6 +19,7 @@ from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equ
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import Observation, ObservedFrame, observe, observe_on_the_way
 from pftwin.dynamics.relaxation import THROWN, relax
+from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
 from pftwin.model.scene import Scene
 
@@ -46,7 +47,7 @@ def settled(task: Task, row: Any) -> Solution:
 def settled_after_relaxing(task: Task, row: Any) -> Solution:
     """As `pftwin.simulate` does it where the search fails: from where damped motion comes to rest, if that is near."""
     scene = task.change(task.scene, row)
-    rested = relax(scene.system(), first_guide(scene), scene.center_of_mass_pose())
+    rested = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
     pose = Pose(rested.apply(-scene.patella.center_of_mass), rested.orientation)
     near = (pose.position - scene.start.position).norm() < THROWN
     return starting_equilibrium(scene, jax.tree.map(lambda a, b: jnp.where(near, a, b), pose, scene.start))

@@ -16,7 +16,7 @@ from pftwin.dynamics.frame_states import FrameStates, starting_state
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.packing import Layout
-from pftwin.dynamics.state import Guide, State
+from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.scene import Scene
 from pftwin.studies.audit.parts import EffectPart, load_of, parts
 from pftwin.studies.audit.step import frame_time, guide_over, one_step, step_length
@@ -48,7 +48,7 @@ def account(scene: Scene, start: Solution, integrator: Integrator, substeps: int
     Power is taken at the end of every step, from loads looked at there: the works' sum differs from the change of
     kinetic energy by an error of first order in the step.
     """
-    chosen, system, motion = integrator, scene.system(), scene.motion
+    chosen, system, motion = integrator, System.of(scene), scene.motion
     step, listed = step_length(motion, substeps), parts(scene)
     first = Guide.sample(motion, jnp.asarray(motion.start_time, dtype=float))
     state = chosen.begin(system, starting_state(scene, start), first, step)
@@ -77,7 +77,7 @@ def _at_end(
     scene: Scene, listed: list[EffectPart], state: State, guide: Guide, step: Scalar
 ) -> tuple[PartAccount, ...]:
     """One step's entries, from its end."""
-    system, now = scene.system(), guide.instant(state.patella(), 0.0)
+    system, now = System.of(scene), guide.instant(state.patella(), 0.0)
     out = []
     for part in listed:
         loads = load_of(part, system.effects[part.index], now, state.memories[part.index])

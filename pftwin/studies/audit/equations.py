@@ -40,7 +40,7 @@ def equations(scene: Scene, integrator: Integrator = LinearImplicit()) -> int:
 
 def _givens(scene: Scene, integrator: Integrator) -> tuple[System, State, MotionPiece, Scalar, Scalar]:
     """All that a step starts from, what the integrator carries included."""
-    system, step = scene.system(), step_length(scene.motion, 1)
+    system, step = System.of(scene), step_length(scene.motion, 1)
     state = starting_state(scene, start_before_search(scene))
     state = integrator.begin(system, state, first_guide(scene), step)
     return system, state, scene.motion.between_frames(jnp.zeros((), int)), jnp.zeros((), float), step

@@ -43,7 +43,7 @@ def parts(scene: Scene) -> list[EffectPart]:
 
 
 def load_of(part: EffectPart, effect: Effect, now: Instant, memory: Any) -> list[tuple[float, Load]]:
-    """The part's load as a sum of loads with their signs; `effect` is made ready by `about`."""
+    """The part's load as a sum of loads with their signs; `effect` is made ready by `recentred`."""
     loads = [(1.0, effect.load(now, memory)[0])]
     own = [(c, rest) for c, rest in separable(effect) if part.name == f"{part.of}: {c.label}"]
     return [*loads, *((-1.0, c.effect.load(now, rest(memory))[0]) for c, rest in own)]

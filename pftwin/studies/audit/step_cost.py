@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from pftwin.base.program_cache import Program
 from pftwin.base.spatial import Scalar
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.state import State
+from pftwin.dynamics.state import State, System
 from pftwin.model.scene import Scene
 from pftwin.studies.audit.step import frame_time, guide_over, one_step, step_length
 
@@ -20,7 +20,7 @@ from pftwin.studies.audit.step import frame_time, guide_over, one_step, step_len
 @Program
 def through_frames(scene: Scene, states: State, integrator: Integrator, substeps: int) -> Scalar:
     """All steps of a run, every frame from its own given state; a number that all of them enter."""
-    system, motion = scene.system(), scene.motion
+    system, motion = System.of(scene), scene.motion
     step = step_length(motion, substeps)
 
     def one_frame(index: Scalar, total: Scalar) -> Scalar:

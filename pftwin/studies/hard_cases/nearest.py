@@ -28,7 +28,7 @@ def depth_everywhere(button: Effect, center: Vec3) -> Array:
     triangle's normal, but a mesh that is open has no inside past its rim.
 
     Args:
-        button: a contact, made ready by `about`.
+        button: a contact, made ready by `recentred`.
         center: of the sphere, femur frame [m].
     """
     if isinstance(button, SphereContact):

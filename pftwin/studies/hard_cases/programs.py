@@ -22,7 +22,7 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax
-from pftwin.dynamics.state import State
+from pftwin.dynamics.state import State, System
 from pftwin.dynamics.static_load import still
 from pftwin.geometry.patch.polynomial import PolynomialPatch
 from pftwin.model.effects.base import Effect
@@ -102,7 +102,7 @@ def rest(scene: Scene, p: Array) -> Rest:
         return jnp.concatenate([pose.position.array(), pose.orientation.array()])
 
     changed = varied(scene, p)
-    pose, system = scene.center_of_mass_pose(), scene.system()
+    pose, system = scene.center_of_mass_pose(), System.of(scene)
     solution = starting_equilibrium(changed)
     memories = system.remember(still(first_guide(scene), pose))
     unknown = jnp.full_like(solution.residual, jnp.inf)
@@ -113,7 +113,7 @@ def rest(scene: Scene, p: Array) -> Rest:
 
 def relaxed(scene: Scene) -> Pose:
     """Where the damped relaxation ends: a start for another search."""
-    pose = relax(scene.system(), first_guide(scene), scene.center_of_mass_pose())
+    pose = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
     return Pose(pose.apply(-scene.patella.center_of_mass), pose.orientation)
 
 
@@ -127,7 +127,7 @@ def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: In
 
 def depths(scene: Scene, centers: Vec3) -> Array:
     """(n,): how deep the button is at places of its centre, by exhaustive search [m]."""
-    button = scene.system().effects[scene.index("contact")]
+    button = System.of(scene).effects[scene.index("contact")]
     return jax.lax.map(lambda c: depth_everywhere(button, c), centers)
 
 

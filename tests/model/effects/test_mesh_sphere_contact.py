@@ -16,6 +16,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.frame_states import first_guide
 from pftwin.dynamics.observe import observe
+from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
 from pftwin.geometry.bvh import nearest_wide
 from pftwin.geometry.contact.mesh_facets import MeshFacets, lateral_of_groove, mesh_facets
@@ -220,7 +221,7 @@ def test_a_knee_moves_on_a_mesh_as_on_its_patch_and_a_search_without_room_is_in_
     patch, scene = knee(6, LAW), small_knee()
     start = settled(patch)
     still = first_guide(scene).instant(Patella.at_rest(start.pose.position, start.pose.orientation), 0.0)
-    on_mesh = eqx.tree_at(lambda s: s.memories, start, scene.system().remember(still), is_leaf=lambda x: x is None)
+    on_mesh = eqx.tree_at(lambda s: s.memories, start, System.of(scene).remember(still), is_leaf=lambda x: x is None)
     smooth, _ = run(patch, start)
     path, seen = run(scene, on_mesh)
     assert (np.asarray(seen.status) == 0).all()

@@ -13,6 +13,7 @@ from scenes import J, contact, gravity, knee, tendon, trochlea
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.frame_states import start_before_search, starting_state
 from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.state import System
 from pftwin.model.effects.contact_law import Flores
 from pftwin.model.effects.friction import Friction
 from pftwin.model.effects.strands import StrandGroup
@@ -80,7 +81,7 @@ def _step(s: Scene, step: jax.Array):
 
     state = starting_state(s, start_before_search(s))
     piece = s.motion.between_frames(J(0))
-    return one_step(s.system(), state, guide_over(piece, J(0.0), step), step, LinearImplicit())
+    return one_step(System.of(s), state, guide_over(piece, J(0.0), step), step, LinearImplicit())
 
 
 def test_friction_that_has_gone_leaves_no_equation():

@@ -169,6 +169,19 @@ def test_on_the_surface_itself_depths_have_derivatives():
         assert float(slope) == pytest.approx(-1.0)
 
 
+def test_what_is_nearest_to_the_rim_has_no_depth():
+    """Triangles a millimetre below a plate's level: inside up to its edge, beyond it nowhere."""
+    corners = 0.01 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    plate = SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), "plate")
+    small = SurfaceMesh(1e-4 * np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]]), np.array([[0, 2, 1]]), "one")
+    sides = pressing_surface(small), pressed_surface(plate)
+    for x, y, inside in ((0.0, 0.0, True), (0.0099, 0.002, True), (0.0101, 0.002, False), (-0.011, 0.0105, False)):
+        found = listed(*sides, Pose(Vec3(*(jnp.asarray(c) for c in (x, y, -1e-3))), Quaternion.identity()))
+        assert found.listed.tolist().count(True) == inside
+        if inside:
+            assert float(found.depth[found.listed][0]) == pytest.approx(1e-3)
+
+
 def test_labels_must_fit(femur):
     with pytest.raises(InputError, match="labels of shape"):
         pressed_surface(femur, labels=[0, 1])

@@ -121,6 +121,17 @@ def between(arm: float, length: float) -> System:
     return system(line(1), line(-1), mass=MASS, inertia=INERTIA)
 
 
+def test_a_bed_of_contacts_turns_with_the_body_as_one_force_does():
+    """Pressed with f in all, and of no stiffness: f / L across itself and f l about, whatever its direction."""
+    zero = vec(0, 0, 0)
+    pressed = Bed(J(np.zeros(6)), J(np.zeros(6)), J(np.zeros((6, 6))), J(0.0), J(FORCE), zero, zero)
+    push = np.array([0.3, -0.2, 0.5, 0.01, 0.02, -0.03])
+    dv, _ = solved(Wrench(vec(*push[:3]), vec(*push[3:])), [Load(bed=pressed)])
+    h, r = float(SPANS.impulse), float(SPANS.reach)
+    body = np.array([MASS] * 3 + list(INERTIA)) + h * r * FORCE * np.repeat([1 / SPAN, LEVER], 3)
+    np.testing.assert_allclose(dv, h * push / body, rtol=1e-9)
+
+
 def turned(axis: int, angle: float) -> Quaternion:
     return Quaternion.from_rotation_vector(vec(*(angle * (np.arange(3) == axis))))
 

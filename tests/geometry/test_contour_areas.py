@@ -8,10 +8,10 @@ import pytest
 from height_meshes import lateral, plate
 from mesh_contacts import at, mesh_pair
 
-from pftwin.spatial import Pose
-from pftwin.surfaces.contact_mesh import contact_mesh
-from pftwin.surfaces.contour import Contacts, MeshPair
-from pftwin.surfaces.mesh import SurfaceMesh
+from pftwin.base.spatial import Pose
+from pftwin.geometry.contact.contact_mesh import contact_mesh
+from pftwin.geometry.contact.contour import Contacts, MeshPair
+from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 PLATE = plate(9)
 TURN = (0.0, 0.0, 0.3)  # about the vertical: no edge of a box along one of the plate's

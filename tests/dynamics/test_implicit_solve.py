@@ -63,7 +63,7 @@ class Made:
     def exact(self, span: Span) -> np.ndarray:
         """dv of M dv = h (f - (r K + C) dv)."""
         mass = np.diag([MASS] * 3 + list(INERTIA))
-        h, r = float(span.impulse), float(span.reach)
+        h, r = float(span.impulse), float(span.displacement_gain)
         return np.linalg.solve(mass + h * (r * self.stiffness + self.damping), h * self.force)
 
 
@@ -80,7 +80,7 @@ KINDS = {
 @jax.jit
 def solved(inertial, loads):
     dv = change_of_velocity(SYSTEM, inertial, loads, SPANS)
-    ends = [load_at_end(load, dv, SPANS.reach) for load in loads]
+    ends = [load_at_end(load, dv, SPANS.displacement_gain) for load in loads]
     total = sum((e.total() for e in ends), start=inertial)
     return jnp.stack(dv), jnp.concatenate([total.force.array(), total.moment.array()])
 
@@ -103,8 +103,8 @@ def test_what_a_bed_stores_at_the_end_lacks_what_damping_takes():
     made = KINDS["bed"]
     (load,) = (x for x in made.loads if x.bed is not None)
     dv = np.array([0.01, -0.02, 0.03, 0.5, -0.4, 0.3])
-    end = load_at_end(load, [J(x) for x in dv], SPANS.reach).bed
-    own, r = np.asarray(load.bed.stiffness), float(SPANS.reach)
+    end = load_at_end(load, [J(x) for x in dv], SPANS.displacement_gain).bed
+    own, r = np.asarray(load.bed.stiffness), float(SPANS.displacement_gain)
     np.testing.assert_allclose(end.elastic, load.bed.elastic - r * own @ dv, rtol=1e-12)
     np.testing.assert_allclose(end.force, load.bed.force - (r + 1.5e-3) * own @ dv, rtol=1e-12)
 
@@ -119,6 +119,17 @@ def between(arm: float, length: float) -> System:
         return tendon(STIFF, length - FORCE / STIFF, 0.0, (0, 0, side * arm), (0, 0, side * (arm + length)))
 
     return system(line(1), line(-1), mass=MASS, inertia=INERTIA)
+
+
+def test_a_bed_of_contacts_turns_with_the_body_as_one_force_does():
+    """Pressed with f in all, and of no stiffness: f / L across itself and f l about, whatever its direction."""
+    zero = vec(0, 0, 0)
+    pressed = AggregateStiffness(J(np.zeros(6)), J(np.zeros(6)), J(np.zeros((6, 6))), J(0.0), J(FORCE), zero, zero)
+    push = np.array([0.3, -0.2, 0.5, 0.01, 0.02, -0.03])
+    dv, _ = solved(Wrench(vec(*push[:3]), vec(*push[3:])), [Load(bed=pressed)])
+    h, r = float(SPANS.impulse), float(SPANS.displacement_gain)
+    body = np.array([MASS] * 3 + list(INERTIA)) + h * r * FORCE * np.repeat([1 / SPAN, LEVER], 3)
+    np.testing.assert_allclose(dv, h * push / body, rtol=1e-9)
 
 
 def turned(axis: int, angle: float) -> Quaternion:

@@ -169,6 +169,20 @@ def test_on_the_surface_itself_depths_have_derivatives():
         assert float(slope) == pytest.approx(-1.0)
 
 
+@pytest.mark.parametrize("x", [0.0, 0.0075, 0.0095])
+def test_what_is_nearest_to_the_rim_has_no_depth(x):
+    """Two small triangles 3 mm apart, a millimetre below a plate that ends at x = 10 mm: inside up to its edge."""
+    corners = 0.01 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    plate = SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), "plate")
+    small = 1e-4 * np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]])
+    pair = SurfaceMesh(np.concatenate([small, small + np.array([3e-3, 0, 0])]), np.array([[0, 2, 1], [3, 5, 4]]), "two")
+    at = Pose(Vec3(*(jnp.asarray(c) for c in (x, 0.002, -1e-3))), Quaternion.identity())
+    found = listed(pressing_surface(pair), pressed_surface(plate), at)
+    inside = [k for k, place in enumerate((x, x + 3e-3)) if place < 0.01]
+    assert sorted(found.triangle[found.listed].tolist()) == inside
+    np.testing.assert_allclose(found.depth[found.listed], 1e-3)
+
+
 def test_labels_must_fit(femur):
     with pytest.raises(InputError, match="labels of shape"):
         pressed_surface(femur, labels=[0, 1])

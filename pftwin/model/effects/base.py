@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pftwin.model.effects.line_elements import LineElement
 
 
+@dataclass(frozen=True)  # one is like any other: programs that are given one are not compiled again for the next
 class Ground:
     """The frame of a fixed femur: the world itself, so every transformation is the identity and leaves no equation."""
 

@@ -22,6 +22,9 @@ FLAT = grid(level)
 PLATE, HALVED = contact(FLAT), contact(FLAT, labels=lateral(FLAT))
 VEE_MESH = grid(lambda u, v: np.abs(v) * np.tan(SLOPE))
 VEE = contact(VEE_MESH, labels=lateral(VEE_MESH))
+GROOVE_DEPTH = 0.004 * np.tan(np.radians(12))
+GROOVE_MESH = grid(lambda u, v: 0.004 * np.sqrt(1 + (v / 0.004) ** 2) * np.tan(np.radians(12)))
+GROOVE = contact(GROOVE_MESH, labels=lateral(GROOVE_MESH), effective=0.03)
 
 
 @eqx.filter_jit
@@ -68,6 +71,48 @@ def test_a_contact_across_the_seam_of_a_plain_surface_is_one():
         np.testing.assert_allclose(two[1].force.array(), one[1].force.array(), rtol=1e-7, atol=1e-6)
         np.testing.assert_allclose(two[0].energy, one[0].energy, rtol=1e-9)
         np.testing.assert_allclose(two[2]["force"], one[2]["force"], rtol=1e-7)
+
+
+@pytest.mark.parametrize("y", [0.0, 4e-4, -1.1e-3, 4e-3])
+def test_one_contact_across_the_border_has_the_plates_closed_form(y):
+    """Force and energy of the whole cap, its area cut in two by the border's chord; far from it one facet's alone."""
+    depth = 1e-4
+    load, total, seen = loaded(HALVED, look((0.001, y, RADIUS - depth)))
+    cap = 2 * RADIUS * depth - depth**2  # square of the circle's radius
+    beyond = np.clip(y / np.sqrt(cap), -1, 1)
+    share = (np.arccos(-beyond) + beyond * np.sqrt(1 - beyond**2)) / np.pi
+    np.testing.assert_allclose(total.force.array(), [0, 0, K * depth**1.5], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(total.moment.array(), 0, atol=1e-7)
+    np.testing.assert_allclose(load.energy, K * depth**2.5 / 2.5, rtol=1e-4)
+    for facet, part in (("medial", 1 - share), ("lateral", share)):
+        np.testing.assert_allclose(seen[f"area_{facet}"], part * np.pi * cap, rtol=1e-6, atol=1e-12)
+        expected = depth if part > 0 else np.nan
+        np.testing.assert_allclose(seen[f"indentation_{facet}"], expected, rtol=1e-4)
+    np.testing.assert_allclose(seen["force_medial"] + seen["force_lateral"], K * depth**1.5, rtol=1e-4)
+
+
+def test_half_the_rims_length_inside_the_sphere_is_said():
+    """The plate ends at x = 30 mm: a chord of the sphere, as far from its centre as the edge is."""
+    depth, short = 1e-3, 2e-3
+    seen = loaded(PLATE, look((0.03 - short, 0.0031, RADIUS - depth)))[2]
+    half = np.sqrt(RADIUS**2 - (RADIUS - depth) ** 2 - short**2)
+    np.testing.assert_allclose(seen["off_patch"], half, rtol=1e-9)
+    seen = loaded(PLATE, look((0.03 - 8e-3, 0.0031, RADIUS - depth)))[2]  # the cap's circle is 6.6 mm wide
+    assert float(seen["off_patch"]) == 0
+
+
+@pytest.mark.parametrize("height", [0.0, -1e-4, -3e-4])
+def test_between_two_contacts_and_one_the_force_is_the_energys_slope(height):
+    """In a groove that the sphere fills more and more: by differences of the energy, in every direction."""
+    place, h = np.array([1e-4, 3e-4, RADIUS + GROOVE_DEPTH + height]), 1e-8
+    at = [place] + [place + s * h * e for e in np.eye(3) for s in (1, -1)]
+    found = [loaded(GROOVE, look(p)) for p in at]
+    stored = [float(f[0].energy) for f in found]
+    slope = [(stored[1 + 2 * k] - stored[2 + 2 * k]) / (2 * h) for k in range(3)]
+    force = np.asarray(found[0][1].force.array())
+    np.testing.assert_allclose(force, -np.array(slope), rtol=1e-5, atol=1e-5 * np.abs(force).max())
+    assert force[2] > 50
+    assert (0.1 < float(_merged(GROOVE, J(place))) < 0.9) is (height < 0)
 
 
 def energy_of(effect, p):

@@ -168,16 +168,18 @@ def test_a_moving_femur_puts_in_its_own_power(found, by_hand, at):
     assert float(ledger.heat) == pytest.approx(STEP * ((force - halfway) * rate).sum(), rel=1e-9)
 
 
+SLOWER, FASTER = np.array([0.1, 0, 0.2, -1, 0, 0]), np.array([0.3, 0.1, 0, 0, 2, 0])
+
+
 def test_a_patella_that_speeds_up_within_the_step_is_met_halfway(found, by_hand):
     """The femur's own motion is told by the look, whatever the patella does; the rate is that of the middle."""
-    before = State(vec(0, 0, 0), Quaternion.identity(), vec(*(V - [0.1, 0, 0.2])), vec(*np.add(SPIN, [1, 0, 0])), ())
-    faster = vec(*np.add(V, [0.3, 0.1, 0])), vec(*np.add(SPIN, [0, 2, 0]))
-    after = State(vec(0, 0, 0), Quaternion.identity(), *faster, ())
+    before = State(vec(0, 0, 0), Quaternion.identity(), vec(*(V - SLOWER[:3])), vec(*(SPIN - SLOWER[3:])), ())
+    after = State(vec(0, 0, 0), Quaternion.identity(), vec(*(V + FASTER[:3])), vec(*(SPIN + FASTER[3:])), ())
     looked = Twist(vec(*V), vec(*SPIN))
     ledger = Ledger(J(0.0), J(0.0)).entered(before, after, [found[0]], None, 0.5, J(STEP), looked)
     on = by_hand.pushes
     force, elastic = by_hand.force[on], by_hand.elastic[on]
-    mean = np.array([0.1, 0.05, -0.1, 0.5, 1.0, 0.0])  # of both ends, more than at the look
+    mean = 0.5 * (FASTER - SLOWER)  # of both ends, more than at the look
     rate = by_hand.rate[on] - by_hand.rows[on] @ mean
     assert float(ledger.work) == pytest.approx(STEP * (force * (by_hand.femur[on] @ by_hand.normal)).sum(), rel=1e-9)
     assert float(ledger.heat) == pytest.approx(STEP * ((force - elastic) * rate).sum(), rel=1e-9)

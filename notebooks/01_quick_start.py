@@ -148,7 +148,6 @@ with plt.rc_context(pftwin.plots.STYLE):
 assert np.isfinite(curve).all()
 assert curve[0] > 2 * curve[-1]
 assert np.isclose(np.interp(17.0, amounts, curve) - np.interp(15.0, amounts, curve), 2 * float(slope), rtol=0.3)
-figure
 
 # %% [markdown]
 # ## Where next

@@ -1,4 +1,4 @@
-"""Thousands of transfers of the tibial tuberosity over the processes of a SLURM job; docs/cluster.md has the job files.
+"""Thousands of transfers of the tibial tuberosity over the processes of a SLURM job; docs/batches.md has the job files.
 
     srun python cluster_batch.py PARTS -o result.nc            all processes of a job, together
     python cluster_batch.py PARTS --share 3 16                  one task of a job array, the fourth of 16

@@ -224,5 +224,5 @@ compared(foretold, seen)
 # ## Where next
 #
 # [Predict and optimise a treatment](04_treatment.ipynb) carries these uncertainties into a decision.
-# [Fitting and identifiability](../docs/identifiability.md) has the theory; [fit a patient](../docs/fit_a_patient.md)
+# [Fit parameters](../docs/fitting.md) has the theory; its [worked patient](../docs/fitting.md#a-worked-patient)
 # does all of this on the recording of an implant and compares with forces that the fit did not see.

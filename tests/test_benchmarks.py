@@ -131,7 +131,7 @@ def test_the_kept_figures_make_the_page(tmp_path):
     answer = RUNNER.invoke(extrapolation.app, [str(newest)])
     assert answer.exit_code == 0, answer.output
     for table in answer.output.strip().split("\n\n"):
-        assert table in (root / "docs" / "scaling.md").read_text(encoding="utf-8")
+        assert table in (root / "docs" / "benchmarks.md").read_text(encoding="utf-8")
     answer = RUNNER.invoke(extrapolation.app, [str(tmp_path / "none.json")])
     assert answer.exit_code == 2
     assert "cannot be read" in answer.output

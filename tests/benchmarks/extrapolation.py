@@ -118,7 +118,7 @@ def serial_fraction(costs: Costs) -> float:
 
 
 def markdown(costs: Costs) -> str:
-    """The tables for docs/scaling.md."""
+    """The tables for docs/benchmarks.md."""
     lines = ["| what | measured |", "|---|---:|"]
     named = {
         "start of a process, programs kept": f"{costs.start:.1f} s",
@@ -153,7 +153,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def main(file: Annotated[Path, typer.Argument(help="What `--only scaling --out FILE` wrote.")]) -> None:
-    """The tables of docs/scaling.md, from a file of figures.
+    """The tables of docs/benchmarks.md, from a file of figures.
 
     Example: python -m tests.benchmarks.extrapolation scaling.json
     """

@@ -118,7 +118,7 @@ def test_the_documented_tables_are_the_rigs_ligaments(tmp_path: Path):
     from pftwin.rig.scene_template import write_example
 
     write_example(tmp_path, 2)
-    page = (Path(__file__).resolve().parents[2] / "docs" / "optional_effects.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs" / "effects.md").read_text()
     (block,) = (b for b in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if 'name = "mpfl"' in b)
     scene = tmp_path / "scene.toml"
     scene.write_text(f"{scene.read_text()}\n{block}")

@@ -14,7 +14,7 @@ from pftwin.dynamics.batch.parts import read_parts
 from pftwin.files.result_files import load_dataset
 
 ROOT = Path(__file__).resolve().parents[3]
-EXAMPLE, PAGE = ROOT / "examples" / "cluster_batch.py", ROOT / "docs" / "cluster.md"
+EXAMPLE, PAGE = ROOT / "examples" / "cluster_batch.py", ROOT / "docs" / "batches.md"
 FIRST_PORT = 61_440  # of those that JAX takes by the job's number
 
 

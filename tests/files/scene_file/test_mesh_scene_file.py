@@ -224,8 +224,8 @@ def test_a_scene_without_meshes_imports_nothing_of_them(toy: Path) -> None:
 
 def test_the_documented_example_loads(tmp_path: Path) -> None:
     """Every table that the page shows, on the toy's files."""
-    page = (Path(__file__).parents[3] / "docs" / "bring_your_own_knee.md").read_text()
-    section = page[page.index("## Contact of meshes in a scene file") : page.index("## Bone for display")]
+    page = (Path(__file__).parents[3] / "docs" / "mesh_contact.md").read_text()
+    section = page[page.index("## In a scene file") : page.index("## Contact at recorded poses")]
     blocks = [b.split("```")[0] for b in section.split("```toml\n")[1:]]
     assert len(blocks) >= 3
     write_toy(tmp_path)

@@ -153,7 +153,7 @@ def test_all_of_them_run_from_a_file(toy: Path) -> None:
 
 def test_the_documented_tables_load(toy: Path) -> None:
     """Each block of the page, in the place of the small knee's contact or beside its tendons."""
-    page = (Path(__file__).resolve().parents[3] / "docs" / "optional_effects.md").read_text()
+    page = (Path(__file__).resolve().parents[3] / "docs" / "effects.md").read_text()
     blocks = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     kinds = {}
     for block in blocks:

@@ -75,8 +75,8 @@ def test_the_contact_force_is_what_the_recording_demands(recording):
     excess, angle = compared(found.force[frames], -(rest[frames] + lpfl))
     assert np.sqrt(np.mean(excess**2)) < 2
     assert np.abs(excess).max() < 5.5
-    # 5 % and 2 deg from 2 to 72 deg were hoped for; 63 deg is as far as 2 deg goes: docs/contact_map.md. Twice the
-    # recorded patella moves with a jerk.
+    # 5 % and 2 deg from 2 to 72 deg were hoped for; 63 deg is as far as 2 deg goes (docs/bring_your_own_knee.md).
+    # Twice the recorded patella moves with a jerk.
     early = flexion[frames] <= 63
     assert ((np.abs(excess) > 5) | (angle > 2))[early].sum() <= 2
     assert angle[~early].max() < 3.2

@@ -65,7 +65,8 @@ def predict(
     Args:
         scenes: untreated, with nominal parameters; every scene is combined with every variant.
         variants: a treatment, a grid of one (`fitting.prediction.variants.grid`), or a list of any of these; None: no
-        treatment. estimate: parameters that take the place of the scenes' own before any treatment.
+            treatment.
+        estimate: parameters that take the place of the scenes' own before any treatment.
         samples: draws from the estimate's uncertainty, besides the estimate itself. All variants see the same draws.
         seed: of the draws.
         dt: longest time step [s].

@@ -36,8 +36,8 @@ class ResultPlots:
 
         Args:
             others: variants that belong to the same mean.
-            measured, show, strokes, title, axes: as in `pftwin.results.plots.against_flexion`, which also draws several
-            groups.
+            measured, show, strokes, title, axes: as in `pftwin.results.plots.against_flexion`, which also draws
+                several groups.
 
         Raises:
             InputError: a knee that does not bend, and what else `pftwin.results.plots.against_flexion` refuses.
@@ -72,7 +72,7 @@ class ResultPlots:
 
         Args:
             measured, against, tibial, femoral, title, axes: as in `pftwin.results.plots.compared`, which also draws
-            several.
+                several.
 
         Raises:
             InputError: no measurements, or not of this motion.

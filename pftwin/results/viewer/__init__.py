@@ -3,7 +3,7 @@
     result.view()  # in a notebook
     pftwin.viewer.view({"before": before, "after": "after.nc"}, html="view.html")
 
-Drawn by k3d (extra `viewer`); docs/viewer.md says what is drawn and why by that library.
+Drawn by k3d (extra `viewer`); docs/figures.md says what is drawn.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pftwin.cli.app import COMMANDS
+from pftwin.cli.program import COMMANDS
 
 PAGE, MARK = "command_line.md", "<!-- table: commands -->"
 

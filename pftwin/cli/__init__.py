@@ -1,7 +1,21 @@
-"""The command line. Commands import what they need when they run, so that `pftwin --help` answers at once."""
+"""The command line. Commands import what they need when they run, so that `pftwin --help` answers at once.
+
+The program is made when it is first asked for: it holds the commands of other packages, which import from this one.
+"""
 
 from __future__ import annotations
 
-from pftwin.cli.app import app, main
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pftwin.cli.program import app, main
 
 __all__ = ["app", "main"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'pftwin.cli' has no attribute {name!r}")
+    from pftwin.cli import program
+
+    return getattr(program, name)

@@ -121,7 +121,7 @@ class TestChanges:
     def test_changed_source(self, cache, package, tmp_path):
         copy = shutil.copytree(package, tmp_path / "pftwin", ignore=shutil.ignore_patterns("__pycache__", "data"))
         assert process(TINY, cache, copy) == [False, 0, [2.0, 3.0]]  # the same source at another place
-        spatial = copy / "spatial.py"
+        spatial = copy / "base" / "spatial.py"
         text = spatial.read_text()
         spatial.write_text(text + "\n# a remark\n")
         assert process(TINY, cache, copy) == [True, 0, [2.0, 3.0]]  # traced: it proves to be the same program

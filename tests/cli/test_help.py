@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from pftwin.cli import plugins
-from pftwin.cli.app import COMMANDS
+from pftwin.cli.program import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 COLOUR = re.compile(r"\x1b\[[0-9;]*\b(?:3[0-7]|9[0-7]|38;)[0-9;]*m")

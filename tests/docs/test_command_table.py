@@ -7,7 +7,7 @@ from pathlib import Path
 import command_table
 import pytest
 
-from pftwin.cli.app import COMMANDS
+from pftwin.cli.program import COMMANDS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / command_table.PAGE
 

@@ -11,7 +11,7 @@ from scenes import knee, settled
 from small_scene import small_scene
 
 from pftwin.dynamics.frame_states import frame_states
-from pftwin.dynamics.integrators import QuasiStatic
+from pftwin.dynamics.integrators import QuasiStatic, SymplecticEuler
 from pftwin.dynamics.observe import observe, observe_on_the_way
 from pftwin.dynamics.status import Status
 
@@ -56,7 +56,7 @@ def test_what_explicit_steps_beyond_their_limit_do_is_told_alike():
     start = settled(scene)
 
     def statuses(substeps):
-        options = {"substeps": jnp.asarray(substeps), "ledger": True, "integrator": "symplectic_euler"}
+        options = {"substeps": jnp.asarray(substeps), "ledger": True, "integrator": SymplecticEuler()}
         return [np.asarray(seen[1]) for seen in both(scene, start, **options)]
 
     afterwards, on_the_way = statuses(25)

@@ -12,7 +12,6 @@ from small_scene import small_scene, vec
 import pftwin
 from pftwin.dynamics import simulate as simulate_module
 from pftwin.dynamics.frame_states import start_before_search
-from pftwin.dynamics.integrators import Newmark
 from pftwin.model.scene import Scene
 
 STEP = 2.5e-3  # [s]
@@ -107,7 +106,7 @@ def test_simulate_refuses_a_traced_scene_before_it_compiles(small: Scene, transf
 def test_a_name_in_the_place_of_an_integrator_names_the_object(small: Scene) -> None:
     for verb in (pftwin.simulate, pftwin.trajectory):
         with pytest.raises(pftwin.InputError, match=r"found 'newmark:rho=0.8'.*pftwin.Newmark\(.*rho=0.8\)"):
-            verb(small, integrator=Newmark(rho=0.8))
+            verb(small, integrator="newmark:rho=0.8")
 
 
 def test_an_integrator_of_ones_own(small: Scene) -> None:

@@ -8,8 +8,7 @@ import pytest
 from scenes import J, state_at, still_guide, system, vec
 
 from pftwin.base.spatial import Vec3
-from pftwin.dynamics.integrators import integrator_from_text
-from pftwin.dynamics.integrators.symplectic_euler import LIMIT, _stiffest
+from pftwin.dynamics.integrators.symplectic_euler import LIMIT, SymplecticEuler, _stiffest
 from pftwin.model.effects.base import Load, StiffTerm
 from pftwin.model.effects.tendon import Tendon
 
@@ -59,10 +58,10 @@ def test_a_spring_is_told_where_its_oscillation_begins_to_grow(share, told):
     stiffness = 4e3
     sys = system(Tendon(J(stiffness), J(0.05), J(0.0), vec(0, 0, 0), vec(0, 0, 0.1), body="ground", name="tendon"))
     step = J(share * np.sqrt(LIMIT * MASS / stiffness))
-    method = integrator_from_text("symplectic_euler")
+    method = SymplecticEuler()
     state = method.begin(sys, state_at(sys, (0, 0, 0.049)), still_guide(), step)
     after, _ = method.advance(sys, state, lambda _: still_guide(), step, None)
-    before, now = method.unsettled(state), method.unsettled(after)
+    before, now = method.diagnostics(state).residual, method.diagnostics(after).residual
     assert before is not None
     assert now is not None
     assert float(before) == 0

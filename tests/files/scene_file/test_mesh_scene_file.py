@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 import pftwin
 from pftwin.base import cache_folder
-from pftwin.cli.app import app
+from pftwin.cli.program import app
 from pftwin.files.scene_file import load_scene_file
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh, save_mesh

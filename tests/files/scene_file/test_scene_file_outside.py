@@ -7,7 +7,7 @@ from toy_scene_files import LIGHT, SCENE
 from typer.testing import CliRunner
 
 from pftwin.base.errors import InputError
-from pftwin.cli.app import app
+from pftwin.cli.program import app
 from pftwin.files.scene_file import load_scene
 
 MARKERS = LIGHT.replace('poses = "poses.csv"', 'markers = "walk.trc"').replace(

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from pftwin import rig
 from pftwin.base.errors import InputError
-from pftwin.cli.app import app
+from pftwin.cli.program import app
 from pftwin.files.scene_file import load_scene
 from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.geometry.patch.implant import rig_implant

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from pftwin import rig
 from pftwin.base.errors import InputError
-from pftwin.cli.app import app
+from pftwin.cli.program import app
 from pftwin.files.result_files import load_dataset
 from pftwin.results.metrics import validate
 from pftwin.studies.accuracy.measure import AccuracyRow, compiling_anew, converged, float_type, rows

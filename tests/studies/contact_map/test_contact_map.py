@@ -11,7 +11,7 @@ from height_meshes import plate
 from plate_and_ball import RADIUS, write_plate_and_ball, write_poses
 from typer.testing import CliRunner
 
-from pftwin.cli.app import app
+from pftwin.cli.program import app
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import save_mesh
 

@@ -147,7 +147,7 @@ def test_a_contact_is_made_anew_for_each_float_type():
 def test_the_command_writes_json_and_the_page(tmp_path):
     from typer.testing import CliRunner
 
-    from pftwin.cli.app import app
+    from pftwin.cli.program import app
 
     page, data = tmp_path / "page.md", tmp_path / "cells.json"
     args = ["--case", "mass_zero", "--case", "radius_negative", "--contact", "P5", "--dtype", "float64"]

@@ -27,6 +27,7 @@ class Quantity(NamedTuple):
     positive: bool = False  # whether 0 is excluded
     alias: str = ""  # letter by which papers call it: with the number of its line element a short name, such as K1
     frame: str = ""  # of a point: "patella", or "body" for that of the effect's field `body`
+    words: str = ""  # for people; empty where the field's name says it
 
     @property
     def bounded(self) -> bool:
@@ -68,9 +69,10 @@ def quantity(
     at_most: float = np.inf,
     alias: str = "",
     frame: str = "",
+    words: str = "",
 ) -> dict[str, Any]:
     """Metadata for `eqx.field`: see `Quantity`."""
-    return {_KEY: Quantity(unit, max(at_least, 0.0) if positive else at_least, at_most, positive, alias, frame)}
+    return {_KEY: Quantity(unit, max(at_least, 0.0) if positive else at_least, at_most, positive, alias, frame, words)}
 
 
 class Declared(NamedTuple):

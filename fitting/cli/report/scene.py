@@ -12,39 +12,11 @@ from fitting.cli.report.material import Material
 
 if TYPE_CHECKING:
     from fitting.cli.report.run import ReportedRun
+    from pftwin.model.effects.base import Effect
     from pftwin.model.scene import Scene
 
-# Fields of effects: words, what the number is multiplied by, and the unit then.
-_FIELDS: dict[str, tuple[str, float, str]] = {
-    "mass": ("mass", 1e3, "g"),
-    "acceleration": ("acceleration of gravity (x, y, z)", 1.0, "m/s²"),
-    "stiffness": ("stiffness", 1.0, "N/m"),
-    "maxwell_stiffness": ("stiffer when pulled at once, by", 1.0, "N/m"),
-    "slack_length": ("slack length", 1e3, "mm"),
-    "damping": ("damping", 1.0, "N s/m"),
-    "damping_time": ("damping time", 1e3, "ms"),
-    "relaxation_time": ("relaxation time", 1.0, "s"),
-    "toe_strain": ("strain at the end of the toe region", 100.0, "%"),
-    "insertion": ("insertion on the patella (x, y, z)", 1e3, "mm"),
-    "origin": ("origin (x, y, z)", 1e3, "mm"),
-    "tension": ("prescribed tension", 1.0, "N"),
-    "radius": ("radius of the button", 1e3, "mm"),
-    "effective_radius": ("radius that the law belongs to", 1e3, "mm"),
-    "center": ("centre of the button, patella frame (x, y, z)", 1e3, "mm"),
-    "contact_stiffness": ("contact stiffness, p the exponent", 1.0, "N/m^p"),
-    "hertz_exponent": ("exponent of the law", 1.0, ""),
-    "restitution": ("coefficient of restitution", 1.0, ""),
-    "dissipation": ("dissipation", 1.0, "s/m"),
-    "approach_speed_floor": ("least approach speed of the law", 1e3, "mm/s"),
-    "coefficient": ("coefficient of friction", 1.0, ""),
-    "slip_speed": ("slip speed", 1e3, "mm/s"),
-    "modulus": ("Young's modulus of the layer", 1e-6, "MPa"),
-    "poisson": ("Poisson's ratio of the layer", 1.0, ""),
-    "thickness": ("thickness of the layer", 1e3, "mm"),
-    "translational": ("drag on translation", 1.0, "N s/m"),
-    "rotational": ("drag on rotation", 1.0, "N m s/rad"),
-}
-_GEOMETRY = ("surface", "femur", "patella", "mesh", "button")  # parts that are shapes, not parameters to read
+# As people read declared quantities: what the number is multiplied by, and the unit then.
+_SHOWN = {"m": (1e3, "mm"), "kg": (1e3, "g"), "m/s": (1e3, "mm/s"), "Pa": (1e-6, "MPa"), "m/s^2": (1.0, "m/s²")}
 _UNITS = {"m": (1e3, "mm"), "1": (1.0, "")}
 
 
@@ -77,33 +49,34 @@ def _parameters(scene: Scene) -> str:
     return table("Parameters of the scene", ("effect", "quantity", "value", "unit"), rows)
 
 
-def parameters(effect: Any) -> Iterator[tuple[str, str, str]]:
-    """Quantity, value and unit of every parameter of an effect; shapes in a word."""
-    import jax
-
-    from pftwin.base.spatial import Vec3
+def parameters(effect: Effect) -> Iterator[tuple[str, str, str]]:
+    """Quantity, value and unit of every number that an effect declares; of a surface, what it is in a word."""
+    from pftwin.base.quantities import declarations
     from pftwin.geometry.patch.spline_or_polynomial import name_of
 
-    if (patch := name_of(getattr(effect, "surface", None))) is not None:
-        yield ("surface of the trochlea", f"fitted patch {patch}", "")
-    elif any(getattr(effect, part, None) is not None for part in _GEOMETRY):
-        yield ("surface of the trochlea", "mesh", "")
-    for path, leaf in jax.tree_util.tree_leaves_with_path(effect, is_leaf=lambda v: isinstance(v, Vec3)):
-        names = [str(getattr(k, "name", getattr(k, "idx", k))) for k in path]
-        if names[0] in _GEOMETRY:
+    surface = None
+    if (contact := effect.contact_role()) is not None:
+        surface, fitted = contact.groove_surface(), contact.fitted_surface()
+        yield ("surface of the trochlea", "mesh" if fitted is None else f"fitted patch {name_of(fitted) or ''}", "")
+    line = effect.line_element()
+    points: dict[tuple[str, ...], list[Any]] = {}
+    for path, leaf, declared in declarations(effect):
+        if declared is None or (surface is not None and getattr(effect, path[0]) is surface):
             continue
-        words, scale, unit = _FIELDS.get(names[-1], (_words(".".join(names)), 1.0, "SI units"))
-        if names[-1] == "origin" and (body := getattr(effect, "body", None)):
-            words = f"origin on the {body} (x, y, z)"
-        if names[-1] == "stiffness" and type(effect).__name__ == "Strands":
-            unit = "N per unit strain"
-        yield (words, _value(leaf, scale), unit)
+        scale, unit = _SHOWN.get(declared.unit, (1.0, declared.unit))
+        if not declared.frame:
+            yield (declared.words or _words(", ".join(path)), _value(leaf, scale), unit)
+            continue
+        point = points.setdefault(path[:-1], [])
+        point.append(leaf)
+        if len(point) == 3:
+            frame = line.line_ends[1] if declared.frame == "body" and line is not None else declared.frame
+            words = f"{declared.words or _words(', '.join(path[:-1]))} ({frame}; x, y, z)"
+            yield (words, ", ".join(_value(c, scale) for c in point), unit)
 
 
 def _value(leaf: Any, scale: float) -> str:
-    """One number; three of a point; the range of many."""
-    if hasattr(leaf, "x"):
-        return ", ".join(_value(c, scale) for c in (leaf.x, leaf.y, leaf.z))
+    """One number; the range of many."""
     values = scale * np.asarray(leaf, dtype=np.float64).ravel()
     if values.size == 1 or np.ptp(values) == 0:
         return number(values[0])

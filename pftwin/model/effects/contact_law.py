@@ -52,8 +52,12 @@ class ContactLaw(eqx.Module):
     and 2 then compile to a product or a square root.
     """
 
-    contact_stiffness: Scalar = eqx.field(metadata=quantity("N/m^p", positive=True))  # k
-    hertz_exponent: Scalar | float = eqx.field(default=1.5, kw_only=True, metadata=quantity("", at_least=1.0))  # p
+    contact_stiffness: Scalar = eqx.field(
+        metadata=quantity("N/m^p", positive=True, words="contact stiffness, p the exponent")
+    )  # k
+    hertz_exponent: Scalar | float = eqx.field(
+        default=1.5, kw_only=True, metadata=quantity("", at_least=1.0, words="exponent of the law")
+    )  # p
     remembers_approach: ClassVar[bool] = False
 
     @abstractmethod
@@ -101,7 +105,9 @@ class Flores(ContactLaw):
     """F = k d^p (1 + 8 (1 - e) / (5 e) (dd/dt) / v0), v0 the approach speed when contact began, at least the floor."""
 
     # e: above 1 bounces would grow
-    restitution: Scalar = eqx.field(metadata=quantity("", positive=True, at_most=1.0))
+    restitution: Scalar = eqx.field(
+        metadata=quantity("", positive=True, at_most=1.0, words="coefficient of restitution")
+    )
     approach_speed_floor: Scalar | float = eqx.field(
         default=0.01, kw_only=True, metadata=quantity("m/s", positive=True)
     )

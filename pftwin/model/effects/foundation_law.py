@@ -35,8 +35,8 @@ _CONVERGED = 1e4  # roundings: the last step squares what is left of the error
 class Layer(eqx.Module):
     """An elastic layer on a rigid backing."""
 
-    modulus: Scalar = eqx.field(metadata=quantity("Pa", positive=True))  # E
-    poisson: Scalar = eqx.field(metadata=quantity("", at_least=0))  # nu, below 0.5
+    modulus: Scalar = eqx.field(metadata=quantity("Pa", positive=True, words="Young's modulus"))  # E
+    poisson: Scalar = eqx.field(metadata=quantity("", at_least=0, words="Poisson's ratio"))  # nu, below 0.5
     thickness: Scalar = eqx.field(metadata=quantity("m", positive=True))  # h
 
     def confined_modulus(self) -> Scalar:

@@ -45,8 +45,8 @@ class MeshSphereContact(Contact):
 
     facets: MeshFacets
     law: ContactLaw
-    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the sphere
-    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
+    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella", words="centre of the button"))
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True, words="radius of the button"))
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     method: ClassVar[str] = "nearest"
     observables: ClassVar[dict[str, Observable]] = {

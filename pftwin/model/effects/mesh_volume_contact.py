@@ -61,9 +61,11 @@ class MeshVolumeContact(Contact):
 
     mesh: PatchMesh
     law: ContactLaw
-    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the sphere
-    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
-    effective_radius: Scalar = eqx.field(metadata=quantity("m", positive=True))  # r, that of the law's stiffness
+    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella", words="centre of the button"))
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True, words="radius of the button"))
+    effective_radius: Scalar = eqx.field(
+        metadata=quantity("m", positive=True, words="radius of the law")
+    )  # r, that of the law's stiffness
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     method: ClassVar[str] = "volume"
     observables: ClassVar[dict[str, Observable]] = {

@@ -50,8 +50,8 @@ class SphereContact(Contact):
 
     surface: Surface
     law: ContactLaw
-    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the sphere
-    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
+    center: Vec3 = eqx.field(metadata=quantity("m", frame="patella", words="centre of the button"))
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True, words="radius of the button"))
     observables: ClassVar[dict[str, Observable]] = {
         **FORCE,
         "indentation_medial": Observable("m", "indentation at the medial contact"),

@@ -269,7 +269,7 @@ def path_of(scene, start, substeps, integrator=LinearImplicit()):
 def test_a_knee_moves_alike_by_two_integrators_and_at_long_steps(starts):
     """Explicit at 0.05 ms, which takes N as it is then; implicit, N a step late, at 0.1, 1 and 5 ms."""
     plain, scene = rough_knee(mu=0.1, creep=5e-3)
-    explicit, heat = path_of(scene, starts[1], J(200), "symplectic_euler")
+    explicit, heat = path_of(scene, starts[1], J(200), SymplecticEuler())
     off = {}
     for n in (100, 10, 2):
         path, _ = path_of(scene, starts[1], J(n))

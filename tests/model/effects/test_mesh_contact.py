@@ -92,7 +92,7 @@ def test_apart_nothing_pushes_and_no_approach_is_remembered(on_a_plate):
 
 def test_it_takes_no_loads_before_it_is_made_ready():
     made = MeshContact(contact_mesh(plate(4)), contact_mesh(icosphere(RADIUS, 4)), Hertz(J(1e8)), vec(0, 0, 0))
-    with pytest.raises(TypeError, match="call `about` first"):
+    with pytest.raises(TypeError, match="call `recentred` first"):
         made.load(instant(vec(0, 0, 1), vec(0, 0, 0), vec(0, 0, 0)), None)
 
 

@@ -58,6 +58,7 @@ def looked_at(scene, start, substeps, integrator):
     return path, observe(scene, path)
 
 
+@pytest.mark.slow
 def test_it_comes_to_newmarks_motion_and_closes_the_budget(held):
     """Sliding on two facets: Runge-Kutta of order five and Newmark's method agree to 1e-4 mm."""
     scene, start = held

@@ -47,6 +47,7 @@ def test_it_is_what_is_seen_afterwards():
     assert len(on_the_way[1]) == scene.motion.n_frames
 
 
+@pytest.mark.slow
 def test_what_explicit_steps_beyond_their_limit_do_is_told_alike():
     """Contact chatters, and makes energy; by steps much too long the motion is lost.
 

@@ -28,6 +28,10 @@ def rig() -> Scene:
     return pftwin.rig.case(1, contact="P5")
 
 
+def moved(scene: Scene) -> pftwin.Trajectory:
+    return pftwin.trajectory(scene, integrator=pftwin.BDF2(), dt=5e-3)
+
+
 def test_it_is_what_simulate_gives(small: Scene) -> None:
     path = pftwin.trajectory(small, integrator=pftwin.BDF2(), dt=5e-3, energy_budget=True)
     result = pftwin.simulate(small, integrator=pftwin.BDF2(), dt=5e-3)
@@ -44,10 +48,6 @@ def test_it_is_what_simulate_gives(small: Scene) -> None:
     np.testing.assert_allclose(path.work, result.energies.work, **close)
     np.testing.assert_allclose(path.heat, result.energies.heat, **close)
     np.testing.assert_array_equal(path.flags, result.flags)
-
-
-def test_each_field_has_its_unit(small: Scene) -> None:
-    path = pftwin.trajectory(small, dt=5e-3)
     fields = {f for f in dir(path) if not f.startswith("_")} - {"units", "patella", "effects", "flags"}
     assert fields == set(path.units)
 
@@ -55,23 +55,34 @@ def test_each_field_has_its_unit(small: Scene) -> None:
 NAMES = ("quadriceps.stiffness", "patellar_tendon.slack_length", "contact.radius")
 
 
-def test_forward_and_reverse_derivatives_are_finite_differences(small: Scene) -> None:
-    """By three parameters at once, as shares of their values."""
+def test_the_readmes_three_lines(small: Scene) -> None:
+    """One program each for the path, its reverse and its forward derivatives, and the mapped path."""
 
-    def force(shares: jax.Array) -> jax.Array:
+    def force(scene: Scene) -> jax.Array:
+        return moved(scene).contact_force.norm().max()
+
+    assert moved(small).center.x.shape == (11,)
+    slope = jax.grad(force)(small)
+    assert isinstance(slope, Scene)
+
+    def scaled(shares: jax.Array) -> jax.Array:
         scene = small
         for i, name in enumerate(NAMES):
-            scene = scene.set(name, small.get(name) * (1 + shares[i]))
-        path = pftwin.trajectory(scene, integrator=pftwin.BDF2(), dt=5e-3)
-        return path.contact_force.norm().sum() + 100 * path.shift.sum()
+            scene = scene.set(name, small.get(name) * shares[i])
+        return force(scene)
 
-    zero, h = jnp.zeros(3), 1e-5
-    value = jax.jit(force)
-    finite = [(value(h * e) - value(-h * e)) / (2 * h) for e in jnp.eye(3)]
-    assert len({round(float(x), 3) for x in finite}) == 3
-    forward = jax.jit(lambda e: jax.jvp(force, (zero,), (e,))[1])
-    np.testing.assert_allclose([forward(e) for e in jnp.eye(3)], finite, rtol=2e-4)
-    np.testing.assert_allclose(jax.jit(jax.grad(force))(zero), finite, rtol=2e-4)
+    forward = jax.jit(lambda direction: jax.jvp(scaled, (jnp.ones(3),), (direction,))[1])
+    for i, name in enumerate(NAMES):
+        nominal, h = small.get(name), 1e-5
+        up, down = (force(small.set(name, nominal * (1 + d))) for d in (h, -h))
+        finite = float(up - down) / (2 * h)
+        assert float(nominal * slope.get(name)) == pytest.approx(finite, rel=2e-4), name
+        assert float(forward(jnp.eye(3)[i])) == pytest.approx(finite, rel=2e-4), name
+
+    stiffnesses = jnp.array([140.0, 156.0, 170.0])
+    mapped = jax.vmap(lambda k: moved(small.set("quadriceps.stiffness", k)).shift.max())(stiffnesses)
+    each = [moved(small.set("K1", float(k))).shift.max() for k in stiffnesses]
+    np.testing.assert_allclose(mapped, each, rtol=1e-6)
 
 
 def test_apart_nothing_depends_on_the_contact(small: Scene) -> None:
@@ -84,19 +95,6 @@ def test_apart_nothing_depends_on_the_contact(small: Scene) -> None:
         return pftwin.trajectory(free, dt=5e-3, start=start_before_search(free)).contact_force.norm().sum()
 
     assert float(jax.grad(fallen)(jnp.asarray(2e8))) == 0.0
-
-
-def test_the_readmes_three_lines(small: Scene) -> None:
-    path = pftwin.trajectory(small, integrator=pftwin.BDF2(), dt=5e-3)
-    assert path.center.x.shape == (11,)
-    slope = jax.grad(lambda s: pftwin.trajectory(s, dt=5e-3).contact_force.norm().max())(small)
-    assert isinstance(slope, Scene)
-    assert np.isfinite(slope.get("quadriceps.stiffness"))
-    assert float(slope.get("quadriceps.stiffness")) != 0
-    stiffnesses = jnp.array([140.0, 156.0, 170.0])
-    run = jax.vmap(lambda k: pftwin.trajectory(small.set("quadriceps.stiffness", k), dt=5e-3).shift.max())
-    each = [pftwin.trajectory(small.set("K1", float(k)), dt=5e-3).shift.max() for k in stiffnesses]
-    np.testing.assert_allclose(run(stiffnesses), each, rtol=1e-6)
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.grad, jax.vmap])

@@ -47,6 +47,7 @@ def test_the_valid_file_is_read(readers, name):
     assert one.read(file) is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [f for f in FORMATS if f not in IN_C])
 @settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=SLOW, database=None)
 @given(seed=st.integers(0, 2**63))
@@ -55,6 +56,7 @@ def test_a_damaged_file_is_read_or_refused(readers, name, seed):
     assert verdict(one, mutated(one.valid, random.Random(seed)), folder) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["estimate", "checkpoint", "strands"])
 @settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=SLOW, database=None)
 @given(content=st.recursive(st.sampled_from(VALUES), lambda v: st.lists(v) | st.dictionaries(st.text(), v)))
@@ -65,6 +67,7 @@ def test_any_json_is_read_or_refused(readers, name, content):
     assert verdict(one, json.dumps(content).encode(), folder) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["estimate", "checkpoint", "strands"])
 def test_lists_within_lists_without_end_are_refused(readers, name):
     one, folder = readers(name)

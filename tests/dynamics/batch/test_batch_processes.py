@@ -12,7 +12,7 @@ from cheap_batch import ENDED_BY_JAX, UNIT, batch, digest, ended, made_cheap
 
 from pftwin.dynamics.batch.parts import missing_parts, read_parts
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")]
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [2, 3])
 def test_processes_give_the_dataset_of_one(cheap, tmp_path, count):
     whole = digest(batch())
     calls = [{"parts": str(tmp_path / "parts")}, {"parts": str(tmp_path / "parts")}]

@@ -1,7 +1,7 @@
-"""Derivatives of what six equations r(x, p) = 0 define: dx = -(dr/dx)^-1 (dr/dp) dp, by whatever x was found.
+"""Derivatives of the solution x(p) of six equations r(x, p) = 0, however it was found: dx = -(dr/dx)^-1 (dr/dp) dp.
 
-What is stored is computed once. A program of single numbers whose results are stacked into one array is computed anew
-for every entry of it, so the columns of dr/dx go through a loop's carried numbers, and no right-hand side is stacked.
+XLA recomputes scalar results for every entry of an array that they are stacked into. So the columns of dr/dx pass
+through the numbers that a loop carries, which stores them, and right-hand sides are never stacked.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ def tangent_of(residual: Callable[[Six], Six], x: Six) -> Array:
         change = jax.jvp(residual, (x,), ([direction[i] for i in range(6)],))[1]
         return change, jnp.stack(last)
 
-    directions = jnp.eye(7, 6, dtype=x[0].dtype)  # a row more: each is stored while the next one is computed
+    directions = jnp.eye(7, 6, dtype=x[0].dtype)  # one row more: each column is stored while the next one is computed
     return jax.lax.scan(one, [jnp.zeros_like(a) for a in x], directions)[1][1:].T
 
 
 def changed_by(function: Callable[[Any], Any], values: Any, changes: Any) -> Any:
-    """The change of a function of values, of which those whose change is None stay as they are."""
+    """The change of function(values) for given changes of the values; None marks a value that does not change."""
     known = jax.tree.map(lambda c: c is not None, changes, is_leaf=lambda c: c is None)
     moving, still = eqx.partition(values, known)
     return jax.jvp(lambda m: function(eqx.combine(m, still)), (moving,), (changes,))[1]

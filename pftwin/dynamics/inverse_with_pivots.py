@@ -1,7 +1,7 @@
 """The inverse of a small matrix, and whether the matrix is positive definite.
 
-A loop over pivots, not unrolled and not the library's: what an unrolled one gives is computed anew wherever it is used,
-and a call to the library keeps XLA from compiling a loop of steps as one function.
+A loop over the pivots. XLA recomputes the result of an unrolled version wherever it is used, and a call to LAPACK keeps
+it from compiling a loop of time steps as one function.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
         row = jnp.sum(jnp.where(here[:, None], a, 0.0), axis=0)
         column = jnp.sum(jnp.where(here[None, :], a, 0.0), axis=1)
         pivot = jnp.sum(jnp.where(here, row, 0.0))
-        # With the pivot's row and column set so, one update serves all entries.
+        # With the pivot's row and column set like this, one formula updates all entries.
         row, column = jnp.where(here, 1.0, row) / pivot, jnp.where(here, -1.0, column)
         rest = jnp.where(here[:, None] | here[None, :], 0.0, a)
         return rest - column[:, None] * row[None, :], used | here, positive & (pivot > 0)

@@ -1,4 +1,6 @@
-"""Small systems of equations, unrolled: scalars that XLA keeps in registers. None pivots: see who calls."""
+"""Small systems of linear equations, unrolled into scalar operations that XLA keeps in registers.
+
+No function here pivots: callers pass matrices that are positive definite, or nearly so."""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ Lower = list[list[Scalar]]  # row i holds columns 0..i
 def add_outer(a: Lower, g: Sequence[Scalar], weight: Scalar) -> Lower:
     """a + w g g^T; entries with a leading axis (a group of terms) are summed over it."""
     if jnp.ndim(weight):
-        # Sums, not a product of matrices: around that XLA would not make one loop of a step.
+        # Sums rather than a matrix product: XLA does not fuse a step that holds a matrix product into one loop.
         rows = [jnp.broadcast_to(x, weight.shape) for x in g]
         weighted = [weight * x for x in rows]
         return [[entry + jnp.sum(weighted[i] * rows[j]) for j, entry in enumerate(row)] for i, row in enumerate(a)]

@@ -1,4 +1,4 @@
-"""Outcomes of one's own, looked at before anything is simulated: an hour's results must not end in an error."""
+"""Checks user-defined outcomes before anything is simulated, so that an hour's computing does not end in an error."""
 
 from __future__ import annotations
 

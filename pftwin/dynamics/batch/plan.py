@@ -1,4 +1,4 @@
-"""A batch that has been looked at and is ready to be computed, whole or in units."""
+"""A checked batch, ready to be computed as a whole or in units."""
 
 from __future__ import annotations
 

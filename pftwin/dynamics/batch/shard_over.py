@@ -1,4 +1,4 @@
-"""A function of what all members share and of each one's rows, with the rows laid over devices."""
+"""A function of shared values and of per-member rows, with the rows distributed over devices."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def shard_over(mesh: Mesh, function: Callable[..., Any], shared: Any, each: tupl
     Args:
         mesh: one-dimensional, over `AXIS`.
         function: pure; it is given its device's rows.
-        shared: a tree; what is no array of it stays as it is.
-        each: trees of arrays whose leading axis is laid over the devices.
-        out: how the answer's axes are laid.
+        shared: a tree; its leaves that are not arrays stay static.
+        each: trees of arrays whose leading axis is distributed over the devices.
+        out: how the result's axes are distributed.
     """
     arrays, fixed = eqx.partition(shared, eqx.is_array)
-    # What the loops carry differs from device to device, which nobody has to prove here.
+    # Loop carries differ between devices; the check that would have to prove this is off.
     return jax.shard_map(
         lambda own, *rows: function(eqx.combine(own, fixed), *rows),
         mesh=mesh,

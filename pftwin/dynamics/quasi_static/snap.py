@@ -1,4 +1,4 @@
-"""What a snap leaves behind: a patella at rest on the femur, and heat."""
+"""The state after a snap: the patella at rest on the femur, and the released energy as heat."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pftwin.dynamics.state import State
 
 
 def carried_along(branch: Branch, state: State) -> Twist:
-    """The way of a patella that is at rest on the femur, in a step."""
+    """The displacement over a step of a patella at rest on the moving femur."""
     femur = branch.guide.femur
     if femur is None:
         return Twist(state.velocity, state.spin).times(0.0)
@@ -23,7 +23,7 @@ def carried_along(branch: Branch, state: State) -> Twist:
 
 
 def over_a_snap(ledger: Ledger, branch: Branch, landed: list[Any]) -> Ledger:
-    """The guided bodies move first, the patella then: what it stores less at its end has become heat."""
+    """Guided bodies move first, then the patella; the stored energy that it loses becomes heat."""
     held = branch._replace(rates=jnp.zeros_like(branch.rates))
     standing = held.after([jnp.zeros_like(branch.step)] * 6)
     loads, _ = branch.system.loads(branch.guide.instant(standing.patella(), 0.0), branch.origin.memories)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.studies.hard_cases.batch import CaseBatch
 from pftwin.studies.hard_cases.integrators import CaseIntegrator
 from pftwin.studies.hard_cases.programs import CaseRun, compiled, poses, run
@@ -28,7 +29,7 @@ def batch_mates(
     if not method.side_by_side:
         return {}
     n = len(batch.cases)
-    program = compiled(run, dtype == "float64", side_by_side=True, integrator=method.name)
+    program = compiled(run, dtype == "float64", side_by_side=True, integrator=integrator_from_text(method.name))
     frames = np.asarray(plain.seen.status).shape[1] - 1
     steps = jnp.minimum(substeps, max(1, LARGEST // frames))
     args = (batch.scenes, starts, steps, jnp.zeros((n, 4)))

@@ -14,7 +14,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_compu
 if TYPE_CHECKING:
     from pftwin.studies.hard_cases import HardCase
     from pftwin.studies.hard_cases import Selection as Selected
-    from pftwin.studies.hard_cases.pieces import KeptPiece
+    from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.hard_cases.verdict import Cell
 
 ContactsOption = Annotated[
@@ -114,7 +114,7 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
 
     from pftwin.base.machine import describe
     from pftwin.studies.hard_cases import run_matrix
-    from pftwin.studies.hard_cases.pieces import KeptPiece
+    from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.runs import run_each
 
     began = time.perf_counter()

@@ -115,7 +115,7 @@ def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path):
     run = Run(before, "hard-cases", "--contact", "P2", "--contact", "P5", "--json", "cells.json", cwd=tmp_path)
     run.until_ready()
     assert "saved so far: cells.json" in run.interrupted()
-    from pftwin.studies.hard_cases.pieces import read_piece
+    from pftwin.studies.hard_cases.table import read_piece
 
     assert [c.contact for c in read_piece(tmp_path / "cells.json").rows] == ["P2"]
 

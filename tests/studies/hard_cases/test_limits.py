@@ -19,8 +19,7 @@ from pftwin.studies.audit.additions import additions
 from pftwin.studies.audit.variant import NotApplicable
 from pftwin.studies.hard_cases import CONTACTS, case_named
 from pftwin.studies.hard_cases.batch import batches
-from pftwin.studies.hard_cases.integrators import method_named
-from pftwin.studies.hard_cases.limits import LIMITS, limit_of
+from pftwin.studies.hard_cases.case import LIMITS, limit_of, method_named
 from pftwin.studies.hard_cases.matrix import EVERYTHING, run_matrix
 from pftwin.studies.hard_cases.verdict import _at_limit
 

@@ -50,7 +50,7 @@ def accuracy(
     check_outputs(json)
     start_computing()
     from pftwin.base.machine import describe
-    from pftwin.studies.accuracy.plan import COMMON, FLOATS, chosen, everything
+    from pftwin.studies.accuracy.programs import COMMON, FLOATS, chosen, everything
     from pftwin.studies.accuracy.run import measure_all, write
     from pftwin.studies.accuracy.table import advice, overview
 
@@ -110,7 +110,7 @@ def _source(scene: Path | None, case: int | None) -> _Source:
             loaded.scene.name,
         )
     from pftwin import rig
-    from pftwin.studies.accuracy.plan import CYLINDER
+    from pftwin.studies.accuracy.programs import CYLINDER
 
     n = 1 if case is None else case
 

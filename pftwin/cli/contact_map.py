@@ -162,7 +162,7 @@ def _progress(frames: int) -> Any:
 def _write(path: Path, found: ContactMap, button: Any, settings: dict[str, Any]) -> None:
     from pftwin import __version__
     from pftwin.files.result_files import save_dataset
-    from pftwin.studies.contact_map.dataset import compressed, dataset
+    from pftwin.studies.contact_map.figures import compressed, dataset
 
     data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
     save_dataset(data, path, encoding=compressed(data))

@@ -5,6 +5,8 @@ Every device loops over its pieces, and their number is not part of the program.
 last bit whatever the chunk size and its place in the batch. For several devices XLA partitions the program with passes
 that a single-device program does not need, so results on one device and on several differ by rounding. Incomplete
 pieces are padded with copies of the last member; unused pieces are not run.
+
+A function of shared values and of per-member rows, with the rows distributed over devices.
 """
 
 from __future__ import annotations
@@ -18,12 +20,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 from numpy.typing import NDArray
 
 from pftwin.dynamics.batch.batched import PIECE
-from pftwin.dynamics.batch.shard_over import AXIS, SHARED, SPLIT, shard_over
 
 FEW = 16  # members of a piece in a small batch
 _ACCELERATED = 2048  # members of a piece on an accelerator, whose lanes are thousands
@@ -168,3 +169,28 @@ class Sharding:
 
 def _is_array(a: Any) -> bool:
     return isinstance(a, jax.Array | np.ndarray | np.generic)
+
+
+AXIS = "batch"
+SHARED, SPLIT = PartitionSpec(), PartitionSpec(AXIS)
+
+
+def shard_over(mesh: Mesh, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
+    """function(shared, *each) on every device of a mesh with its own rows. For use within a compiled program.
+
+    Args:
+        mesh: one-dimensional, over `AXIS`.
+        function: pure; it is given its device's rows.
+        shared: a tree; its leaves that are not arrays stay static.
+        each: trees of arrays whose leading axis is distributed over the devices.
+        out: how the result's axes are distributed.
+    """
+    arrays, fixed = eqx.partition(shared, eqx.is_array)
+    # Loop carries differ between devices; the check that would have to prove this is off.
+    return jax.shard_map(
+        lambda own, *rows: function(eqx.combine(own, fixed), *rows),
+        mesh=mesh,
+        in_specs=(SHARED, *[SPLIT] * len(each)),
+        out_specs=out,
+        check_vma=False,
+    )(arrays, *each)

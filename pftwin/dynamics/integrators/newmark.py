@@ -24,10 +24,10 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.implicit_derivative import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.solve import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, gyroscopic, moved
 from pftwin.model.effects.base import Load
 

@@ -1,6 +1,6 @@
 """Small systems of linear equations, and derivatives of what such systems define.
 
-`factor`, `solve` and `eliminate` are unrolled into scalar operations, which XLA keeps in registers. None of them pivots:
+`factor`, `solve` and `eliminate` are unrolled into scalar operations, which XLA keeps in registers. None pivots:
 callers pass matrices that are positive definite, or nearly so. `inverse_with_pivots` loops over the pivots instead: XLA
 recomputes the result of an unrolled version wherever it is used, and a call to LAPACK keeps it from compiling a loop of
 time steps as one function.

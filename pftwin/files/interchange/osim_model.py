@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pftwin.files.interchange.osim_document import Element, read_osim
-from pftwin.files.interchange.osim_frames import Frames, OsimFrame, Tree, read_tree
+from pftwin.files.interchange.osim_frames import Frames, OsimFrame
+from pftwin.files.interchange.osim_joints import Tree, read_tree
 from pftwin.files.interchange.osim_ligaments import LeftOut, OsimLigament, ligaments, value
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_frames import Tree
-from pftwin.files.interchange.osim_joints import Coordinate
+from pftwin.files.interchange.osim_joints import Coordinate, Tree
 from pftwin.files.interchange.osim_knee import OsimKnee
 from pftwin.files.mocap.sto import read_sto
 

@@ -15,8 +15,9 @@ from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_meshes, osim_motion
 from pftwin.files.interchange.osim_document import read_osim
 from pftwin.files.interchange.osim_knee import OsimKnee, find_knee, placed
-from pftwin.files.interchange.osim_ligaments import LIGAMENT, LeftOut, rest
+from pftwin.files.interchange.osim_ligaments import LIGAMENT, LeftOut
 from pftwin.files.interchange.osim_model import CONTACT, OsimContact, OsimModel, read_model
+from pftwin.files.interchange.osim_rest import rest
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_toml import OsimStrand

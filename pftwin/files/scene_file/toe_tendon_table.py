@@ -13,7 +13,7 @@ from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.tendon_table import damping_of, group_leaves, group_size
 
 if TYPE_CHECKING:
-    from pftwin.model.effects.toe_tendon import ToeTendon
+    from pftwin.model.effects.tendon import ToeTendon
 
 _FIELDS = (
     "stiffness_N_per_m",
@@ -48,7 +48,7 @@ class ToeTendonSection(EffectSection):
 
     def build(self, setting: Setting, at: tuple[str | int, ...]) -> ToeTendon:
         """The effect."""
-        from pftwin.model.effects.toe_tendon import ToeTendon
+        from pftwin.model.effects.tendon import ToeTendon
 
         (k, slack, toe, c), (insertion, origin) = group_leaves(
             setting,

@@ -73,6 +73,11 @@ class Instant(eqx.Module):
     displacement_gain: Scalar | None = None  # where not `lookahead`: displacement here per change of velocity [s]
     twist: Twist | None = None  # where not the patella's here: that of the state that the step starts from
 
+    @property
+    def ends_a_step(self) -> bool:
+        """Whether this is the end of an implicit step, seen from where it starts, and not an instant looked at."""
+        return not isinstance(self.lookahead, float)
+
     def turn_in_femur(self) -> Rotation:
         """Patella frame to the femur's."""
         axes = self.patella.rotation

@@ -164,8 +164,8 @@ def with_value(scene: Scene, name: str, value: Any) -> Scene:
     if (vector := _vector(scene, name)) is not None:
         owner, path = vector
         old = _follow(_owner(scene, owner), path)
-        new = Vec3(*(value.x, value.y, value.z)) if hasattr(value, "x") else _vector_from(value, name)
-        shapes = [np.shape(getattr(v, axis)) for v in (old, new) for axis in "xyz"]
+        new = value if isinstance(value, Vec3) else _vector_from(value, name)
+        shapes = [np.shape(a) for v in (old, new) for a in (v.x, v.y, v.z)]
         if shapes[:3] != shapes[3:]:
             raise InputError(f"found shape {shapes[3]}", where=name, expected=f"components of shape {shapes[0]}")
         return _with_owner(scene, owner, eqx.tree_at(lambda o: _follow(o, path), _owner(scene, owner), new))

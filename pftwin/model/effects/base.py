@@ -38,6 +38,10 @@ class Ground:
         """A velocity less that of the frame's own point at world position `at`."""
         return velocity
 
+    def relative_spin(self, spin: Vec3, axes: Rotation) -> Vec3:
+        """An angular velocity, given in some axes, less that of the frame."""
+        return spin
+
 
 class Patella(eqx.Module):
     """The patella at an instant. Points of its frame are given from its centre of mass."""

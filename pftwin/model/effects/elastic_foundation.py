@@ -60,10 +60,8 @@ class ElasticFoundation(ButtonMesh):
     def pressed(self, now: Instant) -> Bedded:
         """Where the button is in the femur, and how both move."""
         patella, femur = now.patella, now.femur
-        velocity, spin, world = femur.relative_velocity(patella.velocity, patella.position), patella.spin, None
-        if not isinstance(femur, Ground):
-            spin = spin - patella.rotation.unapply(femur.angular_velocity)
-            world = femur.rotation
+        velocity = femur.relative_velocity(patella.velocity, patella.position)
+        spin = femur.relative_spin(patella.spin, patella.rotation)
         return Bedded(
             femur=self.femur,
             button=self.button,
@@ -72,7 +70,7 @@ class ElasticFoundation(ButtonMesh):
             origin=self.origin,
             position=femur.to_local(patella.position + patella.arm(self.origin)),
             rotation=now.turn_in_femur(),
-            world=world,
+            world=None if isinstance(femur, Ground) else femur.rotation,
             twist=jnp.concatenate([velocity.array(), spin.array()]),
         )
 

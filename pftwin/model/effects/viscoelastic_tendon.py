@@ -121,8 +121,8 @@ class ViscoelasticTendon(ElasticLine):
     }
 
     @property
-    def solid(self) -> StandardLinearSolid:
-        """The law."""
+    def law(self) -> StandardLinearSolid:
+        """With the three constants."""
         return StandardLinearSolid(self.stiffness, self.maxwell_stiffness, self.relaxation_time)
 
     def remember(self, now: Instant) -> Scalar:
@@ -142,12 +142,12 @@ class ViscoelasticTendon(ElasticLine):
         line = self.line(now)
         stretch = line.length - self.slack_length
         if now.ends_a_step:
-            pull = self.solid.over(stretch - now.lookahead * line.lengthening, stretch, memory, now.lookahead)
+            pull = self.law.over(stretch - now.lookahead * line.lengthening, stretch, memory, now.lookahead)
             return self._load(line, pull), pull.dashpot
-        pull = self.solid.at(stretch, memory)
+        pull = self.law.at(stretch, memory)
         if isinstance(now.step, float) and now.step == 0.0:
             return self._load(line, pull), memory
-        later = self.solid.over(stretch, stretch + now.step * line.lengthening, memory, now.step)
+        later = self.law.over(stretch, stretch + now.step * line.lengthening, memory, now.step)
         return self._load(line, pull), later.dashpot
 
     def _load(self, line: Line, pull: SolidPull) -> Load:
@@ -167,9 +167,9 @@ class ViscoelasticTendon(ElasticLine):
         """Tension, length and the dashpot's stretch."""
         line = self.line(now)
         stretch = line.length - self.slack_length
-        pull = self.solid.at(stretch, memory)
+        pull = self.law.at(stretch, memory)
         return {
             "tension": pull.tension,
             "length": line.length,
-            "dashpot_stretch": self.solid.resting(stretch, memory),
+            "dashpot_stretch": self.law.resting(stretch, memory),
         }

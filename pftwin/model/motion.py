@@ -73,7 +73,7 @@ class SegmentMotion(eqx.Module):
 
     With u the quaternions' spline, the orientation is u/|u| and the angular velocity in world axes is exact for the
     interpolant: omega = 2 Im(du/dt * conj(u)) / |u|^2 (the change of |u| is real and drops out). Before the first and
-    beyond the last knot the end cubics go on; nobody should ask there by more than a rounding error.
+    beyond the last knot the end cubics go on; times there are for rounding errors only.
     """
 
     knots: Float[Array, " n"]  # [s]

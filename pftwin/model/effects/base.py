@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pftwin.model.effects.line_elements import LineElement
 
 
-@dataclass(frozen=True)  # one is like any other: programs that are given one are not compiled again for the next
+@dataclass(frozen=True)  # all are equal, so that programs are not compiled again for another
 class Ground:
     """The frame of a fixed femur: the world itself, so every transformation is the identity and leaves no equation."""
 
@@ -89,13 +89,10 @@ class Instant(eqx.Module):
 
     def segment(self, name: str) -> Frame | Ground:
         """The frame of "femur", "tibia" or "ground"."""
-        if name == "femur":
-            return self.femur
-        if name == "tibia":
-            return self.tibia
-        if name == "ground":
-            return Ground()
-        raise KeyError(f"no segment {name!r}: expected femur, tibia or ground")
+        segments = {"femur": self.femur, "tibia": self.tibia, "ground": Ground()}
+        if name not in segments:
+            raise KeyError(f"no segment {name!r}: expected femur, tibia or ground")
+        return segments[name]
 
 
 class StiffTerm(eqx.Module):
@@ -176,14 +173,8 @@ class Load(NamedTuple):
 
     def total(self) -> Wrench:
         """The whole wrench, stiff terms and drag included."""
-        out = self.wrench if self.wrench is not None else Wrench.zero()
-        if self.drag is not None:
-            out = out + self.drag.wrench()
-        if self.bed is not None:
-            out = out + self.bed.wrench()
-        for term in self.stiff:
-            out = out + term.wrench()
-        return out
+        parts = [part.wrench() for part in (self.drag, self.bed, *self.stiff) if part is not None]
+        return sum(parts, start=Wrench.zero() if self.wrench is None else self.wrench)
 
     def power(self, patella: Patella) -> Scalar:
         """Rate of work done on the patella [W]."""
@@ -193,13 +184,8 @@ class Load(NamedTuple):
     def dissipation(self) -> Scalar:
         """Rate at which the effect turns work and what it stores into heat [W]."""
         lost = [jnp.sum((t.force - t.elastic) * t.rate) for t in self.stiff]
-        if self.bed is not None:
-            lost.append(self.bed.dissipation())
-        if self.drag is not None:
-            lost.append(self.drag.dissipation())
-        if self.heat is not None:
-            lost.append(self.heat)
-        return sum(lost, start=jnp.zeros(()))
+        lost += [part.dissipation() for part in (self.bed, self.drag) if part is not None]
+        return sum(lost if self.heat is None else [*lost, self.heat], start=jnp.zeros(()))
 
 
 class Observable(NamedTuple):
@@ -213,9 +199,9 @@ class Change(NamedTuple):
     """An effect changed in one thing that it does, for studies of what that is worth."""
 
     label: str  # what is left out or put in: changes of one label are made in all effects at once
-    effect: Effect  # as it is then
+    effect: Effect  # with the change
     how: str  # in words
-    memory: Callable[[Any], Any] | None = None  # where it is a part with a load of its own: its memory from the whole's
+    memory: Callable[[Any], Any] | None = None  # its memory from the unchanged effect's, where the two differ
 
 
 class Effect(eqx.Module):
@@ -234,11 +220,11 @@ class Effect(eqx.Module):
         return None
 
     def guess(self, now: Instant) -> Any:
-        """A rough memory that a few loads at rest make right: cheaper to compile where loads are taken anyway."""
+        """A rough first memory that a few loads at rest correct: cheaper to compile than `remember`."""
         return self.remember(now)
 
     def refined(self, memory: Any, trial: Any) -> Any:
-        """A memory with what a look at a trial pose has found better: places, not what began or went by."""
+        """A memory with the places that a load at a trial pose has improved, but without its history."""
         return memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,10 +13,11 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.model.effects.base import Effect, Instant, Load, Observable, StiffTerm, applied_at
-from pftwin.model.effects.contact_law import ContactLaw
+from pftwin.model.effects.contact_law import ContactLaw, Speeds
 
 if TYPE_CHECKING:
-    from pftwin.geometry.patch.closest import Surface
+    from pftwin.geometry.contact.mesh_facets import FacetPoint
+    from pftwin.geometry.patch.closest import ClosestPoint, Surface
     from pftwin.model.effects.friction import Friction
 
 FACETS = ("medial", "lateral")
@@ -30,9 +31,7 @@ FORCE = {  # what every contact reports of its force
     "point_medial": Observable("m", "medial contact point, femur frame"),
     "point_lateral": Observable("m", "lateral contact point, femur frame"),
 }
-INDENTATION = {f"indentation_{facet}": Observable("m", f"indentation at the {facet} contact") for facet in FACETS}
-
-Speeds = tuple[Scalar, ...] | None  # each facet's approach speed at the moment contact began, 0 while apart [m/s]
+BY_FACET = FORCE | {f"indentation_{f}": Observable("m", f"indentation at the {f} contact") for f in FACETS}
 
 
 class Contact(Effect):
@@ -94,6 +93,9 @@ class Contact(Effect):
         )
 
 
+P = TypeVar("P", bound="ClosestPoint | FacetPoint")
+
+
 class ContactPush(NamedTuple):
     """What a contact does, and what it remembers."""
 
@@ -140,12 +142,6 @@ def pushed(
     return ContactPush(term, energy, approach_speed)
 
 
-def no_contact_yet(law: ContactLaw, now: Instant, facets: int) -> Speeds:
-    """The memory of a law before anything has touched."""
-    zero = jnp.zeros_like(now.patella.position.x)
-    return (zero,) * facets if law.remembers_approach else None
-
-
 def load_of(pushes: Sequence[ContactPush]) -> tuple[Load, Speeds]:
     """A stiff term for each contact, and the approach speeds to remember."""
     energy = sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
@@ -161,7 +157,7 @@ def vector_sum(vectors: Sequence[Vec3]) -> Vec3:
 def facet_report(
     total: Vec3, forces: Sequence[Scalar], indentations: Sequence[Scalar], points: Sequence[Array]
 ) -> dict[str, Any]:
-    """What `FORCE` and `INDENTATION` list. A mesh of one facet calls it medial; the other one reports no force and NaN.
+    """What `BY_FACET` lists. A mesh of one facet calls it medial; the other one reports no force and NaN.
 
     Args:
         total: contact force on the patella, femur axes [N].
@@ -175,6 +171,15 @@ def facet_report(
     for facet, (force, indentation, point) in zip(FACETS, each, strict=False):
         report |= {f"force_{facet}": force, f"indentation_{facet}": indentation, f"point_{facet}": point}
     return report
+
+
+class Touch(NamedTuple, Generic[P]):
+    """A sphere at one nearest point of the femur."""
+
+    at: P
+    indentation: Scalar  # [m]
+    share: Scalar  # of the law's force: 1, less where two contacts are nearly one, 0 where it is none
+    push: ContactPush
 
 
 class ButtonSphere(Contact):
@@ -215,6 +220,13 @@ class ButtonSphere(Contact):
         world = now.femur.direction(normal)
         moment = applied_at(self.center, now.patella, world)
         return pushed(self.law, now, indentation, rate, world, moment, approach_speed, share)
+
+    def touch(
+        self, now: Instant, at: P, normal: Vec3, rate: Scalar, approach_speed: Scalar | None, share: Scalar
+    ) -> Touch[P]:
+        """The law at a nearest point, where the normal is in the femur's axes and `rate` that of the indentation."""
+        indentation = self.radius - at.distance
+        return Touch(at, indentation, share, self.push(now, normal, indentation, rate, approach_speed, share))
 
     def tracked_point(self) -> Vec3:
         """The sphere's centre."""

@@ -157,12 +157,10 @@ class WithFriction(ButtonSphere):
         local = now.femur.local_direction(force)
         for axis in "xyz":
             report[f"force_{axis}"] = report[f"force_{axis}"] + getattr(local, axis)
-        for facet, s in zip(FACETS, slidings, strict=False):
+        absent = (0 * local.x, jnp.nan * local.x)
+        for facet, (grip, speed) in zip(FACETS, [*((s.grip, s.speed) for s in slidings), absent], strict=False):
             normal = report[f"force_{facet}"]  # as reported: a single contact belongs to one facet
-            report[f"friction_{facet}"] = s.grip * normal
-            report[f"slip_speed_{facet}"] = jnp.where(normal > 0, s.speed, jnp.nan)
-        for facet in FACETS[len(slidings) :]:
-            report |= {f"friction_{facet}": 0 * local.x, f"slip_speed_{facet}": jnp.nan * local.x}
+            report |= {f"friction_{facet}": grip * normal, f"slip_speed_{facet}": jnp.where(normal > 0, speed, jnp.nan)}
         return report
 
 

@@ -22,19 +22,16 @@ from pftwin.geometry.contact.contour import Contacts, ContourContact, MeshPair, 
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.contact import (
+    BY_FACET,
     FACETS,
-    FORCE,
-    INDENTATION,
     ButtonMesh,
     ContactPush,
-    Speeds,
     facet_report,
     load_of,
-    no_contact_yet,
     pushed,
     vector_sum,
 )
-from pftwin.model.effects.contact_law import ContactLaw
+from pftwin.model.effects.contact_law import ContactLaw, Speeds
 
 WIDE = 4  # times twice the largest triangle: a contour around more than that holds corners
 
@@ -51,8 +48,7 @@ class MeshContact(ButtonMesh):
     method: ClassVar[str] = "contours"
     jumps: ClassVar[bool] = True  # where a corner or a triangle joins a contour
     observables: ClassVar[dict[str, Observable]] = {
-        **FORCE,
-        **INDENTATION,
+        **BY_FACET,
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),
         "merged": Observable("1", "1 where the medial and the lateral contact are one, which counts as medial"),
         "at_rim": Observable("1", "1 where a contour ends on the rim of an open mesh: the force is wrong"),
@@ -92,7 +88,7 @@ class MeshContact(ButtonMesh):
 
     def remember(self, now: Instant) -> Speeds:
         """No contact has begun yet."""
-        return no_contact_yet(self.law, now, self.femur.facets)
+        return self.law.no_contact_yet(now.patella.position.x, self.femur.facets)
 
     def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
         """A stiff term for each contact."""

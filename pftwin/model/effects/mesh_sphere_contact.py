@@ -6,7 +6,7 @@ its nearest points by a tree (`pftwin.geometry.bvh`).
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,29 +18,9 @@ from pftwin.geometry.contact.facets import APART, MERGED
 from pftwin.geometry.contact.mesh_facets import FacetPoint, MeshFacets
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Instant, Load, Observable
-from pftwin.model.effects.contact import (
-    FORCE,
-    INDENTATION,
-    ButtonSphere,
-    Contact,
-    ContactPush,
-    Speeds,
-    facet_report,
-    load_of,
-    no_contact_yet,
-    vector_sum,
-)
-from pftwin.model.effects.contact_law import ContactLaw
+from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch, facet_report, load_of, vector_sum
+from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
-
-
-class MeshTouch(NamedTuple):
-    """A sphere on one facet."""
-
-    at: FacetPoint
-    indentation: Scalar  # [m]
-    share: Scalar  # of the law's force: 1, less where both facets' contacts are nearly one, 0 where it is none
-    push: ContactPush
 
 
 class MeshSphereContact(ButtonSphere):
@@ -53,27 +33,24 @@ class MeshSphereContact(ButtonSphere):
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     method: ClassVar[str] = "nearest"
     observables: ClassVar[dict[str, Observable]] = {
-        **FORCE,
-        **INDENTATION,
+        **BY_FACET,
         "off_patch": Observable("m", "how far sideways past the mesh's rim the sphere's centre lies, where loaded"),
         "overflow": Observable("1", "1 where the search ran out of room: the contact may be wrong"),
     }
 
     def remember(self, now: Instant) -> Speeds:
         """No contact has begun yet."""
-        return no_contact_yet(self.law, now, self.facets.count)
+        return self.law.no_contact_yet(now.patella.position.x, self.facets.count)
 
-    def touches(self, now: Instant, memory: Speeds) -> list[MeshTouch]:
+    def touches(self, now: Instant, memory: Speeds) -> list[Touch[FacetPoint]]:
         """The sphere on each facet."""
         centre, velocity = self.centre_in_femur(now)
         points = self.facets.points(centre)
-        speeds = memory or (None,) * len(points)
-        touches = []
-        for p, share, speed in zip(points, _shares(points, self.radius), speeds, strict=True):
-            indentation = self.radius - p.distance
-            push = self.push(now, p.normal, indentation, -p.normal.dot(velocity), speed, share)
-            touches.append(MeshTouch(p, indentation, share, push))
-        return touches
+        speeds, shares = memory or (None,) * len(points), _shares(points, self.radius)
+        return [
+            self.touch(now, p, p.normal, -p.normal.dot(velocity), speed, share)
+            for p, speed, share in zip(points, speeds, shares, strict=True)
+        ]
 
     def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
         """A stiff term for each facet."""

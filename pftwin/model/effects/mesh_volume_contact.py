@@ -35,17 +35,8 @@ from pftwin.geometry.contact.patch_mesh import PatchMesh
 from pftwin.geometry.contact.sphere_patch import sphere_patch
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Instant, Load, Observable, StiffTerm, applied_at
-from pftwin.model.effects.contact import (
-    FACETS,
-    FORCE,
-    INDENTATION,
-    ButtonSphere,
-    Contact,
-    Speeds,
-    facet_report,
-    no_contact_yet,
-)
-from pftwin.model.effects.contact_law import ContactLaw
+from pftwin.model.effects.contact import BY_FACET, FACETS, ButtonSphere, Contact, facet_report
+from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
 
 
@@ -71,8 +62,7 @@ class MeshVolumeContact(ButtonSphere):
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     method: ClassVar[str] = "volume"
     observables: ClassVar[dict[str, Observable]] = {
-        **FORCE,
-        **INDENTATION,
+        **BY_FACET,
         "area_medial": Observable("m^2", "area of the medial facet inside the sphere"),
         "area_lateral": Observable("m^2", "area of the lateral facet inside the sphere"),
         "off_patch": Observable("m", "half the length of the mesh's rim that lies inside the sphere"),
@@ -81,7 +71,7 @@ class MeshVolumeContact(ButtonSphere):
 
     def remember(self, now: Instant) -> Speeds:
         """No contact has begun yet."""
-        return no_contact_yet(self.law, now, 2)
+        return self.law.no_contact_yet(now.patella.position.x, 2)
 
     def touch(self, now: Instant, memory: Speeds) -> VolumeTouch:
         """The overlap at this instant and what it does."""

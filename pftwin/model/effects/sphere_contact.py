@@ -17,18 +17,8 @@ from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.contact.facets import MERGED, FollowedPoint, follow_facets
 from pftwin.geometry.patch.closest import ClosestPoint, Surface
 from pftwin.model.effects.base import Instant, Load, Observable
-from pftwin.model.effects.contact import (
-    FORCE,
-    INDENTATION,
-    ButtonSphere,
-    Contact,
-    ContactPush,
-    Speeds,
-    facet_report,
-    load_of,
-    no_contact_yet,
-)
-from pftwin.model.effects.contact_law import ContactLaw
+from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch, facet_report, load_of
+from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
 
 SEARCH_STEPS = 10  # steps that find the contacts from nothing
@@ -41,15 +31,6 @@ class ContactMemory(NamedTuple):
     approach_speeds: Speeds
 
 
-class Touch(NamedTuple):
-    """One contact, resolved."""
-
-    closest: ClosestPoint
-    indentation: Scalar  # [m]
-    share: Scalar  # of the law's force
-    push: ContactPush
-
-
 class SphereContact(ButtonSphere):
     """A sphere fixed in the patella against a surface fixed in the femur."""
 
@@ -58,8 +39,7 @@ class SphereContact(ButtonSphere):
     center: Vec3 = eqx.field(metadata=quantity("m", frame="patella", words="centre of the button"))
     radius: Scalar = eqx.field(metadata=quantity("m", positive=True, words="radius of the button"))
     observables: ClassVar[dict[str, Observable]] = {
-        **FORCE,
-        **INDENTATION,
+        **BY_FACET,
         "off_patch": Observable("m", "how far beyond the fitted patch a loaded contact lies"),
     }
 
@@ -73,7 +53,7 @@ class SphereContact(ButtonSphere):
         """Both points below the sphere's centre, from where they find their way; no contact has begun yet."""
         c, _ = self.centre_in_chart(now)
         foot = FollowedPoint(*self.surface.chart.foot(c), jnp.zeros_like(c.x))
-        return ContactMemory((foot, foot), no_contact_yet(self.law, now, 2))
+        return ContactMemory((foot, foot), self.law.no_contact_yet(now.patella.position.x, 2))
 
     def remember(self, now: Instant) -> ContactMemory:
         """Both points, found from nothing; no contact has begun yet."""
@@ -91,24 +71,20 @@ class SphereContact(ButtonSphere):
         """The look's points."""
         return memory._replace(places=trial.places)
 
-    def touches(self, now: Instant, memory: ContactMemory) -> tuple[Touch, Touch, ContactMemory]:
+    def touches(
+        self, now: Instant, memory: ContactMemory
+    ) -> tuple[Touch[ClosestPoint], Touch[ClosestPoint], ContactMemory]:
         """The medial and the lateral contact at this instant, and the memory for the next."""
         c, velocity = self.centre_in_chart(now)
         facets = follow_facets(self.surface, c, self.radius, memory.places)
-        points = (facets.medial, facets.lateral)
-        speeds = memory.approach_speeds or (None, None)
-        one, two = (self._touch(now, p, velocity, speed, facets.share) for p, speed in zip(points, speeds, strict=True))
-        way = now.step * velocity
-        medial, lateral = (FollowedPoint(p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled) for p in points)
+        speeds, way = memory.approach_speeds or (None, None), now.step * velocity
+        touches, places = [], []
+        for p, speed in zip((facets.medial, facets.lateral), speeds, strict=True):
+            normal = self.surface.chart.axes.apply(p.normal)
+            touches.append(self.touch(now, p, normal, -p.normal.dot(velocity), speed, facets.share))
+            places.append(FollowedPoint(p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled))
+        (one, two), (medial, lateral) = touches, places
         return one, two, ContactMemory((medial, lateral), load_of([one.push, two.push])[1])
-
-    def _touch(
-        self, now: Instant, p: ClosestPoint, velocity: Vec3, approach_speed: Scalar | None, share: Scalar
-    ) -> Touch:
-        """The law at one closest point."""
-        indentation, normal = self.radius - p.distance, self.surface.chart.axes.apply(p.normal)
-        push = self.push(now, normal, indentation, -p.normal.dot(velocity), approach_speed, share)
-        return Touch(p, indentation, share, push)
 
     def load(self, now: Instant, memory: ContactMemory) -> tuple[Load, ContactMemory]:
         """A stiff term per contact."""
@@ -118,7 +94,7 @@ class SphereContact(ButtonSphere):
     def observe(self, now: Instant, memory: ContactMemory) -> dict[str, Any]:
         """Forces, points and indentations, told apart as medial and lateral."""
         touches = self.touches(now, memory)[:2]
-        (one, two), (c, _) = (t.closest for t in touches), self.centre_in_chart(now)
+        (one, two), (c, _) = (t.at for t in touches), self.centre_in_chart(now)
         # A single contact, of which both points bear half, belongs to the facet on its side of the sphere's centre.
         single = jnp.abs(one.v - two.v) < MERGED * self.radius
         on_medial = one.v <= self.surface.chart.foot(c)[1]

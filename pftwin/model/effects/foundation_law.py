@@ -156,8 +156,8 @@ class LogarithmicFoundation(FoundationLaw):
 def _energy(layer: Layer, p: Scalar) -> Scalar:
     """h K (1 - (1 + p / K) exp(-p / K)): the integral of p over a layer's depth, without cancellation at small p."""
     k = layer.confined_modulus()
-    x = p / k
-    return layer.thickness * k * (-jnp.expm1(-x) - x * jnp.exp(-x))
+    x = p / k  # its derivative needs exp(-p / k) below, not exp(-x), to cancel at small p
+    return layer.thickness * k * (-jnp.expm1(-x) - x * jnp.exp(-p / k))
 
 
 LAWS: dict[str, type[FoundationLaw]] = {"linear": LinearFoundation, "logarithmic": LogarithmicFoundation}

@@ -66,16 +66,16 @@ class Patella(eqx.Module):
 
 
 class Instant(eqx.Module):
-    """All that an effect may look at."""
+    """The state of the knee as an effect sees it."""
 
     patella: Patella
     femur: Frame | Ground
     tibia: Frame
     time: Scalar | float  # [s]
-    step: Scalar | float  # time until the next look [s], for memories that move along; 0 when only looking
+    step: Scalar | float  # time until the next load [s], over which memories advance; 0 where nothing advances
     lookahead: Scalar | float = 0.0  # time from the state that an implicit step starts from to this instant [s]
-    displacement_gain: Scalar | None = None  # where not `lookahead`: displacement here per change of velocity [s]
-    twist: Twist | None = None  # where not the patella's here: that of the state that the step starts from
+    displacement_gain: Scalar | None = None  # displacement here per change of velocity, if not `lookahead` [s]
+    twist: Twist | None = None  # of the patella at the start of the step, if not that of `patella`
 
     @property
     def ends_a_step(self) -> bool:
@@ -105,7 +105,7 @@ class StiffTerm(eqx.Module):
     direction: Vec3  # unit vector of the force, world
     moment: Vec3  # its moment about the centre of mass, patella axes [m]
     force: Scalar  # f [N]
-    elastic: Scalar  # the part of f that is stored and given back [N]
+    elastic: Scalar  # the part of f that comes from stored energy [N]
     stiffness: Scalar  # df/ds [N/m]
     damping: Scalar  # df/d(ds/dt) [N s/m]
     rate: Scalar  # ds/dt [m/s]
@@ -117,7 +117,7 @@ class StiffTerm(eqx.Module):
 
 
 class Drag(eqx.Module):
-    """A viscous drag on the whole body, alike in every direction: force -c_t v, moment -c_r w."""
+    """An isotropic viscous drag on the whole body: force -c_t v, moment -c_r w."""
 
     translational: Scalar  # c_t [N s/m]
     rotational: Scalar  # c_r [N m s/rad]
@@ -129,22 +129,22 @@ class Drag(eqx.Module):
         return Wrench(-self.translational * self.velocity, -self.rotational * self.spin)
 
     def dissipation(self) -> Scalar:
-        """Rate at which work turns into heat [W]."""
+        """Dissipated power [W]."""
         return self.translational * self.velocity.squared_norm() + self.rotational * self.spin.squared_norm()
 
 
 class AggregateStiffness(eqx.Module):
-    """A great many like stiff terms on one body, summed: all that a step and the energy budget need of them.
+    """The sums over very many stiff terms on one body that a step and the energy budget need.
 
     With g_i = (direction, moment) of each, forces f_i >= 0 and slopes k_i, and c_i = c k_i.
     """
 
     force: Array  # (6,) sum f_i g_i: force in world axes, moment about the centre of mass in patella axes [N, N m]
-    elastic: Array  # (6,) the part of it that is stored and given back
+    elastic: Array  # (6,) the elastic part of it
     stiffness: Array  # (6, 6) sum k_i g_i g_i^T
     damping_time: Scalar | float  # c [s]
     size: Scalar  # sum f_i [N]
-    velocity: Vec3  # of the centre of mass relative to the body that they stand on, world [m/s]
+    velocity: Vec3  # of the centre of mass relative to the other body, world [m/s]
     spin: Vec3  # relative, patella axes [rad/s]
 
     def wrench(self) -> Wrench:
@@ -156,7 +156,7 @@ class AggregateStiffness(eqx.Module):
         return (step + self.damping_time) * self.stiffness
 
     def dissipation(self) -> Scalar:
-        """Rate at which work turns into heat [W]."""
+        """Dissipated power [W]."""
         lost = self.elastic - self.force
         return lost[:3] @ self.velocity.array() + lost[3:] @ self.spin.array()
 
@@ -167,12 +167,12 @@ class Load(NamedTuple):
     stiff: tuple[StiffTerm, ...] = ()
     bed: AggregateStiffness | None = None
     drag: Drag | None = None
-    wrench: Wrench | None = None  # all that is not stiff: force in world axes, moment in patella axes
+    wrench: Wrench | None = None  # all that is not stiff; axes as in `total`
     energy: Scalar | None = None  # stored [J]
-    heat: Scalar | None = None  # lost inside the effect, whatever moves: beside what stiff terms and drag lose [W]
+    heat: Scalar | None = None  # dissipated inside the effect, beside what stiff terms and drag dissipate [W]
 
     def total(self) -> Wrench:
-        """The whole wrench, stiff terms and drag included."""
+        """The whole wrench, stiff terms and drag included: force in world axes, moment in patella axes."""
         parts = [part.wrench() for part in (self.drag, self.bed, *self.stiff) if part is not None]
         return sum(parts, start=Wrench.zero() if self.wrench is None else self.wrench)
 
@@ -182,7 +182,7 @@ class Load(NamedTuple):
         return w.force.dot(patella.velocity) + w.moment.dot(patella.spin)
 
     def dissipation(self) -> Scalar:
-        """Rate at which the effect turns work and what it stores into heat [W]."""
+        """Rate at which the effect dissipates energy [W]."""
         lost = [jnp.sum((t.force - t.elastic) * t.rate) for t in self.stiff]
         lost += [part.dissipation() for part in (self.bed, self.drag) if part is not None]
         return sum(lost if self.heat is None else [*lost, self.heat], start=jnp.zeros(()))
@@ -232,7 +232,7 @@ class Effect(eqx.Module):
         return {}
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
-        """What `observe` shows, and the energy stored; for effects that find both at once to override."""
+        """What `observe` shows, and the energy stored. Override it where both are computed at once."""
         return self.observe(now, memory), self.load(now, memory)[0].energy
 
     def line_element(self) -> LineElement | None:
@@ -256,11 +256,11 @@ class Effect(eqx.Module):
         return ()
 
     def in_still_femur(self, femur: SegmentMotion) -> Effect | None:
-        """The effect where a moving femur's frame is taken for an inertial one; None where it cannot be had there."""
+        """The effect where a moving femur's frame is treated as inertial; None if it has no meaning there."""
         return self
 
     def recentred(self, center_of_mass: Vec3) -> Effect:
-        """The same effect with patella points counted from the centre of mass, ready for the inner loop."""
+        """The same effect with patella points given from the centre of mass, ready for the time loop."""
         return self
 
 

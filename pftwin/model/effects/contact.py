@@ -1,4 +1,4 @@
-"""The contact between the patella's button and the femur: what results, statuses, fits and treatments ask of it."""
+"""Contact between the patella's button and the femur: what the rest of the program asks of it, and what laws share."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def pushed(
         now: the instant; its `lookahead` says how far ahead of a step's start it is.
         indentation, rate: [m], [m/s].
         direction, moment: of a unit force on the patella: world axes, and patella axes about the centre of mass [m].
-        approach_speed: what `approach_speed` was at the last look.
+        approach_speed: `ContactPush.approach_speed` of the last load.
         share: of the law's force that this contact bears.
     """
     if approach_speed is not None:

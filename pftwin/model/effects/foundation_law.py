@@ -1,6 +1,6 @@
 r"""Layers on a rigid backing, pressed: from depth to pressure, its slope and the energy per area. Free of geometry.
 
-An elastic foundation is a bed of springs that do not know of each other. A thin layer of modulus E, Poisson ratio nu
+An elastic foundation is a bed of independent springs. A thin layer of modulus E, Poisson ratio nu
 and thickness h, bonded to a rigid backing, is confined: with K = E (1 - nu) / ((1 + nu) (1 - 2 nu)) it bears
 
 | law | pressure of one layer at depth d | |
@@ -28,7 +28,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
 
-SQUEEZED = 0.95  # of both thicknesses: deeper, the logarithmic law goes on along its tangent, lest it be infinite
+SQUEEZED = 0.95  # of both thicknesses: deeper, the logarithmic law follows its tangent and so stays finite
 _MOST_STEPS = 40  # alike layers take 1, moduli a factor of 1000 apart 12 at most
 _CONVERGED = 1e4  # roundings: the last step squares what is left of the error
 
@@ -87,7 +87,7 @@ class LinearFoundation(FoundationLaw):
 class LogarithmicFoundation(FoundationLaw):
     """p with h1 (1 - exp(-p / K1)) + h2 (1 - exp(-p / K2)) = d: -K ln(1 - d / h) in each layer.
 
-    Beyond `SQUEEZED` of the thicknesses it goes on along its tangent: finite, but no measure of a joint any more.
+    Beyond `SQUEEZED` of the thicknesses it follows its tangent: finite, but not realistic.
     """
 
     def press(self, depth: Scalar) -> FoundationPressure:

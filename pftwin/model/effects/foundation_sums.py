@@ -1,8 +1,7 @@
-"""What an elastic foundation's triangles amount to: sums over as many of them as there are in contact.
+"""Sums over an elastic foundation's triangles in contact.
 
-The button's pieces that reach into the femur are gone through in a loop that ends with them, so a light touch costs
-little and there is no list to overflow. With derivatives the loop has room for all of the button and leaves out what
-is not there.
+A loop over the pieces of the button that reach into the femur ends with the last of them, so a light touch costs little
+and no list can overflow. Under derivatives the loop runs over the whole button and skips pieces without contact.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ Sums = tuple[Forces, Pressures]
 
 
 def sums(at: Bedded) -> Sums:
-    """Everything that the triangles in contact amount to. Jit, vmap, forward and reverse derivatives apply."""
+    """The sums over all triangles in contact. Jit, vmap, forward and reverse derivatives apply."""
     found = find(at.button, at.femur, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
     return _summed(at, found)
 

@@ -31,23 +31,23 @@ from pftwin.model.effects.contact import FACETS, ButtonSphere, Contact
 
 
 class Friction(eqx.Module):
-    """A pair of surfaces."""
+    """Friction constants of a pair of surfaces."""
 
     coefficient: Scalar = eqx.field(metadata=quantity("", at_least=0))  # mu
     slip_speed: Scalar = eqx.field(metadata=quantity("m/s", positive=True))  # v_s: below it contacts creep
 
 
 class LastPush(NamedTuple):
-    """A normal force as a step looked at it. What it came to, f - (h k + c) g . dv, the change of velocity tells."""
+    """A normal force as a step linearised it: with the change of velocity dv it became f - (h k + c) g . dv."""
 
     direction: Vec3  # g: the force's
     moment: Vec3  # and its moment's [m]
-    unchanged: Scalar  # f + (h k + c) g . v, with the velocity that the step looked at [N]
+    unchanged: Scalar  # f + (h k + c) g . v, with the velocity v at the linearisation [N]
     weight: Scalar  # h k + c [N s/m]
 
     @staticmethod
     def of(push: StiffTerm, now: Instant) -> LastPush:
-        """To be remembered."""
+        """The force to remember."""
         gain = now.lookahead if now.displacement_gain is None else now.displacement_gain
         weight = gain * push.stiffness + push.damping
         here = Twist(now.patella.velocity, now.patella.spin)
@@ -133,7 +133,7 @@ class WithFriction(ButtonSphere):
         return load._replace(stiff=(*load.stiff, *tangential)), FrictionMemory(contact, last)
 
     def _sliding(self, now: Instant, push: StiffTerm, before: LastPush) -> Sliding:
-        """Friction at a contact that presses so."""
+        """Friction at a contact with the normal force `push`."""
         patella, normal = now.patella, push.direction
         lever = self.center - self.radius * patella.rotation.unapply(normal)
         arm = patella.arm(lever)
@@ -170,10 +170,10 @@ def _pushes(load: Load) -> list[StiffTerm]:
 
 
 def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
-    """The normal force that friction goes by [N], at least 0: in a step that looks ahead, the last step's.
+    """The normal force that friction is proportional to [N], at least 0: at the end of a step, that of the last step.
 
-    The force looked at is not the one that the step will come to: a stiff contact that is being made presses there
-    hundreds of times as hard, and so would friction.
+    The linearised force is not what the step ends with: where a stiff contact is just being made it is hundreds of
+    times as large, and friction would be too.
     """
     if not now.ends_a_step:
         return jnp.maximum(push.force, 0.0)

@@ -69,7 +69,7 @@ class MeshContact(ButtonMesh):
         return Pose(center, Quaternion.from_rotation(now.turn_in_femur()))
 
     def _swallowed(self, now: Instant, found: Contacts) -> Behind:
-        """Whether the patella's mesh is wholly behind the femur's: none of their triangles meet, one corner tells."""
+        """Whether the patella's mesh is wholly behind the femur's: no triangles meet, and one corner is behind."""
         corner = self._pose(now).apply(Vec3.from_array(self.patella.tree.triangles[0, :3]))
         femur = self.femur
         return behind(femur.tree.triangles, femur.source, femur.rim, corner, found.pairs == 0)
@@ -81,7 +81,7 @@ class MeshContact(ButtonMesh):
         return behind(patella.tree.triangles, patella.source, patella.rim, corner, found.pairs == 0)
 
     def _hollow(self, found: Contacts) -> Array:
-        """Whether a contour is too wide to hold no corner, and yet none within reach was found in it."""
+        """Whether a contour is so wide that it must enclose a corner, and yet none was found within reach."""
         largest = jnp.max(Triangle.of_rows(self.patella.tree.triangles).area_vector().norm())
         hollow = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
         return jnp.stack(hollow).any()
@@ -123,7 +123,7 @@ class MeshContact(ButtonMesh):
         report["contour_area"] = sum((c.area for c in found.each[1:]), start=found.each[0].area)
         inside = self._swallowed(now, found)
         for k, facet in enumerate(FACETS[: self.femur.facets]):
-            # No force, but anything but no contact: the corner's distance to the surface tells.
+            # Without force, yet deep in contact: the corner's distance to the surface is the indentation.
             here = inside.there & (self.femur.facet(inside.place) == k)
             report[f"indentation_{facet}"] = jnp.where(here, inside.depth, report[f"indentation_{facet}"])
         engulfed = self._engulfed(now, found)

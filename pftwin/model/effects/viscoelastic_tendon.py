@@ -26,7 +26,7 @@ from pftwin.base.spatial import Scalar, Vec3
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.line_elements import ElasticLine, Line
 
-RELAXED = -1.0  # in place of the dashpot's stretch, which is never negative: wherever a solid at rest has it [m]
+RELAXED = -1.0  # in place of the dashpot's stretch, which is never negative: relaxed at any length [m]
 
 
 class SolidPull(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -67,15 +67,20 @@ class DampedLine(ElasticLine):
         "length": Observable("m", "length"),
     }
 
+    if TYPE_CHECKING:
+
+        @property
+        def damping(self) -> Scalar: ...  # noqa: D102
+
     @property
     @abstractmethod
     def law(self) -> LinearSpring | ToeSpring:
         """The spring's law f."""
 
     @property
-    @abstractmethod
     def dashpot(self) -> Scalar:
-        """c [N s/m]."""
+        """c [N s/m]: the field `damping`, where a subclass does not derive it from another."""
+        return self.damping
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """Its pull."""
@@ -97,6 +102,11 @@ class DampedLine(ElasticLine):
         (term,) = self.load(now, memory)[0].stiff
         return {"tension": term.force, "length": self.line(now).length}
 
+    def simplifications(self) -> Iterable[Change]:
+        """Without its dashpot."""
+        undamped = eqx.tree_at(lambda t: t.damping, self, jnp.zeros_like(self.damping))
+        return (Change(DAMPING, undamped, "no dashpot"),)
+
 
 class Tendon(DampedLine):
     r"""A spring-damper between the patella and a guided body; it pulls or hangs slack.
@@ -117,19 +127,9 @@ class Tendon(DampedLine):
         """F = K s."""
         return LinearSpring(self.stiffness)
 
-    @property
-    def dashpot(self) -> Scalar:
-        """The field `damping`."""
-        return self.damping
-
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
         """See `ElasticLine`."""
         return length - tension / self.stiffness
-
-    def simplifications(self) -> Iterable[Change]:
-        """Without its dashpot."""
-        undamped = eqx.tree_at(lambda t: t.damping, self, jnp.zeros_like(self.damping))
-        return (Change(DAMPING, undamped, "no dashpot"),)
 
     def elaborations(self) -> Iterable[Change]:
         """With a toe region, the linear region as it is."""
@@ -159,11 +159,6 @@ class ToeTendon(DampedLine):
         """With a toe region that is a part of the slack length."""
         return ToeSpring(self.stiffness, self.toe_strain * self.slack_length)
 
-    @property
-    def dashpot(self) -> Scalar:
-        """The field `damping`."""
-        return self.damping
-
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
         """See `ElasticLine`: the law solved for L0 in its toe region and beyond."""
         f, toe = tension / self.stiffness, self.toe_strain
@@ -175,8 +170,7 @@ class ToeTendon(DampedLine):
         """Without its toe region: linear from half a toe later, where its linear region's line meets zero; undamped."""
         slack = self.slack_length * (1 + 0.5 * self.toe_strain)
         linear = Tendon(self.stiffness, slack, self.damping, self.insertion, self.origin, self.body, name=self.name)
-        undamped = eqx.tree_at(lambda t: t.damping, self, jnp.zeros_like(self.damping))
-        return Change(f"{TOE} of tendons", linear, _LINEAR), Change(DAMPING, undamped, "no dashpot")
+        return Change(f"{TOE} of tendons", linear, _LINEAR), *super().simplifications()
 
 
 class StrandGroup(DampedLine):

@@ -20,8 +20,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.files.mocap import PoseSeries
 from pftwin.model.effects.base import Instant, Load
-from pftwin.model.effects.strands import StrandGroup
-from pftwin.model.effects.tendon import Tendon
+from pftwin.model.effects.tendon import StrandGroup, Tendon
 from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.scene import Scene
 

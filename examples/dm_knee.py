@@ -49,7 +49,7 @@ from pftwin.model.effects.elastic_foundation import ElasticFoundation
 from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.sphere_contact import SphereContact
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody, Scene

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -61,13 +63,17 @@ class Frame(eqx.Module):
         """A world velocity less that of the body-fixed point at the world position `at` [m/s]."""
         return velocity - self.velocity_at(at)
 
+    def relative_spin(self, spin: Vec3, axes: Rotation) -> Vec3:
+        """An angular velocity, given in some axes, less that of the frame [rad/s]."""
+        return spin - axes.unapply(self.angular_velocity)
+
 
 class SegmentMotion(eqx.Module):
     """Cubic splines (not-a-knot, C2) through positions and quaternion components.
 
     With u the quaternions' spline, the orientation is u/|u| and the angular velocity in world axes is exact for the
     interpolant: omega = 2 Im(du/dt * conj(u)) / |u|^2 (the change of |u| is real and drops out). Before the first and
-    beyond the last knot the end cubics go on; nobody should ask there by more than a rounding error.
+    beyond the last knot the end cubics go on; times there are for rounding errors only.
     """
 
     knots: Float[Array, " n"]  # [s]
@@ -89,20 +95,14 @@ class SegmentMotion(eqx.Module):
             )
         from scipy.interpolate import CubicSpline
 
-        return SegmentMotion(
-            jnp.asarray(poses.times, dtype=float),
-            jnp.asarray(CubicSpline(poses.times, poses.positions).c, dtype=float),
-            jnp.asarray(CubicSpline(poses.times, poses.quaternions).c, dtype=float),
-        )
+        splines = (CubicSpline(poses.times, values).c for values in (poses.positions, poses.quaternions))
+        return SegmentMotion(*_leaves(poses.times, *splines))
 
     def at_speed(self, factor: float, start: float) -> SegmentMotion:
         """The same poses, run through so many times as fast from a time on."""
         powers = factor ** np.arange(3.0, -1.0, -1.0)[:, None, None]
-        return SegmentMotion(
-            jnp.asarray(start + (np.asarray(self.knots, dtype=float) - start) / factor, dtype=float),
-            jnp.asarray(powers * np.asarray(self.position_coefficients, dtype=float), dtype=float),
-            jnp.asarray(powers * np.asarray(self.quaternion_coefficients, dtype=float), dtype=float),
-        )
+        knots, p, q = (np.asarray(a, float) for a in jax.tree.leaves(self))
+        return SegmentMotion(*_leaves(start + (knots - start) / factor, powers * p, powers * q))
 
     def pieces(self, interval: Scalar) -> CubicPiece:
         """The cubics between knots `interval` and `interval` + 1 (integers of any shape)."""
@@ -117,6 +117,11 @@ class SegmentMotion(eqx.Module):
         spacing = (self.knots[-1] - self.knots[0]) / (self.knots.shape[0] - 1)
         interval = jnp.clip(jnp.floor((t - self.knots[0]) / spacing).astype(int), 0, self.knots.shape[0] - 2)
         return self.pieces(interval).frames(t)
+
+
+def _leaves(*arrays: np.ndarray) -> Iterator[Array]:
+    """In JAX's default float type."""
+    return (jnp.asarray(a, dtype=float) for a in arrays)
 
 
 class CubicPiece(eqx.Module):
@@ -197,11 +202,9 @@ class KneeMotion(eqx.Module):
         """
         if not (np.isfinite(factor) and factor > 0):
             raise InputError(f"found {factor!r}", where="speed", expected="a positive number, 1 as it was recorded")
-        femur, tibia = (
-            None if body is None else body.at_speed(factor, self.start_time) for body in (self.femur, self.tibia)
-        )
-        assert tibia is not None
-        return KneeMotion(femur, tibia, self.start_time, _rounded(self.frame_interval / factor), self.n_frames)
+        femur = None if self.femur is None else self.femur.at_speed(factor, self.start_time)
+        tibia, interval = self.tibia.at_speed(factor, self.start_time), _rounded(self.frame_interval / factor)
+        return KneeMotion(femur, tibia, self.start_time, interval, self.n_frames)
 
     @property
     def end_time(self) -> float:
@@ -239,8 +242,3 @@ class MotionPiece(eqx.Module):
 
 def _rounded(value: float) -> float:
     return float(f"{value:.12g}")
-
-
-def fixed_femur_motion(femur: Pose, tibia: PoseSeries) -> KneeMotion:
-    """The motion of a tibia recorded in the world, seen from a femur fixed in the world at `femur`."""
-    return KneeMotion.from_poses(femur, tibia)

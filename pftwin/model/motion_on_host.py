@@ -1,4 +1,4 @@
-"""Recorded poses of femur and tibia as numpy arrays: for results, whose numbers are on the host."""
+"""Recorded poses of femur and tibia as numpy arrays, for results."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class NumberPlace(NamedTuple):
             value = owner.slack_length_for(start_length(scene, owner), value)
         old = jnp.asarray(_follow(owner, self.path))
         new = jnp.asarray(value, old.dtype) if self.index is None else old.at[self.index].set(value)
-        return _with_owner(scene, self.owner, eqx.tree_at(lambda o: _follow(o, self.path), owner, new))
+        return _replaced(scene, self.owner, self.path, new)
 
 
 class Field(NamedTuple):
@@ -113,9 +113,8 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
         raise _unknown(scene, name)
     owner, path, shape, _ = numbers[full]
     if meaning != "value":
-        element = _effect_or_none(scene, owner)
-        line = None if element is None else element.line_element()
-        if line is None or not line.elastic or shape != () or path != ("slack_length",):
+        elastic = any(e.name == owner for e in numbered_elements(scene))
+        if not elastic or shape != () or path != ("slack_length",):
             raise InputError(f"{name!r}: only the slack length of a single tendon has a {meaning}", where="free")
     if index is None and not shape:
         return [NumberPlace(owner, path, None, meaning)]
@@ -146,8 +145,7 @@ def get_value(scene: Scene, name: str) -> Any:
     """
     if (vector := _vector(scene, name)) is not None:
         return _follow(_owner(scene, vector[0]), vector[1])
-    place = _one_place(scene, name)
-    return place.read(scene)
+    return _one_place(scene, name).read(scene)
 
 
 def with_value(scene: Scene, name: str, value: Any) -> Scene:
@@ -164,22 +162,20 @@ def with_value(scene: Scene, name: str, value: Any) -> Scene:
     if (vector := _vector(scene, name)) is not None:
         owner, path = vector
         old = _follow(_owner(scene, owner), path)
-        new = Vec3(*(value.x, value.y, value.z)) if hasattr(value, "x") else _vector_from(value, name)
-        shapes = [np.shape(getattr(v, axis)) for v in (old, new) for axis in "xyz"]
+        if not isinstance(value, Vec3) and np.shape(value)[-1:] != (3,):
+            raise InputError(
+                f"found shape {np.shape(value)}", where=name, expected="three components along the last axis"
+            )
+        new = value if isinstance(value, Vec3) else Vec3.from_array(value)
+        shapes = [np.shape(a) for v in (old, new) for a in (v.x, v.y, v.z)]
         if shapes[:3] != shapes[3:]:
             raise InputError(f"found shape {shapes[3]}", where=name, expected=f"components of shape {shapes[0]}")
-        return _with_owner(scene, owner, eqx.tree_at(lambda o: _follow(o, path), _owner(scene, owner), new))
+        return _replaced(scene, owner, path, new)
     place = _one_place(scene, name)
     shape = np.shape(_follow(_owner(scene, place.owner), place.path)) if place.index is None else ()
     if np.shape(value) != shape:
         raise InputError(f"found shape {np.shape(value)}", where=name, expected=f"shape {shape}")
     return place.written(scene, value)
-
-
-def _vector_from(value: Any, name: str) -> Vec3:
-    if np.shape(value)[-1:] != (3,):
-        raise InputError(f"found shape {np.shape(value)}", where=name, expected="three components along the last axis")
-    return Vec3.from_array(value)
 
 
 def _one_place(scene: Scene, name: str) -> NumberPlace:
@@ -237,19 +233,19 @@ def _aliases(effect: Effect) -> dict[str, str]:
     return {q.alias: field for field, q in effect.quantities().items() if q.alias}
 
 
-def _effect_or_none(scene: Scene, name: str) -> Effect | None:
-    return next((e for e in scene.effects if e.name == name), None)
-
-
 def _owner(scene: Scene, name: str) -> Any:
-    effect = _effect_or_none(scene, name)
+    """The effect of that name, else the scene's own part."""
+    effect = next((e for e in scene.effects if e.name == name), None)
     return getattr(scene, name) if effect is None else effect
 
 
-def _with_owner(scene: Scene, name: str, changed: Any) -> Scene:
-    if _effect_or_none(scene, name) is not None:
+def _replaced(scene: Scene, owner: str, path: tuple[str, ...], value: Any) -> Scene:
+    """The scene with another value at a path below an effect or a part of its own."""
+    old = _owner(scene, owner)
+    changed = eqx.tree_at(lambda o: _follow(o, path), old, value)
+    if any(e is old for e in scene.effects):
         return scene.with_effect(changed)
-    return eqx.tree_at(lambda s: getattr(s, name), scene, changed)
+    return eqx.tree_at(lambda s: getattr(s, owner), scene, changed)
 
 
 def _follow(value: Any, path: tuple[str, ...]) -> Any:

@@ -21,6 +21,7 @@ from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State, System, gyroscopic
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.model.effects.base import Effect, Instant, Load, applied_at
+from pftwin.model.effects.contact import load_of
 from pftwin.model.effects.contact_law import HuntCrossley
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.sphere_contact import SphereContact
@@ -61,15 +62,15 @@ class LubricatedContact(SphereContact):
         one, two, memory = self.touches(now, self.remember(now))
         wrench = Wrench.zero()
         for touch in (one, two):
-            normal = touch.term.direction
+            normal = touch.push.term.direction
             lever = self.center - self.radius * now.patella.rotation.unapply(normal)
             arm = now.patella.arm(lever)
             slip = now.femur.relative_velocity(now.patella.velocity_at(arm), now.patella.position + arm)
             slip = slip - slip.dot(normal) * normal
             speed = safe_sqrt(slip.squared_norm() + STICTION_SPEED**2)
-            drag = (-FRICTION * touch.term.force / speed) * slip
+            drag = (-FRICTION * touch.push.term.force / speed) * slip
             wrench = wrench + Wrench(drag, applied_at(lever, now.patella, drag))
-        return Load(stiff=(one.term, two.term), wrench=wrench, energy=one.energy + two.energy), memory
+        return load_of([one.push, two.push])[0]._replace(wrench=wrench), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Any]:
         """As the twin's contact."""

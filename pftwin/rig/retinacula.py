@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.scene import Scene
 
 STRANDS = 5

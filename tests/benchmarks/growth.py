@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.simulate import settle
 from pftwin.dynamics.state import State
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.scene import Scene
 from pftwin.studies.audit.account import account
 from pftwin.studies.audit.step import equations, through_frames

@@ -21,9 +21,8 @@ from pftwin.dynamics.status import Status, status_of_frame
 from pftwin.geometry.contact.contact_mesh import contact_mesh
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.model.effects.mesh_contact import MeshContact
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup, ToeTendon
 from pftwin.model.effects.tension import PrescribedTension
-from pftwin.model.effects.toe_tendon import ToeTendon
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 

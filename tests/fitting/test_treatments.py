@@ -24,7 +24,7 @@ from fitting.treatments import (
 from pftwin import rig
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import groove_line

@@ -150,7 +150,7 @@ def ride(button, path, velocities, step):
     def move(memory, now):
         instant = at(*now)
         one, two, _ = button.touches(instant, memory)
-        force = one.term.wrench() + two.term.wrench()
+        force = one.push.term.wrench() + two.push.term.wrench()
         load, memory = button.load(eqx.tree_at(lambda n: n.step, instant, step), memory)
         both = [jnp.stack(x) for x in ((one.indentation, two.indentation), (one.share, two.share))]
         return memory, (force.force.array(), *both, load.energy)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.files.mocap import PoseSeries
-from pftwin.model.motion import Frame, KneeMotion, SegmentMotion, fixed_femur_motion
+from pftwin.model.motion import Frame, KneeMotion, SegmentMotion
 
 N = 60
 T = 0.3 + np.arange(N) / 100
@@ -132,7 +132,7 @@ def test_a_fixed_femur_is_the_world():
     tibia = series(1)
     q = Rotation.from_rotvec([0.3, -0.2, 0.9])
     femur = Pose(Vec3.from_array(np.array([0.1, 0.2, 0.3])), Quaternion.from_array(q.as_quat(scalar_first=True)))
-    motion = fixed_femur_motion(femur, tibia)
+    motion = KneeMotion.from_poses(femur, tibia)
     assert motion.femur is None
     nothing, f = motion.frames(jnp.asarray(T))
     assert nothing is None

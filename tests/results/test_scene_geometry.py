@@ -15,7 +15,7 @@ from pftwin.base.spatial import Vec3
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.result_files import GEOMETRY, load_dataset
 from pftwin.geometry.mesh.mesh import load_mesh
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.motion import KneeMotion
 from pftwin.model.motion_on_host import seen_from_femur, tibia_orientation, tibia_position

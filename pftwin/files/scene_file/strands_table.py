@@ -20,7 +20,7 @@ from pftwin.files.scene_file.effect_tables import Body, EffectSection
 from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, problem
 from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.tendon_table import group_size
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup
 
 _INLINE = ("stiffness_N_per_strain", "slack_length_m", "insertion_m", "origin_m")
 _COLUMNS = ("stiffness_N_per_strain", "slack_length_m", *(f"{e}_{k}_m" for e in ("insertion", "origin") for k in "xyz"))

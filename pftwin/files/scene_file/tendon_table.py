@@ -16,7 +16,7 @@ from pftwin.files.scene_file.setting import Setting
 from pftwin.model.effects.tendon import Tendon
 
 if TYPE_CHECKING:
-    from pftwin.model.effects.toe_tendon import ToeTendon
+    from pftwin.model.effects.tendon import ToeTendon
     from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
 
 
@@ -88,7 +88,7 @@ class ToeTendonSection(_DampedSection):
 
     def build(self, setting: Setting, at: tuple[str | int, ...]) -> ToeTendon:
         """The effect."""
-        from pftwin.model.effects.toe_tendon import ToeTendon
+        from pftwin.model.effects.tendon import ToeTendon
 
         (k, slack, toe, c), (insertion, origin) = self.leaves(
             setting, self.stiffness_N_per_m, self.slack_length_m, self.toe_strain, self.damping

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pftwin.model.effects.line_elements import LineElement
 
 
-@dataclass(frozen=True)  # one is like any other: programs that are given one are not compiled again for the next
+@dataclass(frozen=True)  # all are equal, so that programs are not compiled again for another
 class Ground:
     """The frame of a fixed femur: the world itself, so every transformation is the identity and leaves no equation."""
 
@@ -37,6 +37,10 @@ class Ground:
     def relative_velocity(self, velocity: Vec3, at: Vec3) -> Vec3:
         """A velocity less that of the frame's own point at world position `at`."""
         return velocity
+
+    def relative_spin(self, spin: Vec3, axes: Rotation) -> Vec3:
+        """An angular velocity, given in some axes, less that of the frame."""
+        return spin
 
 
 class Patella(eqx.Module):
@@ -62,16 +66,21 @@ class Patella(eqx.Module):
 
 
 class Instant(eqx.Module):
-    """All that an effect may look at."""
+    """The state of the knee as an effect sees it."""
 
     patella: Patella
     femur: Frame | Ground
     tibia: Frame
     time: Scalar | float  # [s]
-    step: Scalar | float  # time until the next look [s], for memories that move along; 0 when only looking
+    step: Scalar | float  # time until the next load [s], over which memories advance; 0 where nothing advances
     lookahead: Scalar | float = 0.0  # time from the state that an implicit step starts from to this instant [s]
-    displacement_gain: Scalar | None = None  # where not `lookahead`: displacement here per change of velocity [s]
-    twist: Twist | None = None  # where not the patella's here: that of the state that the step starts from
+    displacement_gain: Scalar | None = None  # displacement here per change of velocity, if not `lookahead` [s]
+    twist: Twist | None = None  # of the patella at the start of the step, if not that of `patella`
+
+    @property
+    def ends_a_step(self) -> bool:
+        """Whether this is the end of an implicit step, seen from where it starts, and not an instant looked at."""
+        return not isinstance(self.lookahead, float)
 
     def turn_in_femur(self) -> Rotation:
         """Patella frame to the femur's."""
@@ -80,13 +89,10 @@ class Instant(eqx.Module):
 
     def segment(self, name: str) -> Frame | Ground:
         """The frame of "femur", "tibia" or "ground"."""
-        if name == "femur":
-            return self.femur
-        if name == "tibia":
-            return self.tibia
-        if name == "ground":
-            return Ground()
-        raise KeyError(f"no segment {name!r}: expected femur, tibia or ground")
+        segments = {"femur": self.femur, "tibia": self.tibia, "ground": Ground()}
+        if name not in segments:
+            raise KeyError(f"no segment {name!r}: expected femur, tibia or ground")
+        return segments[name]
 
 
 class StiffTerm(eqx.Module):
@@ -99,7 +105,7 @@ class StiffTerm(eqx.Module):
     direction: Vec3  # unit vector of the force, world
     moment: Vec3  # its moment about the centre of mass, patella axes [m]
     force: Scalar  # f [N]
-    elastic: Scalar  # the part of f that is stored and given back [N]
+    elastic: Scalar  # the part of f that comes from stored energy [N]
     stiffness: Scalar  # df/ds [N/m]
     damping: Scalar  # df/d(ds/dt) [N s/m]
     rate: Scalar  # ds/dt [m/s]
@@ -111,7 +117,7 @@ class StiffTerm(eqx.Module):
 
 
 class Drag(eqx.Module):
-    """A viscous drag on the whole body, alike in every direction: force -c_t v, moment -c_r w."""
+    """An isotropic viscous drag on the whole body: force -c_t v, moment -c_r w."""
 
     translational: Scalar  # c_t [N s/m]
     rotational: Scalar  # c_r [N m s/rad]
@@ -123,22 +129,22 @@ class Drag(eqx.Module):
         return Wrench(-self.translational * self.velocity, -self.rotational * self.spin)
 
     def dissipation(self) -> Scalar:
-        """Rate at which work turns into heat [W]."""
+        """Dissipated power [W]."""
         return self.translational * self.velocity.squared_norm() + self.rotational * self.spin.squared_norm()
 
 
 class AggregateStiffness(eqx.Module):
-    """A great many like stiff terms on one body, summed: all that a step and the energy budget need of them.
+    """The sums over very many stiff terms on one body that a step and the energy budget need.
 
     With g_i = (direction, moment) of each, forces f_i >= 0 and slopes k_i, and c_i = c k_i.
     """
 
     force: Array  # (6,) sum f_i g_i: force in world axes, moment about the centre of mass in patella axes [N, N m]
-    elastic: Array  # (6,) the part of it that is stored and given back
+    elastic: Array  # (6,) the elastic part of it
     stiffness: Array  # (6, 6) sum k_i g_i g_i^T
     damping_time: Scalar | float  # c [s]
     size: Scalar  # sum f_i [N]
-    velocity: Vec3  # of the centre of mass relative to the body that they stand on, world [m/s]
+    velocity: Vec3  # of the centre of mass relative to the other body, world [m/s]
     spin: Vec3  # relative, patella axes [rad/s]
 
     def wrench(self) -> Wrench:
@@ -150,7 +156,7 @@ class AggregateStiffness(eqx.Module):
         return (step + self.damping_time) * self.stiffness
 
     def dissipation(self) -> Scalar:
-        """Rate at which work turns into heat [W]."""
+        """Dissipated power [W]."""
         lost = self.elastic - self.force
         return lost[:3] @ self.velocity.array() + lost[3:] @ self.spin.array()
 
@@ -161,20 +167,14 @@ class Load(NamedTuple):
     stiff: tuple[StiffTerm, ...] = ()
     bed: AggregateStiffness | None = None
     drag: Drag | None = None
-    wrench: Wrench | None = None  # all that is not stiff: force in world axes, moment in patella axes
+    wrench: Wrench | None = None  # all that is not stiff; axes as in `total`
     energy: Scalar | None = None  # stored [J]
-    heat: Scalar | None = None  # lost inside the effect, whatever moves: beside what stiff terms and drag lose [W]
+    heat: Scalar | None = None  # dissipated inside the effect, beside what stiff terms and drag dissipate [W]
 
     def total(self) -> Wrench:
-        """The whole wrench, stiff terms and drag included."""
-        out = self.wrench if self.wrench is not None else Wrench.zero()
-        if self.drag is not None:
-            out = out + self.drag.wrench()
-        if self.bed is not None:
-            out = out + self.bed.wrench()
-        for term in self.stiff:
-            out = out + term.wrench()
-        return out
+        """The whole wrench, stiff terms and drag included: force in world axes, moment in patella axes."""
+        parts = [part.wrench() for part in (self.drag, self.bed, *self.stiff) if part is not None]
+        return sum(parts, start=Wrench.zero() if self.wrench is None else self.wrench)
 
     def power(self, patella: Patella) -> Scalar:
         """Rate of work done on the patella [W]."""
@@ -182,15 +182,10 @@ class Load(NamedTuple):
         return w.force.dot(patella.velocity) + w.moment.dot(patella.spin)
 
     def dissipation(self) -> Scalar:
-        """Rate at which the effect turns work and what it stores into heat [W]."""
+        """Rate at which the effect dissipates energy [W]."""
         lost = [jnp.sum((t.force - t.elastic) * t.rate) for t in self.stiff]
-        if self.bed is not None:
-            lost.append(self.bed.dissipation())
-        if self.drag is not None:
-            lost.append(self.drag.dissipation())
-        if self.heat is not None:
-            lost.append(self.heat)
-        return sum(lost, start=jnp.zeros(()))
+        lost += [part.dissipation() for part in (self.bed, self.drag) if part is not None]
+        return sum(lost if self.heat is None else [*lost, self.heat], start=jnp.zeros(()))
 
 
 class Observable(NamedTuple):
@@ -204,9 +199,9 @@ class Change(NamedTuple):
     """An effect changed in one thing that it does, for studies of what that is worth."""
 
     label: str  # what is left out or put in: changes of one label are made in all effects at once
-    effect: Effect  # as it is then
+    effect: Effect  # with the change
     how: str  # in words
-    memory: Callable[[Any], Any] | None = None  # where it is a part with a load of its own: its memory from the whole's
+    memory: Callable[[Any], Any] | None = None  # its memory from the unchanged effect's, where the two differ
 
 
 class Effect(eqx.Module):
@@ -225,11 +220,11 @@ class Effect(eqx.Module):
         return None
 
     def guess(self, now: Instant) -> Any:
-        """A rough memory that a few loads at rest make right: cheaper to compile where loads are taken anyway."""
+        """A rough first memory that a few loads at rest correct: cheaper to compile than `remember`."""
         return self.remember(now)
 
     def refined(self, memory: Any, trial: Any) -> Any:
-        """A memory with what a look at a trial pose has found better: places, not what began or went by."""
+        """A memory with the places that a load at a trial pose has improved, but without its history."""
         return memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
@@ -237,7 +232,7 @@ class Effect(eqx.Module):
         return {}
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
-        """What `observe` shows, and the energy stored; for effects that find both at once to override."""
+        """What `observe` shows, and the energy stored. Override it where both are computed at once."""
         return self.observe(now, memory), self.load(now, memory)[0].energy
 
     def line_element(self) -> LineElement | None:
@@ -261,11 +256,11 @@ class Effect(eqx.Module):
         return ()
 
     def in_still_femur(self, femur: SegmentMotion) -> Effect | None:
-        """The effect where a moving femur's frame is taken for an inertial one; None where it cannot be had there."""
+        """The effect where a moving femur's frame is treated as inertial; None if it has no meaning there."""
         return self
 
     def recentred(self, center_of_mass: Vec3) -> Effect:
-        """The same effect with patella points counted from the centre of mass, ready for the inner loop."""
+        """The same effect with patella points given from the centre of mass, ready for the time loop."""
         return self
 
 

@@ -23,6 +23,8 @@ import jax.numpy as jnp
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, safe_sqrt
 
+Speeds = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
+
 
 class ContactForce(NamedTuple):
     """A contact law's answer at one indentation and rate."""
@@ -63,6 +65,10 @@ class ContactLaw(eqx.Module):
     @abstractmethod
     def damping_factor(self, approach_speed: Scalar | None) -> Scalar | None:
         """The factor x [s/m]; None where the law has no damping."""
+
+    def no_contact_yet(self, like: Scalar, contacts: int) -> Speeds:
+        """What there is to remember before anything has touched, in the float type of `like`."""
+        return (jnp.zeros_like(like),) * contacts if self.remembers_approach else None
 
     def force(self, indentation: Scalar, rate: Scalar, approach_speed: Scalar | None = None) -> ContactForce:
         """Force and slopes at an indentation [m] and its rate [m/s].

@@ -8,7 +8,7 @@ import equinox as eqx
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
-from pftwin.model.effects.base import Drag, Effect, Ground, Instant, Load
+from pftwin.model.effects.base import Drag, Effect, Instant, Load
 from pftwin.model.motion import SegmentMotion
 
 
@@ -24,9 +24,7 @@ class LinearDamping(Effect):
         """The drag."""
         segment, patella = now.segment(self.body), now.patella
         velocity = segment.relative_velocity(patella.velocity, patella.position)
-        spin = patella.spin
-        if not isinstance(segment, Ground):
-            spin = spin - patella.rotation.unapply(segment.angular_velocity)
+        spin = segment.relative_spin(patella.spin, patella.rotation)
         return Load(drag=Drag(self.translational, self.rotational, velocity, spin)), memory
 
     def in_still_femur(self, femur: SegmentMotion) -> LinearDamping | None:

@@ -8,7 +8,7 @@ depths are found: `pftwin.geometry.contact.depths`.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,12 +23,12 @@ from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import DEEPEST
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import AggregateStiffness, Ground, Instant, Load, Observable
-from pftwin.model.effects.contact import FACETS, FORCE, Contact
+from pftwin.model.effects.contact import FACETS, FORCE, ButtonMesh
 from pftwin.model.effects.foundation_law import FoundationLaw
 from pftwin.model.effects.foundation_sums import Bedded, Pressures, sums
 
 
-class ElasticFoundation(Contact):
+class ElasticFoundation(ButtonMesh):
     """Two meshes with a layered elastic foundation between them.
 
     A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. All together are
@@ -60,10 +60,8 @@ class ElasticFoundation(Contact):
     def pressed(self, now: Instant) -> Bedded:
         """Where the button is in the femur, and how both move."""
         patella, femur = now.patella, now.femur
-        velocity, spin, world = femur.relative_velocity(patella.velocity, patella.position), patella.spin, None
-        if not isinstance(femur, Ground):
-            spin = spin - patella.rotation.unapply(femur.angular_velocity)
-            world = femur.rotation
+        velocity = femur.relative_velocity(patella.velocity, patella.position)
+        spin = femur.relative_spin(patella.spin, patella.rotation)
         return Bedded(
             femur=self.femur,
             button=self.button,
@@ -72,7 +70,7 @@ class ElasticFoundation(Contact):
             origin=self.origin,
             position=femur.to_local(patella.position + patella.arm(self.origin)),
             rotation=now.turn_in_femur(),
-            world=world,
+            world=None if isinstance(femur, Ground) else femur.rotation,
             twist=jnp.concatenate([velocity.array(), spin.array()]),
         )
 
@@ -122,21 +120,9 @@ class ElasticFoundation(Contact):
         femur = self.femur
         return behind(femur.corners, femur.triangle, femur.rim_edges(), middle, found.area == 0).there
 
-    def tracked_point(self) -> Vec3:
-        """The origin of the button's mesh: the middle of a sphere."""
-        return self.origin
-
     def button_radius(self) -> Scalar:
         """Half the largest extent of the button's mesh."""
         return half_extent(self.button.corners)
-
-    def with_button_moved(self, by: Vec3) -> Self:
-        """See `Contact`."""
-        return eqx.tree_at(lambda e: e.origin, self, self.origin + by)
-
-    def groove_surface(self) -> Surface | None:
-        """The stand-in."""
-        return self.surface
 
     def femur_triangles(self) -> Array:
         """See `Contact`."""
@@ -145,7 +131,3 @@ class ElasticFoundation(Contact):
     def button_triangles(self) -> Array:
         """See `Contact`."""
         return self.button.corners
-
-    def recentred(self, center_of_mass: Vec3) -> ElasticFoundation:
-        """The button's frame counted from the centre of mass."""
-        return eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)

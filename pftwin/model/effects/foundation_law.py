@@ -1,6 +1,6 @@
 r"""Layers on a rigid backing, pressed: from depth to pressure, its slope and the energy per area. Free of geometry.
 
-An elastic foundation is a bed of springs that do not know of each other. A thin layer of modulus E, Poisson ratio nu
+An elastic foundation is a bed of independent springs. A thin layer of modulus E, Poisson ratio nu
 and thickness h, bonded to a rigid backing, is confined: with K = E (1 - nu) / ((1 + nu) (1 - 2 nu)) it bears
 
 | law | pressure of one layer at depth d | |
@@ -16,6 +16,7 @@ Eng Imaging Vis 6:491.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -27,7 +28,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
 
-SQUEEZED = 0.95  # of both thicknesses: deeper, the logarithmic law goes on along its tangent, lest it be infinite
+SQUEEZED = 0.95  # of both thicknesses: deeper, the logarithmic law follows its tangent and so stays finite
 _MOST_STEPS = 40  # alike layers take 1, moduli a factor of 1000 apart 12 at most
 _CONVERGED = 1e4  # roundings: the last step squares what is left of the error
 
@@ -68,9 +69,10 @@ class FoundationLaw(eqx.Module):
 
     def compliance(self) -> Scalar:
         """Depth per pressure of both layers together, at no load [m/Pa]."""
-        return sum(
-            (layer.thickness / layer.confined_modulus() for layer in (self.femur, self.button)), start=jnp.zeros(())
-        )
+        return self._of_both(lambda layer: layer.thickness / layer.confined_modulus())
+
+    def _of_both(self, part: Callable[[Layer], Scalar]) -> Scalar:
+        return part(self.femur) + part(self.button)
 
 
 class LinearFoundation(FoundationLaw):
@@ -78,28 +80,24 @@ class LinearFoundation(FoundationLaw):
 
     def press(self, depth: Scalar) -> FoundationPressure:
         """See `FoundationLaw`."""
-        d, touching = jnp.maximum(depth, 0.0), depth > 0
-        slope = 1 / self.compliance()
-        return FoundationPressure(slope * d, jnp.where(touching, slope, 0.0), 0.5 * slope * d * d)
+        d, slope = jnp.maximum(depth, 0.0), 1 / self.compliance()
+        return FoundationPressure(slope * d, jnp.where(depth > 0, slope, 0.0), 0.5 * slope * d * d)
 
 
 class LogarithmicFoundation(FoundationLaw):
     """p with h1 (1 - exp(-p / K1)) + h2 (1 - exp(-p / K2)) = d: -K ln(1 - d / h) in each layer.
 
-    Beyond `SQUEEZED` of the thicknesses it goes on along its tangent: finite, but no measure of a joint any more.
+    Beyond `SQUEEZED` of the thicknesses it follows its tangent: finite, but not realistic.
     """
 
     def press(self, depth: Scalar) -> FoundationPressure:
         """See `FoundationLaw`."""
         touching = depth > 0
         d = jnp.where(touching, depth, 0.0)
-        bound = SQUEEZED * self.thickness()
-        within = jnp.minimum(d, bound)
-        p = self._solved(within)
-        shares = [jnp.exp(-p / layer.confined_modulus()) for layer in (self.femur, self.button)]
-        slope = 1 / self._slope_of_depth(shares)
-        beyond = d - within
-        energy = self._energy(p, shares) + beyond * (p + 0.5 * slope * beyond)
+        within = jnp.minimum(d, SQUEEZED * self.thickness())
+        p, beyond = self._solved(within), d - within
+        slope = 1 / self._depth_slope(p)
+        energy = self._of_both(lambda layer: _energy(layer, p)) + beyond * (p + 0.5 * slope * beyond)
         answer = FoundationPressure(p + slope * beyond, slope, energy)
         return FoundationPressure(*(jnp.where(touching, a, 0.0) for a in answer))
 
@@ -107,23 +105,23 @@ class LogarithmicFoundation(FoundationLaw):
         """The pressure at depths up to the bound.
 
         With g(p) = h1 exp(-p / K1) + h2 exp(-p / K2), ln g is convex and falls, from h1 + h2 to h1 + h2 - d: Newton's
-        steps from below never overshoot. Each layer alone bears at least as much, and so does a pair like the softer.
-        The last step carries the derivatives, which makes them those of the implicit function.
+        steps from below never overshoot. The last step carries the derivatives, which makes them those of the implicit
+        function.
         """
         frozen, at = stop_gradient((self, d))
         enough = _CONVERGED * float(jnp.finfo(at.dtype).eps)
 
-        def on(now: tuple[Scalar, Scalar, Scalar]) -> Scalar:
+        def unfinished(now: tuple[Scalar, Scalar, Scalar]) -> Scalar:
             p, before, step = now
             return (step < _MOST_STEPS) & jnp.any(jnp.abs(p - before) > enough * p)
 
-        def again(now: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+        def improve(now: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
             p, _, step = now
             return frozen._step(p, at), p, step + 1
 
         least = frozen._least(at)
         first = frozen._step(least, at), least, jnp.zeros((), jnp.int32)
-        p = jax.lax.while_loop(on, again, first)[0]
+        p = jax.lax.while_loop(unfinished, improve, first)[0]
         return self._step(stop_gradient(p), d)
 
     def _least(self, d: Scalar) -> Scalar:
@@ -139,33 +137,27 @@ class LogarithmicFoundation(FoundationLaw):
         return p
 
     def _step(self, p: Scalar, d: Scalar) -> Scalar:
-        layers = (self.femur, self.button)
-        shares = [jnp.exp(-p / layer.confined_modulus()) for layer in layers]
-        left = sum((layer.thickness * s for layer, s in zip(layers, shares, strict=True)), start=jnp.zeros(()))
-        slope = stop_gradient(self._slope_of_depth(shares))
+        left = self._of_both(lambda layer: layer.thickness * jnp.exp(-p / layer.confined_modulus()))
         # ln(g / (h1 + h2 - d)) without cancellation at small depths.
-        short = d - sum(
-            (-layer.thickness * jnp.expm1(-p / layer.confined_modulus()) for layer in layers), start=jnp.zeros(())
-        )
-        return p + stop_gradient(left) / slope * jnp.log1p(short / (self.thickness() - d))
+        short = d + self._of_both(lambda layer: layer.thickness * jnp.expm1(-p / layer.confined_modulus()))
+        gain = stop_gradient(left) / stop_gradient(self._depth_slope(p))
+        return p + gain * jnp.log1p(short / (self.thickness() - d))
 
-    def _slope_of_depth(self, shares: list[Scalar]) -> Scalar:
+    def _depth_slope(self, p: Scalar) -> Scalar:
         """dd/dp [m/Pa]."""
-        one, two = (
-            layer.thickness / layer.confined_modulus() * share
-            for layer, share in zip((self.femur, self.button), shares, strict=True)
-        )
-        return one + two
 
-    def _energy(self, p: Scalar, shares: list[Scalar]) -> Scalar:
-        """h K (1 - (1 + p / K) exp(-p / K)) of each layer: the integral of p over its depth."""
-        stored = jnp.zeros_like(p)
-        for layer, share in zip((self.femur, self.button), shares, strict=True):
+        def of_one(layer: Layer) -> Scalar:
             k = layer.confined_modulus()
-            # 1 - exp(-x) - x exp(-x) without cancellation at small x.
-            x = p / k
-            stored = stored + layer.thickness * k * (-jnp.expm1(-x) - x * share)
-        return stored
+            return layer.thickness / k * jnp.exp(-p / k)
+
+        return self._of_both(of_one)
+
+
+def _energy(layer: Layer, p: Scalar) -> Scalar:
+    """h K (1 - (1 + p / K) exp(-p / K)): the integral of p over a layer's depth, without cancellation at small p."""
+    k = layer.confined_modulus()
+    x = p / k  # its derivative needs exp(-p / k) below, not exp(-x), to cancel at small p
+    return layer.thickness * k * (-jnp.expm1(-x) - x * jnp.exp(-p / k))
 
 
 LAWS: dict[str, type[FoundationLaw]] = {"linear": LinearFoundation, "logarithmic": LogarithmicFoundation}

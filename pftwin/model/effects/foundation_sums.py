@@ -1,8 +1,7 @@
-"""What an elastic foundation's triangles amount to: sums over as many of them as there are in contact.
+"""Sums over an elastic foundation's triangles in contact.
 
-The button's pieces that reach into the femur are gone through in a loop that ends with them, so a light touch costs
-little and there is no list to overflow. With derivatives the loop has room for all of the button and leaves out what
-is not there.
+A loop over the pieces of the button that reach into the femur ends with the last of them, so a light touch costs little
+and no list can overflow. Under derivatives the loop runs over the whole button and skips pieces without contact.
 """
 
 from __future__ import annotations
@@ -63,19 +62,8 @@ class Pressures(NamedTuple):
 Sums = tuple[Forces, Pressures]
 
 
-class Pushes(NamedTuple):
-    """Every triangle of a piece: all zero where it is not in contact."""
-
-    force: Array  # with damping [N]
-    elastic: Array  # [N]
-    stiffness: Array  # [N/m]
-    pressure: Array  # [Pa]
-    energy: Array  # per area [J/m^2]
-    rows: Array  # (6, triangles): unit wrench of each
-
-
 def sums(at: Bedded) -> Sums:
-    """Everything that the triangles in contact amount to. Jit, vmap, forward and reverse derivatives apply."""
+    """The sums over all triangles in contact. Jit, vmap, forward and reverse derivatives apply."""
     found = find(at.button, at.femur, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
     return _summed(at, found)
 
@@ -134,39 +122,37 @@ def _piece(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
     there = (number >= start) & (number < found.total)
     d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there, overflow=jnp.zeros((), bool))
-    p = _pushes(at, d)
+    rows = _unit_wrenches(at, d)
+    # Of every triangle, all zero where it is not in contact.
+    pressure, slope, stored = at.law.press(jnp.where(d.listed, d.depth, -1.0))
+    elastic, stiffness = d.area * pressure, d.area * slope
+    force = elastic - at.damping_time * stiffness * (at.twist @ rows)
+    force, elastic, stiffness = (jnp.where(force > 0, a, 0.0) for a in (force, elastic, stiffness))
     forces = Forces(
-        force=p.rows @ p.force,
-        elastic=p.rows @ p.elastic,
-        stiffness=(p.rows * p.stiffness[None, :]) @ p.rows.T,
-        size=jnp.sum(p.force),
-        energy=jnp.sum(d.area * p.energy),
+        force=rows @ force,
+        elastic=rows @ elastic,
+        stiffness=(rows * stiffness[None, :]) @ rows.T,
+        size=jnp.sum(force),
+        energy=jnp.sum(d.area * stored),
     )
     touching = d.listed & (d.depth > 0)
-    borne = d.area * p.pressure
-    push = p.force[None, :] * d.normal.array().T
     facet = jnp.zeros_like(d.triangle) if d.facet is None else d.facet
     on = jnp.stack([facet == k for k in range(2)])  # (2, triangles)
-    borne_on = jnp.where(on, borne, 0.0)
+    borne_on = jnp.where(on, d.area * pressure, 0.0)
     pressures = Pressures(
         area=jnp.sum(jnp.where(touching, d.area, 0.0)),
         borne=jnp.sum(borne_on, axis=1),
         moment=borne_on @ d.point.array(),
-        facets=jnp.sum(jnp.where(on[:, None, :], push, 0.0), axis=2),
-        most=jnp.max(p.pressure),
+        facets=jnp.sum(jnp.where(on[:, None, :], force[None, :] * d.normal.array().T, 0.0), axis=2),
+        most=jnp.max(pressure),
         deepest=jnp.max(jnp.where(touching, d.depth, 0.0)),
     )
     return forces, pressures
 
 
-def _pushes(at: Bedded, d: Depths) -> Pushes:
-    answer = at.law.press(jnp.where(d.listed, d.depth, -1.0))
+def _unit_wrenches(at: Bedded, d: Depths) -> Array:
+    """(6, triangles): force along the normal in world axes and its moment about the centre of mass, patella axes."""
     arm = d.local + Vec3(*(jnp.broadcast_to(a, d.depth.shape) for a in (at.origin.x, at.origin.y, at.origin.z)))
     moment = arm.cross(at.rotation.unapply(d.normal))
     direction = d.normal if at.world is None else at.world.apply(d.normal)
-    rows = jnp.concatenate([direction.array(), moment.array()], axis=-1).T
-    elastic, stiffness = d.area * answer.pressure, d.area * answer.slope
-    force = elastic - at.damping_time * stiffness * (at.twist @ rows)
-    pushes = force > 0
-    force, elastic, stiffness = (jnp.where(pushes, a, 0.0) for a in (force, elastic, stiffness))
-    return Pushes(force, elastic, stiffness, answer.pressure, answer.energy, rows)
+    return jnp.concatenate([direction.array(), moment.array()], axis=-1).T

@@ -26,31 +26,30 @@ import jax.numpy as jnp
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Twist, Vec3, safe_sqrt
-from pftwin.model.effects.base import Change, Effect, Instant, Load, Observable, StiffTerm, applied_at
-from pftwin.model.effects.contact import FACETS, Contact
+from pftwin.model.effects.base import Change, Instant, Load, Observable, StiffTerm, applied_at
+from pftwin.model.effects.contact import FACETS, ButtonSphere, Contact
 
 
 class Friction(eqx.Module):
-    """A pair of surfaces."""
+    """Friction constants of a pair of surfaces."""
 
     coefficient: Scalar = eqx.field(metadata=quantity("", at_least=0))  # mu
     slip_speed: Scalar = eqx.field(metadata=quantity("m/s", positive=True))  # v_s: below it contacts creep
 
 
 class LastPush(NamedTuple):
-    """A normal force as a step looked at it. What it came to, f - (h k + c) g . dv, the change of velocity tells."""
+    """A normal force as a step linearised it: with the change of velocity dv it became f - (h k + c) g . dv."""
 
     direction: Vec3  # g: the force's
     moment: Vec3  # and its moment's [m]
-    unchanged: Scalar  # f + (h k + c) g . v, with the velocity that the step looked at [N]
+    unchanged: Scalar  # f + (h k + c) g . v, with the velocity v at the linearisation [N]
     weight: Scalar  # h k + c [N s/m]
 
     @staticmethod
     def of(push: StiffTerm, now: Instant) -> LastPush:
-        """To be remembered."""
-        weight = (
-            now.lookahead if now.displacement_gain is None else now.displacement_gain
-        ) * push.stiffness + push.damping
+        """The force to remember."""
+        gain = now.lookahead if now.displacement_gain is None else now.displacement_gain
+        weight = gain * push.stiffness + push.damping
         here = Twist(now.patella.velocity, now.patella.spin)
         unchanged = push.force + weight * _pace(push.direction, push.moment, here)
         return LastPush(push.direction, push.moment, unchanged, weight)
@@ -71,15 +70,15 @@ class Sliding(NamedTuple):
     grip: Scalar  # friction over normal force [-]
 
 
-class WithFriction(Contact):
+class WithFriction(ButtonSphere):
     """What a contact of a sphere becomes with friction: every normal force is joined by a tangential one.
 
-    For classes that derive from this and from a contact, `frictionless`, with `center` and `radius`, whose normal
-    forces are unilateral stiff terms, the medial facet's first.
+    For classes that derive from this and from a contact of a sphere, `frictionless`, whose normal forces are unilateral
+    stiff terms, the medial facet's first.
     """
 
     friction: Friction = eqx.field(kw_only=True)
-    frictionless: ClassVar[type[Effect]]
+    frictionless: ClassVar[type[Contact]]
     tangential: ClassVar[dict[str, Observable]] = {
         "friction_medial": Observable("N", "friction at the medial contact"),
         "friction_lateral": Observable("N", "friction at the lateral contact"),
@@ -88,7 +87,7 @@ class WithFriction(Contact):
     }
 
     @classmethod
-    def of(cls, contact: Effect, friction: Friction) -> Self:
+    def of(cls, contact: Contact, friction: Friction) -> Self:
         """A contact of the kind `frictionless` with friction."""
         fields = {f.name: getattr(contact, f.name) for f in dataclasses.fields(contact)}
         return cls(**fields, friction=friction)
@@ -101,7 +100,7 @@ class WithFriction(Contact):
         """Without friction."""
         return (Change("friction", self.alone(), "smooth", memory=lambda memory: memory.contact),)
 
-    def alone(self) -> Effect:
+    def alone(self) -> Contact:
         """The contact without friction."""
         return self.frictionless(**{f.name: getattr(self, f.name) for f in dataclasses.fields(self.frictionless)})
 
@@ -128,15 +127,15 @@ class WithFriction(Contact):
         load, contact = self.alone().load(now, memory.contact)
         pushes, last = _pushes(load), memory.last
         slidings = [self._sliding(now, push, before) for push, before in zip(pushes, last, strict=True)]
-        if not isinstance(now.lookahead, float):
+        if now.ends_a_step:
             last = tuple(LastPush.of(push, now) for push in pushes)
         tangential = [term for sliding in slidings for term in sliding.terms]
         return load._replace(stiff=(*load.stiff, *tangential)), FrictionMemory(contact, last)
 
     def _sliding(self, now: Instant, push: StiffTerm, before: LastPush) -> Sliding:
-        """Friction at a contact that presses so."""
+        """Friction at a contact with the normal force `push`."""
         patella, normal = now.patella, push.direction
-        lever = self.center - self.radius * patella.rotation.unapply(normal)  # pyright: ignore[reportAttributeAccessIssue]
+        lever = self.center - self.radius * patella.rotation.unapply(normal)
         arm = patella.arm(lever)
         slip = now.femur.relative_velocity(patella.velocity_at(arm), patella.position + arm)
         along = [(t, -t.dot(slip)) for t in tangents(normal)]
@@ -158,12 +157,10 @@ class WithFriction(Contact):
         local = now.femur.local_direction(force)
         for axis in "xyz":
             report[f"force_{axis}"] = report[f"force_{axis}"] + getattr(local, axis)
-        for facet, s in zip(FACETS, slidings, strict=False):
+        absent = (0 * local.x, jnp.nan * local.x)
+        for facet, (grip, speed) in zip(FACETS, [*((s.grip, s.speed) for s in slidings), absent], strict=False):
             normal = report[f"force_{facet}"]  # as reported: a single contact belongs to one facet
-            report[f"friction_{facet}"] = s.grip * normal
-            report[f"slip_speed_{facet}"] = jnp.where(normal > 0, s.speed, jnp.nan)
-        for facet in FACETS[len(slidings) :]:
-            report |= {f"friction_{facet}": 0 * local.x, f"slip_speed_{facet}": jnp.nan * local.x}
+            report |= {f"friction_{facet}": grip * normal, f"slip_speed_{facet}": jnp.where(normal > 0, speed, jnp.nan)}
         return report
 
 
@@ -173,12 +170,12 @@ def _pushes(load: Load) -> list[StiffTerm]:
 
 
 def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
-    """The normal force that friction goes by [N], at least 0: in a step that looks ahead, the last step's.
+    """The normal force that friction is proportional to [N], at least 0: at the end of a step, that of the last step.
 
-    The force looked at is not the one that the step will come to: a stiff contact that is being made presses there
-    hundreds of times as hard, and so would friction.
+    The linearised force is not what the step ends with: where a stiff contact is just being made it is hundreds of
+    times as large, and friction would be too.
     """
-    if isinstance(now.lookahead, float):
+    if not now.ends_a_step:
         return jnp.maximum(push.force, 0.0)
     twist = Twist(now.patella.velocity, now.patella.spin) if now.twist is None else now.twist
     came_to = jnp.maximum(last.unchanged - last.weight * _pace(last.direction, last.moment, twist), 0.0)

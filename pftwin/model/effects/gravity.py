@@ -31,23 +31,15 @@ class Gravity(Effect):
 
     def in_still_femur(self, femur: SegmentMotion) -> TurningGravity:
         """Weight that keeps the direction that it really has at every instant."""
-        return TurningGravity(self.mass, self.acceleration, femur, name=self.name)
+        return TurningGravity(self.mass, self.acceleration, femur=femur, name=self.name)
 
 
-class TurningGravity(Effect):
+class TurningGravity(Gravity):
     """Weight in the axes of a femur that is taken to stand still: its direction turns as the femur would."""
 
-    mass: Scalar  # of the patella [kg]
-    acceleration: Vec3  # in the true world [m/s^2]
-    femur: SegmentMotion  # as it was recorded there
-    name: str = eqx.field(static=True, kw_only=True, default="gravity")
-    observables: ClassVar[dict[str, Observable]] = Gravity.observables
+    femur: SegmentMotion = eqx.field(kw_only=True)  # as it was recorded in the true world
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """The weight."""
         there = self.femur.frames(now.time).rotation.unapply(self.acceleration)
         return Load(wrench=Wrench(self.mass * there, Vec3.zero())), memory
-
-    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """Its size."""
-        return {"weight": self.mass * self.acceleration.norm()}

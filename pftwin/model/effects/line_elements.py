@@ -1,8 +1,7 @@
-"""Straight lines of force between the patella and a guided body: the geometry that tendons and ligaments share."""
+"""Straight lines of force between the patella and a guided body."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -13,7 +12,7 @@ from pftwin.base.spatial import Scalar, Vec3
 from pftwin.model.effects.base import Effect, Instant, StiffTerm, applied_at
 from pftwin.model.motion import SegmentMotion
 
-# Labels of changes: what tendons and strands can do without, or lack.
+# Labels of the changes that tendons and strands offer to studies.
 DAMPING, TOE = "tendons' damping", "toe region"
 
 
@@ -40,69 +39,22 @@ def line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3) -> Lin
     anchor = segment.point(origin)
     line = anchor - (patella.position + arm)
     length = line.norm()
-    direction = line * (1 / _at_least(length))
+    direction = line * (1 / jnp.where(length > 1e-9, length, 1e-9))
     velocity = segment.relative_velocity(patella.velocity_at(arm), anchor)
     return Line(length, -direction.dot(velocity), direction, applied_at(insertion, patella, direction))
 
 
-def _at_least(length: Scalar, least: float = 1e-9) -> Scalar:
-    """Keeps a division finite, in value and in derivative, where a line has no length."""
-    return jnp.where(length > least, length, least)
-
-
 class LineElement(Effect):
-    """An effect along straight lines, from its field `insertion` on the patella [m] to points of the guided `body`.
+    """An effect along straight lines from its field `insertion` on the patella to `origin` on the guided `body` [m].
 
-    Subclasses declare `insertion` and `body`, in their own order among their fields, and how hard the lines pull. What
-    others do with a line of force (fit it, move or lengthen it in a treatment, draw it) they ask of it here.
+    Subclasses declare these fields, in their own order among their fields, and how hard the lines pull. What others do
+    with a line of force (fit it, move or lengthen it in a treatment, draw it) they ask of it here.
     """
 
     elastic: ClassVar[bool] = False  # whether it has a stiffness and a slack length: see `ElasticLine`
 
-    @property
-    @abstractmethod
-    def line_ends(self) -> tuple[Vec3, str]:
-        """The insertions, patella frame [m], and the body at the other ends: "femur", "tibia" or "ground"."""
-
-    @abstractmethod
-    def origin_at(self, time: Scalar | float) -> Vec3:
-        """The other ends in their body's frame at an instant [m]."""
-
-    @abstractmethod
-    def with_origin_moved(self, by: Vec3) -> Self:
-        """With the other ends moved in their body's frame [m]."""
-
-    def in_still_femur(self, femur: SegmentMotion) -> Self | None:
-        """None where it is fixed to the ground, which would move then."""
-        return None if self.line_ends[1] == "ground" else self
-
-    def line_element(self) -> LineElement:
-        """Itself."""
-        return self
-
-    @property
-    def count(self) -> int | None:
-        """Number of lines of a group; None for a single line."""
-        x = self.line_ends[0].x
-        return None if jnp.ndim(x) == 0 else jnp.shape(x)[0]
-
-    def line(self, now: Instant) -> Line:
-        """Where the lines run."""
-        insertion, body = self.line_ends
-        return line_of_force(now, insertion, body, self.origin_at(now.time))
-
-
-class ElasticLine(LineElement):
-    """Lines that pull by their stretch: the fields `stiffness`, `slack_length` [m], `insertion`, `origin`, `body`."""
-
-    elastic: ClassVar[bool] = True
-
     if TYPE_CHECKING:  # fields of the subclasses, in their own order
 
-        @property
-        def stiffness(self) -> Scalar: ...  # noqa: D102
-        @property
-        def slack_length(self) -> Scalar: ...  # noqa: D102
         @property
         def insertion(self) -> Vec3: ...  # noqa: D102
         @property
@@ -112,19 +64,54 @@ class ElasticLine(LineElement):
 
     @property
     def line_ends(self) -> tuple[Vec3, str]:
-        """See `LineElement`."""
+        """The insertions, patella frame [m], and the body at the other ends: "femur", "tibia" or "ground"."""
         return self.insertion, self.body
 
     def origin_at(self, time: Scalar | float) -> Vec3:
-        """The same at all times [m]."""
+        """The other ends in their body's frame at an instant [m]; the same at all times unless overridden."""
         return self.origin
 
     def with_origin_moved(self, by: Vec3) -> Self:
-        """See `LineElement`."""
+        """With the other ends moved in their body's frame [m]."""
         return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
 
+    def recentred(self, center_of_mass: Vec3) -> Self:
+        """Insertions counted from the centre of mass."""
+        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
+
+    def in_still_femur(self, femur: SegmentMotion) -> Self | None:
+        """None where it is fixed to the ground, which would move then."""
+        return None if self.body == "ground" else self
+
+    def line_element(self) -> LineElement:
+        """Itself."""
+        return self
+
+    @property
+    def count(self) -> int | None:
+        """Number of lines of a group; None for a single line."""
+        x = self.insertion.x
+        return None if jnp.ndim(x) == 0 else jnp.shape(x)[0]
+
+    def line(self, now: Instant) -> Line:
+        """Where the lines run."""
+        return line_of_force(now, self.insertion, self.body, self.origin_at(now.time))
+
+
+class ElasticLine(LineElement):
+    """Lines that pull by how far they are stretched beyond the field `slack_length`, with the field `stiffness`."""
+
+    elastic: ClassVar[bool] = True
+
+    if TYPE_CHECKING:  # fields of the subclasses, in their own order
+
+        @property
+        def stiffness(self) -> Scalar: ...  # noqa: D102
+        @property
+        def slack_length(self) -> Scalar: ...  # noqa: D102
+
     def lengthened(self, by: Scalar | float) -> Self:
-        """With a longer slack length [m], of a group every line's alike."""
+        """With a longer slack length [m]; of a group, every line's."""
         return eqx.tree_at(lambda t: t.slack_length, self, self.slack_length + by)
 
     def stiffened(self, share: Scalar | float) -> Self:
@@ -137,7 +124,7 @@ class ElasticLine(LineElement):
         Raises:
             InputError: an effect that does not say.
         """
-        raise self._untold()
+        raise self._unknown_tension()
 
     def held_tension(self, length: Scalar) -> Scalar:
         """How hard it pulls when held at a length [m]: what `slack_length_for` takes.
@@ -145,12 +132,8 @@ class ElasticLine(LineElement):
         Raises:
             InputError: an effect that does not say.
         """
-        raise self._untold()
+        raise self._unknown_tension()
 
-    def _untold(self) -> InputError:
+    def _unknown_tension(self) -> InputError:
         kind = type(self).__name__
         return InputError(f"{kind} does not say how its slack length follows from a tension", where=self.name)
-
-    def recentred(self, center_of_mass: Vec3) -> Self:
-        """Insertions counted from the centre of mass."""
-        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)

@@ -21,17 +21,22 @@ from pftwin.geometry.contact.contact_mesh import ContactMesh
 from pftwin.geometry.contact.contour import Contacts, ContourContact, MeshPair, mesh_pair
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Instant, Load, Observable
-from pftwin.model.effects.contact import Contact as FemoralContact
-from pftwin.model.effects.contact_force import ContactPush, pushed
-from pftwin.model.effects.contact_law import ContactLaw
-from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.effects.contact import (
+    BY_FACET,
+    FACETS,
+    ButtonMesh,
+    ContactPush,
+    facet_report,
+    load_of,
+    pushed,
+    vector_sum,
+)
+from pftwin.model.effects.contact_law import ContactLaw, Speeds
 
-Memory = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
-_NAMES = ("medial", "lateral")
 WIDE = 4  # times twice the largest triangle: a contour around more than that holds corners
 
 
-class MeshContact(FemoralContact):
+class MeshContact(ButtonMesh):
     """A mesh fixed in the patella against a mesh fixed in the femur."""
 
     femur: ContactMesh
@@ -43,7 +48,7 @@ class MeshContact(FemoralContact):
     method: ClassVar[str] = "contours"
     jumps: ClassVar[bool] = True  # where a corner or a triangle joins a contour
     observables: ClassVar[dict[str, Observable]] = {
-        **{k: v for k, v in SphereContact.observables.items() if k != "off_patch"},
+        **BY_FACET,
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),
         "merged": Observable("1", "1 where the medial and the lateral contact are one, which counts as medial"),
         "at_rim": Observable("1", "1 where a contour ends on the rim of an open mesh: the force is wrong"),
@@ -64,7 +69,7 @@ class MeshContact(FemoralContact):
         return Pose(center, Quaternion.from_rotation(now.turn_in_femur()))
 
     def _swallowed(self, now: Instant, found: Contacts) -> Behind:
-        """Whether the patella's mesh is wholly behind the femur's: none of their triangles meet, one corner tells."""
+        """Whether the patella's mesh is wholly behind the femur's: no triangles meet, and one corner is behind."""
         corner = self._pose(now).apply(Vec3.from_array(self.patella.tree.triangles[0, :3]))
         femur = self.femur
         return behind(femur.tree.triangles, femur.source, femur.rim, corner, found.pairs == 0)
@@ -76,24 +81,20 @@ class MeshContact(FemoralContact):
         return behind(patella.tree.triangles, patella.source, patella.rim, corner, found.pairs == 0)
 
     def _hollow(self, found: Contacts) -> Array:
-        """Whether a contour is too wide to hold no corner, and yet none within reach was found in it."""
+        """Whether a contour is so wide that it must enclose a corner, and yet none was found within reach."""
         largest = jnp.max(Triangle.of_rows(self.patella.tree.triangles).area_vector().norm())
         hollow = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
         return jnp.stack(hollow).any()
 
-    def remember(self, now: Instant) -> Memory:
+    def remember(self, now: Instant) -> Speeds:
         """No contact has begun yet."""
-        zero = jnp.zeros_like(now.patella.position.x)
-        return (zero,) * self.femur.facets if self.law.remembers_approach else None
+        return self.law.no_contact_yet(now.patella.position.x, self.femur.facets)
 
-    def load(self, now: Instant, memory: Memory) -> tuple[Load, Memory]:
+    def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
         """A stiff term for each contact."""
-        pushes = self._pushes(now, self.contacts(now), memory)
-        energy = sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
-        speeds = tuple(p.approach_speed for p in pushes if p.approach_speed is not None)
-        return Load(stiff=tuple(p.term for p in pushes), energy=energy), speeds or None
+        return load_of(self._pushes(now, self.contacts(now), memory))
 
-    def _pushes(self, now: Instant, found: Contacts, memory: Memory) -> list[ContactPush]:
+    def _pushes(self, now: Instant, found: Contacts, memory: Speeds) -> list[ContactPush]:
         speeds = memory or (None,) * len(found.each)
         return [self._push(now, c, speed) for c, speed in zip(found.each, speeds, strict=True)]
 
@@ -104,35 +105,25 @@ class MeshContact(FemoralContact):
         arm = point - patella.position
         velocity = femur.relative_velocity(patella.velocity_at(arm), point)
         moment = patella.rotation.unapply(arm.cross(world))
-        one = jnp.ones_like(contact.indentation)
-        return pushed(self.law, now, contact.indentation, -world.dot(velocity), world, moment, approach_speed, one)
+        return pushed(self.law, now, contact.indentation, -world.dot(velocity), world, moment, approach_speed, 1.0)
 
-    def observe(self, now: Instant, memory: Memory) -> dict[str, Any]:
+    def observe(self, now: Instant, memory: Speeds) -> dict[str, Any]:
         """Forces, points and indentations by facet; NaN where a facet has no contact of its own."""
         return self.report(now, memory)[0]
 
-    def report(self, now: Instant, memory: Memory) -> tuple[dict[str, Any], Scalar]:
+    def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
         """What `observe` shows, and the energy stored."""
         found = self.contacts(now)
         pushes = self._pushes(now, found, memory)
-        zero = jnp.zeros_like(now.patella.position.x)
-        nothing = jnp.full((3,), jnp.nan, zero.dtype)
-        report: dict[str, Any] = {"force": zero, "contour_area": zero}
-        total = Vec3(zero, zero, zero)
-        for facet in _NAMES:
-            report |= {f"force_{facet}": zero, f"indentation_{facet}": zero * jnp.nan, f"point_{facet}": nothing}
-        for facet, contact, push in zip(_NAMES, found.each, pushes, strict=False):
-            force = push.term.force
-            touching = contact.area > 0
-            total = total + force * contact.normal
-            report["force"] = report["force"] + force
-            report["contour_area"] = report["contour_area"] + contact.area
-            report[f"force_{facet}"] = force
-            report[f"indentation_{facet}"] = jnp.where(touching, contact.indentation, jnp.nan)
-            report[f"point_{facet}"] = jnp.where(touching, contact.point.array(), jnp.nan)
+        forces = [p.term.force for p in pushes]
+        total = vector_sum([f * c.normal for f, c in zip(forces, found.each, strict=True)])
+        indentations = [jnp.where(c.area > 0, c.indentation, jnp.nan) for c in found.each]
+        points = [jnp.where(c.area > 0, c.point.array(), jnp.nan) for c in found.each]
+        report = facet_report(total, forces, indentations, points)
+        report["contour_area"] = sum((c.area for c in found.each[1:]), start=found.each[0].area)
         inside = self._swallowed(now, found)
-        for k, facet in enumerate(_NAMES[: self.femur.facets]):
-            # No force, but anything but no contact: the corner's distance to the surface tells.
+        for k, facet in enumerate(FACETS[: self.femur.facets]):
+            # Without force, yet deep in contact: the corner's distance to the surface is the indentation.
             here = inside.there & (self.femur.facet(inside.place) == k)
             report[f"indentation_{facet}"] = jnp.where(here, inside.depth, report[f"indentation_{facet}"])
         engulfed = self._engulfed(now, found)
@@ -140,36 +131,22 @@ class MeshContact(FemoralContact):
         report["indentation_medial"] = jnp.where(engulfed.there & ~inside.there, engulfed.depth, medial)
         too_deep = found.too_deep | inside.there | engulfed.there | self._hollow(found)
         flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
-        report |= {name: flag.astype(zero.dtype) for name, flag in flags.items()}
-        report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}
-        return report, sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
-
-    def tracked_point(self) -> Vec3:
-        """The origin of the patella's mesh: the middle of a button's sphere."""
-        return self.origin
+        report |= {name: flag.astype(forces[0].dtype) for name, flag in flags.items()}
+        return report, load_of(pushes)[0].energy
 
     def button_radius(self) -> Scalar:
         """Half the largest extent of the patella's mesh."""
         return half_extent(self.patella.tree.triangles)
 
-    def with_button_moved(self, by: Vec3) -> Self:
-        """See `ContourContact`."""
-        return eqx.tree_at(lambda e: e.origin, self, self.origin + by)
-
-    def groove_surface(self) -> Surface | None:
-        """The stand-in."""
-        return self.surface
-
     def femur_triangles(self) -> Array:
-        """See `ContourContact`."""
+        """See `Contact`."""
         return self.femur.tree.triangles
 
     def button_triangles(self) -> Array:
-        """See `ContourContact`."""
+        """See `Contact`."""
         return self.patella.tree.triangles
 
-    def recentred(self, center_of_mass: Vec3) -> MeshContact:
+    def recentred(self, center_of_mass: Vec3) -> Self:
         """Origin counted from the centre of mass; the meshes laid out for searches."""
-        moved = eqx.tree_at(lambda e: e.origin, self, self.origin - center_of_mass)
-        pair = mesh_pair(self.femur, self.patella)
+        moved, pair = super().recentred(center_of_mass), mesh_pair(self.femur, self.patella)
         return eqx.tree_at(lambda e: e.meshes, moved, pair, is_leaf=lambda x: x is None)

@@ -1,12 +1,12 @@
 """The button's sphere on a triangle mesh: the exact nearest point of every facet, medial and lateral at once.
 
 The law is that of `SphereContact`; only the geometry differs. Nothing is followed from step to step: each step finds
-its nearest points anew, by a tree (`pftwin.geometry.bvh`).
+its nearest points by a tree (`pftwin.geometry.bvh`).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,30 +17,13 @@ from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.contact.facets import APART, MERGED
 from pftwin.geometry.contact.mesh_facets import FacetPoint, MeshFacets
 from pftwin.geometry.patch.closest import Surface
-from pftwin.model.effects.base import Instant, Load, Observable, applied_at
-from pftwin.model.effects.contact import Contact
-from pftwin.model.effects.contact_force import ContactPush, pushed
-from pftwin.model.effects.contact_law import ContactLaw
-from pftwin.model.effects.sphere_contact import SphereContact
-
-if TYPE_CHECKING:
-    from pftwin.model.effects.friction import Friction
-
-_NAMES = {1: ("medial",), 2: ("medial", "lateral")}  # a mesh of one facet calls it medial
-
-Memory = tuple[Scalar, ...] | None  # each facet's approach speed at the moment contact began, 0 while apart [m/s]
+from pftwin.model.effects.base import Instant, Load, Observable
+from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch, facet_report, load_of, vector_sum
+from pftwin.model.effects.contact_law import ContactLaw, Speeds
+from pftwin.model.effects.friction import Friction, WithFriction
 
 
-class MeshTouch(NamedTuple):
-    """A sphere on one facet."""
-
-    at: FacetPoint
-    indentation: Scalar  # [m]
-    share: Scalar  # of the law's force: 1, less where both facets' contacts are nearly one, 0 where it is none
-    push: ContactPush
-
-
-class MeshSphereContact(Contact):
+class MeshSphereContact(ButtonSphere):
     """A sphere fixed in the patella against a mesh fixed in the femur."""
 
     facets: MeshFacets
@@ -50,75 +33,40 @@ class MeshSphereContact(Contact):
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     method: ClassVar[str] = "nearest"
     observables: ClassVar[dict[str, Observable]] = {
-        **SphereContact.observables,
+        **BY_FACET,
         "off_patch": Observable("m", "how far sideways past the mesh's rim the sphere's centre lies, where loaded"),
         "overflow": Observable("1", "1 where the search ran out of room: the contact may be wrong"),
     }
 
-    def remember(self, now: Instant) -> Memory:
+    def remember(self, now: Instant) -> Speeds:
         """No contact has begun yet."""
-        zero = jnp.zeros_like(now.patella.position.x)
-        return (zero,) * self.facets.count if self.law.remembers_approach else None
+        return self.law.no_contact_yet(now.patella.position.x, self.facets.count)
 
-    def touches(self, now: Instant, memory: Memory) -> list[MeshTouch]:
+    def touches(self, now: Instant, memory: Speeds) -> list[Touch[FacetPoint]]:
         """The sphere on each facet."""
-        arm = now.patella.arm(self.center)
-        centre = now.patella.position + arm
-        velocity = now.femur.local_direction(now.femur.relative_velocity(now.patella.velocity_at(arm), centre))
-        points = self.facets.points(now.femur.to_local(centre))
-        speeds = memory or (None,) * len(points)
-        touches = []
-        for p, share, speed in zip(points, _shares(points, self.radius), speeds, strict=True):
-            world = now.femur.direction(p.normal)
-            moment = applied_at(self.center, now.patella, world)
-            indentation, rate = self.radius - p.distance, -p.normal.dot(velocity)
-            push = pushed(self.law, now, indentation, rate, world, moment, speed, share)
-            touches.append(MeshTouch(p, indentation, share, push))
-        return touches
+        centre, velocity = self.centre_in_femur(now)
+        points = self.facets.points(centre)
+        speeds, shares = memory or (None,) * len(points), _shares(points, self.radius)
+        return [
+            self.touch(now, p, p.normal, -p.normal.dot(velocity), speed, share)
+            for p, speed, share in zip(points, speeds, shares, strict=True)
+        ]
 
-    def load(self, now: Instant, memory: Memory) -> tuple[Load, Memory]:
+    def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
         """A stiff term for each facet."""
-        touches = self.touches(now, memory)
-        energy = sum((t.push.energy for t in touches[1:]), start=touches[0].push.energy)
-        speeds = tuple(t.push.approach_speed for t in touches if t.push.approach_speed is not None)
-        return Load(stiff=tuple(t.push.term for t in touches), energy=energy), speeds or None
+        return load_of([t.push for t in self.touches(now, memory)])
 
-    def observe(self, now: Instant, memory: Memory) -> dict[str, Any]:
+    def observe(self, now: Instant, memory: Speeds) -> dict[str, Any]:
         """Forces, points and indentations by facet; NaN for a facet whose contact is none of its own."""
         touches = self.touches(now, memory)
-        zero = jnp.zeros_like(touches[0].indentation)
-        nothing = jnp.full((3,), jnp.nan, zero.dtype)
-        report: dict[str, Any] = {"force": zero, "off_patch": zero, "overflow": zero}
-        total = Vec3(zero, zero, zero)
-        for facet in _NAMES[2]:
-            report |= {f"force_{facet}": zero, f"indentation_{facet}": zero * jnp.nan, f"point_{facet}": nothing}
-        for facet, t in zip(_NAMES[len(touches)], touches, strict=True):
-            force = t.push.term.force
-            loaded = force > 0
-            total = total + force * t.at.normal
-            report["force"] = report["force"] + force
-            report[f"force_{facet}"] = force
-            report[f"indentation_{facet}"] = jnp.where(t.share > 0, t.indentation, jnp.nan)
-            report[f"point_{facet}"] = jnp.where(loaded, t.at.point.array(), jnp.nan)
-            report["off_patch"] = jnp.maximum(report["off_patch"], jnp.where(loaded, t.at.beyond_rim, 0.0))
-            report["overflow"] = jnp.maximum(report["overflow"], t.at.overflow.astype(zero.dtype))
-        return {**report, "force_x": total.x, "force_y": total.y, "force_z": total.z}
-
-    def tracked_point(self) -> Vec3:
-        """The sphere's centre."""
-        return self.center
-
-    def button_radius(self) -> Scalar:
-        """The sphere's."""
-        return self.radius
-
-    def with_button_moved(self, by: Vec3) -> Self:
-        """See `Contact`."""
-        return eqx.tree_at(lambda e: e.center, self, self.center + by)
-
-    def groove_surface(self) -> Surface | None:
-        """The stand-in."""
-        return self.surface
+        forces = [t.push.term.force for t in touches]
+        total = vector_sum([f * t.at.normal for f, t in zip(forces, touches, strict=True)])
+        indentations = [jnp.where(t.share > 0, t.indentation, jnp.nan) for t in touches]
+        points = [jnp.where(f > 0, t.at.point.array(), jnp.nan) for f, t in zip(forces, touches, strict=True)]
+        beyond = [jnp.where(f > 0, t.at.beyond_rim, 0.0) for f, t in zip(forces, touches, strict=True)]
+        overflow = jnp.stack([t.at.overflow for t in touches]).any().astype(forces[0].dtype)
+        report = facet_report(total, forces, indentations, points)
+        return {**report, "off_patch": jnp.maximum(jnp.stack(beyond).max(), 0.0), "overflow": overflow}
 
     def femur_triangles(self) -> Array:
         """See `Contact`."""
@@ -126,13 +74,14 @@ class MeshSphereContact(Contact):
 
     def with_friction(self, friction: Friction) -> Contact:
         """See `Contact`."""
-        from pftwin.model.effects.rough_mesh_contact import RoughMeshSphereContact
-
         return RoughMeshSphereContact.of(self, friction)
 
-    def recentred(self, center_of_mass: Vec3) -> MeshSphereContact:
-        """Sphere centre counted from the centre of mass."""
-        return eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)
+
+class RoughMeshSphereContact(WithFriction, MeshSphereContact):
+    """`MeshSphereContact` with friction on every facet."""
+
+    frictionless: ClassVar[type[Contact]] = MeshSphereContact
+    observables: ClassVar[dict[str, Observable]] = {**MeshSphereContact.observables, **WithFriction.tangential}
 
 
 def _shares(points: list[FacetPoint], radius: Scalar) -> list[Scalar]:

@@ -21,7 +21,8 @@ a number that is at least 4 wherever the border crosses a single contact and ten
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+import dataclasses
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,17 +35,9 @@ from pftwin.geometry.contact.patch_mesh import PatchMesh
 from pftwin.geometry.contact.sphere_patch import sphere_patch
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Instant, Load, Observable, StiffTerm, applied_at
-from pftwin.model.effects.contact import Contact
-from pftwin.model.effects.contact_force import ContactPush, pushed
-from pftwin.model.effects.contact_law import ContactLaw
-from pftwin.model.effects.sphere_contact import SphereContact
-
-if TYPE_CHECKING:
-    from pftwin.model.effects.friction import Friction
-
-_FACETS = ("medial", "lateral")
-
-Memory = tuple[Scalar, Scalar] | None  # each facet's approach speed at the moment contact began, 0 while apart [m/s]
+from pftwin.model.effects.contact import BY_FACET, FACETS, ButtonSphere, Contact, facet_report
+from pftwin.model.effects.contact_law import ContactLaw, Speeds
+from pftwin.model.effects.friction import Friction, WithFriction
 
 
 class VolumeTouch(NamedTuple):
@@ -53,10 +46,10 @@ class VolumeTouch(NamedTuple):
     overlap: Overlap
     terms: tuple[StiffTerm, ...]  # of the medial and the lateral facet, and of their growing into one
     energy: Scalar
-    speeds: Memory
+    speeds: Speeds
 
 
-class MeshVolumeContact(Contact):
+class MeshVolumeContact(ButtonSphere):
     """A sphere fixed in the patella against a mesh fixed in the femur, by their overlap's volume."""
 
     mesh: PatchMesh
@@ -69,40 +62,30 @@ class MeshVolumeContact(Contact):
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     method: ClassVar[str] = "volume"
     observables: ClassVar[dict[str, Observable]] = {
-        **SphereContact.observables,
+        **BY_FACET,
         "area_medial": Observable("m^2", "area of the medial facet inside the sphere"),
         "area_lateral": Observable("m^2", "area of the lateral facet inside the sphere"),
         "off_patch": Observable("m", "half the length of the mesh's rim that lies inside the sphere"),
         "overflow": Observable("1", "1 where the search ran out of room: the contact is wrong"),
     }
 
-    def remember(self, now: Instant) -> Memory:
+    def remember(self, now: Instant) -> Speeds:
         """No contact has begun yet."""
-        zero = jnp.zeros_like(now.patella.position.x)
-        return (zero, zero) if self.law.remembers_approach else None
+        return self.law.no_contact_yet(now.patella.position.x, 2)
 
-    def centre(self, now: Instant) -> Vec3:
-        """Of the sphere, in the mesh's frame [m]."""
-        return now.femur.to_local(now.patella.position + now.patella.arm(self.center))
-
-    def touch(self, now: Instant, memory: Memory) -> VolumeTouch:
+    def touch(self, now: Instant, memory: Speeds) -> VolumeTouch:
         """The overlap at this instant and what it does."""
-        arm = now.patella.arm(self.center)
-        at = now.patella.position + arm
-        velocity = now.femur.local_direction(now.femur.relative_velocity(now.patella.velocity_at(arm), at))
-        patch = sphere_patch(self.mesh, self.centre(now), self.radius)
-        found = overlap(patch, self.radius, self.effective_radius)
+        centre, velocity = self.centre_in_femur(now)
+        found = overlap(sphere_patch(self.mesh, centre, self.radius), self.radius, self.effective_radius)
         speeds, s = memory or (None, None), found.merged
         of_both = None if memory is None else jnp.maximum(*memory)
         rates = [-n.dot(velocity) for n in found.normals]
         rate = found.parts[0] * rates[0] + found.parts[1] * rates[1]
         terms, begun, energies = [], [], []
         for n, d, part, own, speed in zip(found.normals, found.depths, found.parts, rates, speeds, strict=True):
-            world = now.femur.direction(n)
-            moment = applied_at(self.center, now.patella, world)
-            apart = pushed(self.law, now, d, own, world, moment, speed, 1 - s)
-            joint = pushed(self.law, now, found.joint_depth, rate, world, moment, of_both, s * part)
-            terms.append(_together(apart, joint))
+            apart = self.push(now, n, d, own, speed, 1 - s)
+            joint = self.push(now, n, found.joint_depth, rate, of_both, s * part)
+            terms.append(_together(apart.term, joint.term))
             energies.append(self.law.force(d, jnp.zeros_like(d), of_both).energy)
             if apart.approach_speed is not None and joint.approach_speed is not None:
                 one = jnp.where(s > 0, jnp.maximum(apart.approach_speed, joint.approach_speed), apart.approach_speed)
@@ -112,7 +95,7 @@ class MeshVolumeContact(Contact):
         if self.mesh.facets.count > 1:
             terms.append(self._growing(now, found, gained, velocity))
         energy = energies[0] + energies[1] + s * gained
-        return VolumeTouch(found, tuple(terms), energy, (begun[0], begun[1]) if begun else None)
+        return VolumeTouch(found, tuple(terms), energy, tuple(begun) or None)
 
     def _growing(self, now: Instant, found: Overlap, gained: Scalar, velocity: Vec3) -> StiffTerm:
         """The potential's change by the change of s, as a force of `gained` along -grad s."""
@@ -121,26 +104,10 @@ class MeshVolumeContact(Contact):
         rate = found.merged_slope.dot(velocity)
         return StiffTerm(world, applied_at(self.center, now.patella, world), gained, gained, zero, zero, rate)
 
-    def load(self, now: Instant, memory: Memory) -> tuple[Load, Memory]:
+    def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
         """A stiff term for each facet, and one for their growing into one."""
         t = self.touch(now, memory)
         return Load(stiff=t.terms, energy=t.energy), t.speeds
-
-    def tracked_point(self) -> Vec3:
-        """The sphere's centre."""
-        return self.center
-
-    def button_radius(self) -> Scalar:
-        """The sphere's."""
-        return self.radius
-
-    def with_button_moved(self, by: Vec3) -> Self:
-        """See `Contact`."""
-        return eqx.tree_at(lambda e: e.center, self, self.center + by)
-
-    def groove_surface(self) -> Surface | None:
-        """The stand-in."""
-        return self.surface
 
     def femur_triangles(self) -> Array:
         """See `Contact`."""
@@ -148,52 +115,45 @@ class MeshVolumeContact(Contact):
 
     def with_friction(self, friction: Friction) -> Contact:
         """See `Contact`."""
-        from pftwin.model.effects.rough_mesh_contact import RoughMeshVolumeContact
-
         return RoughMeshVolumeContact.of(self, friction)
 
-    def recentred(self, center_of_mass: Vec3) -> MeshVolumeContact:
+    def recentred(self, center_of_mass: Vec3) -> Self:
         """Sphere centre counted from the centre of mass; the mesh made ready for many looks."""
-        moved = eqx.tree_at(lambda e: e.center, self, self.center - center_of_mass)
-        return eqx.tree_at(lambda e: e.mesh, moved, self.mesh.prepared())
+        return eqx.tree_at(lambda e: e.mesh, super().recentred(center_of_mass), self.mesh.prepared())
 
-    def observe(self, now: Instant, memory: Memory) -> dict[str, Any]:
+    def observe(self, now: Instant, memory: Speeds) -> dict[str, Any]:
         """Forces, places and indentations by facet; NaN for a facet that is not touched."""
-        t = self.touch(now, memory)
+        t, (centre, _) = self.touch(now, memory), self.centre_in_femur(now)
+        found, deep = t.overlap, self.mesh.depth_by_distance(centre, self.radius)
         total = sum((term.force * term.direction for term in t.terms), start=Vec3.zero())
-        force = now.femur.local_direction(total)
-        centre, found = self.centre(now), t.overlap
-        deep = self.mesh.depth_by_distance(centre, self.radius)
-        report: dict[str, Any] = {"force_x": force.x, "force_y": force.y, "force_z": force.z, "force": jnp.zeros(())}
-        whole, loaded = total.norm(), jnp.asarray(False)
+        whole = total.norm()
         along = (1 / jnp.where(whole > 0, whole, 1.0)) * total
-        for k, facet in enumerate(_FACETS):
+        forces, indentations, points = [], [], []
+        for k, area in enumerate(found.areas):
             # Halves of one contact lean apart: what they bear of its force is along the force itself.
             push = t.terms[k].force * t.terms[k].direction
             size = (1 - found.merged) * push.norm() + found.merged * push.dot(along)
-            area, d = found.areas[k], jnp.where(found.merged > 0, found.joint_depth, found.depths[k])
+            d = jnp.where(found.merged > 0, found.joint_depth, found.depths[k])
             inside = found.arms[k] * (1 / jnp.where(area > 0, area, 1.0))
-            point = jnp.where(size > 0, (centre + inside).array(), jnp.nan)
+            forces.append(size)
+            points.append(jnp.where(size > 0, (centre + inside).array(), jnp.nan))
             # A sphere wholly inside the bone has no surface in it: the distance to the surface tells.
-            d = jnp.where(area > 0, d, jnp.where(deep[k] > self.radius, deep[k], jnp.nan))
-            report |= {f"force_{facet}": size, f"indentation_{facet}": d, f"point_{facet}": point}
-            report[f"area_{facet}"] = area
-            report["force"] = report["force"] + size
-            loaded = loaded | (size > 0)
+            indentations.append(jnp.where(area > 0, d, jnp.where(deep[k] > self.radius, deep[k], jnp.nan)))
+        report = facet_report(now.femur.local_direction(total), forces, indentations, points)
+        report |= {f"area_{facet}": area for facet, area in zip(FACETS, found.areas, strict=True)}
+        loaded = (forces[0] > 0) | (forces[1] > 0)
         rim = jnp.where(loaded, 0.5 * self.mesh.rim_inside(centre, self.radius), 0.0)
-        return {**report, "off_patch": rim, "overflow": found.overflow.astype(force.x.dtype)}
+        return {**report, "off_patch": rim, "overflow": found.overflow.astype(whole.dtype)}
 
 
-def _together(apart: ContactPush, joint: ContactPush) -> StiffTerm:
+class RoughMeshVolumeContact(WithFriction, MeshVolumeContact):
+    """`MeshVolumeContact` with friction on every facet."""
+
+    frictionless: ClassVar[type[Contact]] = MeshVolumeContact
+    observables: ClassVar[dict[str, Observable]] = {**MeshVolumeContact.observables, **WithFriction.tangential}
+
+
+def _together(a: StiffTerm, b: StiffTerm) -> StiffTerm:
     """One term of two along the same direction."""
-    a, b = apart.term, joint.term
-    return StiffTerm(
-        a.direction,
-        a.moment,
-        a.force + b.force,
-        a.elastic + b.elastic,
-        a.stiffness + b.stiffness,
-        a.damping + b.damping,
-        a.rate,
-        unilateral=True,
-    )
+    added = {name: getattr(a, name) + getattr(b, name) for name in ("force", "elastic", "stiffness", "damping")}
+    return dataclasses.replace(a, **added)

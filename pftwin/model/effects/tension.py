@@ -42,22 +42,9 @@ class PrescribedTension(LineElement):
 
         return jax.tree.map(sample, (self.tension, self.origin))
 
-    @property
-    def line_ends(self) -> tuple[Vec3, str]:
-        """See `LineElement`."""
-        return self.insertion, self.body
-
     def origin_at(self, time: Scalar | float) -> Vec3:
         """Where the lines leave their body at an instant [m]."""
         return self.at(time)[1]
-
-    def with_origin_moved(self, by: Vec3) -> PrescribedTension:
-        """See `LineElement`."""
-        return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
-
-    def recentred(self, center_of_mass: Vec3) -> PrescribedTension:
-        """Insertions counted from the centre of mass."""
-        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """The pulls; their slopes are zero, so nothing of them is stiff."""

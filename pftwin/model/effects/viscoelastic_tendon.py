@@ -1,8 +1,22 @@
-"""Viscoelastic tendons: stiffer the faster they are pulled, and slacker the longer they are held."""
+r"""Tendons that are standard linear solids: stiffer the faster they are pulled, and slacker the longer they are held.
+
+A spring beside a spring and a dashpot in series, that cannot be pushed. With x the stretch beyond slack length, e the
+dashpot's and K0 = K + K1 the stiffness when pulled at once,
+
+    F = K x + K1 (x - e),      de/dt = (x - e) / tau,      never negative.
+
+Where F would be negative the strand hangs loose: its material is longer than the way between its ends, so that it
+pulls nothing, x = K1 e / K0, and shortens as the dashpot recovers. It stores (K x^2 + K1 (x - e)^2) / 2 and loses
+K1 (x - e)^2 / tau as heat.
+
+Over a step de/dt is integrated exactly for a stretch that changes linearly with time (exponential integrator: Simo &
+Hughes 1998, Computational Inelasticity, chapter 10). Source of the model: Fung 1993, Biomechanics: Mechanical
+Properties of Living Tissues, chapter 2 (there the Kelvin body).
+"""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +25,78 @@ from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.line_elements import ElasticLine, Line
-from pftwin.model.effects.standard_linear_solid import RELAXED, SolidPull, StandardLinearSolid
+
+RELAXED = -1.0  # in place of the dashpot's stretch, which is never negative: relaxed at any length [m]
+
+
+class SolidPull(NamedTuple):
+    """What the solid does at an instant, or at the end of a step."""
+
+    tension: Scalar  # [N]
+    stiffness: Scalar  # dF/dx: at once, or over the step with the dashpot that gives way meanwhile [N/m]
+    energy: Scalar  # stored [J]
+    heat: Scalar  # rate at which the dashpot loses it, over a step its mean [W]
+    dashpot: Scalar  # e [m]
+
+
+class StandardLinearSolid(eqx.Module):
+    """Its three constants."""
+
+    stiffness: Scalar  # K, when all is relaxed [N/m]
+    maxwell_stiffness: Scalar  # K1, of the spring in series with the dashpot [N/m]
+    relaxation_time: Scalar  # tau, of the tension under a stretch that is held [s]
+
+    def resting(self, stretch: Scalar, dashpot: Scalar) -> Scalar:
+        """The dashpot's stretch, with `RELAXED` made a number."""
+        return jnp.where(dashpot < 0, jnp.maximum(stretch, 0.0), dashpot)
+
+    def at(self, stretch: Scalar, dashpot: Scalar) -> SolidPull:
+        """At an instant; where the dashpot is `RELAXED` it follows the stretch, at the long-term stiffness."""
+        e = self.resting(stretch, dashpot)
+        at_once = self.stiffness + self.maxwell_stiffness
+        loose = self.maxwell_stiffness * e / at_once
+        taut, material = stretch > loose, jnp.maximum(stretch, loose)
+        pull = self.stiffness * stretch + self.maxwell_stiffness * (stretch - e)
+        slope = jnp.where(dashpot < 0, self.stiffness, at_once)
+        heat = self.maxwell_stiffness * jnp.square(material - e) / self.relaxation_time
+        tension, stiffness = (jnp.where(taut, a, 0.0) for a in (pull, slope))
+        return SolidPull(tension, stiffness, self._energy(material, e), heat, dashpot)
+
+    def over(self, start: Scalar, end: Scalar, dashpot: Scalar, duration: Scalar | float) -> SolidPull:
+        """At the end of a time over which the stretch goes from `start` to `end`.
+
+        Args:
+            start, end: stretch [m], negative where the ends are nearer than the slack length.
+            dashpot: its stretch at the start, or `RELAXED`.
+            duration: [s]; 0 changes nothing.
+        """
+        e = self.resting(start, dashpot)
+        z = jnp.maximum(duration / self.relaxation_time, 1e-9)
+        left = jnp.exp(-z)
+        mean = -jnp.expm1(-z) / z
+        of_start, of_end = mean - left, 1 - mean
+        ratio = self.maxwell_stiffness / (self.stiffness + self.maxwell_stiffness)
+        began = jnp.maximum(start, ratio * e)
+        rest = e + of_start * (began - e) - of_end * e
+        loose = ratio * rest / (1 - of_end * ratio)  # the length at which it would end without tension
+        ends = jnp.maximum(end, loose)
+        after = rest + of_end * ends
+        taut = end > loose
+        pull = self.stiffness * end + self.maxwell_stiffness * (end - after)
+        slope = self.stiffness + self.maxwell_stiffness * (1 - of_end)
+        # The spring in series: its mean over the time is exact, its square's mean that of the parabola through
+        # start, mean and end.
+        average = (after - e) / z
+        first, last = began - e, ends - after
+        bow = 0.5 * (first + last) - average
+        square = jnp.square(average) + jnp.square(last - first) / 12 + jnp.square(bow) / 5
+        heat = self.maxwell_stiffness * square / self.relaxation_time
+        tension, stiffness = (jnp.where(taut, a, 0.0) for a in (pull, slope))
+        return SolidPull(tension, stiffness, self._energy(ends, after), heat, after)
+
+    def _energy(self, material: Scalar, dashpot: Scalar) -> Scalar:
+        """Of both springs [J]."""
+        return 0.5 * (self.stiffness * jnp.square(material) + self.maxwell_stiffness * jnp.square(material - dashpot))
 
 
 class ViscoelasticTendon(ElasticLine):
@@ -19,8 +104,7 @@ class ViscoelasticTendon(ElasticLine):
 
     F = K s + K1 (s - e), de/dt = (s - e) / tau, with s = L - L0, never negative. A tendon that is stretched at once and
     held relaxes from (K + K1) s to K s as exp(-t / tau). The dashpot's stretch e is memory: a motion starts with every
-    dashpot relaxed, as an equilibrium is. A leading axis on every leaf makes a group. Law, integration over a step and
-    sources: `pftwin.model.effects.standard_linear_solid`.
+    dashpot relaxed, as an equilibrium is. A leading axis on every leaf makes a group.
     """
 
     stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # K, when relaxed
@@ -37,8 +121,8 @@ class ViscoelasticTendon(ElasticLine):
     }
 
     @property
-    def solid(self) -> StandardLinearSolid:
-        """The law."""
+    def law(self) -> StandardLinearSolid:
+        """With the three constants."""
         return StandardLinearSolid(self.stiffness, self.maxwell_stiffness, self.relaxation_time)
 
     def remember(self, now: Instant) -> Scalar:
@@ -57,13 +141,13 @@ class ViscoelasticTendon(ElasticLine):
         """
         line = self.line(now)
         stretch = line.length - self.slack_length
-        if not isinstance(now.lookahead, float):  # the end of a step, seen from its start
-            pull = self.solid.over(stretch - now.lookahead * line.lengthening, stretch, memory, now.lookahead)
+        if now.ends_a_step:
+            pull = self.law.over(stretch - now.lookahead * line.lengthening, stretch, memory, now.lookahead)
             return self._load(line, pull), pull.dashpot
-        pull = self.solid.at(stretch, memory)
+        pull = self.law.at(stretch, memory)
         if isinstance(now.step, float) and now.step == 0.0:
             return self._load(line, pull), memory
-        later = self.solid.over(stretch, stretch + now.step * line.lengthening, memory, now.step)
+        later = self.law.over(stretch, stretch + now.step * line.lengthening, memory, now.step)
         return self._load(line, pull), later.dashpot
 
     def _load(self, line: Line, pull: SolidPull) -> Load:
@@ -83,9 +167,9 @@ class ViscoelasticTendon(ElasticLine):
         """Tension, length and the dashpot's stretch."""
         line = self.line(now)
         stretch = line.length - self.slack_length
-        pull = self.solid.at(stretch, memory)
+        pull = self.law.at(stretch, memory)
         return {
             "tension": pull.tension,
             "length": line.length,
-            "dashpot_stretch": self.solid.resting(stretch, memory),
+            "dashpot_stretch": self.law.resting(stretch, memory),
         }

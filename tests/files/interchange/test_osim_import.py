@@ -18,7 +18,7 @@ from pftwin.files.interchange import import_osim
 from pftwin.files.scene_file import load_scene_file
 from pftwin.geometry.mesh.mesh import load_mesh
 from pftwin.model.effects.elastic_foundation import ElasticFoundation
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.motion_on_host import tibia_orientation
 
 ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # proximal, lateral, anterior of x, y, z

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pftwin.files.interchange.osim_functions import spline
 from pftwin.files.interchange.osim_model import read_model
 from pftwin.files.interchange.osim_motion import poses as our_poses
-from pftwin.model.effects.toe_region import toe_region
+from pftwin.model.effects.tendon import ToeSpring
 
 KEPT = Path(__file__).with_name("opensim_4_6_poses.json")
 X = "-0.3 0.1 0.5 0.9 1.6"
@@ -170,7 +170,7 @@ def test_ligaments_pull_as_in_opensim(tmp_path, flexion):
     for strand in read_model(str(path)).ligaments:
         length, force = theirs[strand.name]
         strain = np.float64(length / strand.slack_length - 1)
-        ours = strand.stiffness * float(toe_region(strain, np.float64(strand.toe_strain)).force)
+        ours = strand.stiffness * float(ToeSpring(1.0, np.float64(strand.toe_strain)).at(strain).force)
         assert ours == pytest.approx(force, abs=1e-6)
         pulled += force > 0
     assert pulled

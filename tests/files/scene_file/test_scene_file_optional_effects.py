@@ -14,9 +14,10 @@ from toy_scene_files import LIGHT, SCENE, changed, load, refused, same
 
 import pftwin
 from pftwin.model.effects.friction import Friction
-from pftwin.model.effects.rough_contact import RoughSphereContact
-from pftwin.model.effects.rough_mesh_contact import RoughMeshSphereContact, RoughMeshVolumeContact
-from pftwin.model.effects.toe_tendon import ToeTendon
+from pftwin.model.effects.mesh_sphere_contact import RoughMeshSphereContact
+from pftwin.model.effects.mesh_volume_contact import RoughMeshVolumeContact
+from pftwin.model.effects.sphere_contact import RoughSphereContact
+from pftwin.model.effects.tendon import ToeTendon
 from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
 
 LAW = 'law = { type = "flores", contact_stiffness = 2e8, restitution = 0.6 }\n'
@@ -175,7 +176,7 @@ from test_programs import program, size
 from pftwin import rig
 scene = rig.case(1)
 before = size(scene)
-kinds = ("friction", "rough_contact", "rough_mesh_contact", "toe_tendon", "viscoelastic_tendon")
+kinds = ("mesh_contact", "mesh_sphere_contact", "mesh_volume_contact", "viscoelastic_tendon")
 print([k for k in kinds if f"pftwin.model.effects.{k}" in sys.modules])
 import importlib
 for k in kinds:

@@ -37,7 +37,7 @@ from pftwin.model.effects.base import Ground
 from pftwin.model.effects.contact_law import ContactLaw, Flores, Hertz
 from pftwin.model.effects.friction import Friction, WithFriction, tangents
 from pftwin.model.effects.gravity import Gravity
-from pftwin.model.effects.rough_contact import RoughSphereContact
+from pftwin.model.effects.sphere_contact import RoughSphereContact
 from pftwin.model.motion import Frame
 
 MU, CREEP = 0.3, 1e-3

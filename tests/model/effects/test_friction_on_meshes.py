@@ -15,9 +15,8 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.model.effects.contact_law import HuntCrossley
 from pftwin.model.effects.friction import Friction
 from pftwin.model.effects.gravity import Gravity
-from pftwin.model.effects.mesh_sphere_contact import MeshSphereContact
-from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
-from pftwin.model.effects.rough_mesh_contact import RoughMeshSphereContact, RoughMeshVolumeContact
+from pftwin.model.effects.mesh_sphere_contact import MeshSphereContact, RoughMeshSphereContact
+from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact, RoughMeshVolumeContact
 
 MU, CREEP, BLOCK = 0.2, 1e-3, (1e9, 1e9, 1e9)
 LAW = HuntCrossley(J(2e8), J(1.0))

@@ -12,8 +12,7 @@ import pytest
 from scenes import J, look, tendon, vec
 
 from pftwin.base.spatial import Quaternion, Vec3
-from pftwin.model.effects.strands import StrandGroup
-from pftwin.model.effects.tendon import Tendon
+from pftwin.model.effects.tendon import StrandGroup, Tendon
 from pftwin.model.effects.tension import PrescribedTension
 
 # A tendon of 500 N/m and 50 mm slack length that runs straight up to z = 100 mm.

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 from scenes import J, look, scalar, vec
 
-from pftwin.model.effects.strands import StrandGroup
-from pftwin.model.effects.tendon import Tendon
-from pftwin.model.effects.toe_tendon import ToeTendon
+from pftwin.model.effects.tendon import StrandGroup, Tendon, ToeTendon
 
 K, SLACK, TOE = 2000.0, 0.05, 0.08
 END = TOE * SLACK  # of the toe region: 4 mm

@@ -17,9 +17,8 @@ from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.gravity import Gravity
-from pftwin.model.effects.standard_linear_solid import RELAXED, StandardLinearSolid
 from pftwin.model.effects.tendon import Tendon
-from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
+from pftwin.model.effects.viscoelastic_tendon import RELAXED, StandardLinearSolid, ViscoelasticTendon
 
 K, K1, TAU, SLACK = 500.0, 900.0, 0.05, 0.05
 R = K1 / (K + K1)

@@ -16,8 +16,7 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.state import System
 from pftwin.model.effects.contact_law import Flores
 from pftwin.model.effects.friction import Friction
-from pftwin.model.effects.strands import StrandGroup
-from pftwin.model.effects.toe_tendon import ToeTendon
+from pftwin.model.effects.tendon import StrandGroup, ToeTendon
 from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
 from pftwin.model.scene import Scene
 from pftwin.studies.audit.account import parts

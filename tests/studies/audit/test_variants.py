@@ -15,7 +15,7 @@ from pftwin.dynamics.integrators import LinearImplicit, Newmark, QuasiStatic
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.effects.base import Change, Effect, Load
 from pftwin.model.effects.gravity import Gravity
-from pftwin.model.effects.strands import StrandGroup
+from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.scene import PatellaBody, Scene
 from pftwin.studies.audit.variants import NotApplicable, Variant, ablations, additions, without_femur_inertia
 

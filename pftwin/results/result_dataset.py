@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from pftwin.base.labels import SYNTHETIC
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.base import Observable
+from pftwin.model.measured import SYNTHETIC
 
 if TYPE_CHECKING:
     from xarray import Dataset

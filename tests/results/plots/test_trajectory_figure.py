@@ -13,7 +13,7 @@ import pftwin
 from pftwin.base.errors import InputError
 from pftwin.model.measured import SYNTHETIC, Measured
 from pftwin.results.plots import COLOURS
-from pftwin.results.plots.relief import relief
+from pftwin.results.plots.trajectory import relief
 
 
 @pytest.fixture(scope="module")

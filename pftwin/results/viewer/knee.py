@@ -13,6 +13,7 @@ from pftwin.results.viewer import bones
 from pftwin.results.viewer.recorded import ContactArrow, Lines, Recorded
 from pftwin.results.viewer.shapes import (
     MM,
+    Matrices,
     Shape,
     apart,
     applied,
@@ -30,8 +31,6 @@ from pftwin.results.viewer.shapes import (
 
 if TYPE_CHECKING:
     from k3d.objects import Drawable
-
-    from pftwin.results.viewer.shapes import Matrices, Shape
 
 Floats = NDArray[np.float64]
 

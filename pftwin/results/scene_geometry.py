@@ -37,6 +37,8 @@ STEP = 1.5e-3  # of a continuation, which is all but flat [m]
 MARGIN = 4e-3  # how far past the outermost contact point a surface is continued [m]
 ROUNDING = 1e-9  # vertices that are nearer are one [m]
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]  # vertices (n, 3) [m], triangles (m, 3)
+Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
+Effects = dict[str, dict[str, NDArray[Any]]]  # what effects reported, by effect and observable
 
 
 def has_rectangle(surface: Any) -> bool:
@@ -97,10 +99,6 @@ def _within(lines: NDArray[np.float64], low: float, high: float) -> NDArray[np.b
     """Which intervals between grid lines lie between two of them."""
     middle = 0.5 * (lines[1:] + lines[:-1])
     return (middle > low) & (middle < high)
-
-
-Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
-Effects = dict[str, dict[str, NDArray[Any]]]  # what effects reported, by effect and observable
 
 
 def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:

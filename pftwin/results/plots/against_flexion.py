@@ -36,6 +36,17 @@ Floats = NDArray[np.float64]
 LEAST = 5.0  # [deg] of knee flexion: less is no stroke
 _SHARE = 0.2  # of the whole range: smaller movements back and forth belong to the stroke around them
 _GRID = 181  # flexions at which strokes are averaged
+Results = Any  # a Result, several of them, or either by the name in the legend
+Strokes = Literal["apart", "together", "bending", "straightening"]
+SHOWN = ("tilt", "shift", "rotation", "contact_force")
+_WAYS: dict[str, tuple[tuple[str, tuple[bool, ...]], ...]] = {
+    "apart": ((", bending", (True,)), (", straightening", (False,))),
+    "together": (("", (True, False)),),
+    "bending": ((", bending", (True,)),),
+    "straightening": ((", straightening", (False,)),),
+}
+_DASHED = {", straightening": (0, (4, 1.5))}
+_MEANING = "line: mean over n strokes; band: one standard deviation"
 
 
 class Stroke(NamedTuple):
@@ -124,21 +135,6 @@ def band(courses: Sequence[tuple[Floats, Floats]], grid: Floats) -> Band:
 def common_grid(flexions: Sequence[Floats]) -> Floats:
     """Flexions from the least to the largest of all [deg]."""
     return np.linspace(min(f.min() for f in flexions), max(f.max() for f in flexions), _GRID)
-
-
-Floats = NDArray[np.float64]
-Results = Any  # a Result, several of them, or either by the name in the legend
-Strokes = Literal["apart", "together", "bending", "straightening"]
-
-SHOWN = ("tilt", "shift", "rotation", "contact_force")
-_WAYS: dict[str, tuple[tuple[str, tuple[bool, ...]], ...]] = {
-    "apart": ((", bending", (True,)), (", straightening", (False,))),
-    "together": (("", (True, False)),),
-    "bending": ((", bending", (True,)),),
-    "straightening": ((", straightening", (False,)),),
-}
-_DASHED = {", straightening": (0, (4, 1.5))}
-_MEANING = "line: mean over n strokes; band: one standard deviation"
 
 
 def against_flexion(

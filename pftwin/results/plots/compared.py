@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.results.result import Result
 
+_SHOWN = ("x", "y", "z", "flexion", "rotation", "tilt", "contact_force", "tibial_spring", "femoral_spring")
+_AXES = {"time": "time [s]", "flexion": "knee flexion [deg]"}
+
 
 def case_figure(results: Mapping[str, Result], measured: Measured | None, title: str) -> Figure:
     """Trajectory of the sphere's centre in two planes of the femur, tilt and contact force over time.
@@ -87,10 +90,6 @@ def _name_axes(across: Axes, sagittal: Axes, tilt: Axes, force: Axes) -> None:
     force.set(title="Normal contact force", xlabel="time [s]", ylabel="force [N]")
     for axes in (across, sagittal):
         axes.set_aspect("equal", adjustable="datalim")
-
-
-_SHOWN = ("x", "y", "z", "flexion", "rotation", "tilt", "contact_force", "tibial_spring", "femoral_spring")
-_AXES = {"time": "time [s]", "flexion": "knee flexion [deg]"}
 
 
 def compared(

@@ -23,6 +23,36 @@ if TYPE_CHECKING:
 
 # No dates: the same figure gives the same file.
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+# Okabe and Ito 2008, without the yellow, which is faint on white; measurements are black.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+# Lines also differ by dashes or markers, for readers who see no colour at all, and for prints in grey.
+DASHES: tuple[Any, ...] = (
+    "-", (0, (6, 1.5)), (0, (3, 1.2)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)),
+)  # fmt: skip
+MARKERS = "osD^vP*X"
+TEXT, SMALL, TINY = 9.0, 8.0, 7.0  # sizes of letters [pt]: everywhere, in legends of panels, of notes inside panels
+COLUMN, PAGE, WIDE = 3.5, 7.2, 11.0  # widths of figures [in]: a journal's column, its page, a screen
+DPI = 160  # of PNG files
+STYLE: Any = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: figures look alike on every machine
+    "font.size": TEXT,
+    "axes.titlesize": TEXT,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "figure.constrained_layout.use": True,
+    "svg.fonttype": "none",  # letters stay letters: searchable, and editable in a drawing program
+    "svg.hashsalt": "pftwin",
+    "pdf.fonttype": 42,
+}
+MEASURED: dict[str, Any] = {"color": "black", "linewidth": 2.6, "alpha": 0.35, "zorder": 1}
+BAND: dict[str, Any] = {"alpha": 0.2, "linewidth": 0}
+START: dict[str, Any] = {"marker": "o", "markersize": 4, "linestyle": "none"}
 
 
 def save_figure(
@@ -97,40 +127,6 @@ def entries(panels: Sequence[Axes]) -> tuple[list[Any], list[str]]:
     """Of the legends of all panels together: one may lack what others have."""
     found = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     return list(found.values()), list(found)
-
-
-# Okabe and Ito 2008, without the yellow, which is faint on white; measurements are black.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-# Lines also differ by dashes or markers, for readers who see no colour at all, and for prints in grey.
-DASHES: tuple[Any, ...] = (
-    "-", (0, (6, 1.5)), (0, (3, 1.2)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)),
-)  # fmt: skip
-MARKERS = "osD^vP*X"
-
-TEXT, SMALL, TINY = 9.0, 8.0, 7.0  # sizes of letters [pt]: everywhere, in legends of panels, of notes inside panels
-COLUMN, PAGE, WIDE = 3.5, 7.2, 11.0  # widths of figures [in]: a journal's column, its page, a screen
-DPI = 160  # of PNG files
-
-STYLE: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: figures look alike on every machine
-    "font.size": TEXT,
-    "axes.titlesize": TEXT,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.25,
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.3,
-    "legend.frameon": False,
-    "figure.constrained_layout.use": True,
-    "svg.fonttype": "none",  # letters stay letters: searchable, and editable in a drawing program
-    "svg.hashsalt": "pftwin",
-    "pdf.fonttype": 42,
-}
-MEASURED: dict[str, Any] = {"color": "black", "linewidth": 2.6, "alpha": 0.35, "zorder": 1}
-BAND: dict[str, Any] = {"alpha": 0.2, "linewidth": 0}
-START: dict[str, Any] = {"marker": "o", "markersize": 4, "linestyle": "none"}
 
 
 def house_style(**changes: Any) -> AbstractContextManager[None]:

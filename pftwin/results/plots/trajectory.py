@@ -29,6 +29,14 @@ Floats = NDArray[np.float64]
 MARGIN = 5.0  # of the map around the path [mm]
 _SAMPLES = 121  # of a smooth surface, either way
 _NAMES = (("distal", "proximal"), ("medial", "lateral"), ("posterior", "anterior"))
+_LEVELS = 14
+_POINTS = (
+    ("point_medial", "contact, medial facet"),
+    ("point_lateral", "contact, lateral facet"),
+    ("center_of_pressure", "centre of pressure"),
+)
+_SCALE, _FRAME = 0.066, (1.9, 2.0)  # of a map [in per mm], and what stands around it [in]
+_SMALLEST, _LARGEST = (4.4, 4.2), (7.2, 8.5)
 
 
 class Relief(NamedTuple):
@@ -159,16 +167,6 @@ def _way(axis: Vec3) -> str:
     parts = [float(c) for c in (axis.x, axis.y, axis.z)]
     k = int(np.argmax(np.abs(parts)))
     return _NAMES[k][parts[k] > 0]
-
-
-_LEVELS = 14
-_POINTS = (
-    ("point_medial", "contact, medial facet"),
-    ("point_lateral", "contact, lateral facet"),
-    ("center_of_pressure", "centre of pressure"),
-)
-_SCALE, _FRAME = 0.066, (1.9, 2.0)  # of a map [in per mm], and what stands around it [in]
-_SMALLEST, _LARGEST = (4.4, 4.2), (7.2, 8.5)
 
 
 def trajectory(

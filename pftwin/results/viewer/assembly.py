@@ -24,6 +24,12 @@ _FROM = {
     "medial": ((0.05, -1.0, 0.15), (1, 0, 0)),
     "skyline": ((-1.0, 0.0, 0.25), (0, 0, 1)),
 }
+LONGEST = 80.0  # of an arrow [mm], about
+_ROUND = (1.0, 2.0, 5.0)
+ROOM = [-250.0, -100.0, -200.0, 300.0, 100.0, 150.0]  # that k3d's camera sees [mm]
+ALIKE = 2.0  # tibias that are never farther apart are drawn once: their origins, and what is 100 mm away [mm]
+MOST = 0.98  # share of the forces that are not longer than that
+SIDE = 68.0  # of the words "lateral" and "medial" from the middle [mm]
 
 
 def views(result: Recorded) -> dict[str, list[float]]:
@@ -35,14 +41,6 @@ def views(result: Recorded) -> dict[str, list[float]]:
         place = target + DISTANCE * np.asarray(toward) / np.linalg.norm(toward)
         found[name] = [float(v) for v in (*place, *target, *up)]
     return found
-
-
-LONGEST = 80.0  # of an arrow [mm], about
-_ROUND = (1.0, 2.0, 5.0)
-ROOM = [-250.0, -100.0, -200.0, 300.0, 100.0, 150.0]  # that k3d's camera sees [mm]
-ALIKE = 2.0  # tibias that are never farther apart are drawn once: their origins, and what is 100 mm away [mm]
-MOST = 0.98  # share of the forces that are not longer than that
-SIDE = 68.0  # of the words "lateral" and "medial" from the middle [mm]
 
 
 def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:

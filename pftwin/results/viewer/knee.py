@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from k3d.objects import Drawable
 
 Floats = NDArray[np.float64]
+METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
+FEW = 4  # lines of an effect that are drawn as thick as a tendon
+REST = 0.4  # points of a path that are nearer to the last are passed over: at rest it has no direction [mm]
+AHEAD = 0.6  # how much paler the part of a contact's path is that is still to come
 
 
 def k3d() -> Any:
@@ -111,12 +115,6 @@ def held(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:
     places = np.where(present, np.arange(present.size), -1)
     last = np.maximum.accumulate(places)
     return values[np.where(last < 0, np.argmax(present), last)]
-
-
-METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
-FEW = 4  # lines of an effect that are drawn as thick as a tendon
-REST = 0.4  # points of a path that are nearer to the last are passed over: at rest it has no direction [mm]
-AHEAD = 0.6  # how much paler the part of a contact's path is that is still to come
 
 
 def shaft(result: Recorded) -> Drawable:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _BOX = "font:13px/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;color:#222"
 SCHEMATIC = "Shaft of the femur, tibia and patella are schematic: the scene has no meshes of them."
 CONTINUED = "Pale: the fitted surface continued beyond its edge."
+_RIGHT = "text-align:right;padding-right:8px;white-space:nowrap"
+_TITLE = re.compile(r"<title>.*?</title>", re.DOTALL)
+_CONTROL = "/*CONTROL*/null"  # in controls.js, where what the bar has to know goes
 
 
 def title(results: Sequence[Recorded]) -> str:
@@ -77,9 +80,6 @@ def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> s
     return f'<div style="{_BOX};font-variant-numeric:tabular-nums"><b>{time:.2f} s</b>{table}</div>'
 
 
-_RIGHT = "text-align:right;padding-right:8px;white-space:nowrap"
-
-
 def _cell(value: float, unit: str, digits: int) -> str:
     text = f"{value:.{digits}f}{unit}".replace("-", "−") if np.isfinite(value) else ""
     return f"<td style='{_RIGHT}'>{text}</td>"
@@ -95,10 +95,6 @@ def _contact_force(result: Recorded, k: int) -> float:
     """What the result's contacts report as their force, summed [N]; NaN where there is none."""
     names = {push.contact for push in result.pushes}
     return sum(_at(result, f"{name}_force", k) for name in names) if names else float("nan")
-
-
-_TITLE = re.compile(r"<title>.*?</title>", re.DOTALL)
-_CONTROL = "/*CONTROL*/null"  # in controls.js, where what the bar has to know goes
 
 
 def add_controls(plot: Plot, control: dict[str, Any]) -> None:

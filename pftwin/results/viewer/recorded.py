@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 FACETS = ("medial", "lateral")
 Floats = NDArray[np.float64]
+MOST_FRAMES = 241  # shown of a result; between them a drawing interpolates
+Mesh = tuple[Floats, NDArray[np.int64]]  # vertices [m], triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +89,6 @@ def _middle(facets: list[tuple[Floats, Floats]]) -> Floats:
     shares = np.divide(weights, whole, out=np.full_like(weights, np.nan), where=whole > 0)
     places = np.stack([p for p, _ in facets], axis=1)
     return np.where(shares[..., None] == 0, 0.0, shares[..., None] * places).sum(axis=1)
-
-
-MOST_FRAMES = 241  # shown of a result; between them a drawing interpolates
-Floats = NDArray[np.float64]
-Mesh = tuple[Floats, NDArray[np.int64]]  # vertices [m], triangles
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 MM = 1e3  # per metre
 Matrices = NDArray[np.float32]  # (n, 4, 4), row by row, lengths in mm
+ROUND = 48  # sides of what is round
+MOST_TRIANGLES = 30_000  # of a mesh that is drawn: a page then stays far below 8 MB
+CAP = np.radians(58.0)  # half the opening of a button's cap
+SHELL = 5.0  # thickness of a femoral component that is known by its surface alone [mm]
+_TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # what turns z to an axis
 
 
 def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
@@ -48,13 +53,6 @@ def _assembled(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Matrice
     out = np.zeros((len(place), 4, 4), dtype=np.float32)
     out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = turn, place, 1.0
     return out
-
-
-ROUND = 48  # sides of what is round
-MOST_TRIANGLES = 30_000  # of a mesh that is drawn: a page then stays far below 8 MB
-CAP = np.radians(58.0)  # half the opening of a button's cap
-SHELL = 5.0  # thickness of a femoral component that is known by its surface alone [mm]
-_TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # what turns z to an axis
 
 
 class Shape(NamedTuple):

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from fitting.prediction.applied import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
 from pftwin.base.errors import InputError
-from pftwin.base.json_files import read_json
 from pftwin.base.output import written_whole
+from pftwin.base.text_files import read_json
 from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:

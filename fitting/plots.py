@@ -54,8 +54,7 @@ class EstimatePlots:
         """
         from matplotlib.figure import Figure
 
-        from pftwin.results.plots.panels import figure_of, given_axes
-        from pftwin.results.plots.style import PAGE, house_style, title
+        from pftwin.results.plots.style import PAGE, figure_of, given_axes, house_style, title
 
         own = given_axes(axes, 2, "for the correlations, and for the values")
         with house_style(axes__grid=False):
@@ -129,8 +128,7 @@ class EstimatePlots:
         """The best objective so far against the evaluations."""
         from matplotlib.figure import Figure
 
-        from pftwin.results.plots.panels import figure_of
-        from pftwin.results.plots.style import COLOURS, house_style
+        from pftwin.results.plots.style import COLOURS, figure_of, house_style
 
         e = self._estimate
         with house_style():

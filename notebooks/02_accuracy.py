@@ -43,8 +43,7 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.base.machine import describe
-from pftwin.base.runtime import default_cache_dir
+from pftwin.base.runtime import default_cache_dir, describe
 from pftwin.dynamics import tolerance
 from pftwin.results.metrics import PAPER_TABLE_1
 from pftwin.results.plots import COLOURS, STYLE

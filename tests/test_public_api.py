@@ -12,9 +12,6 @@ import fitting
 import pftwin
 
 OWN = ("pftwin", "fitting")
-# JAX has no public name for the client of its coordination service, and its collectives neither wait for a process that
-# is slow nor go on without one that died: see pftwin/dynamics/batch/processes.py.
-EXCUSED = ("batch/processes.py", "jax._src.distributed")
 NOT_FOR_US = {"jax.config.values", "jax.interpreters.partial_eval.dce_jaxpr", "jax.interpreters.partial_eval"}
 FILES = [(Path(p.__path__[0]), f) for p in (pftwin, fitting) for f in sorted(Path(p.__path__[0]).rglob("*.py"))]
 
@@ -67,4 +64,4 @@ def test_private_names_are_found(text):
 
 def test_no_file_uses_private_names_of_other_libraries():
     found = {(str(f.relative_to(root)), n) for root, f in FILES for n in used(f.read_text()) if is_private(n)}
-    assert {(file, name) for file, name in found if file != EXCUSED[0] or not name.startswith(EXCUSED[1])} == set()
+    assert found == set()

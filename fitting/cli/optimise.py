@@ -9,10 +9,10 @@ import typer
 
 from fitting.cli.amounts import Given, by_kind, limits, with_amounts
 from fitting.cli.treat import EstimateOption, loaded_estimate
-from pftwin.base.labels import SYNTHETIC
 from pftwin.cli.exit_codes import flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
+from pftwin.model.measured import SYNTHETIC
 
 if TYPE_CHECKING:
     from rich.table import Table

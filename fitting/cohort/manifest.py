@@ -10,8 +10,8 @@ from typing import Any
 
 from fitting.cohort.units import PATIENTS, Unit, file_digest, versions
 from pftwin.base.errors import InputError
-from pftwin.base.json_files import read_json
 from pftwin.base.output import written_whole
+from pftwin.base.text_files import read_json
 
 NAME = "manifest.json"
 SUMMARY = "summary.parquet"

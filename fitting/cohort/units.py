@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from fitting.cohort.description import Cohort, Patient
 from pftwin.base.errors import InputError
-from pftwin.base.file_limits import MESH_BYTES
+from pftwin.base.text_files import MESH_BYTES
 
 PATIENTS = "patients"  # folder of the units' files
 _CHUNK = 2**20

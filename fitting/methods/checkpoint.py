@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.base.json_files import read_json
 from pftwin.base.output import written_whole
+from pftwin.base.text_files import read_json
 
 FORMAT = "pftwin fit checkpoint 1"
 

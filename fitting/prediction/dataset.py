@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from fitting.prediction.members import Members
 from fitting.prediction.outcomes import MEASURES
 from fitting.prediction.variants import VariantBatch
-from pftwin.base.labels import SYNTHETIC
 from pftwin.dynamics.batch.member import FLAGS
 from pftwin.dynamics.status import Status
+from pftwin.model.measured import SYNTHETIC
 
 if TYPE_CHECKING:
     from xarray import Dataset

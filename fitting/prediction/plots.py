@@ -82,8 +82,7 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
     """
     from matplotlib.figure import Figure
 
-    from pftwin.results.plots.panels import figure_of, given_axes
-    from pftwin.results.plots.style import PAGE, SMALL, house_style, legend_below
+    from pftwin.results.plots.style import PAGE, SMALL, figure_of, given_axes, house_style, legend_below
     from pftwin.results.plots.style import title as name_figure
 
     names = amount_names(data)

@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import os
 import platform
-import stat
 import warnings
 from functools import cache
 from pathlib import Path
@@ -18,8 +17,7 @@ from pathlib import Path
 from pftwin.base.errors import OutputError, PftwinWarning
 from pftwin.base.output import written_whole
 
-MOST = 500_000_000  # [bytes] in one kind's folder; beyond, what was used least recently goes until half is left
-_KINDS = ("programs", "values")
+MOST = 500_000_000  # [bytes] in one kind's folder; beyond, the least recently used files go until half is left
 _chosen: list[Path] = []  # the folder, or nothing
 
 
@@ -29,36 +27,27 @@ def use(folder: str | os.PathLike[str] | None) -> bool:
     Returns:
         Whether it is used: where another user owns it or can write to it, a warning says so and nothing is cached.
     """
-    _chosen[:] = []
-    if folder is None:
-        return False
-    path = Path(folder).absolute()
-    problem = _unsafe(path)
-    if problem:
+    _chosen[:] = [] if folder is None else [Path(folder).absolute()]
+    if problem := next(filter(None, map(_unsafe, _chosen)), None):
+        _chosen.clear()
         warnings.warn(
-            f"{path}: {problem}; nothing is kept, since the programs in it are run; try: chmod -R go-w on a folder of "
-            "your own, or another one (the variable PFTWIN_CACHE)",
+            f"{Path(folder or '').absolute()}: {problem}; nothing is kept, since the programs in it are run; try: "
+            "chmod -R go-w on a folder of your own, or another one (the variable PFTWIN_CACHE)",
             PftwinWarning,
             stacklevel=2,
         )
-        return False
-    _chosen.append(path)
-    return True
+    return bool(_chosen)
 
 
 def _unsafe(path: Path) -> str | None:
-    """What is wrong with a folder that exists, and with those in it."""
-    if not hasattr(os, "getuid"):
-        return None
-    for place in (path, *(path / kind for kind in _KINDS), compiled_folder(path)):
-        try:
+    """What is wrong with a folder, or with those in it, as far as they exist."""
+    for place in (path, path / "programs", path / "values", compiled_folder(path)):
+        if hasattr(os, "getuid") and place.exists():
             found = place.stat()
-        except OSError:  # it will be made
-            continue
-        if found.st_uid != os.getuid():
-            return f"{place.name} belongs to another user"
-        if stat.S_IMODE(found.st_mode) & 0o022:
-            return f"others can write to {place.name}"
+            if found.st_uid != os.getuid():
+                return f"{place.name} belongs to another user"
+            if found.st_mode & 0o022:
+                return f"others can write to {place.name}"
     return None
 
 
@@ -82,16 +71,13 @@ def compiled_folder(base: Path) -> Path:
 def read(kind: str, key: str) -> bytes | None:
     """The bytes of a file; None where there is none."""
     base = chosen()
-    if base is None:
-        return None
-    path = base / kind / key
-    try:
-        body = path.read_bytes()
-    except OSError:
-        return None
     with contextlib.suppress(OSError):
-        os.utime(path)  # used now
-    return body
+        if base is not None:
+            body = (base / kind / key).read_bytes()
+            with contextlib.suppress(OSError):
+                os.utime(base / kind / key)  # most recently used
+            return body
+    return None
 
 
 def write(kind: str, key: str, body: bytes) -> None:
@@ -99,28 +85,25 @@ def write(kind: str, key: str, body: bytes) -> None:
     base = chosen()
     if base is None:
         return
-    place = base / kind
     try:
         base.parent.mkdir(parents=True, exist_ok=True)
         base.mkdir(mode=0o700, exist_ok=True)
-        place.mkdir(mode=0o700, exist_ok=True)
-        with written_whole(place / key) as path:
+        (base / kind).mkdir(mode=0o700, exist_ok=True)
+        with written_whole(base / kind / key) as path:
             path.write_bytes(body)
-        _make_room(place)
+        _make_room(base / kind)
     except (OSError, OutputError) as error:
-        warnings.warn(f"{place}: nothing can be kept here for the next process: {error}", PftwinWarning, stacklevel=2)
+        text = f"{base / kind}: nothing can be kept here for the next process: {error}"
+        warnings.warn(text, PftwinWarning, stacklevel=2)
 
 
 def _make_room(place: Path) -> None:
-    found = []
-    for entry in os.scandir(place):
-        with contextlib.suppress(OSError):  # another process was quicker
-            found.append((entry.stat().st_mtime, entry.stat().st_size, entry.path))
-    total = sum(size for _, size, _ in found)
-    if total <= MOST:
-        return
-    for _, size, path in sorted(found):
-        Path(path).unlink(missing_ok=True)
-        total -= size
-        if total <= MOST // 2:
-            return
+    with contextlib.suppress(FileNotFoundError):  # another process is at it
+        files = sorted((path.stat().st_mtime, path.stat().st_size, path) for path in place.iterdir())
+        total = sum(size for _, size, _ in files)
+        limit = MOST if total <= MOST else MOST // 2
+        for _, size, path in files:
+            if total <= limit:
+                return
+            path.unlink()
+            total -= size

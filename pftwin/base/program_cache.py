@@ -26,8 +26,8 @@ from jax.core import Tracer
 
 import pftwin
 from pftwin.base import cache_folder
-from pftwin.base.file_limits import MESH_BYTES
 from pftwin.base.serialization import NotPlainError, fingerprint, packed, unpacked
+from pftwin.base.text_files import MESH_BYTES
 
 T = TypeVar("T")
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy", "trimesh")
@@ -99,7 +99,9 @@ class Program:
         kind, arrays = _kind_of(args)
         if kind in self._ready:
             return lambda: None
-        lowered, structure = self._lowered(kind, arrays, self._key(kind, args))
+        shapes = jax.tree.map(lambda a: _shape(a) if _is_array(a) else a, args)
+        key = _key(self._function, (shapes, repr(kind.settings), jax.default_backend()))
+        lowered, structure = self._lowered(kind, arrays, key)
 
         def finish() -> None:
             self._ready[kind] = lowered.compile(), structure
@@ -130,11 +132,6 @@ class Program:
                 cache_folder.write("programs", key, stored)
                 return jax.jit(exported.call).lower(*arrays), structures[0]
         return jax.jit(flat).lower(*arrays), structures[-1]
-
-    def _key(self, kind: _Kind, args: tuple[Any, ...]) -> str | None:
-        """What the program is stored as; None where it is not."""
-        shapes = jax.tree.map(lambda a: _shape(a) if _is_array(a) else a, args)
-        return _key(self._function, (shapes, repr(kind.settings), jax.default_backend()))
 
 
 def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
@@ -174,13 +171,13 @@ def versions() -> str:
 
 def _key(function: Callable[..., Any], args: Any, files: Sequence[Path] = ()) -> str | None:
     """None where there is no folder, or where it cannot be told what the answer depends on."""
-    if cache_folder.chosen() is None or not function.__module__.startswith("pftwin."):
-        return None
-    if "<locals>" in function.__qualname__ or any(file.stat().st_size > MESH_BYTES for file in files if file.is_file()):
+    name = f"{function.__module__}.{function.__qualname__}"
+    if cache_folder.chosen() is None or not name.startswith("pftwin.") or "<locals>" in name:
         return None
     try:
+        if any(file.is_file() and file.stat().st_size > MESH_BYTES for file in files):
+            return None
         contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-        name = f"{function.__module__}.{function.__qualname__}"
         return fingerprint([_source(), versions(), name, contents, args])
     except (NotPlainError, OSError):
         return None

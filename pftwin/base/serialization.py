@@ -1,13 +1,12 @@
 """Values as bytes that are data and nothing else: NumPy's npz, with a text in JSON for all that is no array.
 
-Reading runs no code, as unpickling would: the text names types of pftwin, and of these only dataclasses, named tuples
-and enumerations are made, by putting their fields in place without calling anything of theirs.
+Reading runs no code, as unpickling would: the text names types of pftwin, and of these only dataclasses and named
+tuples are made, by putting their fields in place without calling anything of theirs.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import enum
 import hashlib
 import importlib
 import io
@@ -19,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-_NUMBERS = "biufcUS"  # kinds of NumPy's types that are plain data
+_ARRAYS = {"device": jax.Array, "array": np.ndarray, "number": np.generic}
 
 
 class NotPlainError(Exception):
@@ -27,7 +26,7 @@ class NotPlainError(Exception):
 
 
 def packed(value: Any) -> bytes:
-    """A value of plain types, arrays, and pftwin's own dataclasses, named tuples and enumerations of these.
+    """A value of plain types, arrays, and pftwin's own dataclasses and named tuples of these.
 
     Raises:
         NotPlainError: it holds something else.
@@ -56,96 +55,84 @@ def fingerprint(value: Any) -> str:
     Raises:
         NotPlainError: as `packed`.
     """
-    arrays: list[np.ndarray] = []
-    total = hashlib.sha256(json.dumps(_node(value, arrays)).encode())
-    for a in arrays:
-        total.update(f" {a.dtype.str} {a.shape} ".encode() + a.tobytes())
-    return total.hexdigest()
+    return hashlib.sha256(packed(value)).hexdigest()
 
 
 def _node(value: Any, arrays: list[np.ndarray]) -> Any:
     """What JSON has for it: its own numbers and texts, and for all else a list [kind, ...]."""
+
+    def inner(values: Any) -> list[Any]:
+        return [_node(v, arrays) for v in values]
+
     kind = type(value)
     if value is None or kind in (bool, int, float, str):
         return value
     if kind in (list, tuple):
-        return [kind.__name__, *(_node(v, arrays) for v in value)]
+        return [kind.__name__, *inner(value)]
     if kind is dict:
-        return ["dict", *([_node(k, arrays), _node(v, arrays)] for k, v in value.items())]
-    if isinstance(value, jax.Array) and getattr(value, "weak_type", False):  # a random key has none
-        if value.ndim or jnp.asarray(value.item()).dtype != value.dtype:
-            raise NotPlainError("an array of weak type")
-        return ["weak", value.item()]
-    if isinstance(value, np.ndarray | np.generic | jax.Array):
-        if jnp.issubdtype(value.dtype, jax.dtypes.extended) or value.dtype.kind not in _NUMBERS:
-            raise NotPlainError(f"an array of {value.dtype}")
+        return ["dict", inner(value), inner(value.values())]
+    if isinstance(value, tuple(_ARRAYS.values())):
+        weak = getattr(value, "weak_type", False)  # it would come back strong; a random key has no such thing
+        if weak or jnp.issubdtype(value.dtype, jax.dtypes.extended) or value.dtype.kind not in "biufcUS":
+            raise NotPlainError(f"an array of {'weak ' if weak else ''}{value.dtype}")
         arrays.append(np.asarray(value))
-        kinds = {"device": jax.Array, "array": np.ndarray, "number": np.generic}
-        return [next(name for name, of in kinds.items() if isinstance(value, of)), len(arrays)]
-    if isinstance(value, enum.Enum):
-        return ["enum", _name_of(kind), value.name]
+        return [next(name for name, of in _ARRAYS.items() if isinstance(value, of)), len(arrays)]
     if isinstance(value, PurePath):
         return ["path", str(value)]
     if isinstance(value, jax.ShapeDtypeStruct):
         return ["shape", list(value.shape), value.dtype.str, value.weak_type]
     if isinstance(value, tuple):
-        return ["named", _name_of(kind), *(_node(v, arrays) for v in value)]
+        return ["named", _name_of(kind), *inner(value)]
     if dataclasses.is_dataclass(kind):
         names = [f.name for f in dataclasses.fields(kind) if hasattr(value, f.name)]
-        return ["fields", _name_of(kind), *([n, _node(getattr(value, n), arrays)] for n in names)]
+        return ["fields", _name_of(kind), names, inner(getattr(value, n) for n in names)]
     raise NotPlainError(f"a {kind.__module__}.{kind.__qualname__}")
 
 
 def _value(node: Any, arrays: list[np.ndarray]) -> Any:
-    if not isinstance(node, list):
-        return node
-    kind, *rest = node
-    if kind in ("list", "tuple"):
-        return (list if kind == "list" else tuple)(_value(n, arrays) for n in rest)
-    if kind == "dict":
-        return {_value(k, arrays): _value(v, arrays) for k, v in rest}
-    if kind in ("array", "number", "device"):
-        array = arrays[rest[0]]
-        return array if kind == "array" else array[()] if kind == "number" else jax.device_put(array)
-    if kind == "weak":
-        return jnp.asarray(rest[0])
-    if kind == "path":
-        return Path(rest[0])
-    if kind == "enum":
-        return _type(rest[0], enum.Enum)[rest[1]]
-    if kind == "named":
-        return tuple.__new__(_type(rest[0], tuple), (_value(n, arrays) for n in rest[1:]))
-    if kind != "fields":
-        raise ValueError(f"no kind {kind!r}")
-    made_of: Any = _type(rest[0], object)
-    known = {f.name for f in dataclasses.fields(made_of)}
-    made = object.__new__(made_of)
-    for name, inner in rest[1:]:
-        if name not in known:
-            raise KeyError(name)
-        object.__setattr__(made, name, _value(inner, arrays))
-    return made
+    def inner(nodes: Any) -> list[Any]:
+        return [_value(n, arrays) for n in nodes]
+
+    match node:
+        case ["list", *items]:
+            return inner(items)
+        case ["tuple", *items]:
+            return tuple(inner(items))
+        case ["dict", keys, values]:
+            return dict(zip(inner(keys), inner(values), strict=True))
+        case ["device" | "array" | "number" as kind, place]:
+            return {"device": jax.device_put, "array": np.asarray, "number": lambda a: a[()]}[kind](arrays[place])
+        case ["path", text]:
+            return Path(text)
+        case ["named", name, *items]:
+            return tuple.__new__(_type(name, tuple), inner(items))
+        case ["fields", name, names, items]:
+            made = object.__new__(_type(name, object))
+            if not {f.name for f in dataclasses.fields(made)}.issuperset(names):
+                raise KeyError(name)
+            for field, value in zip(names, inner(items), strict=True):
+                object.__setattr__(made, field, value)
+            return made
+        case list():
+            raise ValueError(f"no kind of value: {node[:1]}")
+    return node
 
 
 def _name_of(kind: type) -> str:
-    """Module and name of a type of pftwin's.
-
-    Raises:
-        NotPlainError: a type from elsewhere, or one that is not found by its name.
-    """
-    if kind.__module__.partition(".")[0] != "pftwin" or "<locals>" in kind.__qualname__:
-        raise NotPlainError(f"{kind.__module__}.{kind.__qualname__} is not pftwin's own")
-    return f"{kind.__module__}:{kind.__qualname__}"
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    try:
+        _type(name, kind)
+    except (TypeError, KeyError):
+        raise NotPlainError(f"{name} is not pftwin's own") from None
+    return name
 
 
 def _type(name: str, base: type) -> Any:
     """The type of pftwin's of that name; a module of pftwin's is imported for it, no other."""
-    module, _, path = name.partition(":")
+    module, _, own = name.partition(":")
     if module.partition(".")[0] != "pftwin":
         raise TypeError(f"{module} is not pftwin's own")
-    found: Any = importlib.import_module(module)
-    for part in path.split("."):
-        found = vars(found)[part]
+    found = vars(importlib.import_module(module))[own]
     if not (isinstance(found, type) and issubclass(found, base) and found.__module__ == module):
         raise TypeError(f"{name} is no such type")
     return found

@@ -1,17 +1,34 @@
-"""Text files at the edge: read whole and checked, cells turned to numbers, written in one piece or not at all."""
+"""Text files at the edge: read whole and checked, cells turned to numbers, written in one piece or not at all.
+
+Files may come from anyone: one over its limit is refused before it takes memory.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.base.file_limits import MIB, RECORDING_BYTES
 from pftwin.base.output import written_whole
+
+MIB = 2**20
+
+# Ten minutes of 60 markers at 100 Hz are 100 MB as TRC; of a gait laboratory's C3D with plates at 1 kHz the half.
+RECORDING_BYTES = 256 * MIB
+SCENE_BYTES = 4 * MIB  # of scene files; the longest known has 40 kB
+MODEL_BYTES = 64 * MIB  # of OpenSim's models; whole bodies have 3 MB
+JSON_BYTES = 64 * MIB  # of estimates, checkpoints and strands; the checkpoint of 200 members on 50 parameters has 1 MB
+MESH_BYTES = 500_000_000  # of a mesh: two million triangles as text
+MESH_TRIANGLES = 2_000_000  # a hundred times what a knee's implant takes
+RESULT_BYTES = 4_000_000_000  # of a result, in the file or unpacked: 10,000 variants of a second each have 2 GB
+RESULT_PACKED = 200  # times what a variable of a result takes in the file; drawings are packed 3 to 20 times
+RESULT_SMALL = 50_000_000  # bytes that a variable may be unpacked to however well it is packed
 
 _MISSING = {"", "nan", "-nan", "na", "n/a", "null", "-nan(ind)", "nan(ind)", "-1.#ind", "1.#qnan"}
 _TEXT_CONTROLS = {0x09, 0x0A, 0x0B, 0x0C, 0x0D, 0x1A}
@@ -73,6 +90,29 @@ def read_lines(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES
         ended = text.endswith(("\n", "\x1a"))
         return text.rstrip("\x1a").split("\n"), ended
     raise InputError("the content is not readable text", where=path, expected="UTF-8 text")
+
+
+def read_json(path: str | os.PathLike[str], *, expected: str) -> Any:
+    """What a JSON file holds.
+
+    Args:
+        path: the file.
+        expected: what kind of file it is to be, for messages.
+
+    Raises:
+        InputError: no such file, more than `JSON_BYTES`, no JSON (naming the line), or lists in lists without end.
+    """
+    content = read_bytes(path, max_bytes=JSON_BYTES)
+    try:
+        return json.loads(content.decode("utf-8-sig"))
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"not valid JSON: {error.msg}", where=f"{path}, line {error.lineno}", expected=expected
+        ) from None
+    except RecursionError:
+        raise InputError("lists within lists without end", where=path, expected=expected) from None
+    except ValueError as error:  # no UTF-8, a number of thousands of digits
+        raise InputError(f"not readable JSON: {error}", where=path, expected=expected) from None
 
 
 def number(cell: str) -> float:

@@ -49,7 +49,7 @@ def accuracy(
         raise OutputError(f"{folder}: there is a file of that name; try: another folder")
     check_outputs(json)
     start_computing()
-    from pftwin.base.machine import describe
+    from pftwin.base.runtime import describe
     from pftwin.studies.accuracy.programs import COMMON, FLOATS, chosen, everything
     from pftwin.studies.accuracy.run import measure_all, write
     from pftwin.studies.accuracy.table import advice, overview

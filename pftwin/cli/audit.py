@@ -62,7 +62,7 @@ def audit(
     if files:
         with keeping(*files.values()):
             written = _write(found, files)
-    from pftwin.base.machine import describe
+    from pftwin.base.runtime import describe
 
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in written]}
     write_json({**found.to_dict(), **about}, json)

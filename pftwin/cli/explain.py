@@ -46,7 +46,7 @@ def explain(
 
     with working(f"running {chosen.scene.name} with and without each effect"):
         found = look(chosen.scene, integrator=integrator_of(integrator), dt=dt or 1e-3)
-    from pftwin.base.machine import describe
+    from pftwin.base.runtime import describe
 
     write_json({"contact": chosen.contact, **found.to_dict(), "machine": describe()}, json)
     show(explanation_sheet(found), out(json), markdown)

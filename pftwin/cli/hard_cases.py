@@ -112,7 +112,7 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
     """Runs what was chosen, contact by contact; says how far it has come. Ctrl-C keeps the contacts that are done."""
     import time
 
-    from pftwin.base.machine import describe
+    from pftwin.base.runtime import describe
     from pftwin.studies.hard_cases import run_matrix
     from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.runs import run_each

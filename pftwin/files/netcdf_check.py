@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pftwin.base.errors import InputError
-from pftwin.base.file_limits import RESULT_BYTES, RESULT_PACKED, RESULT_SMALL
+from pftwin.base.text_files import RESULT_BYTES, RESULT_PACKED, RESULT_SMALL
 
 _SAVED = "a result saved by pftwin"
 

@@ -12,6 +12,7 @@ from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orie
 from pftwin.base.spatial import Quaternion
 from pftwin.files.mocap.timebase import increasing_times
 
+SYNTHETIC = "the recorded motion is synthetic: a simulated knee's"  # said wherever such data show
 _UNIT_TOLERANCE = 1e-3
 _FORCES = ("contact_force", "tibial_spring_force", "femoral_spring_force")
 

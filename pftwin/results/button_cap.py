@@ -77,14 +77,11 @@ def cap_use(result: Result, cap: SphereFit) -> CapUse:
 
     report = result.effects[result.contact]
     apex = Rotation.from_quat(result.quaternion, scalar_first=True).apply(axis)
-    angles, forces = [], []
-    for facet in _FACETS:
-        force = report[f"force_{facet}"]
-        arm = report[f"point_{facet}"] - result.center  # NaN where nothing touches
-        cosine = np.einsum("ij,ij->i", arm, apex) / np.linalg.norm(arm, axis=1)
-        angles.append(np.where(force > 0, np.arccos(np.clip(cosine, -1, 1)), np.nan))
-        forces.append(np.where(force > 0, force, 0.0))
-    return CapUse(np.stack(angles, axis=1), np.stack(forces, axis=1), cap.cap_half_angle)
+    force = np.stack([report[f"force_{facet}"] for facet in _FACETS], axis=1)
+    arm = np.stack([report[f"point_{facet}"] for facet in _FACETS], axis=1) - result.center[:, None]  # NaN: no touch
+    cosine = np.einsum("ijk,ik->ij", arm, apex) / np.linalg.norm(arm, axis=2)
+    angle = np.where(force > 0, np.arccos(np.clip(cosine, -1, 1)), np.nan)
+    return CapUse(angle, np.where(force > 0, force, 0.0), cap.cap_half_angle)
 
 
 def check_cap(result: Result, cap: SphereFit) -> CapUse:

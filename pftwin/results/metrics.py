@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
-from pftwin.results.tracking import DISLOCATED
 
 if TYPE_CHECKING:
     from pftwin.results.result import Result
@@ -125,21 +124,14 @@ def validate(
     present = np.asarray(np.isfinite(measured.center).all(axis=1))
     if not present.any():
         raise InputError("no frame has a measured position", where=measured.source, expected="at least one")
-    turns = dict.fromkeys(("flexion", "rotation", "tilt"))
-    if measured.angles is not None:
-        turns = {
-            name: _rms(np.degrees(_wrapped(getattr(result.angles, name) - getattr(measured.angles, name))), known)
-            for name in turns
-            for known in [np.isfinite(getattr(measured.angles, name))]
-        }
     return Validation(
         contact_force=_force_error(result, result.contact, "force", measured.contact_force, measured),
         tibial_spring=_force_error(result, tibial, "tension", measured.tibial_spring_force, measured),
         femoral_spring=_force_error(result, femoral, "tension", measured.femoral_spring_force, measured),
-        internal_rotation=turns["rotation"],
-        flexion=turns["flexion"],
-        tilt=turns["tilt"],
-        **{axis: _rms_of_present(offsets[:, i], present) for i, axis in enumerate("xyz")},
+        internal_rotation=_turned(result, measured, "rotation"),
+        flexion=_turned(result, measured, "flexion"),
+        tilt=_turned(result, measured, "tilt"),
+        **{axis: _rms(offsets[:, i], present) for i, axis in enumerate("xyz")},
         mean_distance=float(np.mean(np.linalg.norm(offsets[present], axis=1))),
         initial_configuration=result.timing.get("equilibrium_s"),
         real_time_factor=result.real_time_factor if "run_s" in result.timing else None,
@@ -158,10 +150,8 @@ def mean_of(validations: Sequence[Validation]) -> Validation:
     """
     if not validations:
         raise InputError("no validations to take the mean of", where="validations", expected="at least one")
-    means: dict[str, Any] = {}
-    for key, _, _ in _ROWS:
-        values = [getattr(v, key) for v in validations]
-        means[key] = None if any(v is None for v in values) else float(np.mean(values))
+    columns = {key: [getattr(v, key) for v in validations] for key, _, _ in _ROWS}
+    means: dict[str, Any] = {k: None if None in values else float(np.mean(values)) for k, values in columns.items()}
     return Validation(
         **means,
         frames=sum(v.frames for v in validations),
@@ -171,21 +161,8 @@ def mean_of(validations: Sequence[Validation]) -> Validation:
     )
 
 
-def dislocated(result: Result, threshold: float = DISLOCATED) -> NDArray[np.bool_]:
-    """Whether the button has left its groove, per frame (n,): see `pftwin.results.tracking`.
-
-    Raises:
-        InputError: a scene without a contact surface; a threshold that is not positive.
-    """
-    outcome = result.dislocations(threshold)
-    if outcome is None:
-        raise InputError("no contact surface, so no groove to leave", where=result.scene_name)
-    return outcome.dislocated
-
-
 def _check_times(result: Result, measured: Measured) -> None:
-    ours, theirs = result.times, measured.times
-    where = measured.source
+    ours, theirs, where = result.times, measured.times, measured.source
     if theirs.size != ours.size:
         rates = [(t.size - 1) / (t[-1] - t[0]) if t.size > 1 else 0.0 for t in (theirs, ours)]
         raise InputError(
@@ -220,17 +197,17 @@ def _force_error(
             remedy="name the effect (tibial=..., femoral=...), or leave the force out",
         )
     ours = result.effects[effect][observable].reshape(result.times.size, -1).sum(axis=1)
-    return _rms(ours - force, np.isfinite(force))
+    return _rms(ours - force, np.isfinite(force)) if np.isfinite(force).any() else None
 
 
-def _rms(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float | None:
-    """Over the frames that were measured; None if there are none."""
-    return _rms_of_present(error, present) if present.any() else None
-
-
-def _rms_of_present(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float:
+def _rms(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float:
+    """Over the frames that were measured."""
     return float(np.sqrt(np.mean(np.square(error[present]))))
 
 
-def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+def _turned(result: Result, measured: Measured, name: str) -> float | None:
+    """Root mean square error of an angle [deg]; None if no frame was measured."""
+    if measured.angles is None or not np.isfinite(theirs := getattr(measured.angles, name)).any():
+        return None
+    error = (getattr(result.angles, name) - theirs + np.pi) % (2 * np.pi) - np.pi
+    return _rms(np.degrees(error), np.isfinite(theirs))

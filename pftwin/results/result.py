@@ -106,7 +106,7 @@ class Result:
         """
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
-        contact = scene.contact
+        contact, lines = scene.contact, [e.line_element() for e in scene.effects]
         work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
         stored = {name: _double(energy) for name, energy in seen.potential_energy.items()}
         return cls(
@@ -118,7 +118,7 @@ class Result:
             motion=scene.motion,
             effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
             observables={e.name: dict(type(e).observables) for e in scene.effects},
-            groups=_groups(scene),
+            groups={line.name: line.count for line in lines if line is not None and line.count is not None},
             energies=Energies(_double(seen.kinetic_energy), stored, work, heat),
             flags=np.asarray(seen.status, dtype=np.int32),
             equilibrium=EquilibriumReport.build(scene, start, relaxed, there=first),
@@ -172,15 +172,16 @@ class Result:
     @property
     def tensions(self) -> dict[str, Floats]:
         """Of tendons, strands and muscles, by name (n,) [N]; of a group the sum."""
-        lines = {e.name for e in self.scene.effects if e.line_element() is not None}
-        found = {n: self.effects[n]["tension"] for n in lines if "tension" in self.effects[n]}
-        return {n: t.reshape(self.times.size, -1).sum(axis=1) for n, t in found.items()}
+        return {n: t.reshape(self.times.size, -1).sum(axis=1) for n, t in self._of_lines("tension").items()}
 
     @property
     def lengths(self) -> dict[str, Floats]:
         """Of tendons that report it, by name, (n,) or (n, lines) [m]."""
-        lines = {e.name for e in self.scene.effects if e.line_element() is not None}
-        return {n: self.effects[n]["length"] for n in lines if "length" in self.effects[n]}
+        return self._of_lines("length")
+
+    def _of_lines(self, name: str) -> dict[str, Floats]:
+        lines = [e.name for e in self.scene.effects if e.line_element() is not None]
+        return {n: self.effects[n][name] for n in lines if name in self.effects[n]}
 
     @property
     def status(self) -> Status:
@@ -215,15 +216,6 @@ class Result:
 
         None in a scene without a contact surface.
         """
-        if threshold == tracking.DISLOCATED:
-            return self._outcome
-        return self._followed(threshold)
-
-    @cached_property
-    def _outcome(self) -> tracking.Tracking | None:
-        return self._followed(tracking.DISLOCATED)
-
-    def _followed(self, threshold: float) -> tracking.Tracking | None:
         if self.groove is None:
             return None
         return tracking.follow(self.times, self.groove[1], self.knee.flexion, threshold=threshold)
@@ -247,12 +239,11 @@ class Result:
         counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
         marks = [f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n] or ["all frames clean"]
         outcome = self.dislocations()
-        lines = [
-            f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s",
-            f"start: {self.equilibrium.description}",
-            *([] if outcome is None else [f"tracking: {outcome.describe()}"]),
-            *(f"status: {mark}" for mark in marks),
-        ]
+        lines = [f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s"]
+        lines.append(f"start: {self.equilibrium.description}")
+        if outcome is not None:
+            lines.append(f"tracking: {outcome.describe()}")
+        lines += [f"status: {mark}" for mark in marks]
         if np.isfinite(self.largest_indentation):
             lines.append(f"largest indentation: {1e3 * self.largest_indentation:.3f} mm")
         if self.constraint_drift is not None:
@@ -268,9 +259,7 @@ class Result:
         return dataset(self)
 
     def geometry(self) -> Dataset:
-        """What there is to draw of the scene: surfaces, lines of force, the button; see
-        `pftwin.results.scene_geometry`.
-        """
+        """What there is to draw of the scene: surfaces, lines, the button; see `pftwin.results.scene_geometry`."""
         from pftwin.results.scene_geometry import geometry
 
         return geometry(self.scene, self.effects)
@@ -326,12 +315,6 @@ def _continuous(q: Floats) -> Floats:
     """Quaternions without jumps of sign."""
     flips = np.where(np.einsum("ij,ij->i", q[1:], q[:-1]) < 0, -1.0, 1.0)
     return q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
-
-
-def _groups(scene: Scene) -> dict[str, int]:
-    """Groups of line elements, and how many lines each has."""
-    lines = [line for e in scene.effects if (line := e.line_element()) is not None]
-    return {line.name: line.count for line in lines if line.count is not None}
 
 
 def _knee_angles(motion: KneeMotion) -> TibiofemoralAngles:

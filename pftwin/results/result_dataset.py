@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from pftwin.base.labels import SYNTHETIC
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.base import Observable
+from pftwin.model.measured import SYNTHETIC
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -90,58 +90,48 @@ def _about(unit: str, long_name: str) -> dict[str, str]:
 
 
 def _kinematics(result: Result) -> Variables:
-    frame, angles, knee = ("time",), result.angles, result.knee
-    in_degrees = {
-        "patella_flexion": (angles.flexion, "patellar flexion about the femur's medial-lateral axis"),
-        "patella_tilt": (angles.tilt, "patellar tilt about its long axis, lateral positive"),
-        "patella_rotation": (angles.rotation, "patellar rotation about the floating axis, internal (medial) positive"),
-        "knee_flexion": (knee.flexion, "knee flexion (Grood and Suntay 1983)"),
-        "knee_adduction": (knee.adduction, "knee adduction (Grood and Suntay 1983)"),
-        "knee_internal_rotation": (knee.internal_rotation, "internal rotation of the tibia (Grood and Suntay 1983)"),
-    }
+    angles, knee, (place, turn) = result.angles, result.knee, result.tibia
     tracked = "patella's origin" if result.contact is None else "button's sphere centre"
-    return {
-        "sphere_center": ((*frame, "axis"), result.center, _about("m", f"{tracked} in the femur frame")),
-        "patella_position": ((*frame, "axis"), result.position, _about("m", "patella's origin in the femur frame")),
+    grood = "(Grood and Suntay 1983)"
+    rows = {
+        "sphere_center": (result.center, "m", f"{tracked} in the femur frame"),
+        "patella_position": (result.position, "m", "patella's origin in the femur frame"),
         "patella_quaternion": (
-            (*frame, "component"),
-            result.quaternion,
-            _about("1", "orientation of the patella in the femur frame, unit quaternion (w, x, y, z)"),
+            result.quaternion, "1", "orientation of the patella in the femur frame, unit quaternion (w, x, y, z)"
         ),
-        "tibia_position": (
-            (*frame, "axis"),
-            result.tibia[0],
-            _about("m", "origin of the tibia's frame in the femur's"),
+        "tibia_position": (place, "m", "origin of the tibia's frame in the femur's"),
+        "tibia_quaternion": (turn, "1", "orientation of the tibia in the femur frame, unit quaternion (w, x, y, z)"),
+        "patella_shift": (result.shift, "m", f"{tracked}: lateral place in the femur frame"),
+        "patella_flexion": (angles.flexion, "deg", "patellar flexion about the femur's medial-lateral axis"),
+        "patella_tilt": (angles.tilt, "deg", "patellar tilt about its long axis, lateral positive"),
+        "patella_rotation": (
+            angles.rotation, "deg", "patellar rotation about the floating axis, internal (medial) positive"
         ),
-        "tibia_quaternion": (
-            (*frame, "component"),
-            result.tibia[1],
-            _about("1", "orientation of the tibia in the femur frame, unit quaternion (w, x, y, z)"),
-        ),
-        "patella_shift": (frame, result.shift, _about("m", f"{tracked}: lateral place in the femur frame")),
-        **{name: (frame, np.degrees(a), _about("deg", text)) for name, (a, text) in in_degrees.items()},
-    }
+        "knee_flexion": (knee.flexion, "deg", f"knee flexion {grood}"),
+        "knee_adduction": (knee.adduction, "deg", f"knee adduction {grood}"),
+        "knee_internal_rotation": (knee.internal_rotation, "deg", f"internal rotation of the tibia {grood}"),
+    }  # fmt: skip
+    return {name: _row(*row) for name, row in rows.items()}
+
+
+def _row(values: Any, unit: str, long_name: str) -> tuple[tuple[str, ...], Any, dict[str, str]]:
+    """A variable over the frames, of numbers, vectors or quaternions; angles [rad] come out in degrees."""
+    values = np.degrees(values) if unit == "deg" else np.asarray(values)
+    last = {1: (), 3: ("axis",), 4: ("component",)}[values.shape[1] if values.ndim == 2 else 1]
+    return ("time", *last), values, _about(unit, long_name)
 
 
 def _tracking(result: Result) -> Variables:
     outcome = result.dislocations()
     if outcome is None or result.groove is None:
         return {}
-    frame = ("time",)
-    out = outcome.dislocated.astype(np.int8)
-    attributes = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "in_the_groove dislocated"}
+    place, offset = result.groove
+    dimensions, out, about = _row(outcome.dislocated.astype(np.int8), "1", "whether the button has left the groove")
+    flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "in_the_groove dislocated"}
     return {
-        "groove_position": (
-            frame,
-            result.groove[0],
-            _about("m", "place of the sphere centre along the groove"),
-        ),
-        "groove_offset": (
-            frame,
-            result.groove[1],
-            _about("m", "sphere centre off the groove's bottom, lateral positive"),
-        ),
-        "dislocated": (frame, out, {**_about("1", "whether the button has left the groove"), **attributes}),
+        "groove_position": _row(place, "m", "place of the sphere centre along the groove"),
+        "groove_offset": _row(offset, "m", "sphere centre off the groove's bottom, lateral positive"),
+        "dislocated": (dimensions, out, {**about, **flags}),
     }
 
 
@@ -155,16 +145,14 @@ def _energies(result: Result) -> Variables:
         found["work"] = (e.work, "work of the guided bodies and of known pulls since the start")
         found["heat"] = (e.heat, "energy lost in damping since the start")
         found["energy_budget_error"] = (e.budget_error, "energy that no effect accounts for: the integrator's own")
-    return {name: (("time",), values, _about("J", text)) for name, (values, text) in found.items()}
+    return {name: _row(values, "J", text) for name, (values, text) in found.items()}
 
 
 def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, ...]:
     """A group's elements are a dimension of their own; a last axis of three is x, y, z."""
-    rest = values.shape[1:]
+    rest, names = values.shape[1:], ["time"]
     if rest and rest[0] == result.groups.get(effect):
         rest, names = rest[1:], ["time", f"{effect}_element"]
-    else:
-        names = ["time"]
     for i, size in enumerate(rest):
         last = i == len(rest) - 1
         names.append("axis" if last and size == len(_AXES) else f"{effect}_{i}_{size}")

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_type_hints
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.base.json_files import read_json
-from pftwin.base.text_files import read_lines
+from pftwin.base.text_files import read_json, read_lines
 
 if TYPE_CHECKING:
     from rich.table import Table

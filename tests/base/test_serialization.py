@@ -52,10 +52,9 @@ def test_arrays_come_back(array):
     assert again[0].flags.writeable
 
 
-def test_arrays_of_jax_come_back_strong_and_weak():
-    strong, weak = jnp.asarray(2.0, dtype=float), jnp.asarray(2.0)
-    again = unpacked(packed((strong, weak)))
-    assert [a.aval for a in again] == [strong.aval, weak.aval]
+def test_arrays_of_jax_come_back():
+    strong = jnp.asarray(2.0, dtype=float)
+    assert unpacked(packed([strong]))[0].aval == strong.aval
 
 
 def test_a_scene_comes_back():
@@ -68,7 +67,14 @@ def test_a_scene_comes_back():
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("value", [len, object(), np.array([object()]), {1, 2}, jax.random.key(0), lambda: None])
+class Colour(enum.Enum):
+    RED = 1
+
+
+@pytest.mark.parametrize(
+    "value",
+    [len, object(), np.array([object()]), {1, 2}, jax.random.key(0), lambda: None, jnp.asarray(2.0), Colour.RED],
+)
 def test_what_is_not_plain_is_not_kept(value):
     with pytest.raises(NotPlainError):
         packed([value])
@@ -99,13 +105,12 @@ def test_a_pickle_in_a_kept_file_is_not_run(tmp_path):
 @pytest.mark.parametrize(
     "node",
     [
-        ["fields", "subprocess:Popen", ["args", "true"]],
-        ["fields", "pftwin.base.cache_folder:os.system"],
-        ["fields", "pftwin.base.cache_folder:Path"],
-        ["fields", "pftwin.base.errors:InputError"],
-        ["fields", "pftwin.base.spatial:Vec3", ["__class__", 1]],
+        ["fields", "subprocess:Popen", ["args"], ["true"]],
+        ["fields", "pftwin.base.cache_folder:os.system", [], []],
+        ["fields", "pftwin.base.cache_folder:Path", [], []],
+        ["fields", "pftwin.base.errors:InputError", [], []],
+        ["fields", "pftwin.base.spatial:Vec3", ["__class__"], [1]],
         ["named", "pftwin.base.spatial:Vec3", 1],
-        ["enum", "pftwin.base.spatial:Vec3", "x"],
         ["array", 7],
         ["call", "os.system"],
         [],
@@ -121,10 +126,6 @@ def test_damaged_bytes_are_noticed(damage):
     body = packed(["text 0123", np.arange(100.0)])
     with pytest.raises((ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile)):
         unpacked(damage(body))
-
-
-class Colour(enum.Enum):
-    RED = 1
 
 
 def test_values_that_differ_have_fingerprints_that_differ():

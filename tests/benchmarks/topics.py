@@ -37,7 +37,7 @@ def measure_topics(
     import pftwin
 
     pftwin.configure()
-    from pftwin.base import machine
+    from pftwin.base import runtime as machine
     from tests.benchmarks import accuracy, speed, startup
     from tests.benchmarks.problem import scene_of_case_1
 

@@ -80,8 +80,8 @@ def main(target: Path) -> None:
     import pftwin
 
     pftwin.configure()
-    from pftwin.base.machine import describe
     from pftwin.base.output import written_whole
+    from pftwin.base.runtime import describe
 
     found: dict[str, Any] = {"machine": describe(), "level": LEVEL, "counts_mm": COUNTS_MM, "scenes": []}
     sys.stdout.write(

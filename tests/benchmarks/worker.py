@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from pftwin.base.machine import pin_to_one_core
+from pftwin.base.runtime import pin_to_one_core
 
 COUNTS = {"0.01": (64,), "0.05": (1, 16, 64, 256)}  # variants side by side, by accuracy level [mm]
 

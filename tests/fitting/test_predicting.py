@@ -17,8 +17,8 @@ from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from pftwin import rig, simulate
 from pftwin.base.errors import InputError
-from pftwin.base.labels import SYNTHETIC
 from pftwin.dynamics.status import Status
+from pftwin.model.measured import SYNTHETIC
 
 TRANSFER = "tibial_tuberosity_transfer"
 MEDIAL = f"{TRANSFER}_medialisation"

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from fitting.cli.amounts import values
 from pftwin.base.errors import InputError
-from pftwin.base.labels import SYNTHETIC
 from pftwin.cli import app
 from pftwin.files.result_files import load_dataset
+from pftwin.model.measured import SYNTHETIC
 
 RUNNER = CliRunner(env={"COLUMNS": "200"})
 

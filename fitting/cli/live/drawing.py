@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitting.cli.live.shown import Shown, ShownTrack
 from pftwin.results.viewer import bones
-from pftwin.results.viewer.drawing import darker, paler
-from pftwin.results.viewer.knee import BONE, METAL, PLASTIC
+from pftwin.results.viewer.knee import BONE, METAL, PLASTIC, darker, paler
 from pftwin.results.viewer.recorded import Recorded
 from pftwin.results.viewer.shapes import Shape, arrow, behind_plane, button_cap, ellipsoid, shell, surface
 

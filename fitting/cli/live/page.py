@@ -15,9 +15,8 @@ from fitting.cli.live.drawing import Bones, DrawnKnee, component_of
 from fitting.cli.live.engine import TREATED, Engine, LiveModel
 from fitting.cli.live.knobs import Knob
 from fitting.cli.live.shown import Shown
-from pftwin.results.viewer.assembly import per_centimetre
-from pftwin.results.viewer.views import views
-from pftwin.results.viewer.words import legend, notes, readout
+from pftwin.results.viewer.assembly import per_centimetre, views
+from pftwin.results.viewer.page import legend, notes, readout
 
 if TYPE_CHECKING:
     from viser import ClientHandle

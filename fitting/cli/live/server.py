@@ -18,7 +18,7 @@ from fitting.cli.live.origin import guarded, own_pages
 from fitting.cli.live.session import Session
 from fitting.cli.live.worker import Worker
 from pftwin.base.errors import MissingExtraError
-from pftwin.results.viewer.views import views
+from pftwin.results.viewer.assembly import views
 
 
 def viser() -> Any:

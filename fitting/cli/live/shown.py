@@ -8,11 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.results.viewer.drawing import held
-from pftwin.results.viewer.knee import FEW, REST, line_ends
-from pftwin.results.viewer.matrices import MM, Matrices, at_points, of_arrows
+from pftwin.results.viewer.knee import FEW, REST, held, line_ends
 from pftwin.results.viewer.recorded import Recorded
-from pftwin.results.viewer.shapes import Shape, apart, path, tubes
+from pftwin.results.viewer.shapes import MM, Matrices, Shape, apart, at_points, of_arrows, path, tubes
 
 Floats = NDArray[np.float64]
 

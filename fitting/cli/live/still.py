@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from pftwin.base.spatial import Vec3
 from pftwin.model.scene import Scene
-from pftwin.results.drawn_surface import continuation, has_rectangle
-from pftwin.results.scene_geometry import geometry
-from pftwin.results.viewer.matrices import MM
-from pftwin.results.viewer.shapes import Shape
+from pftwin.results.scene_geometry import continuation, geometry, has_rectangle
+from pftwin.results.viewer.shapes import MM, Shape
 
 if TYPE_CHECKING:
     from xarray import Dataset

@@ -44,7 +44,7 @@ class Material:
 
     def synthetic(self) -> list[str]:
         """What has to be said of synthetic data, each once."""
-        from pftwin.base.labels import SYNTHETIC
+        from pftwin.model.measured import SYNTHETIC
 
         said = [r.note for r in self.runs if "synthetic" in r.note]
         if self.chosen is not None and self.chosen.scene.synthetic:

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pftwin.base.errors import InputError
-from pftwin.base.json_files import read_json
 from pftwin.base.output import make_folder, remove_unfinished, written_whole
+from pftwin.base.text_files import read_json
 from pftwin.dynamics.batch.part_numbers import MARKS, checksum, numbers_like
 
 if TYPE_CHECKING:

@@ -1,23 +1,24 @@
 """Several processes of one job, as `jax.distributed` joins them: who is there, and what they tell each other.
 
-They meet in JAX's coordination service, which hears of every process by its heartbeats: a meeting waits for whoever
-lives, however long, and for nobody else. Collectives (Gloo, NCCL) would do neither: one gives up after half an hour,
-the other never. JAX has no public name for the service's client; this is the one place that uses it.
+They meet by `live_devices`, which goes by every process's heartbeats: a meeting waits for whoever lives, however long,
+and for nobody else. A collective alone would do neither: Gloo's gives up after half an hour, and none goes on without a
+process that died. So texts are exchanged by a collective among the CPUs of those who have just met.
 """
 
 from __future__ import annotations
 
 import atexit
-import itertools
+import contextlib
 from functools import cache
 from typing import Any
 
 import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from pftwin.base.errors import PftwinError
-
-_SOON = 60_000  # [ms] for a text that was left before a meeting that is over
-_calls = itertools.count()  # all processes make the same calls, in the same order
+# What `live_devices` raises where a process was lost in its block: until JAX 0.10.0 the one, then the other.
+_LOST = (ValueError, getattr(multihost_utils, "ProcessFailureError", ValueError))
 
 
 class Processes:
@@ -26,39 +27,69 @@ class Processes:
     def __init__(self) -> None:
         self.index, self.count = jax.process_index(), jax.process_count()
         self.alive = tuple(range(self.count))
-        self._client = _client() if self.count > 1 else None
         if self.count > 1 and self.index == 0:
-            _last_to_leave(self.count)
-        self._call, self._steps = next(_calls) if self.count > 1 else 0, itertools.count()
+            _last_to_leave()
 
     def gathered(self, text: str) -> dict[int, str]:
         """What each process that is still there has to say, by its index. Waits for all of them.
 
         From then on `alive` are those: all processes agree on it.
         """
-        if self._client is None:
+        if self.count == 1:
             return {self.index: text}
-        place = f"pftwin/{self._call}/{next(self._steps)}"
-        self._client.key_value_set(f"{place}/{self.index}", text)
-        self.alive = tuple(sorted(self._client.get_live_nodes(list(self.alive))))
-        return {i: self._client.blocking_key_value_get(f"{place}/{i}", _SOON) for i in self.alive}
+        live = _meet()
+        while True:
+            failure, said = None, {}
+            try:
+                said = _exchanged(live, text)
+            except jax.errors.JaxRuntimeError as error:
+                failure = error
+            before, live = live, _meet()
+            if live == before:  # otherwise one was lost meanwhile, and the others talk again
+                if failure is not None:
+                    raise failure
+                self.alive = tuple(said)
+                return said
 
 
-def _client() -> Any:
-    from jax._src import distributed
+def _meet() -> dict[int, Any]:
+    """Waits for all processes that live: a CPU device of each, by its index, the same for all who have met."""
+    while True:
+        found = multihost_utils.live_devices(jax.devices("cpu"))
+        if isinstance(found, list):  # before JAX 0.8.1
+            break
+        with contextlib.suppress(*_LOST):  # a context, which meets as its block ends, and says so if one was lost
+            with found as devices:
+                pass
+            found = devices
+            break
+    first = {d.process_index: d for d in sorted(found, key=lambda d: d.id, reverse=True)}
+    return {i: first[i] for i in sorted(first)}
 
-    client = distributed.global_state.client
-    if not hasattr(client, "get_live_nodes"):
-        raise PftwinError(f"JAX {jax.__version__} cannot say which processes live; try: a newer JAX")
-    return client
+
+def _exchanged(devices: dict[int, Any], text: str) -> dict[int, str]:
+    """Each process's text, by its index."""
+    own = np.frombuffer(text.encode(), np.uint8)
+    sizes = _rows(devices, np.array([own.size], np.int32))[:, 0]
+    padded = np.zeros(sizes.max(), np.uint8)
+    padded[: own.size] = own
+    rows = _rows(devices, padded)
+    return {i: row[:n].tobytes().decode() for i, row, n in zip(devices, rows, sizes, strict=True)}
+
+
+def _rows(devices: dict[int, Any], row: np.ndarray) -> np.ndarray:
+    """The rows of all processes, in the order of the devices; all are of one length."""
+    mesh = Mesh(np.array(list(devices.values())), ("process",))
+    rows = jax.make_array_from_process_local_data(NamedSharding(mesh, PartitionSpec("process")), row[None])
+    everywhere = jax.jit(lambda x: x, out_shardings=NamedSharding(mesh, PartitionSpec()))(rows)
+    return np.asarray(everywhere.addressable_data(0))
 
 
 @cache
-def _last_to_leave(count: int) -> None:
-    """The service lives in process 0, and who is still there when it goes is ended.
+def _last_to_leave() -> None:
+    """The coordination service lives in process 0, and who is still there when it goes is ended.
 
     JAX itself has processes leave together, but not where they may outlive each other (jax_enable_recoverability).
     """
     if getattr(jax.config, "jax_enable_recoverability", False):
-        client = _client()
-        atexit.register(lambda: client.get_live_nodes(list(range(count))))
+        atexit.register(_meet)

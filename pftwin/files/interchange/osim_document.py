@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.file_limits import MODEL_BYTES
-from pftwin.base.text_files import read_bytes
+from pftwin.base.text_files import MODEL_BYTES, read_bytes
 
 DEEPEST = 64  # elements within each other; models have a dozen
 OLDEST = 40000  # the version of files of OpenSim 4

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pftwin.base.errors import InputError
-from pftwin.base.file_limits import SCENE_BYTES
-from pftwin.base.text_files import read_lines
+from pftwin.base.text_files import SCENE_BYTES, read_lines
 
 Place = tuple[str | int, ...]
 MISSING: Any = object()

@@ -11,10 +11,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pftwin.base.errors import InputError
-from pftwin.base.json_files import read_json
 from pftwin.base.leaves import number as leaf
 from pftwin.base.leaves import vector
-from pftwin.base.text_files import number, read_lines
+from pftwin.base.text_files import number, read_json, read_lines
 from pftwin.files.mocap.tables import unknown_name
 from pftwin.files.scene_file.effect_tables import Body, EffectSection
 from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, problem

@@ -20,8 +20,8 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.file_limits import MESH_TRIANGLES
 from pftwin.base.program_cache import cached
+from pftwin.base.text_files import MESH_TRIANGLES
 from pftwin.geometry.bvh import boxes, discs
 from pftwin.geometry.bvh.order import depth_for, median_order
 from pftwin.geometry.mesh.mesh import SurfaceMesh

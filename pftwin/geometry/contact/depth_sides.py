@@ -15,9 +15,9 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.file_limits import MESH_TRIANGLES
 from pftwin.base.program_cache import cached
 from pftwin.base.spatial import Vec3
+from pftwin.base.text_files import MESH_TRIANGLES
 from pftwin.geometry.bvh.fans import Fans, fans_of, rows_of
 from pftwin.geometry.bvh.features import features_of
 from pftwin.geometry.bvh.triangle import Triangle

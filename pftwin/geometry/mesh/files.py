@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.file_limits import MESH_BYTES, MESH_TRIANGLES
+from pftwin.base.text_files import MESH_BYTES, MESH_TRIANGLES
 
 _FORMATS = (".stl", ".obj", ".ply")
 

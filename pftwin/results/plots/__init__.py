@@ -10,10 +10,8 @@ from __future__ import annotations
 
 from pftwin.results.plots.accessor import ResultPlots
 from pftwin.results.plots.against_flexion import against_flexion
-from pftwin.results.plots.case import case_figure
-from pftwin.results.plots.compared import compared
-from pftwin.results.plots.saving import save_figure
-from pftwin.results.plots.style import COLOURS, STYLE, house_style
+from pftwin.results.plots.compared import case_figure, compared
+from pftwin.results.plots.style import COLOURS, STYLE, house_style, save_figure
 from pftwin.results.plots.trajectory import trajectory
 
 __all__ = [

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.labels import SYNTHETIC
+from pftwin.model.measured import SYNTHETIC
 
 if TYPE_CHECKING:
     from pftwin.model.measured import Measured

@@ -1,14 +1,28 @@
-"""The house style, in one place: colours, dashes, markers, sizes, and what wide, small and measured things look like.
+"""The house style: colours, dashes, markers and sizes, panels in rows, legends, and figures as files.
 
 It holds inside `with house_style():` alone; matplotlib's global settings stay as they are.
 """
 
 from __future__ import annotations
 
+import os
 import textwrap
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.base.output import written_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# No dates: the same figure gives the same file.
+_METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 # Okabe and Ito 2008, without the yellow, which is faint on white; measurements are black.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 # Lines also differ by dashes or markers, for readers who see no colour at all, and for prints in grey.
@@ -16,11 +30,9 @@ DASHES: tuple[Any, ...] = (
     "-", (0, (6, 1.5)), (0, (3, 1.2)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)),
 )  # fmt: skip
 MARKERS = "osD^vP*X"
-
 TEXT, SMALL, TINY = 9.0, 8.0, 7.0  # sizes of letters [pt]: everywhere, in legends of panels, of notes inside panels
 COLUMN, PAGE, WIDE = 3.5, 7.2, 11.0  # widths of figures [in]: a journal's column, its page, a screen
 DPI = 160  # of PNG files
-
 STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: figures look alike on every machine
     "font.size": TEXT,
@@ -41,6 +53,80 @@ STYLE: Any = {
 MEASURED: dict[str, Any] = {"color": "black", "linewidth": 2.6, "alpha": 0.35, "zorder": 1}
 BAND: dict[str, Any] = {"alpha": 0.2, "linewidth": 0}
 START: dict[str, Any] = {"marker": "o", "markersize": 4, "linestyle": "none"}
+
+
+def save_figure(
+    figure: Figure, stem: str | os.PathLike[str], kinds: Sequence[str] = ("png", "svg")
+) -> tuple[Path, ...]:
+    """Writes STEM.png and STEM.svg, or other kinds, each whole or not at all.
+
+    Args:
+        figure: of this package, or any other of matplotlib's.
+        stem: path without a suffix.
+        kinds: of files: "png", "svg", "pdf".
+
+    Raises:
+        InputError: another kind.
+        OutputError: the folder is missing or cannot be written to.
+    """
+    base = Path(stem)
+    for kind in kinds:
+        if kind not in _METADATA:
+            raise InputError(f"unknown kind of figure {kind!r}", where="kinds", expected=", ".join(_METADATA))
+    paths = tuple(base.with_name(f"{base.name}.{kind}") for kind in kinds)
+    with house_style():
+        for path, kind in zip(paths, kinds, strict=True):
+            with written_whole(path) as temporary:
+                figure.savefig(temporary, dpi=DPI, metadata=_METADATA[kind])
+    return paths
+
+
+def panels_in_rows(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
+    """A page wide, with one horizontal axis for all, named under the lowest panel of each column.
+
+    Args:
+        count: of panels.
+        columns: at most so many.
+        height: of a row [in].
+    """
+    from matplotlib.figure import Figure
+
+    columns = min(columns, count)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(PAGE, height * rows + 0.9))
+    grid = list(figure.subplots(rows, columns, sharex=True, squeeze=False).ravel())
+    for i, ax in enumerate(grid):
+        lowest = i + columns >= count
+        ax.tick_params(labelbottom=lowest)
+        ax.xaxis.label.set_visible(lowest)
+        if i >= count:
+            ax.remove()
+    return figure, grid[:count]
+
+
+def given_axes(axes: Any, count: int, what: str) -> list[Any] | None:
+    """A user's axes as a list; None where there are none.
+
+    Raises:
+        InputError: another number than there are panels.
+    """
+    if axes is None:
+        return None
+    found = list(np.ravel(np.asarray(axes, dtype=object)))
+    if len(found) != count:
+        raise InputError(f"{len(found)} axes", where="axes", expected=f"{count}: {what}")
+    return found
+
+
+def figure_of(ax: Any) -> Figure:
+    """The whole figure that axes are in, be it by way of a subfigure."""
+    return ax.figure.figure
+
+
+def entries(panels: Sequence[Axes]) -> tuple[list[Any], list[str]]:
+    """Of the legends of all panels together: one may lack what others have."""
+    found = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    return list(found.values()), list(found)
 
 
 def house_style(**changes: Any) -> AbstractContextManager[None]:

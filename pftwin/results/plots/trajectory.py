@@ -1,16 +1,21 @@
-"""The patella's path over the trochlea: contours of the surface, the button's centre, and where each facet bears."""
+"""The patella's path over the trochlea as a map: contours in a chart's coordinates, the button and its contacts."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
-from pftwin.results.plots.panels import figure_of
+from pftwin.base.errors import InputError
+from pftwin.base.spatial import Rotation, Vec3
+from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
 from pftwin.results.plots.quantities import provenance
-from pftwin.results.plots.relief import Relief, relief
-from pftwin.results.plots.style import COLOURS, DASHES, MEASURED, START, house_style, legend_below
+from pftwin.results.plots.style import COLOURS, DASHES, MEASURED, START, figure_of, house_style, legend_below
 from pftwin.results.plots.style import title as name_figure
+from pftwin.results.scene_geometry import has_rectangle, indexed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,6 +24,11 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.results.result import Result
 
+Floats = NDArray[np.float64]
+
+MARGIN = 5.0  # of the map around the path [mm]
+_SAMPLES = 121  # of a smooth surface, either way
+_NAMES = (("distal", "proximal"), ("medial", "lateral"), ("posterior", "anterior"))
 _LEVELS = 14
 _POINTS = (
     ("point_medial", "contact, medial facet"),
@@ -27,6 +37,136 @@ _POINTS = (
 )
 _SCALE, _FRAME = 0.066, (1.9, 2.0)  # of a map [in per mm], and what stands around it [in]
 _SMALLEST, _LARGEST = (4.4, 4.2), (7.2, 8.5)
+
+
+class Relief(NamedTuple):
+    """Heights over (u, v) [mm]: a grid (triangles None) or the corners of a mesh's triangles."""
+
+    chart: Any
+    u: Floats
+    v: Floats
+    height: Floats
+    triangles: NDArray[np.int64] | None
+    rectangle: tuple[float, float, float, float] | None  # u and v between which a smooth surface was fitted
+
+    @property
+    def labels(self) -> tuple[str, str, str]:
+        """Of u, v and height, with the way in which they grow."""
+        along, across = _way(self.chart.axes.ex), _way(self.chart.axes.ey)
+        round_axis = isinstance(self.chart, CylindricalChart)
+        height = "distance from the trochlear axis" if round_axis else "height over the chart's plane"
+        return f"along the groove, {along} [mm]", f"across the groove, {across} [mm]", f"{height} [mm]"
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """The least and the largest [mm]; of a fitted surface within its rectangle, beyond which it is all slope."""
+        inside = np.ones(self.height.shape, dtype=bool)
+        if self.rectangle is not None:
+            u0, u1, v0, v1 = self.rectangle
+            inside = (self.u >= u0) & (self.u <= u1) & (self.v >= v0) & (self.v <= v1)
+        return float(self.height[inside].min()), float(self.height[inside].max())
+
+    def place(self, points: Floats) -> tuple[Floats, Floats]:
+        """(u, v) [mm] straight below points (n, 3) of the femur frame [m]; NaN where a point is."""
+        return _coordinates(self.chart, points)[:2]
+
+
+def relief(result: Result, *paths: Floats) -> Relief:
+    """The map of a result's trochlea around paths (n, 3) [m] of the femur frame.
+
+    Raises:
+        InputError: a scene without contact between a button and a trochlea.
+    """
+    contact = result.scene.contact
+    femur = None if contact is None else contact.femur_triangles()
+    mesh = None if femur is None else indexed(femur)
+    surface = result.surface
+    if surface is None and mesh is None:
+        raise InputError(
+            "no contact between a button and a trochlea, so no surface to draw",
+            where=result.scene_name,
+            remedy="result.plot.against_flexion(), which needs none",
+        )
+    chart = _facing(result, mesh) if surface is None else surface.chart
+    window = _window(chart, np.concatenate(paths))
+    if mesh is not None:
+        return _of_mesh(chart, mesh, window)
+    return _of_surface(surface, window)
+
+
+def _of_surface(surface: Any, window: Floats) -> Relief:
+    """Over its rectangle, and beyond it as far as the paths go."""
+    rectangle = None
+    if has_rectangle(surface):
+        ends = [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
+        rectangle = (1e3 * ends[0][0], 1e3 * ends[0][1], 1e3 * ends[1][0], 1e3 * ends[1][1])
+        low, high = np.array([rectangle[0], rectangle[2]]), np.array([rectangle[1], rectangle[3]])
+        window = np.stack([np.fmin(window[0], low), np.fmax(window[1], high)])
+    lines = [np.linspace(window[0, k], window[1, k], _SAMPLES) for k in (0, 1)]
+    u, v = np.meshgrid(*lines, indexing="ij")
+    return Relief(surface.chart, u, v, _heights(surface, u, v), None, rectangle)
+
+
+def _of_mesh(chart: Any, mesh: tuple[Floats, NDArray[np.int64]], window: Floats) -> Relief:
+    """The triangles that face outwards and lie in the window."""
+    u, v, height = _coordinates(chart, mesh[0])
+    faces = mesh[1]
+    fu, fv = u[faces], v[faces]
+    area = (fu[:, 1] - fu[:, 0]) * (fv[:, 2] - fv[:, 0]) - (fu[:, 2] - fu[:, 0]) * (fv[:, 1] - fv[:, 0])
+    inside = (fu > window[0, 0]) & (fu < window[1, 0]) & (fv > window[0, 1]) & (fv < window[1, 1])
+    kept = faces[(area > 0) & inside.all(axis=1)]
+    used, which = np.unique(kept, return_inverse=True)
+    return Relief(chart, u[used], v[used], height[used], which.reshape(-1, 3), None)
+
+
+def _window(chart: Any, points: Floats) -> Floats:
+    """Least and largest (u, v) of the points, with a margin, (2, 2) [mm]."""
+    u, v, _ = _coordinates(chart, points)
+    ends = [[np.nanmin(c) - MARGIN, np.nanmax(c) + MARGIN] for c in (u, v)]
+    return np.array(ends).T
+
+
+def _facing(result: Result, mesh: Any) -> PlaneChart:
+    """A plane across the mean contact force, for a mesh that brings no chart."""
+    report = result.effects[str(result.contact)]
+    force = np.stack([report[f"force_{k}"] for k in "xyz"], axis=1)
+    out = np.nansum(force, axis=0)
+    if not np.linalg.norm(out) > 0:
+        raise InputError("the button touches nothing, so nothing says where to look", where=result.scene_name)
+    z = out / np.linalg.norm(out)
+    y = np.array([0.0, 1.0, 0.0]) - z[1] * z
+    y /= np.linalg.norm(y)
+    origin = Vec3.from_array(jnp.asarray(mesh[0].mean(axis=0)))
+    return PlaneChart(origin, Rotation.from_array(jnp.asarray(np.stack([np.cross(y, z), y, z], axis=1))))
+
+
+def _coordinates(chart: Any, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """(u, v, height) of points (n, 3) [m], in millimetres."""
+    at = _in_chart(chart, Vec3(*np.asarray(points, dtype=np.float64).T))
+    u, v, height = (1e3 * np.asarray(c, dtype=np.float64) for c in (at.x, at.y, at.z))
+    return u, v, height
+
+
+@eqx.filter_jit
+def _in_chart(chart: Any, points: Any) -> Vec3:
+    return chart.coordinates(Vec3(*(jnp.asarray(c, float) for c in (points.x, points.y, points.z))))
+
+
+def _heights(surface: Any, u: Floats, v: Floats) -> Floats:
+    """At (u, v) [mm], in millimetres."""
+    return 1e3 * np.asarray(_height(surface, 1e-3 * u, 1e-3 * v), dtype=np.float64)
+
+
+@eqx.filter_jit
+def _height(surface: Any, u: Any, v: Any) -> Any:
+    return surface.height(jnp.asarray(u, float), jnp.asarray(v, float))
+
+
+def _way(axis: Vec3) -> str:
+    """What is at the positive end of a direction of the femur frame."""
+    parts = [float(c) for c in (axis.x, axis.y, axis.z)]
+    k = int(np.argmax(np.abs(parts)))
+    return _NAMES[k][parts[k] > 0]
 
 
 def trajectory(

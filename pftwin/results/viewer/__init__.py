@@ -39,7 +39,7 @@ def view(
         OutputError: the page cannot be written.
     """
     from pftwin.results.viewer.assembly import plot
-    from pftwin.results.viewer.drawing import k3d
+    from pftwin.results.viewer.knee import k3d
     from pftwin.results.viewer.page import add_controls, write_page
     from pftwin.results.viewer.recorded import recorded
 

@@ -1,4 +1,4 @@
-"""The plot: every result's objects, bodies that results share drawn once, legend, numbers, camera."""
+"""The plot: every result's objects, bodies that results share drawn once, legend, numbers, cameras."""
 
 from __future__ import annotations
 
@@ -8,20 +8,39 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pftwin.results.plots import COLOURS
-from pftwin.results.viewer import knee, words
-from pftwin.results.viewer.drawing import k3d, keyed, paler
+from pftwin.results.viewer import knee, page
+from pftwin.results.viewer.knee import k3d, keyed, paler
 from pftwin.results.viewer.recorded import Mesh, Recorded
-from pftwin.results.viewer.views import views
+from pftwin.results.viewer.shapes import MM
 
 if TYPE_CHECKING:
     from k3d.plot import Plot
 
+DISTANCE = 370.0  # of the camera [mm]
+# Where the camera stands from the joint, and what is up: femur axes x proximal, y lateral, z anterior.
+_FROM = {
+    "anterior": ((0.12, 0.12, 1.0), (1, 0, 0)),
+    "lateral": ((0.05, 1.0, 0.15), (1, 0, 0)),
+    "medial": ((0.05, -1.0, 0.15), (1, 0, 0)),
+    "skyline": ((-1.0, 0.0, 0.25), (0, 0, 1)),
+}
 LONGEST = 80.0  # of an arrow [mm], about
 _ROUND = (1.0, 2.0, 5.0)
 ROOM = [-250.0, -100.0, -200.0, 300.0, 100.0, 150.0]  # that k3d's camera sees [mm]
 ALIKE = 2.0  # tibias that are never farther apart are drawn once: their origins, and what is 100 mm away [mm]
 MOST = 0.98  # share of the forces that are not longer than that
 SIDE = 68.0  # of the words "lateral" and "medial" from the middle [mm]
+
+
+def views(result: Recorded) -> dict[str, list[float]]:
+    """Cameras by name: place, target, up, nine numbers each [mm]."""
+    center = MM * np.nanmean(result.data["sphere_center"].values, axis=0)
+    target = np.array([center[0] + 8.0, center[1] * 0.5, center[2] - 12.0])
+    found = {}
+    for name, (toward, up) in _FROM.items():
+        place = target + DISTANCE * np.asarray(toward) / np.linalg.norm(toward)
+        found[name] = [float(v) for v in (*place, *target, *up)]
+    return found
 
 
 def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
@@ -45,7 +64,7 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
         if result not in alike:
             parts += knee.component(result, paler(code, 0.5), result.name)
         own.append(parts)
-    said = words.notes(results, newtons)
+    said = page.notes(results, newtons)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
     shown = views(first)
     made = k3d().plot(
@@ -60,7 +79,7 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
         lighting=1.4,
         height=680,
         time=float(times[0]),
-        name=words.title(results),
+        name=page.title(results),
         camera=shown["anterior"],
     )
     for drawn in [*objects, *(part for parts in own for part in parts)]:
@@ -68,11 +87,9 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
     for side, y in (("lateral", SIDE), ("medial", -SIDE)):
         x, _, z = shown["anterior"][3:6]
         place = {"position": [x, y, z], "reference_point": "cc"}
-        made += k3d().text(
-            words.side(side), **place, color=0x888888, size=0.9, is_html=True, label_box=False, name=side
-        )
-    made += _written("legend", words.legend(results, codes, said), (0.01, 0.015), "lt")
-    numbers = keyed(times, [words.readout(results, codes, t) for t in times])
+        made += k3d().text(page.side(side), **place, color=0x888888, size=0.9, is_html=True, label_box=False, name=side)
+    made += _written("legend", page.legend(results, codes, said), (0.01, 0.015), "lt")
+    numbers = keyed(times, [page.readout(results, codes, t) for t in times])
     made += _written("numbers", numbers, (0.99, 0.015), "rt")
     control = {
         "begin": float(times[0]),

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.results.viewer.matrices import MM
 from pftwin.results.viewer.recorded import Mesh, Recorded
-from pftwin.results.viewer.shapes import Shape, ellipsoid, turned
+from pftwin.results.viewer.shapes import MM, Shape, ellipsoid, turned
 
 # Half width and height along the bone [mm]: the femur's from behind its component upwards, the tibia's down from its
 # plateau. Between them the outline is smooth.

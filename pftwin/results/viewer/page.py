@@ -1,22 +1,100 @@
-"""The page: k3d's own standalone snapshot, with a title and a bar of controls that drive k3d's public functions."""
+"""The page: k3d's standalone snapshot with a bar of controls; its legend and numbers, HTML with every name escaped."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
+from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pftwin.base.output import check_place
 from pftwin.base.text_files import write_text
+from pftwin.results.viewer.recorded import Recorded
 
 if TYPE_CHECKING:
     from k3d.plot import Plot
 
+_BOX = "font:13px/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;color:#222"
+SCHEMATIC = "Shaft of the femur, tibia and patella are schematic: the scene has no meshes of them."
+CONTINUED = "Pale: the fitted surface continued beyond its edge."
+_RIGHT = "text-align:right;padding-right:8px;white-space:nowrap"
 _TITLE = re.compile(r"<title>.*?</title>", re.DOTALL)
 _CONTROL = "/*CONTROL*/null"  # in controls.js, where what the bar has to know goes
+
+
+def title(results: Sequence[Recorded]) -> str:
+    """Of the page."""
+    return " and ".join(r.name for r in results)
+
+
+def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
+    """What has to be said of the data and of the drawing; the data's come first."""
+    said = list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
+    said.append(SCHEMATIC)
+    if any(r.mesh("continuation") is not None for r in results):
+        said.append(CONTINUED)
+    if any(push.present.any() for r in results for push in r.pushes):
+        said.append(f"Arrows: contact force on the patella, 10 mm for {newtons:g}\u00a0N.")
+    return said
+
+
+def side(name: str) -> str:
+    """A word beside the knee, in the page's letters instead of those for formulas."""
+    return f"<span style=\"font-family:system-ui,'Segoe UI',Helvetica,Arial,sans-serif\">{escape(name)}</span>"
+
+
+def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str]) -> str:
+    """Names in their colours, and the notes."""
+    rows = [
+        f"<div><span style='display:inline-block;width:11px;height:11px;margin-right:6px;background:{code}'></span>"
+        f"<b>{escape(r.name)}</b></div>"
+        for r, code in zip(results, codes, strict=True)
+    ]
+    small = "".join(f"<div style='font-size:11px;color:#555'>{escape(line)}</div>" for line in said)
+    return f'<div style="{_BOX};max-width:290px">{"".join(rows)}{small}</div>'
+
+
+def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> str:
+    """Numbers of every result at its shown frame nearest to a time."""
+    out = [r.series("dislocated") for r in results]
+    wide = "min-width:66px" if any(o is not None and (o > 0).any() for o in out) else ""
+    rows = []
+    for result, code, dislocated in zip(results, codes, out, strict=True):
+        k = int(np.argmin(np.abs(result.times - time)))
+        cells = [
+            f"<td style='color:{code};font-weight:600;padding-right:8px'>{escape(result.name)}</td>",
+            _cell(_at(result, "knee_flexion", k), "°", 0),
+            _cell(_at(result, "patella_tilt", k), "°", 1),
+            _cell(1e3 * _at(result, "patella_shift", k), " mm", 1),
+            _cell(_contact_force(result, k), " N", 1),
+            f"<td style='{wide}'>{'dislocated' if dislocated is not None and dislocated[k] > 0 else ''}</td>",
+        ]
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    head = "".join(f"<td style='{_RIGHT};color:#555'>{h}</td>" for h in ("flexion", "tilt", "shift", "contact"))
+    table = f"<table style='border-spacing:0;font:inherit'><tr><td></td>{head}<td></td></tr>{''.join(rows)}</table>"
+    return f'<div style="{_BOX};font-variant-numeric:tabular-nums"><b>{time:.2f} s</b>{table}</div>'
+
+
+def _cell(value: float, unit: str, digits: int) -> str:
+    text = f"{value:.{digits}f}{unit}".replace("-", "−") if np.isfinite(value) else ""
+    return f"<td style='{_RIGHT}'>{text}</td>"
+
+
+def _at(result: Recorded, name: str, k: int) -> float:
+    """A variable at a frame; NaN where the result has none of that name."""
+    values = result.series(name)
+    return float("nan") if values is None else float(values[k])
+
+
+def _contact_force(result: Recorded, k: int) -> float:
+    """What the result's contacts report as their force, summed [N]; NaN where there is none."""
+    names = {push.contact for push in result.pushes}
+    return sum(_at(result, f"{name}_force", k) for name in names) if names else float("nan")
 
 
 def add_controls(plot: Plot, control: dict[str, Any]) -> None:

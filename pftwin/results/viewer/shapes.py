@@ -1,4 +1,4 @@
-"""Shapes to draw with, vertices [mm] and triangles: simple solids, arrows, tubes, and meshes made fit to draw."""
+"""Shapes to draw with, vertices [mm] and triangles, and the 4 x 4 model matrices that carry them: metres in, mm out."""
 
 from __future__ import annotations
 
@@ -8,13 +8,51 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pftwin.results.viewer.matrices import MM
-
+MM = 1e3  # per metre
+Matrices = NDArray[np.float32]  # (n, 4, 4), row by row, lengths in mm
 ROUND = 48  # sides of what is round
 MOST_TRIANGLES = 30_000  # of a mesh that is drawn: a page then stays far below 8 MB
 CAP = np.radians(58.0)  # half the opening of a button's cap
 SHELL = 5.0  # thickness of a femoral component that is known by its surface alone [mm]
 _TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # what turns z to an axis
+
+
+def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
+    """From positions (n, 3) [m] and unit quaternions (n, 4), scalar first."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(np.asarray(quaternion, dtype=np.float64), scalar_first=True)
+    return _assembled(turn.as_matrix(), MM * np.asarray(position, dtype=np.float64))
+
+
+def at_points(points: ArrayLike) -> Matrices:
+    """From positions (n, 3) [m] of something that does not turn."""
+    points = np.asarray(points, dtype=np.float64)
+    return _assembled(np.broadcast_to(np.eye(3), (len(points), 3, 3)), MM * points)
+
+
+def of_arrows(tails: ArrayLike, arrows: ArrayLike) -> Matrices:
+    """From tails (n, 3) [m] and arrows (n, 3) [mm]: they carry the unit arrow along z to there, its width with it."""
+    arrows = np.asarray(arrows, dtype=np.float64)
+    length = np.linalg.norm(arrows, axis=1)
+    z = arrows / length[:, None]
+    least = np.eye(3)[np.argmin(np.abs(z), axis=1)]  # the axis that is least along the arrow
+    x = np.cross(least, z)
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    turn = np.stack([x, np.cross(z, x), z], axis=2)
+    return _assembled(turn * length[:, None, None], MM * np.asarray(tails, dtype=np.float64))
+
+
+def applied(matrices: Matrices, points: ArrayLike) -> NDArray[np.float64]:
+    """Points (k, 3) [m] fixed in a body, in the femur's frame at every frame: (n, k, 3) [mm]."""
+    moved = np.einsum("nij,kj->nki", matrices[:, :3, :3].astype(np.float64), MM * np.asarray(points, dtype=np.float64))
+    return moved + matrices[:, None, :3, 3]
+
+
+def _assembled(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Matrices:
+    out = np.zeros((len(place), 4, 4), dtype=np.float32)
+    out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = turn, place, 1.0
+    return out
 
 
 class Shape(NamedTuple):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pftwin.base.labels import SYNTHETIC
+from pftwin.model.measured import SYNTHETIC
 from pftwin.studies.audit.audit import Audit
 from pftwin.studies.audit.explain import Explanation, PartCost
 from pftwin.studies.tables import Column, Sheet, short, to_dataset

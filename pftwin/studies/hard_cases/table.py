@@ -128,7 +128,7 @@ class KeptPiece(NamedTuple):
 
     rows: tuple[Cell, ...]
     seconds: float  # compiling included
-    machine: dict[str, Any]  # as `pftwin.base.machine.describe` has it, date included
+    machine: dict[str, Any]  # as `pftwin.base.runtime.describe` has it, date included
     quick: bool  # neither derivatives nor batches side by side
 
     def as_dict(self) -> dict[str, Any]:

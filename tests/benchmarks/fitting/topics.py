@@ -30,7 +30,7 @@ def measure_topics(
     import pftwin
 
     pftwin.configure()
-    from pftwin.base import machine
+    from pftwin.base import runtime as machine
 
     about, rows = machine.describe(), []
     for topic in chosen:

@@ -13,11 +13,10 @@ from cheap_batch import COUNT, UNIT, batch, digest, made_cheap
 from small_scene import small_scene
 
 from pftwin import simulate_batch
-from pftwin.base.errors import InputError, OutputError, PftwinError, PftwinWarning
+from pftwin.base.errors import InputError, OutputError, PftwinWarning
 from pftwin.dynamics.batch import batch_key
 from pftwin.dynamics.batch.member import Task
 from pftwin.dynamics.batch.parts import missing_parts, read_parts
-from pftwin.dynamics.batch.processes import Processes
 from pftwin.dynamics.batch.simulate_batch import unit_for
 
 
@@ -221,15 +220,6 @@ def test_another_function_is_another_batch():
 
 def _changed(task, row):
     return task.change(task.scene, row).effects[1].stiffness
-
-
-def test_an_older_jax_is_refused_by_name(monkeypatch):
-    from jax._src import distributed
-
-    monkeypatch.setattr("jax.process_count", lambda: 2)
-    monkeypatch.setattr(distributed.global_state, "client", object())
-    with pytest.raises(PftwinError, match="cannot say which processes live; try: a newer JAX"):
-        Processes()
 
 
 def test_the_index_says_what_the_batch_is(filled):

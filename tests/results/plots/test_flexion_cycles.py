@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pftwin.base.errors import InputError
-from pftwin.results.plots.flexion_cycles import band, common_grid, strokes_of
+from pftwin.results.plots.against_flexion import band, common_grid, strokes_of
 
 
 def test_three_cycles_have_three_strokes_each_way():

@@ -11,10 +11,9 @@ from small_scene import GROOVE_AT, HALF_U, HALF_V, small_result
 
 import pftwin
 from pftwin.base.errors import InputError
-from pftwin.base.labels import SYNTHETIC
-from pftwin.model.measured import Measured
+from pftwin.model.measured import SYNTHETIC, Measured
 from pftwin.results.plots import COLOURS
-from pftwin.results.plots.relief import relief
+from pftwin.results.plots.trajectory import relief
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from small_scene import small_result
 from viewer_pages import both, chromium
 
 from pftwin.results.viewer import view
-from pftwin.results.viewer.matrices import of_poses
+from pftwin.results.viewer.shapes import of_poses
 
 PIL = pytest.importorskip("PIL.Image")
 VIEWER = "document.querySelector('.pftwin').viewer"

@@ -15,11 +15,11 @@ from test_variants import hung
 from typer.testing import CliRunner
 
 from pftwin.base.errors import InputError
-from pftwin.base.labels import SYNTHETIC
 from pftwin.base.spatial import Quaternion
 from pftwin.cli import app
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.status import Status
+from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene
 from pftwin.results.result import Result
 from pftwin.studies.audit.audit import Audit, _outcome, _verdict, audit

@@ -15,7 +15,7 @@ from fitting.cli.live.engine import Engine
 from fitting.cli.live.knobs import KNOBS, neutral, turned
 from fitting.cli.live.shown import Shown
 from pftwin.base.errors import InputError
-from pftwin.results.viewer.matrices import of_poses
+from pftwin.results.viewer.shapes import of_poses
 
 MOVED = {**neutral(), "medialisation": 6.5, "anteriorisation": 2.0, "quadriceps_stiffness": 120.0}
 

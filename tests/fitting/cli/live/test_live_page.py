@@ -20,7 +20,7 @@ sys.path.append(str(Path(__file__).parents[3] / "results" / "viewer"))
 from viewer_pages import chromium  # noqa: E402
 
 from pftwin.base import cache_folder  # noqa: E402
-from pftwin.base.labels import SYNTHETIC  # noqa: E402
+from pftwin.model.measured import SYNTHETIC  # noqa: E402
 
 pytestmark = pytest.mark.slow
 SLIDER = "xpath=//*[normalize-space(text())='{}']/ancestor::*[.//*[@role='slider']][1]"

@@ -14,7 +14,7 @@ from fitting.cli.report import contents
 from fitting.cli.report.contents import report
 from fitting.cli.report.material import Material
 from fitting.cli.report.run import ReportedRun
-from pftwin.base.labels import SYNTHETIC
+from pftwin.model.measured import SYNTHETIC
 
 
 @pytest.fixture(scope="module")

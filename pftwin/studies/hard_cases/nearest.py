@@ -11,17 +11,14 @@ from jaxtyping import Array
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.patch.charts import CylindricalChart
-from pftwin.model.effects.base import Effect
-from pftwin.model.effects.mesh_contact import MeshContact
-from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
-from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.effects.contact import Contact
 
 SAMPLES = 61  # along each side of a square about the point below the centre
 WIDE = 1.5  # half that square's side at first, in radii
 ZOOMS = 4  # times that the square is drawn closer about the nearest sample
 
 
-def depth_everywhere(button: Effect, center: Vec3) -> Array:
+def depth_everywhere(button: Contact, center: Vec3) -> Array:
     """Radius less the distance of the sphere's centre to the nearest point of the surface [m].
 
     Negative where it touches nothing. A centre below a patch counts as inside; a mesh's side is told by its nearest
@@ -31,13 +28,12 @@ def depth_everywhere(button: Effect, center: Vec3) -> Array:
         button: a contact, made ready by `recentred`.
         center: of the sphere, femur frame [m].
     """
-    if isinstance(button, SphereContact):
-        return button.radius - _above_patch(button.surface, center, button.radius)
-    if isinstance(button, MeshVolumeContact):
-        return button.radius - _above_mesh(button.mesh.facets.triangles, center)
-    assert isinstance(button, MeshContact)
-    rim = Vec3.from_array(button.patella.corners.points).norm()
-    return jnp.max(rim) - _above_mesh(button.femur.tree.triangles, center)
+    surface, femur, corners = button.fitted_surface(), button.femur_triangles(), button.button_triangles()
+    radius = button.button_radius() if corners is None else jnp.max(Vec3.from_array(corners.reshape(-1, 3)).norm())
+    if surface is not None:
+        return radius - _above_patch(surface, center, radius)
+    assert femur is not None
+    return radius - _above_mesh(femur, center)
 
 
 def _above_patch(surface: Any, center: Vec3, radius: Scalar) -> Array:

@@ -25,8 +25,7 @@ from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.state import State, System
 from pftwin.dynamics.static_load import still
 from pftwin.geometry.patch.polynomial import PolynomialPatch
-from pftwin.model.effects.base import Effect
-from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.effects.contact import Contact
 from pftwin.model.scene import Scene
 from pftwin.studies.hard_cases.nearest import depth_everywhere
 
@@ -68,18 +67,18 @@ def varied(scene: Scene, p: Array) -> Scene:
             scene.effects[button].law.contact_stiffness * (1 + UNITS[3] * p[3]),  # pyright: ignore
         ),
     )
-    return scene.with_effect(_raised(scene.effects[button], UNITS[2] * p[2]))
+    assert scene.contact is not None  # every case has one
+    return scene.with_effect(_raised(scene.contact, UNITS[2] * p[2]))
 
 
-def _raised(contact: Effect, by: Array) -> Effect:
-    """The contact with its surface raised by its coefficients; a mesh has none, so the button is lowered."""
-    if isinstance(contact, SphereContact):
-        surface = contact.surface
-        only = isinstance(surface, PolynomialPatch)  # the first coefficient is the height; a spline's add up to it
-        change = by * jnp.eye(1, surface.coefficients.size)[0] if only else by  # pyright: ignore
-        return eqx.tree_at(lambda c: c.surface.coefficients, contact, surface.coefficients + change)  # pyright: ignore
-    name = "center" if hasattr(contact, "center") else "origin"
-    return eqx.tree_at(lambda c: getattr(c, name).z, contact, getattr(contact, name).z - by)
+def _raised(contact: Contact, by: Array) -> Contact:
+    """The contact with its fitted surface raised; over a mesh the button is lowered instead."""
+    surface: Any = contact.fitted_surface()
+    if surface is None:
+        return contact.with_button_moved(Vec3(jnp.zeros_like(by), jnp.zeros_like(by), -by))
+    only = isinstance(surface, PolynomialPatch)  # the first coefficient is the height; a spline's add up to it
+    change = by * jnp.eye(1, surface.coefficients.size)[0] if only else by  # pyright: ignore
+    return contact.with_fitted_surface(eqx.tree_at(lambda s: s.coefficients, surface, surface.coefficients + change))
 
 
 def poses(states: State) -> Array:
@@ -127,7 +126,8 @@ def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: In
 
 def depths(scene: Scene, centers: Vec3) -> Array:
     """(n,): how deep the button is at places of its centre, by exhaustive search [m]."""
-    button = System.of(scene).effects[scene.index("contact")]
+    button = System.of(scene).effects[scene.index("contact")].contact_role()
+    assert button is not None
     return jax.lax.map(lambda c: depth_everywhere(button, c), centers)
 
 

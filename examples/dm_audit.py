@@ -23,8 +23,7 @@ from pftwin.files.result_files import save_dataset
 from pftwin.results.plots import save_figure
 from pftwin.studies.audit.audit import audit
 from pftwin.studies.audit.explain import explain
-from pftwin.studies.audit.figure import audit_figure
-from pftwin.studies.audit.report import audit_sheet, dataset, explanation_sheet, table
+from pftwin.studies.audit.report import audit_figure, audit_sheet, dataset, explanation_sheet, table
 from pftwin.studies.tables import to_csv
 
 

@@ -47,10 +47,9 @@ from pftwin.base.runtime import default_cache_dir, describe
 from pftwin.dynamics import tolerance
 from pftwin.results.metrics import PAPER_TABLE_1
 from pftwin.results.plots import COLOURS, STYLE
-from pftwin.studies.accuracy.figure import work_precision
 from pftwin.studies.accuracy.programs import MeasuredProgram
 from pftwin.studies.accuracy.run import measure_all
-from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended
+from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended, work_precision
 from pftwin.studies.tables import short
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time

@@ -35,8 +35,7 @@ from pftwin.base.runtime import default_cache_dir
 from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies.audit.audit import audit
 from pftwin.studies.audit.explain import explain
-from pftwin.studies.audit.figure import audit_figure
-from pftwin.studies.audit.report import audit_sheet, explanation_sheet
+from pftwin.studies.audit.report import audit_figure, audit_sheet, explanation_sheet
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 

@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from pftwin.base.errors import InputError
-from pftwin.studies.clock import Times, measure
 from tests.benchmarks import accuracy, extrapolation
 from tests.benchmarks.__main__ import app
+from tests.benchmarks.clock import Times, measure
 from tests.benchmarks.report import from_json, markdown, to_json
 from tests.benchmarks.row import Row
 

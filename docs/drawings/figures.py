@@ -21,8 +21,7 @@ from fitting.prediction.variants import grid
 from fitting.treatments import tibial_tuberosity_transfer
 from pftwin.base.runtime import default_cache_dir
 from pftwin.results.plots import against_flexion, compared, house_style
-from pftwin.studies.accuracy.figure import work_precision
-from pftwin.studies.accuracy.table import read_csv
+from pftwin.studies.accuracy.table import read_csv, work_precision
 
 HERE = Path(__file__).parent
 FOLDER = HERE.parent / "figures"

@@ -87,8 +87,7 @@ def _write(found: Audit, files: dict[str, Path]) -> list[Path]:
     from pftwin.base.text_files import write_text
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
-    from pftwin.studies.audit.figure import audit_figure
-    from pftwin.studies.audit.report import dataset, table
+    from pftwin.studies.audit.report import audit_figure, dataset, table
     from pftwin.studies.tables import to_csv
 
     files["csv"].parent.mkdir(parents=True, exist_ok=True)

@@ -60,8 +60,7 @@ def contact_map(
     start_computing()
     rule = _law(law, modulus, poisson, thickness)
     from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
-    from pftwin.studies.contact_map.checks import check_outcome, check_sides, load_pair
-    from pftwin.studies.contact_map.mapping import map_contact
+    from pftwin.studies.contact_map.mapping import check_outcome, check_sides, load_pair, map_contact
 
     with working("reading"):
         thigh, button = load_pair(femur, patella, units=units, patella_units=patella_units)

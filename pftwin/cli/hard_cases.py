@@ -78,7 +78,6 @@ def hard_cases(
         case_named,
         catalogue,
         method_named,
-        pieces,
         table,
     )
 
@@ -95,9 +94,9 @@ def hard_cases(
         derivatives=not quick,
         mates=not quick,
     )
-    found = [piece for path in from_ for piece in pieces.read_pieces(path)] if from_ else [_run(cases, chosen, json)]
+    found = [piece for path in from_ for piece in table.read_pieces(path)] if from_ else [_run(cases, chosen, json)]
     order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
-    cells = pieces.merged(found, order)
+    cells = table.merged(found, order)
     if markdown is not None:
         from pftwin.base.text_files import write_text
 

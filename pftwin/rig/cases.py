@@ -33,26 +33,18 @@ def _case_number(n: int) -> int:
 
 def springs(case: rig.RigCase) -> tuple[Tendon, Tendon]:
     """Quadriceps and patellar tendon of a case."""
-    x, _, z = rig.INSERTION
-    quadriceps = Tendon(
-        number(rig.QUADRICEPS_STIFFNESS),
-        number(case.quadriceps_length),
-        number(rig.DAMPING_TIME * rig.QUADRICEPS_STIFFNESS),
-        vector(rig.INSERTION),
-        vector((rig.FEMUR_SUPPORT[0], rig.MEDIAL_LATERAL[case.femur_support], rig.FEMUR_SUPPORT[1])),
-        "femur",
-        name="quadriceps",
+
+    def spring(name: str, body: str, along: int, stiffness: float, length: float, place: tuple, side: str) -> Tendon:
+        insertion = vector((along * rig.INSERTION[0], 0.0, rig.INSERTION[2]))
+        support = vector((place[0], rig.MEDIAL_LATERAL[side], place[1]))
+        damping = number(rig.DAMPING_TIME * stiffness)
+        return Tendon(number(stiffness), number(length), damping, insertion, support, body, name=name)
+
+    k1, k2 = rig.QUADRICEPS_STIFFNESS, rig.PATELLAR_TENDON_STIFFNESS
+    return (
+        spring("quadriceps", "femur", 1, k1, case.quadriceps_length, rig.FEMUR_SUPPORT, case.femur_support),
+        spring("patellar_tendon", "tibia", -1, k2, rig.PATELLAR_TENDON_LENGTH, rig.TIBIA_SUPPORT, case.tibia_support),
     )
-    patellar_tendon = Tendon(
-        number(rig.PATELLAR_TENDON_STIFFNESS),
-        number(rig.PATELLAR_TENDON_LENGTH),
-        number(rig.DAMPING_TIME * rig.PATELLAR_TENDON_STIFFNESS),
-        vector((-x, 0.0, z)),
-        vector((rig.TIBIA_SUPPORT[0], rig.MEDIAL_LATERAL[case.tibia_support], rig.TIBIA_SUPPORT[1])),
-        "tibia",
-        name="patellar_tendon",
-    )
-    return quadriceps, patellar_tendon
 
 
 def effects(case: rig.RigCase, contact: Effect) -> tuple[Effect, ...]:

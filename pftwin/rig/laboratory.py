@@ -20,7 +20,7 @@ from pftwin.files.mocap.trc import write_trc
 from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.rig import geometry as rig
-from pftwin.rig.hand import hand_motion
+from pftwin.rig.plant import hand_motion
 from pftwin.rig.recording import FORCES, IMPLANT_FILE, data_folder
 
 FINE = 6e-6  # chordal deviation of the implant's mesh: the paper's FM [m]

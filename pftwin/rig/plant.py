@@ -2,6 +2,10 @@
 
 The true smooth implant instead of a polynomial, a memoryless contact law, a little friction, springs that stiffen,
 attachments a millimetre off, other drag, and diffrax at a tight tolerance instead of the twin's integrator.
+
+An unsteady hand moves femur and tibia: from 45 deg of flexion, two flexions and two extensions, a little different in
+each case. In cases 2 and 3 the leg is extended only in part the first time, as in the paper (section 2.1). Synthetic,
+and the truth of which the rig's markers are noisy samples.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ from pftwin.dynamics.equilibrium import solve_equilibrium
 from pftwin.dynamics.frame_states import FrameStates, first_guide
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide, State, System, gyroscopic
+from pftwin.files.mocap.poses import PoseSeries
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.model.effects.base import Effect, Instant, Load, applied_at
 from pftwin.model.effects.contact import load_of
@@ -30,7 +35,69 @@ from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
 from pftwin.rig.cases import effects, number, patella_body, vector
-from pftwin.rig.hand import hand_motion
+from pftwin.rig.geometry import DURATION, HIP, RATE
+
+# Turning points: time [s], knee flexion [deg].
+_FULL = ((0, 45), (0.6, 45), (1.7, 88), (3.1, 6), (4.5, 86), (5.9, 0), (7.2, 52))
+_PARTIAL = ((0, 45), (0.6, 45), (1.7, 88), (3.1, 50), (4.5, 86), (5.9, 0), (7.2, 52))
+_SMOOTHING = 0.08  # [s]
+
+
+def hand_motion(case: int) -> tuple[PoseSeries, PoseSeries]:
+    """Femur and tibia in the world, of a case, at the rig's frames."""
+    from scipy.spatial.transform import Rotation
+
+    times = np.arange(round(DURATION * RATE) + 1) / RATE
+    random = np.random.default_rng(100 + case)
+    flexion = _flexion(times, case, random)
+    active = _active(times)
+    hip = np.stack(
+        [
+            _wobble(times, random, 1.5) * active,
+            -0.06 * (flexion - flexion[0]) - _wobble(times, random, 1.0) * active,
+            _wobble(times, random, 1.2) * active,
+        ],
+        axis=1,
+    )
+    femur_turn = Rotation.from_rotvec(np.radians(hip))
+    femur_origin = np.array(HIP) - femur_turn.apply(np.array(HIP))
+    adduction, internal = _wobble(times, random, 0.8) * active, 0.05 * flexion + _wobble(times, random, 1.0) * active
+    tibia_in_femur = Rotation.from_euler("YZX", np.stack([-flexion, adduction, internal], axis=1), degrees=True)
+    rollback = np.stack([0 * flexion, 0 * flexion, -4e-5 * flexion], axis=1)
+    tibia_turn = femur_turn * tibia_in_femur
+    tibia_origin = femur_origin + femur_turn.apply(rollback)
+    femur, tibia = (
+        PoseSeries(times, origin, turn.as_quat(scalar_first=True), source=f"hand, case {case}")
+        for origin, turn in ((femur_origin, femur_turn), (tibia_origin, tibia_turn))
+    )
+    return femur, tibia
+
+
+def _flexion(times: NDArray, case: int, random: np.random.Generator) -> NDArray:
+    """Knee flexion [deg]."""
+    from scipy.interpolate import PchipInterpolator
+    from scipy.ndimage import gaussian_filter1d
+
+    knots = np.array(_PARTIAL if case in (2, 3) else _FULL, dtype=float)
+    knots[2:-1, 0] += random.uniform(-0.08, 0.08, len(knots) - 3)
+    knots[[2, 4], 1] += random.uniform(-2, 2, 2)
+    smooth = gaussian_filter1d(PchipInterpolator(*knots.T)(times), _SMOOTHING * RATE, mode="nearest")
+    return smooth + _wobble(times, random, 0.6) * _active(times)
+
+
+def _active(times: NDArray) -> NDArray:
+    """0 while the leg is held still at first, then 1, smoothly."""
+    s = np.clip((times - 0.35) / 0.6, 0, 1)
+    return s**3 * (10 - 15 * s + 6 * s * s)
+
+
+def _wobble(times: NDArray, random: np.random.Generator, size: float) -> NDArray:
+    """An unsteady hand: a few sinusoids between 0.3 and 2 Hz, faster ones smaller [deg]."""
+    total = np.zeros_like(times)
+    for frequency in random.uniform(0.3, 2.0, 4):
+        total += np.sin(2 * np.pi * (frequency * times + random.uniform())) / (1 + frequency**2)
+    return 0.7 * size * total
+
 
 FRICTION = 0.02  # coefficient of the lubricated contact
 STICTION_SPEED = 2e-3  # below it friction fades [m/s]
@@ -55,7 +122,7 @@ class StiffeningTendon(Tendon):
 
 
 class LubricatedContact(SphereContact):
-    """Sphere contact with a little regularised Coulomb friction, sought anew at every instant."""
+    """Sphere contact with a little regularised Coulomb friction; its places are searched for at every instant."""
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """Normal forces, and friction against the sliding of the sphere's skin."""
@@ -81,31 +148,24 @@ def plant_scene(case: int) -> Scene:
     """The true scene behind a case's measurements."""
     random = np.random.default_rng(7)  # one rig: the same misplaced attachments in all cases
     surface = jax.tree.map(lambda a: number(a) if isinstance(a, float) else a, rig_implant())
-    scattered = []
     law = HuntCrossley(number(rig.CONTACT_STIFFNESS), number(1.0))
     contact = LubricatedContact(surface, law, vector((0.0, 0.0, 0.0)), number(rig.BUTTON_RADIUS))
-    for effect in effects(rig.CASES[case], contact):
-        scattered.append(_as_built(effect, random))
+    built = tuple(_as_built(effect, random) for effect in effects(rig.CASES[case], contact))
     femur, tibia = hand_motion(case)
     radius = rig.BUTTON_RADIUS + float(surface.trochlear_radius)
     start = Pose(vector((0.1 * radius, 0.0, 0.99 * radius)), Quaternion.identity())
     motion = KneeMotion.from_poses(femur, tibia)
-    return Scene(patella_body(), tuple(scattered), motion, start, f"plant, case {case}", synthetic=True)
+    return Scene(patella_body(), built, motion, start, f"plant, case {case}", synthetic=True)
 
 
 def _as_built(effect: Any, random: np.random.Generator) -> Effect:
     """The effect as it is in the workshop rather than on paper."""
     if effect.line_element() is not None:
-        off = [vector(tuple(random.normal(0.0, MISPLACED, 3))) for _ in range(2)]
-        return StiffeningTendon(
-            effect.stiffness,
-            effect.slack_length,
-            effect.damping,
-            effect.insertion + off[0],
-            effect.origin + off[1],
-            effect.body,
-            name=effect.name,
+        insertion, origin = (
+            place + vector(tuple(random.normal(0.0, MISPLACED, 3))) for place in (effect.insertion, effect.origin)
         )
+        law = effect.stiffness, effect.slack_length, effect.damping
+        return StiffeningTendon(*law, insertion, origin, effect.body, name=effect.name)
     if effect.name == "damping":
         return LinearDamping(1.1 * effect.translational, 0.9 * effect.rotational, body=effect.body)
     return effect

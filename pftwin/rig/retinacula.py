@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -63,13 +62,16 @@ def ligament(name: str, *, reference_strain: float = 0.0) -> StrandGroup:
     Raises:
         InputError: no such ligament, or no such strain.
     """
+    from scipy.spatial.transform import Rotation
+
     if name not in LIGAMENTS:
         raise InputError(f"no ligament {name!r} of the rig", where="ligament", expected=", ".join(LIGAMENTS))
     if not -1 < reference_strain < np.inf:
         raise InputError(f"found {reference_strain!r}", where="reference_strain", expected="a number above -1")
     made = LIGAMENTS[name]
-    insertion, origin = (_fan(ends) for ends in (made.patella, made.femur))
-    slack = np.linalg.norm(_in_reference_pose(insertion) - origin, axis=1) / (1 + reference_strain)
+    insertion, origin = (np.linspace(*np.asarray(ends), STRANDS) for ends in (made.patella, made.femur))
+    there = Rotation.from_quat(REFERENCE_QUATERNION, scalar_first=True).apply(insertion) + np.array(REFERENCE_POSITION)
+    slack = np.linalg.norm(there - origin, axis=1) / (1 + reference_strain)
     one = np.ones(STRANDS)
     return StrandGroup(
         number(made.stiffness / STRANDS * slack),
@@ -99,17 +101,3 @@ def with_retinacula(
     for name in [ligaments] if isinstance(ligaments, str) else ligaments:
         scene = scene.with_effect(ligament(name, reference_strain=reference_strain))
     return scene
-
-
-def _fan(ends: tuple[tuple[float, float, float], tuple[float, float, float]]) -> NDArray[np.float64]:
-    """Points at equal distances from one end to the other, (STRANDS, 3)."""
-    first, last = np.asarray(ends)
-    return np.linspace(first, last, STRANDS)
-
-
-def _in_reference_pose(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points of the patella in the femur's frame."""
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_quat(REFERENCE_QUATERNION, scalar_first=True)
-    return turn.apply(points) + np.array(REFERENCE_POSITION)

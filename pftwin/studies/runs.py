@@ -125,7 +125,7 @@ def rms(a: Floats) -> float:
 
 
 def _path(result: Result, point: Floats) -> Floats:
-    """Of a point of the patella, in the femur (n, 3)."""
+    """The path of a point of the patella, in the femur (n, 3)."""
     turn = Quaternion(*result.quaternion.T).rotation()
     axes = [np.stack([np.asarray(c) for c in (a.x, a.y, a.z)], axis=1) for a in (turn.ex, turn.ey, turn.ez)]
     return result.position + sum(p * a for p, a in zip(point, axes, strict=True))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from pftwin.dynamics.batch.batched import batched
 from pftwin.geometry.patch.polynomial import PolynomialPatch
 from pftwin.model.scene import Scene
-from pftwin.studies.clock import measure_in_turn
+from tests.benchmarks.clock import measure_in_turn
 from tests.benchmarks.problem import (
     compiled,
     started_nearby,

@@ -28,7 +28,7 @@ from pftwin.geometry.mesh.resolution import Resolution, implant_mesh
 from pftwin.geometry.patch.implant import rig_region
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
-from pftwin.studies.clock import measure, measure_in_turn
+from tests.benchmarks.clock import measure, measure_in_turn
 from tests.benchmarks.mesh_peers import peers
 from tests.benchmarks.problem import compiled, duration, tracked_path
 from tests.benchmarks.row import Row

@@ -11,7 +11,7 @@ from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.model.scene import Scene
-from pftwin.studies.clock import measure
+from tests.benchmarks.clock import measure
 from tests.benchmarks.problem import compiled, duration, started_nearby, tracked_path, variants, with_springs
 from tests.benchmarks.row import Row
 

@@ -15,7 +15,7 @@ from pftwin.files.mocap import read_trc
 from pftwin.results.metrics import validate
 from pftwin.rig import geometry
 from pftwin.rig.cases import contact_fit, recording
-from pftwin.rig.hand import hand_motion
+from pftwin.rig.plant import hand_motion
 from pftwin.rig.recording import data_folder
 
 PAPER_R_SQUARED = {"P2": 91.54, "P4": 99.36, "P5": 99.71}

@@ -1,7 +1,4 @@
-"""The compiled functions whose times are taken: one run with all results, many variants, and derivatives.
-
-What is measured: which contact models, integrators, float types and numbers of steps.
-"""
+"""What is measured: contact models, integrators, float types and steps, and the functions whose times are taken."""
 
 from __future__ import annotations
 
@@ -36,11 +33,10 @@ class Programs(NamedTuple):
     path: Callable[..., Any]  # with the tracked point's path alone, as the following two
     many: Callable[..., Any]
     columns: Callable[..., Any]
-    n_columns: int
 
 
 def programs(scene: Scene, integrator: str) -> Programs:
-    """Those of a scene and an integrator."""
+    """The functions to time for a scene and an integrator."""
     chosen = integrator_from_text(integrator)
     arrays, fixed = eqx.partition(scene.unnamed(), eqx.is_array)
 
@@ -77,7 +73,7 @@ def programs(scene: Scene, integrator: str) -> Programs:
 
         return jax.jacfwd(by)(jnp.ones(len(numbers)))
 
-    return Programs(arrays, run, path, variants, derivatives, len(numbers))
+    return Programs(arrays, run, path, variants, derivatives)
 
 
 def _parameters(scene: Scene) -> list[int]:

@@ -12,10 +12,9 @@ from pftwin.files.result_files import save_dataset
 from pftwin.model.measured import Measured
 from pftwin.results.metrics import PAPER_TABLE_1, Validation, validate
 from pftwin.results.plots import save_figure
-from pftwin.studies.accuracy.figure import work_precision
 from pftwin.studies.accuracy.measure import AccuracyRow, Converged, SceneOf, compiling_anew, converged, float_type, rows
 from pftwin.studies.accuracy.programs import MeasuredProgram
-from pftwin.studies.accuracy.table import advice, columns, everything
+from pftwin.studies.accuracy.table import advice, columns, everything, work_precision
 from pftwin.studies.runs import run_each
 from pftwin.studies.tables import Sheet, to_csv, to_dataset
 
@@ -67,13 +66,9 @@ def measure_all(
 
 
 def _against(reference: Converged, measured: Measured) -> Validation:
-    present = reference.result.effects
-    springs: dict[str, Any] = {}
-    if "patellar_tendon" not in present:
-        springs["tibial"] = None
-    if "quadriceps" not in present:
-        springs["femoral"] = None
-    return validate(reference.result, measured, **springs)
+    springs = {"tibial": "patellar_tendon", "femoral": "quadriceps"}
+    absent: dict[str, Any] = {k: None for k, name in springs.items() if name not in reference.result.effects}
+    return validate(reference.result, measured, **absent)
 
 
 def write(found: AccuracyMeasured, folder: Path, title: str, about: dict[str, Any]) -> list[Path]:

@@ -21,12 +21,11 @@ from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.effects.base import Change, Effect, Instant, Load
 from pftwin.model.scene import Scene
-from pftwin.studies.audit.step import frame_time, guide_over, one_step, step_length
-from pftwin.studies.audit.stiffness import Rates, rates
+from pftwin.studies.audit.step import Rates, frame_time, guide_over, one_step, rates, step_length
 
 
 class PartAccount(NamedTuple):
-    """Of one part over the run."""
+    """What one part did over the run."""
 
     work: Scalar  # done on the patella [J]
     moved: Scalar  # the same, whichever way it went: the integral of the power's size [J]

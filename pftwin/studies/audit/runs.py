@@ -1,7 +1,4 @@
-"""Runs of variants: those of another structure one by one, those that differ in numbers only side by side.
-
-How far a variant's run is from the scene's own: path, angles, forces.
-"""
+"""Variants run one by one, or side by side where only numbers differ, and how far each is from the scene's own run."""
 
 from __future__ import annotations
 
@@ -110,7 +107,7 @@ LOST = 0.1  # [m] from its own path: no patella goes so far
 
 @dataclass(frozen=True)
 class Changes:
-    """Of a variant against the scene, over the frames."""
+    """How far a variant's run is from the scene's own, over the frames."""
 
     center_rms: float  # of the tracked point [m]
     center_max: float  # [m]
@@ -136,7 +133,7 @@ def lost(result: Result, own: Result) -> str | None:
 
 
 def changes(scene: Scene, result: Result, own: Result) -> Changes:
-    """Of a run against the scene's own."""
+    """Compares a run with the scene's own."""
     apart = difference(result, own, np.asarray(scene.tracked_point().array(), dtype=np.float64))
     tensions = {
         name: _sum(result.effects[name]["tension"]) - _sum(report["tension"])

@@ -1,4 +1,4 @@
-"""One step of a scene: as a function of arrays, its equations counted, and its time measured with and without a part.
+"""One step of a scene: its equations counted, its time with and without a part, and how stiff a load makes it.
 
 Every timed frame begins from the state of the whole scene's run there, so that a scene which would fly apart without a
 part is timed along the same motion.
@@ -6,19 +6,21 @@ part is timed along the same motion.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.extend.core import Jaxpr, Var, jaxprs_in_params
+from jaxtyping import Array
 
 from pftwin.base.program_cache import Program
-from pftwin.base.spatial import Scalar
+from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.frame_states import first_guide, start_before_search, starting_state
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.state import Guide, GuideAt, State, System
+from pftwin.model.effects.base import Load, StiffTerm
 from pftwin.model.motion import KneeMotion, MotionPiece
 from pftwin.model.scene import Scene
 
@@ -34,7 +36,7 @@ def step_length(motion: KneeMotion, substeps: int) -> Scalar:
 
 
 def frame_time(motion: KneeMotion, index: Scalar) -> Scalar:
-    """Of a recorded frame [s]."""
+    """The time of a recorded frame [s]."""
     return motion.start_time + motion.frame_interval * index.astype(float)
 
 
@@ -66,7 +68,7 @@ _CALLS = ("pjit", "jit", "closed_call", "core_call", "custom_jvp_call", "custom_
 
 
 def equations(scene: Scene, integrator: Integrator = LinearImplicit()) -> int:
-    """Of one step, the guided bodies' motion within it included. Nothing is compiled or computed."""
+    """How many equations one step has, with the guided bodies' motion within it. Nothing is compiled or computed."""
     givens = eqx.filter_eval_shape(lambda s: _givens(s, integrator), scene)
     shapes, fixed = eqx.partition(givens, lambda a: isinstance(a, jax.ShapeDtypeStruct))
 
@@ -95,3 +97,53 @@ def count(jaxpr: Jaxpr) -> int:
         needed.update(v for v in eqn.invars if isinstance(v, Var))
         found += (eqn.primitive.name not in _CALLS) + sum(map(count, jaxprs_in_params(eqn.params)))
     return found
+
+
+class Rates(NamedTuple):
+    r"""The fastest motions that a load makes, and so the longest step at which an explicit method stays stable.
+
+    With M the mass matrix, K = sum k g g^T and C = sum c g g^T over the load's stiff terms (and its bed's and its
+    drag's), the fastest oscillation has w^2 = |M^-1/2 K M^-1/2| and damping rate y = |M^-1/2 C M^-1/2|. Semi-implicit
+    (symplectic) Euler with damping taken at the step's start, v' = v - h (w^2 x + y v) and x' = x + h v', is stable up
+    to h = 4 / (y + sqrt(y^2 + 4 w^2)). Norms are Frobenius': for one term exact, for a group at most sqrt(6) above the
+    largest eigenvalue, so the step named is at most that much too short.
+    """
+
+    oscillation: Scalar  # w^2 [1/s^2]
+    damping: Scalar  # y [1/s]
+
+    def longest_step(self) -> Scalar:
+        """That an explicit method could take; infinite where there is neither spring nor damper [s]."""
+        rate = self.damping + jnp.sqrt(jnp.square(self.damping) + 4 * self.oscillation)
+        return jnp.where(rate > 0, 4 / jnp.where(rate > 0, rate, 1.0), jnp.inf)
+
+
+def rates(system: System, loads: list[tuple[float, Load]]) -> Rates:
+    """The rates of a sum of loads with their signs."""
+    i = system.inertia
+    lighter = 1 / jnp.sqrt(jnp.stack([system.mass, system.mass, system.mass, i.x, i.y, i.z]))
+    springs = dampers = jnp.zeros((6, 6), lighter.dtype)
+    for sign, load in loads:
+        for term in load.stiff:
+            springs = springs + sign * _gram(term, term.stiffness)
+            dampers = dampers + sign * _gram(term, term.damping)
+        if load.bed is not None:
+            springs = springs + sign * load.bed.stiffness
+            dampers = dampers + sign * load.bed.damping_time * load.bed.stiffness
+        if load.drag is not None:
+            three = jnp.ones(3, lighter.dtype)
+            drag = jnp.concatenate([load.drag.translational * three, load.drag.rotational * three])
+            dampers = dampers + sign * jnp.diag(drag)
+    scale = lighter[:, None] * lighter[None, :]
+    return Rates(*(jnp.sqrt(jnp.sum(jnp.square(scale * a))) for a in (springs, dampers)))
+
+
+def _gram(term: StiffTerm, weight: Scalar) -> Array:
+    """The sum of w g g^T over a term's group."""
+    parts = (*_components(term.direction), *_components(term.moment))
+    rows = jnp.stack([jnp.ravel(jnp.broadcast_to(a, jnp.shape(weight))) for a in parts])
+    return (rows * jnp.ravel(weight)[None, :]) @ rows.T
+
+
+def _components(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
+    return v.x, v.y, v.z

@@ -1,7 +1,4 @@
-"""Figures of a contact map: pressure on the button, the path on the femur, courses over time.
-
-A contact map as an xarray Dataset: units and long names on every variable, what was computed in the attributes.
-"""
+"""A contact map as figures, and as an xarray Dataset with units and long names on every variable."""
 
 from __future__ import annotations
 
@@ -12,8 +9,7 @@ from numpy.typing import NDArray
 
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.results.plots.style import COLOURS, WIDE, house_style
-from pftwin.studies.contact_map.checks import status
-from pftwin.studies.contact_map.mapping import ContactMap
+from pftwin.studies.contact_map.mapping import ContactMap, status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

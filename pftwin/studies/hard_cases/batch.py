@@ -1,7 +1,4 @@
-"""Cases made into scenes and stacked, and those that are refused instead.
-
-Whether a case's run depends on its place in a batch, or on what runs beside it: run side by side, poisoned.
-"""
+"""Cases of one structure stacked into a batch, where they start, and whether a run depends on the rest of its batch."""
 
 from __future__ import annotations
 
@@ -14,13 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.base.errors import InputError
+from pftwin.base.spatial import Pose
+from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.relaxation import thrown
 from pftwin.model.scene import Scene, check
+from pftwin.studies.hard_cases import derivatives
 from pftwin.studies.hard_cases.case import CaseIntegrator, HardCase
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.knee import RATE
-from pftwin.studies.hard_cases.programs import CaseRun, compiled, poses, run
+from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, Rest, compiled, poses, relaxed, rest, run
 
 
 class CaseBatch(NamedTuple):
@@ -97,7 +98,7 @@ def short_enough(batch: CaseBatch, method: CaseIntegrator) -> list[int]:
 
 
 def part(batch: CaseBatch, which: list[int]) -> CaseBatch:
-    """Some of a batch."""
+    """The chosen cases of a batch."""
     at = np.asarray(which)
     return CaseBatch(tuple(batch.cases[k] for k in which), jax.tree.map(lambda a: a[at], batch.scenes))
 
@@ -148,3 +149,76 @@ def _poisoned(scenes: Any, which: Any) -> Any:
         return jnp.where(which.reshape((-1,) + (1,) * (a.ndim - 1)), jnp.nan, a)
 
     return jax.tree.map(spoil, scenes)
+
+
+class Starts(NamedTuple):
+    """Where the cases of a batch start."""
+
+    chosen: Solution
+    wrong: dict[str, str]  # by case: what is wrong with its equilibrium
+
+
+def starts_of(batch: CaseBatch, dtype: str) -> Starts:
+    """Solves for all equilibria, with derivatives; where the search fails the damped relaxation helps."""
+    double, n = dtype == "float64", len(batch.cases)
+    search, nothing = compiled(rest, double), jnp.zeros((n, len(PARAMETERS)))
+    found: Rest = search(batch.scenes, nothing)
+    scenes, wanted = batch.scenes, np.array([not c.released for c in batch.cases])
+    lost = ~_converged(found.equilibrium) & wanted  # one that is let go stays where it was put
+    if lost.any():
+        there = compiled(relaxed, double)(scenes)
+        usable = lost & ~thrown(scenes.start, there)
+        scenes = eqx.tree_at(lambda s: s.start, scenes, _where(usable, there, scenes.start))
+        again: Rest = search(scenes, nothing)
+        found = _where(lost & _converged(again.equilibrium), again, found)
+    released = jnp.asarray(~wanted)
+    chosen = _where(released, found.released, found.equilibrium)
+    return Starts(chosen, _wrong(batch, found, scenes, search, dtype))
+
+
+def starts_part(starts: Starts, which: list[int]) -> Starts:
+    """The starts of the chosen cases."""
+    at = np.asarray(which)
+    return Starts(jax.tree.map(lambda a: a[at], starts.chosen), starts.wrong)
+
+
+def _converged(solution: Solution) -> np.ndarray:
+    return np.asarray(solution.residual) < tolerance_on_host(solution)
+
+
+def _where(which: Any, a: Any, b: Any) -> Any:
+    """Stacked members: of `a` where `which`, else of `b`."""
+    chosen = jnp.asarray(which)
+
+    def pick(x: Any, y: Any) -> Any:
+        return jnp.where(chosen.reshape((-1,) + (1,) * (jnp.ndim(x) - 1)), x, y)
+
+    return jax.tree.map(pick, a, b)
+
+
+def _wrong(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:
+    """Cases that start from an equilibrium: does the search end, and are its derivatives finite, and right."""
+    n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, _patella_frame(scenes, found.equilibrium))
+    said, columns = {}, np.asarray(found.slopes)
+    converged = _converged(found.equilibrium)
+    reference = None
+    if dtype == "float64":
+        sides = [
+            [np.asarray(poses(search(near, jnp.tile(jnp.asarray(p), (n, 1))).equilibrium.pose)) for p in side]
+            for side in derivatives.changes()
+        ]
+        reference = derivatives.differences(np.stack(sides[0]), np.stack(sides[1]))
+    for k, case in enumerate(batch.cases):
+        if case.released or not converged[k]:
+            continue  # a search that fails is a flag of every frame
+        words = derivatives.not_finite(columns[k][None], np.array([True]))
+        if words is None and case.expected.smooth and reference is not None:
+            words = derivatives.disagree(columns[k], reference[k], dtype)
+        if words is not None:
+            said[case.name] = f"equilibrium: {words}"
+    return said
+
+
+def _patella_frame(scenes: Any, solution: Solution) -> Any:
+    """The equilibria as poses of the patella's frame."""
+    return jax.vmap(lambda p, c: Pose(p.apply(-c), p.orientation))(solution.pose, scenes.patella.center_of_mass)

@@ -1,11 +1,4 @@
-"""What a hard case is: its numbers, why it is hard, and what may and must come out of it.
-
-The integrators that all cases run with. A new one is a line in `INTEGRATORS`.
-
-Where a kind of contact has no answer to any case that goes so far, whatever the integrator. page.md says why.
-
-A run on it that says so itself is refused, not failed: as long as everything was right until then.
-"""
+"""What a hard case is, which integrators run it, and where a kind of contact has no answer and says so (page.md)."""
 
 from __future__ import annotations
 
@@ -101,7 +94,7 @@ INTEGRATORS = (
 
 
 def method_named(name: str) -> CaseIntegrator:
-    """That of `INTEGRATORS`, or any other integrator as it comes."""
+    """The entry of `INTEGRATORS`, or any other integrator with its default settings."""
     return next((m for m in INTEGRATORS if m.name == name), CaseIntegrator(name))
 
 
@@ -123,5 +116,5 @@ LIMITS = {
 
 
 def limit_of(contact: str) -> KnownRefusal:
-    """That of a kind of contact."""
+    """What runs on a kind of contact may refuse themselves with."""
     return LIMITS.get(contact, _NONE)

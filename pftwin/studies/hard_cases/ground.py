@@ -1,4 +1,4 @@
-"""What the button lies on: a height over a plane, as a patch of any kind or a mesh of few triangles."""
+"""What the button lies on: a height over a plane, as a patch of any kind or a mesh of few triangles, some broken."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Rotation
 from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.mesh.repair import repaired
 from pftwin.geometry.patch.charts import Chart, CylindricalChart, PlaneChart
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.geometry.patch.polynomial_fit import parse_degree
 from pftwin.geometry.patch.spline import SplinePatch
-from pftwin.geometry.patch.spline_basis import cell_of, cubic_basis
 
 Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats], Floats]
@@ -84,7 +84,7 @@ def axis_below(ground: TiltedGround, kind: str) -> float:
 
 
 def _depth(ground: TiltedGround) -> float:
-    """Of a cylinder's axis below the plane [m]: no angle of the rectangle is then wide."""
+    """How far a cylinder's axis lies below the plane [m]: far enough that no angle of the rectangle is wide."""
     return max(0.026, 1.2 * ground.half[0])
 
 
@@ -124,18 +124,17 @@ def _polynomial(a: Floats, b: Floats, h: Floats, degree: int, met: bool) -> Floa
 def _spline(a: Floats, b: Floats, h: Floats) -> Floats:
     """Coefficients of the spline nearest to heights over the samples."""
     n_u, n_v = CELLS
-    columns = [_hats(a.ravel(), n_u), _hats(b.ravel(), n_v)]
+    columns = [_basis(a.ravel(), n_u), _basis(b.ravel(), n_v)]
     basis = np.einsum("ki,kj->kij", *columns).reshape(a.size, -1)
     return np.linalg.lstsq(basis, h.ravel(), rcond=None)[0].reshape(n_u + 3, n_v + 3)
 
 
-def _hats(a: Floats, n: int) -> Floats:
-    """(k, n + 3): the spline's basis functions at places a."""
-    cell, x = cell_of(a, n)
-    out = np.zeros((a.size, n + 3))
-    for j, values in enumerate(cubic_basis(x).values):
-        np.add.at(out, (np.arange(a.size), cell + j), values)
-    return out
+def _basis(a: Floats, n: int) -> Floats:
+    """(k, n + 3): the cubic B-splines of n cells from -1 to 1 at places a (k,)."""
+    from scipy.interpolate import BSpline
+
+    knots = (2 * np.arange(-3, n + 4) - n) / n
+    return BSpline.design_matrix(a, knots, 3, extrapolate=True).toarray()
 
 
 def mesh_on(ground: TiltedGround, cells: tuple[int, int] = MESH) -> SurfaceMesh:
@@ -190,4 +189,84 @@ GROUNDS = {
     # Long enough that it lies on it: flat, the trochlea's own rectangle ends 13 mm short of its equilibrium.
     "nearly_flat": replace(TROCHLEA, height=SHALLOW.height, half=(0.06, 0.03)),
     "nearly_vertical": TiltedGround(lambda u, v: np.sqrt(v**2 + 0.004**2) * np.tan(np.radians(80)), (0.02, 0.012)),
+}
+
+
+_PLACE = (0.004, 0.006)  # below the button, inside of a triangle [m]
+_OVER_HOLE = (-0.005, 0.011)  # over the triangle that the hole takes out [m]
+
+Vertices, Faces = NDArray[np.float64], NDArray[np.int64]
+Change = Callable[[Vertices, Faces], tuple[Vertices, Faces]]
+
+
+def _doctored(change: Change) -> Callable[[TiltedGround], SurfaceMesh]:
+    """The ground's mesh, changed, and repaired as far as a repair leaves the surface what it is."""
+
+    def made(ground: TiltedGround) -> SurfaceMesh:
+        plain = mesh_on(ground)
+        return repaired(*change(plain.vertices.copy(), plain.faces.copy()), source="a broken ground")[0]
+
+    return made
+
+
+def _with_faces(more: Callable[[Vertices, Faces], object]) -> Change:
+    return lambda vertices, faces: (vertices, np.concatenate([faces, np.atleast_2d(np.asarray(more(vertices, faces)))]))
+
+
+def _turned(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    faces[[2, 9, 14]] = faces[[2, 9, 14]][:, ::-1]
+    return vertices, faces
+
+
+def _needle(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    """A corner a micrometre beside the middle of an edge of two triangles splits one of them in three, one a needle."""
+    k = int(np.argmin(np.abs(vertices[faces].mean(axis=1)[:, :2] - np.array(_PLACE)).sum(axis=1)))
+    a, b, c = faces[k]
+    p = 0.5 * (vertices[a] + vertices[b])
+    inward = vertices[c] - p
+    new = len(vertices)
+    vertices = np.concatenate([vertices, [p + 1e-6 * inward / np.linalg.norm(inward)]])
+    rest = np.delete(faces, k, axis=0)
+    return vertices, np.concatenate([rest, [[a, b, new], [b, c, new], [c, a, new]]])
+
+
+def _hole(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    middles = vertices[faces].mean(axis=1)[:, :2]
+    return vertices, np.delete(faces, np.argmin(np.linalg.norm(middles - np.array(_OVER_HOLE), axis=1)), axis=0)
+
+
+def _fork(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    """A third triangle stands on an edge of two."""
+    vertices = np.concatenate([vertices, [[0.0, 0.015, 0.01]]])
+    return vertices, np.concatenate([faces, [[faces[0, 0], faces[0, 2], len(vertices) - 1]]])
+
+
+def _crossing(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    """A loose sheet of two triangles cuts through the plate below the button."""
+    sheet = np.array([[-0.02, 0.003, -0.0004], [0.02, 0.003, -0.0004], [0.02, 0.02, 0.0004], [-0.02, 0.02, 0.0004]])
+    n = len(vertices)
+    return np.concatenate([vertices, sheet]), np.concatenate([faces, [[n, n + 1, n + 2], [n, n + 2, n + 3]]])
+
+
+def _one_triangle(ground: TiltedGround) -> SurfaceMesh:
+    corners = np.array([[-0.03, -0.03, 0.0], [0.06, 0.0, 0.0], [-0.03, 0.03, 0.0]])
+    return SurfaceMesh(corners, np.array([[0, 1, 2]]), "one triangle")
+
+
+def _wide(ground: TiltedGround) -> SurfaceMesh:
+    """A mesh that goes on where a patch does: by its edge a small button would roll over the rim on its way to rest."""
+    return mesh_on(replace(ground, half=(0.03, 0.03)))
+
+
+MESH_MAKERS: dict[str, Callable[[TiltedGround], SurfaceMesh]] = {
+    "wide": _wide,
+    "one_triangle": _one_triangle,
+    "zero_area": _doctored(_with_faces(lambda v, f: [f[0, 0], f[0, 0], f[0, 1]])),
+    "duplicate": _doctored(_with_faces(lambda v, f: f[[7, 7]])),
+    "two_faced": _doctored(_with_faces(lambda v, f: f[5, ::-1])),
+    "flipped": _doctored(_turned),
+    "needles": _doctored(_needle),
+    "hole": _doctored(_hole),
+    "fork": _doctored(_fork),
+    "crossing": _doctored(_crossing),
 }

@@ -2,10 +2,6 @@
 
 What a case changes is a number, never the structure: scenes on one kind of contact are stacked into one batch, and a
 tendon that a case does without hangs slack.
-
-The tibial motions of cases, by name: plain, noisy, jumping, with quaternions of either sign, and broken.
-
-Knees of numbers at random: coefficients, tendons and law drawn around the small knee's.
 """
 
 from __future__ import annotations

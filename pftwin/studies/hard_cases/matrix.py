@@ -14,12 +14,22 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.studies.hard_cases import derivatives
-from pftwin.studies.hard_cases.batch import CaseBatch, batch_mates, batches, member, part, short_enough, steps_of
+from pftwin.studies.hard_cases.batch import (
+    CaseBatch,
+    Starts,
+    batch_mates,
+    batches,
+    member,
+    part,
+    short_enough,
+    starts_of,
+    starts_part,
+    steps_of,
+)
 from pftwin.studies.hard_cases.case import INTEGRATORS, CaseIntegrator, HardCase, limit_of
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, compiled, depths, poses, run, slopes
-from pftwin.studies.hard_cases.starts import Starts, starts_of, starts_part
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
 
 DTYPES = ("float64", "float32")
@@ -91,12 +101,11 @@ def _of_contact(
 
 
 def _refusal(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, error: InputError) -> Cell:
-    words = case.expected.refusal
-    if words is None:
-        return Cell(case.name, contact, method.name, dtype, "fail", f"refused: {error}")
-    if words not in str(error):
-        return Cell(case.name, contact, method.name, dtype, "fail", f"refused for another reason: {error}")
-    return Cell(case.name, contact, method.name, dtype, "refused", str(error))
+    words, outcome, reason = case.expected.refusal, "fail", f"refused: {error}"
+    if words is not None:
+        right = words in str(error)
+        outcome, reason = ("refused", str(error)) if right else ("fail", f"refused for another reason: {error}")
+    return Cell(case.name, contact, method.name, dtype, outcome, reason)
 
 
 def _unfit(case: HardCase, batch: CaseBatch, contact: str, method: CaseIntegrator, dtype: str) -> Cell:

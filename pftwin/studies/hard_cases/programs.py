@@ -1,7 +1,8 @@
 """The few programs that run all cases: one structure of scene, one compilation for each integrator and float type.
 
 Cases follow one another in a loop inside the program (`jax.lax.map`): compiled like a single run, and no case waits for
-the one with the shortest steps. That a batch side by side (`jax.vmap`) gives the same is one of the checks.
+the one with the shortest steps. That a batch side by side (`jax.vmap`) gives the same is one of the checks, and so is
+how deep a button is in its surface, by an exhaustive search that no time stepping, memory or tree can lead astray.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.base.spatial import Pose, Vec3
+from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
@@ -24,11 +25,11 @@ from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.state import State, System
 from pftwin.dynamics.static_load import still
+from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
+from pftwin.geometry.patch.charts import CylindricalChart
 from pftwin.geometry.patch.polynomial import PolynomialPatch
-from pftwin.model.effects.base import Effect
-from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.model.effects.contact import Contact
 from pftwin.model.scene import Scene
-from pftwin.studies.hard_cases.nearest import depth_everywhere
 
 # Compiled without LLVM's optimisations, which takes a third of the time: the runs are short.
 OPTIONS = {"xla_backend_optimization_level": 0}
@@ -68,27 +69,27 @@ def varied(scene: Scene, p: Array) -> Scene:
             scene.effects[button].law.contact_stiffness * (1 + UNITS[3] * p[3]),  # pyright: ignore
         ),
     )
-    return scene.with_effect(_raised(scene.effects[button], UNITS[2] * p[2]))
+    assert scene.contact is not None  # every case has one
+    return scene.with_effect(_raised(scene.contact, UNITS[2] * p[2]))
 
 
-def _raised(contact: Effect, by: Array) -> Effect:
-    """The contact with its surface raised by its coefficients; a mesh has none, so the button is lowered."""
-    if isinstance(contact, SphereContact):
-        surface = contact.surface
-        only = isinstance(surface, PolynomialPatch)  # the first coefficient is the height; a spline's add up to it
-        change = by * jnp.eye(1, surface.coefficients.size)[0] if only else by  # pyright: ignore
-        return eqx.tree_at(lambda c: c.surface.coefficients, contact, surface.coefficients + change)  # pyright: ignore
-    name = "center" if hasattr(contact, "center") else "origin"
-    return eqx.tree_at(lambda c: getattr(c, name).z, contact, getattr(contact, name).z - by)
+def _raised(contact: Contact, by: Array) -> Contact:
+    """The contact with its fitted surface raised; over a mesh the button is lowered instead."""
+    surface: Any = contact.fitted_surface()
+    if surface is None:
+        return contact.with_button_moved(Vec3(jnp.zeros_like(by), jnp.zeros_like(by), -by))
+    only = isinstance(surface, PolynomialPatch)  # the first coefficient is the height; a spline's add up to it
+    change = by * jnp.eye(1, surface.coefficients.size)[0] if only else by  # pyright: ignore
+    return contact.with_fitted_surface(eqx.tree_at(lambda s: s.coefficients, surface, surface.coefficients + change))
 
 
-def poses(states: State) -> Array:
+def poses(states: State | Pose) -> Array:
     """(..., 7): position [m] and quaternion."""
     return jnp.concatenate([states.position.array(), states.orientation.array()], axis=-1)
 
 
 def _columns(function: Callable[[Array], Array]) -> Array:
-    """Derivatives by p at nought, the parameters' axis last; one column after the other, compiled like one."""
+    """Derivatives by p at p = 0, the parameters' axis last; one column after the other, compiled like one."""
     zero = jnp.zeros(len(PARAMETERS))
     columns = jax.lax.map(lambda d: jax.jvp(function, (zero,), (d,))[1], jnp.eye(len(PARAMETERS)))
     return jnp.moveaxis(columns, 0, -1)
@@ -98,8 +99,7 @@ def rest(scene: Scene, p: Array) -> Rest:
     """The scene's equilibrium with its derivatives, and its own start."""
 
     def found(change: Array) -> Array:
-        pose = starting_equilibrium(varied(scene, p + change)).pose
-        return jnp.concatenate([pose.position.array(), pose.orientation.array()])
+        return poses(starting_equilibrium(varied(scene, p + change)).pose)
 
     changed = varied(scene, p)
     pose, system = scene.center_of_mass_pose(), System.of(scene)
@@ -127,7 +127,8 @@ def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: In
 
 def depths(scene: Scene, centers: Vec3) -> Array:
     """(n,): how deep the button is at places of its centre, by exhaustive search [m]."""
-    button = System.of(scene).effects[scene.index("contact")]
+    button = System.of(scene).effects[scene.index("contact")].contact_role()
+    assert button is not None
     return jax.lax.map(lambda c: depth_everywhere(button, c), centers)
 
 
@@ -152,3 +153,95 @@ def compiled(
         return jax.lax.map(lambda one: function(*one, **fixed), args)
 
     return jax.jit(each, compiler_options=OPTIONS)
+
+
+SAMPLES = 61  # along each side of a square about the point below the centre
+WIDE = 1.5  # half that square's side at first, in radii
+ZOOMS = 4  # times that the square is drawn closer about the nearest sample
+
+
+def depth_everywhere(button: Contact, center: Vec3) -> Array:
+    """Radius less the distance of the sphere's centre to the nearest point of the surface [m].
+
+    Negative where it touches nothing. A centre below a patch counts as inside; a mesh's side is told by its nearest
+    triangle's normal, but a mesh that is open has no inside past its rim.
+
+    Args:
+        button: a contact, made ready by `recentred`.
+        center: of the sphere, femur frame [m].
+    """
+    surface, femur, corners = button.fitted_surface(), button.femur_triangles(), button.button_triangles()
+    radius = button.button_radius() if corners is None else jnp.max(Vec3.from_array(corners.reshape(-1, 3)).norm())
+    if surface is not None:
+        return radius - _above_patch(surface, center, radius)
+    assert femur is not None
+    return radius - _above_mesh(femur, center)
+
+
+def _above_patch(surface: Any, center: Vec3, radius: Scalar) -> Array:
+    """By samples of two squares, one below the centre and one over the patch, each drawn closer about its nearest.
+
+    Over a cylinder a square goes round the axis once at most, and what lies on the axis or beyond is no surface.
+    """
+    c = surface.chart.to_frame(center)
+    side = jnp.linspace(-1.0, 1.0, SAMPLES)
+    grid_u, grid_v = (g.ravel() for g in jnp.meshgrid(side, side))
+    turn = jnp.pi * surface.chart.radius if isinstance(surface.chart, CylindricalChart) else jnp.inf
+
+    def closer(_: int, place: tuple[Array, ...]) -> tuple[Array, ...]:
+        u0, v0, half_u, half_v = place
+        u, v = u0 + half_u * grid_u, v0 + half_v * grid_v
+        square = _away(surface, c, u, v).squared_norm()
+        if isinstance(surface.chart, CylindricalChart):
+            square = jnp.where(jax.vmap(surface.height)(u, v) > 0, square, jnp.inf)
+        k = jnp.argmin(square)
+        return u[k], v[k], half_u * (4 / SAMPLES), half_v * (4 / SAMPLES)
+
+    places = (surface.chart.foot(c), WIDE * radius), (surface.center, WIDE * jnp.maximum(*surface.half_size))
+    squares = [(*middle, jnp.minimum(half, turn), half) for middle, half in places]
+    found = [jax.lax.fori_loop(0, ZOOMS, closer, square) for square in squares]
+    return jnp.where(
+        jnp.abs(_signed(surface, c, *found[0][:2])) < jnp.abs(_signed(surface, c, *found[1][:2])),
+        _signed(surface, c, *found[0][:2]),
+        _signed(surface, c, *found[1][:2]),
+    )
+
+
+def _signed(surface: Any, c: Vec3, u: Array, v: Array) -> Array:
+    """The distance of a point of the chart's frame to the surface's at (u, v), negative where it is below [m]."""
+    jet = surface.jet(u, v)
+    away = _away(surface, c, u, v)
+    return jnp.where(away.dot(surface.chart.normal(u, jet.f, jet.u, jet.v)) < 0, -away.norm(), away.norm())
+
+
+def _away(surface: Any, c: Vec3, u: Array, v: Array) -> Vec3:
+    """From the surface's points to the centre."""
+    p = surface.chart.local_point(u, v, jax.vmap(surface.height)(u, v) if jnp.ndim(u) else surface.height(u, v))
+    p = Vec3(*(jnp.broadcast_to(a, jnp.shape(u)) for a in (p.x, p.y, p.z)))
+    return Vec3(c.x - p.x, c.y - p.y, c.z - p.z)
+
+
+def _above_mesh(rows: Array, center: Vec3) -> Array:
+    triangles = Triangle.of_rows(rows)
+
+    def one(t: Triangle) -> tuple[Array, Array]:
+        away = center - closest_on_triangle(t, center).point
+        return away.norm(), away.dot(t.area_vector())
+
+    distance, side = jax.vmap(one)(triangles)
+    k = jnp.argmin(distance)
+    nearest = closest_on_triangle(jax.tree.map(lambda a: a[k], triangles), center).point.array()
+    return jnp.where((side[k] < 0) & ~_on_rim(rows, nearest), -distance[k], distance[k])
+
+
+def _on_rim(rows: Array, point: Array) -> Array:
+    """Whether a point (3,) of a mesh lies on an edge along which no other triangle runs the other way."""
+    corners = rows.reshape(-1, 3, 3)
+    a, b = corners.reshape(-1, 3), jnp.roll(corners, -1, axis=1).reshape(-1, 3)
+    met = ((a[:, None] == b[None]) & (b[:, None] == a[None])).all(axis=-1).any(axis=1)
+    along = b - a
+    length = jnp.maximum((along * along).sum(axis=-1), jnp.finfo(rows.dtype).tiny)
+    share = jnp.clip(((point[None] - a) * along).sum(axis=-1) / length, 0.0, 1.0)
+    off = jnp.linalg.norm(a + share[:, None] * along - point[None], axis=-1)
+    near = 100 * jnp.finfo(rows.dtype).eps * jnp.abs(rows).max()
+    return (~met & (off <= near)).any()

@@ -1,9 +1,4 @@
-"""The matrix as tables: for the terminal and for docs/hard_cases.md.
-
-Pieces of the matrix, run at different times: kept as JSON, and put together for one page.
-
-Cases run as results, to be looked at: positions, forces, energies and flags of their frames.
-"""
+"""The matrix as tables, its pieces kept as JSON and put together for docs/hard_cases.md, and cases run as results."""
 
 from __future__ import annotations
 
@@ -19,11 +14,10 @@ import jax.numpy as jnp
 from pftwin.base.errors import InputError
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.results.result import Result
-from pftwin.studies.hard_cases.batch import batches, built, member, steps_of
+from pftwin.studies.hard_cases.batch import batches, built, member, starts_of, steps_of
 from pftwin.studies.hard_cases.case import HardCase, method_named
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import PARAMETERS, compiled, run
-from pftwin.studies.hard_cases.starts import starts_of
 from pftwin.studies.hard_cases.verdict import Cell
 from pftwin.studies.tables import Sheet, read_rows
 

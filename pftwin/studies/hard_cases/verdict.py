@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import derivatives
 from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator, HardCase, limit_of
-from pftwin.studies.hard_cases.invariants import CHECKS
-from pftwin.studies.hard_cases.look import TOLERANCES, Look
+from pftwin.studies.hard_cases.invariants import CHECKS, GEOMETRY, TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import CaseRun
 
-GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # checked by themselves
 REFUSES = (
     Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
 )  # what says that a run, or its step, is not to be trusted

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from pftwin.studies.clock import Times, measure
+from tests.benchmarks.clock import Times, measure
 from tests.benchmarks.row import Row
 from tests.benchmarks.topics import in_a_process
 

@@ -9,8 +9,7 @@ import pytest
 
 from pftwin.base.errors import InputError
 from pftwin.results.plots.style import COLOURS, MARKERS
-from pftwin.studies.accuracy.figure import work_precision
-from pftwin.studies.accuracy.table import front, read_csv
+from pftwin.studies.accuracy.table import front, read_csv, work_precision
 
 KEPT = Path(__file__).resolve().parents[3] / "docs" / "benchmarks"
 

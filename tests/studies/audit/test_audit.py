@@ -23,8 +23,7 @@ from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene
 from pftwin.results.result import Result
 from pftwin.studies.audit.audit import Audit, _outcome, _verdict, audit
-from pftwin.studies.audit.figure import audit_figure
-from pftwin.studies.audit.report import audit_sheet, columns, dataset
+from pftwin.studies.audit.report import audit_figure, audit_sheet, columns, dataset
 from pftwin.studies.audit.runs import changes, lost, run_alone, run_side_by_side
 from pftwin.studies.audit.variants import Variant
 

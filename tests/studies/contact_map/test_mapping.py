@@ -12,8 +12,7 @@ from pftwin.files.mocap.poses import PoseSeries
 from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
-from pftwin.studies.contact_map.checks import status
-from pftwin.studies.contact_map.mapping import ContactMap, map_contact
+from pftwin.studies.contact_map.mapping import ContactMap, map_contact, status
 
 ASIDE = np.array([0.004, -0.003, 0.002])  # of the button from its frame's origin
 BUTTON = disc(0.0)

@@ -8,7 +8,7 @@ from scenes import vec
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.ground import PLATE
 from pftwin.studies.hard_cases.knee import RADIUS, KneeNumbers
-from pftwin.studies.hard_cases.nearest import depth_everywhere
+from pftwin.studies.hard_cases.programs import depth_everywhere
 
 WIDE = PLATE.half[1]  # [m]
 

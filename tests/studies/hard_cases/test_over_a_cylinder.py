@@ -13,7 +13,7 @@ from pftwin.studies.hard_cases import Selection, case_named, method_named, run_m
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.ground import PLATE, axis_below, patch_on
 from pftwin.studies.hard_cases.knee import RADIUS
-from pftwin.studies.hard_cases.nearest import depth_everywhere
+from pftwin.studies.hard_cases.programs import depth_everywhere
 
 J = jnp.asarray
 KIND = "P5 cylinder"

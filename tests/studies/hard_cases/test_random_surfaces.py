@@ -15,9 +15,8 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.geometry.patch.polynomial import exponents
 from pftwin.studies.hard_cases.batch import built, member, stacked
 from pftwin.studies.hard_cases.case import HardCase
-from pftwin.studies.hard_cases.invariants import CHECKS
+from pftwin.studies.hard_cases.invariants import CHECKS, TOLERANCES, Look
 from pftwin.studies.hard_cases.knee import BUMPS, DEGREE, KneeNumbers, bumpy
-from pftwin.studies.hard_cases.look import TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import compiled, depths, rest, run
 
 COEFFICIENTS = st.lists(

@@ -11,7 +11,7 @@ import pytest
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.studies.hard_cases import starts
+from pftwin.studies.hard_cases import batch
 from pftwin.studies.hard_cases.batch import CaseBatch
 from pftwin.studies.hard_cases.programs import Rest, relaxed
 
@@ -46,10 +46,10 @@ def test_a_case_that_is_let_go_stays_where_it_was_put(monkeypatch, wanted):
     """It had the relaxed place, already fallen, wherever another case of its batch had to be relaxed."""
 
     monkeypatch.setattr(
-        starts, "compiled", lambda function, double: (lambda scenes: pose(LOW)) if function is relaxed else searched
+        batch, "compiled", lambda function, double: (lambda scenes: pose(LOW)) if function is relaxed else searched
     )
-    monkeypatch.setattr(starts, "_wrong", lambda *given: {})
+    monkeypatch.setattr(batch, "_wrong", lambda *given: {})
     cases = tuple(SimpleNamespace(released=r, name=n) for r, n in ((not wanted, "one"), (True, "let go")))
     scenes = Put(pose(HIGH), None)
-    chosen = starts.starts_of(CaseBatch(cases, scenes), "float32").chosen  # pyright: ignore[reportArgumentType]
+    chosen = batch.starts_of(CaseBatch(cases, scenes), "float32").chosen  # pyright: ignore[reportArgumentType]
     np.testing.assert_allclose(chosen.pose.position.z, [LOW if wanted else HIGH, HIGH])

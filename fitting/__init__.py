@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from fitting.identifiability import plan_experiment, profile_likelihood
     from fitting.objective import Objective
     from fitting.parameters import Parameter, Parameters, free_parameters
-    from fitting.posterior.sampling import Posterior, sample_posterior
+    from fitting.posterior.result import Posterior
+    from fitting.posterior.sampling import sample_posterior
     from fitting.prediction import outcomes
     from fitting.prediction.predicting import predict
     from fitting.treatments.optimise import optimise_treatment
@@ -30,7 +31,7 @@ _HOME = {
     "Objective": "objective",
     "Parameter": "parameters",
     "Parameters": "parameters",
-    "Posterior": "posterior.sampling",
+    "Posterior": "posterior.result",
     "channels_of": "channels",
     "fit_tendons": "fit",
     "free_parameters": "parameters",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fitting.estimate import Estimate
-from fitting.methods import checkpoint
+from fitting.methods.problem import load_checkpoint
 from pftwin.base import file_limits
 from pftwin.base.errors import InputError
 from pftwin.base.json_files import read_json
@@ -36,7 +36,7 @@ def large(path, size):
         ("a.sto", read_sto, file_limits.RECORDING_BYTES),
         ("a.osim", read_osim, file_limits.MODEL_BYTES),
         ("fit.json", Estimate.load, file_limits.JSON_BYTES),
-        ("checkpoint.json", lambda path: checkpoint.load(path, "problem"), file_limits.JSON_BYTES),
+        ("checkpoint.json", lambda path: load_checkpoint(path, "problem"), file_limits.JSON_BYTES),
     ],
 )
 def test_too_large_a_file(tmp_path, name, read, limit):

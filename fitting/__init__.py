@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting import treatments
-    from fitting.channels import channels_of
     from fitting.estimate import Estimate
     from fitting.fit import fit_tendons
     from fitting.identifiability import plan_experiment, profile_likelihood
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from fitting.posterior.sampling import sample_posterior
     from fitting.prediction import outcomes
     from fitting.prediction.predicting import predict
+    from fitting.programs import channels_of
     from fitting.treatments.optimise import optimise_treatment
 
 _HOME = {
@@ -32,7 +32,7 @@ _HOME = {
     "Parameter": "parameters",
     "Parameters": "parameters",
     "Posterior": "posterior.result",
-    "channels_of": "channels",
+    "channels_of": "programs",
     "fit_tendons": "fit",
     "free_parameters": "parameters",
     "optimise_treatment": "treatments.optimise",

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting import programs
-from fitting.channels import POSITION, columns_of, widths
 from fitting.parameters import Parameters
+from fitting.programs import POSITION, columns_of, widths
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.frame_states import substeps_for

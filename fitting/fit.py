@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fitting.channels import POSITION, channels_of
 from fitting.estimate import Estimate
 from fitting.methods.problem import Method, Problem, Request, State, load_checkpoint, save_checkpoint
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, free_parameters
+from fitting.programs import POSITION, channels_of
 from fitting.uncertainty import uncertainty
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.base.output import check_place
@@ -81,7 +81,7 @@ def fit_tendons(
             in the femur frame, without forces.
         free: names of parameters; see `free_parameters`.
         bounds: to either side as a share of the nominal values, or by name.
-        priors: by name, mean and standard deviation of what is known beforehand.
+        priors: by name, mean and standard deviation of a normal prior.
         seed: of all random choices: the same seed gives the same result.
         use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
             measured; see `Objective.of`.

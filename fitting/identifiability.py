@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channels import ORIENTATION, POSITION, channels_of
 from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
 from fitting.fit import SPRING_PARAMETERS, likelihood_of
 from fitting.methods.problem import Problem
 from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters, free_parameters
+from fitting.programs import ORIENTATION, POSITION, channels_of
 from fitting.uncertainty import in_words, inverted, percent
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -96,7 +96,7 @@ def plan_experiment(
         use: channels that will be measured: "position", "orientation", effects' names for their forces.
         noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white.
         candidates: channels that might be measured besides; by default every other one that the scene has.
-        priors: by name, mean and standard deviation of what is known beforehand.
+        priors: by name, mean and standard deviation of a normal prior.
         bounds: as for a fit: what "no reaction" is measured by.
 
     Raises:

@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channels import ORIENTATION, POSITION, widths
 from fitting.evaluation import Prediction
+from fitting.programs import ORIENTATION, POSITION, widths
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene

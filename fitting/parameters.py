@@ -1,4 +1,4 @@
-"""The free parameters of a fit: which numbers of a scene, within which bounds, with what known beforehand."""
+"""The free parameters of a fit: which numbers of a scene, with which bounds and priors."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Parameter:
 
     Args:
         name: as the user wrote it ("K1", "quadriceps.origin.y").
-        place: where it lives in the scene.
+        place: where it is in the scene.
         nominal: its value in the scene that is fitted, where searches begin.
         lower, upper: bounds.
-        prior: mean and standard deviation of what is known beforehand; None where nothing is.
+        prior: mean and standard deviation of a normal prior; None: flat.
         unit: of all of them.
     """
 
@@ -60,7 +60,7 @@ class Parameters:
 
     @property
     def places(self) -> tuple[NumberPlace, ...]:
-        """Where they live."""
+        """Where the numbers are in the scene."""
         return tuple(p.place for p in self.items)
 
     @property
@@ -112,7 +112,7 @@ class Parameters:
         return self.lower + (self.upper - self.lower) * share
 
     def prior_terms(self, theta: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
-        """What is known beforehand, at theta (..., p): half its square sum (...), gradient (..., p), curvature (p,)."""
+        """Minus the priors' log density at theta (..., p): value (...), gradient (..., p), curvature (p,)."""
         mean = np.array([0.0 if p.prior is None else p.prior[0] for p in self.items])
         precision = np.array([0.0 if p.prior is None else p.prior[1] ** -2 for p in self.items])
         off = theta - mean
@@ -144,7 +144,7 @@ def free_parameters(
             once without the index.
         bounds: to either side as a share of the nominal value; or by name such a share or (lower, upper), the others
             +-30 %.
-        priors: by name the mean and standard deviation of what is known beforehand.
+        priors: by name mean and standard deviation of a normal prior.
 
     Raises:
         InputError: an unknown or repeated name; bounds that are empty, exclude the nominal value, or are a share of

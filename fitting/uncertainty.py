@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channels import POSITION
 from fitting.objective import Objective
 from fitting.parameters import Parameters
+from fitting.programs import POSITION
 
 Floats = NDArray[np.float64]
 

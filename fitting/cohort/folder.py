@@ -15,6 +15,7 @@ from fitting.cohort.manifest import NAME, PATIENTS, SUMMARY, Manifest, fault, fi
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.output import make_folder, remove_unfinished
 
+SOUND, DAMAGED, OUTDATED, ABSENT, LEFT_OVER = "sound", "damaged", "out of date", "not there yet", "no longer asked for"
 LOCK = ".lock"
 _ANOTHER = "another folder, with --out"
 _PROBE = bytes(1 << 16)
@@ -30,7 +31,7 @@ def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
     """The folder's manifest, while no other process works there; the folder is made if it is not there.
 
     Raises:
-        InputError: it holds results and nobody said to go on with them, those of another cohort, a damaged manifest, or
+        InputError: it holds results without `resume`, those of another cohort, a damaged manifest, or
             another process is at work there.
         OutputError: it cannot be made or written to.
     """
@@ -99,9 +100,6 @@ def _locked(folder: Path) -> Iterator[None]:
         except OSError:  # a file system without locks
             pass
         yield
-
-
-SOUND, DAMAGED, OUTDATED, ABSENT, LEFT_OVER = "sound", "damaged", "out of date", "not there yet", "no longer asked for"
 
 
 class FileFinding(NamedTuple):

@@ -146,7 +146,7 @@ class Manifest:
     summary: Announced | None = None
 
     def record(self, unit: Unit, folder: Path, seconds: float) -> None:
-        """Takes up a unit whose file has been written.
+        """Records a unit whose file has been written.
 
         Raises:
             OSError: it cannot be read.

@@ -86,7 +86,7 @@ class CohortReport:
 
     folder: Path
     outcomes: list[Outcome]
-    unwritten: dict[str, str] = field(default_factory=dict)  # why manifest or summary could not be written, at last
+    unwritten: dict[str, str] = field(default_factory=dict)  # why manifest or summary could not be written in the end
     seconds: float = 0.0
 
     @property

@@ -83,7 +83,7 @@ class Work:
 
     def _scene(self, patient: Patient) -> Scene:
         if self._last is None or self._last[0] != patient:
-            self._last = None  # what is not needed any more goes before what comes
+            self._last = None  # frees the last scene before the next is loaded
             if patient.scene is None:
                 from pftwin import rig
 
@@ -227,7 +227,7 @@ class _CohortRun:
             raise InputError("its files changed while it was computed", where=patient.name, remedy="--resume")
 
     def _saved(self) -> None:
-        """The manifest, as far as the disk lets it; the next one that can be written holds the same."""
+        """Writes the manifest; if the disk refuses, the next write holds the same."""
         with self._noted("manifest"):
             self.manifest.save(self.folder)
 
@@ -238,7 +238,7 @@ class _CohortRun:
 
     @contextmanager
     def _caught(self, outcome: Outcome, stage: str) -> Iterator[None]:
-        """A patient's failure is written down. Not Ctrl-C: that is nobody's failure."""
+        """Records a patient's failure; Ctrl-C is none."""
         try:
             yield
         except Exception as error:
@@ -252,7 +252,7 @@ class _CohortRun:
 
     @contextmanager
     def _noted(self, what: str) -> Iterator[None]:
-        """What keeps manifest or summary from being written is said at the end, unless it could be written later."""
+        """Reports what kept the manifest or the summary from being written, unless a later write succeeds."""
         self.report.unwritten.pop(what, None)
         try:
             yield

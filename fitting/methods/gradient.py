@@ -115,7 +115,7 @@ class Gradient(Method):
     def _newton_step(self, state: State, value: Floats, gradient: Floats) -> None:
         at, i = self._along(state), int(np.argmin(value))
         first = not state["direction"].any()
-        if not first and not value[i] < state["value"][0]:  # nothing gained along this direction: start afresh
+        if not first and not value[i] < state["value"][0]:  # no gain along this direction: restart
             state["lbfgs"] = _leaves(_lbfgs().init(jnp.asarray(state["u"][0])))
             state["direction"] = -state["gradient"][0] / max(np.linalg.norm(state["gradient"][0]), 1e-300) * 0.05
             return

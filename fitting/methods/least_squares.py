@@ -32,7 +32,7 @@ class Phase(NamedTuple):
 
 PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 6, 1e3), Phase(4, True, 20, 1.0))
 _DAMPING = 1e-2  # to start with, of a diagonal's share
-_STUCK = 1e7  # a damping with which nothing moves any more
+_STUCK = 1e7  # a damping with which steps vanish
 _LONGEST = 2.0  # step of an unbounded parameter: from the middle to 88 % of the range
 _FARTHEST = 16.0  # of an unbounded parameter: 1e-7 of the range from a bound
 _SAME = 1e-2  # share of the range within which two starts have met

@@ -1,6 +1,6 @@
 """What every method of fitting sees, a function of the free parameters; a method's shape, and its state on disk.
 
-A method asks for evaluations and is told their answers; the host has the loop.
+A method asks for evaluations and receives their results; the loop runs on the host.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Problem:
         return Problem(scene, parameters, objective, evaluator)
 
     def answer(self, request: Request) -> ProblemAnswer:
-        """The objective, what is known beforehand included."""
+        """The objective with the priors."""
         theta = np.atleast_2d(request.theta)
         prior, pull, _ = self.parameters.prior_terms(theta)
         if request.want == "value":
@@ -83,7 +83,7 @@ class Problem:
         return ProblemAnswer(*self.normal(theta, request.substeps))
 
     def normal(self, theta: Floats, substeps: int | None = None) -> Normal:
-        """The objective, what is known beforehand included, with gradient and Hessian; by default with fine steps."""
+        """The objective with the priors, its gradient and Hessian; by default with fine steps."""
         prior, pull, precision = self.parameters.prior_terms(theta)
         seen = self.evaluator.with_slopes(theta, self.evaluator.fine if substeps is None else substeps)
         value, gradient, hessian = self.objective.normal(seen)

@@ -10,10 +10,12 @@ Q'f(theta) = eta, eta normal. Its density is
 
     |det Q' df/dtheta| exp(-|Q'f|^2 / 2),
 
-for linear f the posterior itself, and else bent as it is: "randomise, then optimise" (Bardsley, Solonen, Haario and
-Laine 2014; arXiv:1903.00870 explains the geometry). First derivatives suffice, and proposals do not depend on where a
-chain is, so all are simulated side by side; blackjax's independence sampler then accepts or rejects them one after the
-other. An eta whose solution lies outside the bounds, or is not found, is dropped. Needs the extra `posterior`.
+the posterior itself for linear f, and bent as the posterior is otherwise: "randomise, then optimise" (Bardsley,
+Solonen, Haario and Laine 2014; arXiv:1903.00870 explains the geometry). First derivatives suffice. Proposals do not
+depend on where a chain is, so all are simulated side by side; blackjax's independence sampler then accepts or rejects
+them one after the other. An eta whose solution lies outside the bounds, or is not found, is dropped.
+
+Needs the extra `posterior`.
 """
 
 from __future__ import annotations
@@ -118,8 +120,8 @@ class Proposals(NamedTuple):
     theta: Floats  # (N, p)
     log_density: Floats  # (N,) of the posterior, up to a constant
     log_proposal: Floats  # (N,) of the proposals, up to a constant
-    outside: int  # how many more were beyond the bounds
-    unsolved: int  # how many more were not found
+    outside: int  # further ones beyond the bounds
+    unsolved: int  # further ones that were not found
     evaluations: int
 
 

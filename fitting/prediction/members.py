@@ -127,7 +127,7 @@ def run(
     starts = _starts(recipe, amounts, thetas)
     found = simulated(amounts, thetas, starts, progress)
     badly = found.flags[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] > 0
-    if badly.any() and starts is not None:  # where the neighbour's equilibrium led nowhere, the scene's own start may
+    if badly.any() and starts is not None:  # retry from the scene's own start
         retried = simulated(amounts[badly], thetas[badly], None, None)
         jax.tree.map(lambda old, new: old.__setitem__(badly, new), found, retried)
     return found
@@ -146,7 +146,7 @@ def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
     if not good.any():
         return None
     usable = good[: len(chosen)]
-    if not usable.all():  # nobody starts from a search that failed
+    if not usable.all():  # no member starts from a search that failed
         distance = np.stack([np.sum((points - points[i]) ** 2, axis=1) for i in chosen[usable]])
         nearest = np.flatnonzero(usable)[np.argmin(distance, axis=0)]
     return jax.tree.map(lambda a: a[nearest], poses)

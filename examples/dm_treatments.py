@@ -82,10 +82,10 @@ def _figure(scene: Scene, data: Dataset) -> Figure:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from fitting.prediction.course import knee_flexion
+    from pftwin.dynamics.trajectory import knee_angles
     from pftwin.results.plots import STYLE
 
-    knee = np.degrees(np.asarray(knee_flexion(scene)))
+    knee = np.degrees(np.asarray(knee_angles(scene).flexion))
     groups = {
         "Lateral release": range(len(RELEASE)),
         "MPFL shortened": [0, *range(len(RELEASE), data.sizes["variant"])],

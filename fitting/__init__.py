@@ -14,15 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting import treatments
-    from fitting.channels import channels_of
     from fitting.estimate import Estimate
     from fitting.fit import fit_tendons
     from fitting.identifiability import plan_experiment, profile_likelihood
     from fitting.objective import Objective
     from fitting.parameters import Parameter, Parameters, free_parameters
-    from fitting.posterior.sampling import Posterior, sample_posterior
+    from fitting.posterior.result import Posterior
+    from fitting.posterior.sampling import sample_posterior
     from fitting.prediction import outcomes
     from fitting.prediction.predicting import predict
+    from fitting.programs import channels_of
     from fitting.treatments.optimise import optimise_treatment
 
 _HOME = {
@@ -30,8 +31,8 @@ _HOME = {
     "Objective": "objective",
     "Parameter": "parameters",
     "Parameters": "parameters",
-    "Posterior": "posterior.sampling",
-    "channels_of": "channels",
+    "Posterior": "posterior.result",
+    "channels_of": "programs",
     "fit_tendons": "fit",
     "free_parameters": "parameters",
     "optimise_treatment": "treatments.optimise",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.prediction.applied import Applied
+from fitting.parameters import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
@@ -111,13 +111,7 @@ class Estimate:
 
     def sentence(self) -> str:
         """How sure it is, in plain words."""
-        from types import SimpleNamespace
-
-        from pftwin.model.scene_parameters import NumberPlace
-
-        places = tuple(NumberPlace("", (_field(n),), None, "value") for n in self.names)
-        named: Any = SimpleNamespace(names=self.names, places=places, lower=self.lower, upper=self.upper)
-        return in_words(named, self.values, self.covariance, self.channels)
+        return in_words(self.names, self.upper - self.lower, self.values, self.covariance, self.channels)
 
     def summary(self) -> str:
         """A table in text, with what else is to be known."""
@@ -157,7 +151,7 @@ class Estimate:
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON; what can be derived from others comes along for readers."""
         skipped = ("nominal_scene", "measured")
-        plain = {k: v for k, v in _shallow(self).items() if k not in skipped}
+        plain = {k: getattr(self, k) for k in self.__dataclass_fields__ if k not in skipped}
         for key in _ARRAYS:
             plain[key] = np.asarray(plain[key]).tolist()
         return {
@@ -205,15 +199,3 @@ class Estimate:
         except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
             raise InputError(f"no estimate: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
         return Estimate(**known, nominal_scene=scene)
-
-
-def _shallow(estimate: Estimate) -> dict[str, Any]:
-    return {k: getattr(estimate, k) for k in estimate.__dataclass_fields__}
-
-
-def _field(name: str) -> str:
-    """What kind of number a name stands for, as far as sentences need it."""
-    return "stiffness" if name.endswith(".stiffness") or (name[:1] == "K" and name[1:].isdigit()) else name
-
-
-__all__ = ["Estimate"]

@@ -1,7 +1,7 @@
 """What many parameter vectors predict, in compiled calls of one size; with derivatives by every parameter if wanted.
 
 A prediction is a pure function of the parameters: searches for equilibrium start from the nearest of a fixed cloud of
-equilibria, never from the last iterate's. So a fit that is resumed sees what it would have seen.
+equilibria, never from the last iterate's. So a resumed fit takes the same course as one without a break.
 """
 
 from __future__ import annotations
@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting import programs
-from fitting.channels import POSITION, columns_of, widths
 from fitting.parameters import Parameters
+from fitting.programs import POSITION, columns_of, widths
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
 
 CHUNK = 32  # variants evaluated at once by default
 _WITH_SLOPES = 16  # the same with derivatives
@@ -45,8 +47,8 @@ class Prediction(NamedTuple):
     usable: (N,) whether the equilibrium was found and all numbers are finite.
     """
 
-    values: NDArray[np.float64]
-    slopes: NDArray[np.float64] | None
+    values: Floats
+    slopes: Floats | None
     usable: NDArray[np.bool_]
 
 
@@ -83,10 +85,10 @@ class Evaluator:
         self._program = programs.FitProgram(self.parameters.places, self.computed or self.channels, mesh)
         self._plain_scene = self.scene.unnamed()
         self._with_plain = True
-        self._recent: list[tuple[NDArray[np.float64], int, Prediction]] = []
+        self._recent: list[tuple[Floats, int, Prediction]] = []
 
     def prepare(self, widest: int | None) -> None:
-        """Sets the batch: the largest number of plain values that will be asked for at once; None: none will be."""
+        """Sets the batch size from the most values without derivatives that one call will ask for; None: none."""
         self._with_plain = widest is not None
         if widest is not None:
             threads = _PARTS if self._count == 1 and widest >= _PARTS * _FEWEST else 1
@@ -95,22 +97,18 @@ class Evaluator:
     @cached_property
     def coarse(self) -> int:
         """Steps between two frames for a search: as few as the nominal motion allows."""
-        few = self._few
+        few = substeps_for(self.scene.motion.frame_interval, _COARSE_STEP)
         if few < self.fine:
             rough, good = (self.with_slopes(self.parameters.nominal[None], n) for n in (few, self.fine))
             if good.usable[0] and not (rough.usable[0] and self._agree(rough.values[0], good.values[0])):
                 return self.fine
         return few
 
-    def _agree(self, rough: NDArray[np.float64], good: NDArray[np.float64]) -> bool:
+    def _agree(self, rough: Floats, good: Floats) -> bool:
         """Whether long steps are good enough for a search."""
         if self.channels[0] != POSITION:
             return bool(np.abs(rough - good).max() <= 0.1 * np.ptp(good, axis=0).max())
         return bool(np.sqrt(np.mean(np.sum((rough[:, :3] - good[:, :3]) ** 2, axis=1))) <= _ROUGH)
-
-    @property
-    def _few(self) -> int:
-        return substeps_for(self.scene.motion.frame_interval, _COARSE_STEP)
 
     @property
     def fine(self) -> int:
@@ -122,11 +120,11 @@ class Evaluator:
         """Columns of each channel."""
         return widths(self.channels)
 
-    def values(self, theta: NDArray[np.float64], substeps: int) -> Prediction:
+    def values(self, theta: Floats, substeps: int) -> Prediction:
         """Predictions for (N, p) parameters."""
         return self._in_chunks(theta, substeps, self.chunk, slopes=False)
 
-    def with_slopes(self, theta: NDArray[np.float64], substeps: int) -> Prediction:
+    def with_slopes(self, theta: Floats, substeps: int) -> Prediction:
         """Predictions and their derivatives for (N, p) parameters; the last few batches are remembered."""
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         for before, steps, prediction in self._recent:
@@ -137,15 +135,10 @@ class Evaluator:
         self._recent = [(theta.copy(), substeps, prediction), *self._recent[: _REMEMBERED - 1]]
         return prediction
 
-    def with_pull(
-        self, theta: NDArray[np.float64], substeps: int, pull: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    ) -> tuple[Prediction, NDArray[np.float64]]:
+    def with_pull(self, theta: Floats, substeps: int, pull: Callable[[Floats], Floats]) -> tuple[Prediction, Floats]:
         """Predictions for (N, p) parameters, and gradients (N, p) of a function of theirs by reverse mode.
 
-        Args:
-            theta: the parameters.
-            substeps: steps between two frames.
-            pull: the function's derivatives by the predictions, from predictions (N, n, c).
+        `pull` gives the function's derivatives by the predictions, from predictions (N, n, c).
         """
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         prediction = self.values(theta, substeps)
@@ -162,19 +155,19 @@ class Evaluator:
 
     @property
     def slope_chunk(self) -> int:
-        """Variants in one call with derivatives: by the parameters alone, for methods ask for as many as it takes."""
+        """Variants in one call with derivatives; it depends on the number of parameters alone."""
         return max(1, min(_WITH_SLOPES, COLUMNS // len(self.parameters)))
 
     def _wide(self, chunk: int) -> int:
         """Variants of a call, the same number on every device."""
         return -(-chunk // self._count) * self._count
 
-    def _in_chunks(self, theta: NDArray[np.float64], substeps: int, chunk: int, *, slopes: bool) -> Prediction:
+    def _in_chunks(self, theta: Floats, substeps: int, chunk: int, *, slopes: bool) -> Prediction:
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         self._cloud  # noqa: B018 (before threads ask for it)
         width = self._wide(chunk)
 
-        def one(part: NDArray[np.float64]) -> list[Any]:
+        def one(part: Floats) -> list[Any]:
             full = _filled(part, width)
             out = self._run(full, self.guesses(full), substeps, slopes)
             return [None if a is None else a[: len(part)] for a in out[:3]]
@@ -204,22 +197,20 @@ class Evaluator:
     def _run(self, theta: NDArray, guesses: Pose, substeps: int, slopes: bool) -> tuple[Any, Any, Any, Any]:
         """Values (N, n, c), slopes (N, n, c, p) or None, whether in equilibrium at the start (N,), starting poses."""
         args = (self._program, self._plain_scene, jnp.asarray(substeps), jnp.asarray(theta, dtype=float), guesses)
-        if slopes:
-            (values, poses, found), columns = programs.with_slopes(*args)
-            return np.asarray(values), np.moveaxis(np.asarray(columns), 0, -1), np.asarray(found), poses
-        values, poses, found = programs.plain(*args)
-        return np.asarray(values), None, np.asarray(found), poses
+        if not slopes:
+            values, poses, found = programs.plain(*args)
+            return np.asarray(values), None, np.asarray(found), poses
+        (values, poses, found), columns = programs.with_slopes(*args)
+        return np.asarray(values), np.moveaxis(np.asarray(columns), 0, -1), np.asarray(found), poses
 
-    def guesses(self, theta: NDArray[np.float64]) -> Pose:
+    def guesses(self, theta: Floats) -> Pose:
         """Where the searches for equilibrium begin: at the nearest member of the cloud, (N,) poses."""
         where, poses = self._cloud
-        return _picked(poses, _nearest(self._share(theta), where))
-
-    def _share(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        return (theta - self.parameters.lower) / (self.parameters.upper - self.parameters.lower)
+        distance = np.sum((self.parameters.share(theta)[:, None] - where[None]) ** 2, axis=-1)
+        return _picked(poses, np.argmin(distance, axis=1))
 
     @cached_property
-    def _cloud(self) -> tuple[NDArray[np.float64], Pose]:
+    def _cloud(self) -> tuple[Floats, Pose]:
         """Equilibria all over the bounds: shares of the range (m, p) and poses (m,). The nominal one always belongs."""
         slopes = not self._with_plain
         width = self._wide(self.slope_chunk if slopes else self.chunk)
@@ -233,14 +224,14 @@ class Evaluator:
             pose = jax.tree.map(np.asarray, pose)
             if not poses:  # the nominal one: if even that was not found, the scene's start has to do
                 guess = jax.tree.map(lambda a: a[:1], pose) if found[0] else start
-                where, poses = self._share(part[:1]), [guess]
+                where, poses = self.parameters.share(part[:1]), [guess]
             keep = np.flatnonzero(found)
-            where = np.concatenate([where, self._share(part[keep])])
+            where = np.concatenate([where, self.parameters.share(part[keep])])
             poses.append(jax.tree.map(lambda a, keep=keep: a[keep], pose))
         return where, jax.tree.map(lambda *a: np.concatenate(a), *poses)
 
 
-def _filled(rows: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+def _filled(rows: Floats, width: int) -> Floats:
     """(width, ...): what is missing is the first row again."""
     return np.concatenate([rows, np.repeat(rows[:1], width - len(rows), axis=0)])
 
@@ -249,11 +240,7 @@ def _picked(poses: Pose, which: NDArray[np.intp]) -> Pose:
     return jax.tree.map(lambda a: jnp.asarray(a[which], dtype=float), poses)
 
 
-def _rows_of(theta: NDArray[np.float64], among: NDArray[np.float64]) -> list[int]:
+def _rows_of(theta: Floats, among: Floats) -> list[int]:
     """Where the very same parameters stand; fewer than asked for if some are not there."""
     at = {row.tobytes(): i for i, row in enumerate(among)}
     return [at[row.tobytes()] for row in theta if row.tobytes() in at]
-
-
-def _nearest(points: NDArray[np.float64], among: NDArray[np.float64]) -> NDArray[np.intp]:
-    return np.argmin(np.sum((points[:, None] - among[None]) ** 2, axis=-1), axis=1)

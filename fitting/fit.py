@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fitting.channels import POSITION, channels_of
 from fitting.estimate import Estimate
-from fitting.methods import checkpoint as checkpoints
-from fitting.methods.method import Method, State
-from fitting.methods.problem import Problem, Request
+from fitting.methods.problem import Method, Problem, Request, State, load_checkpoint, save_checkpoint
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, free_parameters
+from fitting.programs import POSITION, channels_of
 from fitting.uncertainty import uncertainty
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.base.output import check_place
@@ -23,7 +22,13 @@ from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 
-METHODS = ("least_squares", "gradient", "genetic", "cma_es", "differential_evolution")
+METHODS = {  # module and class
+    "least_squares": ("least_squares", "LeastSquares"),
+    "gradient": ("gradient", "Gradient"),
+    "genetic": ("genetic", "Genetic"),
+    "cma_es": ("strategies", "CmaEs"),
+    "differential_evolution": ("strategies", "DifferentialEvolution"),
+}
 SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
 _UNFELT = 1e-7  # effect of a parameter's whole range, in metres or newtons, that nothing could see
 _FAR = 0.1  # distance of measured from predicted positions that speaks of another frame [m]
@@ -76,7 +81,7 @@ def fit_tendons(
             in the femur frame, without forces.
         free: names of parameters; see `free_parameters`.
         bounds: to either side as a share of the nominal values, or by name.
-        priors: by name, mean and standard deviation of what is known beforehand.
+        priors: by name, mean and standard deviation of a normal prior.
         seed: of all random choices: the same seed gives the same result.
         use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
             measured; see `Objective.of`.
@@ -120,7 +125,7 @@ def fit_tendons(
     state = None
     identity = problem.fingerprint(method, seed, search.settings())
     if resume and checkpoint is not None:
-        state = checkpoints.load(Path(checkpoint), identity)
+        state = load_checkpoint(Path(checkpoint), identity)
     first_look(problem, search.ask(search.begin()) if state is None else None)
     state = _run(search, state, identity, progress, None if checkpoint is None else Path(checkpoint))
     if state["best_theta"] is None:
@@ -130,9 +135,7 @@ def fit_tendons(
             expected="at least one start from which the motion can be simulated",
             remedy="narrower bounds, or a scene that `pftwin simulate` can run",
         )
-    estimate = _estimate(search, state, data, began)
-    estimate.springs = dict(springs)
-    return estimate
+    return _estimate(search, state, data, springs, began)
 
 
 def measured_of(scene: Scene) -> Measured:
@@ -146,6 +149,32 @@ def measured_of(scene: Scene) -> Measured:
     return scene.measured
 
 
+def likelihood_of(estimate: Estimate, measured: Measured | None) -> Problem:
+    """The problem that an estimate solved, with the noise that it found.
+
+    Args:
+        estimate: of a likelihood, with its scene.
+        measured: the measurements; by default those of the estimate, or of its scene.
+
+    Raises:
+        InputError: an estimate without a scene, or of the paper's objective; what `Objective.of` has against the
+            measurements.
+    """
+    e, scene = estimate, estimate.nominal_scene
+    if scene is None:
+        remedy = "Estimate.load(path, scene)"
+        raise InputError("an estimate from a file holds no scene", where="estimate", remedy=remedy)
+    if e.objective == "paper":
+        remedy = "objective='likelihood'"
+        raise InputError("the paper's objective is no likelihood", where="estimate", remedy=remedy)
+    limits = {n: (lower, upper) for n, lower, upper in zip(e.names, e.lower, e.upper, strict=True)}
+    data = measured or e.measured or measured_of(scene)
+    target = Objective.of(scene, data, use=e.channels, noise=e.noise, springs=e.springs or SPRINGS)
+    problem = Problem.of(scene, free_parameters(scene, e.names, limits, e.priors), target)
+    problem.evaluator.prepare(None)
+    return problem
+
+
 def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> tuple[str, ...] | None:
     """In the scene's order, so that the same channels are the same program; None for those compared alone."""
     if wanted is None:
@@ -156,20 +185,14 @@ def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> 
         found = f"no channel {min(strange)!r}"
         raise InputError(found, where="computed", expected=f"some of: {', '.join(known)}")
     if missing := set(target.channels) - names:
-        raise InputError(
-            f"without {', '.join(sorted(missing))}, which the fit compares",
-            where="computed",
-            expected="what is compared, and what else the program is to compute",
-        )
+        expected = "what is compared, and what else the program is to compute"
+        found = f"without {', '.join(sorted(missing))}, which the fit compares"
+        raise InputError(found, where="computed", expected=expected)
     return tuple(c for c in known if c in names)
 
 
 def first_look(problem: Problem, first: Request | None = None) -> None:
-    """Refuses what no search could answer, by one look at the nominal parameters.
-
-    Args:
-        problem: the fit's.
-        first: what the method will ask for first: if the nominal point is among it, all is evaluated at once.
+    """Refuses what no search could answer, by a look at the nominal parameters, evaluated with the method's `first`.
 
     Raises:
         InputError: parameters to which nothing that is compared reacts; measured positions in another frame.
@@ -185,12 +208,9 @@ def first_look(problem: Problem, first: Request | None = None) -> None:
     effect = np.abs(seen.slopes[0] * span).max(axis=(0, 1))
     if (unfelt := np.flatnonzero(effect < _UNFELT)).size:
         names = ", ".join(problem.parameters.names[i] for i in unfelt)
-        raise InputError(
-            f"nothing that is compared ({', '.join(problem.objective.channels)}) reacts to {names}",
-            where="free",
-            expected="parameters that make a difference",
-            remedy="leave them out, or measure something that reacts to them",
-        )
+        found = f"nothing that is compared ({', '.join(problem.objective.channels)}) reacts to {names}"
+        remedy = "leave them out, or measure something that reacts to them"
+        raise InputError(found, where="free", expected="parameters that make a difference", remedy=remedy)
     if problem.objective.channels[0] == POSITION:
         off = seen.values[0, :, :3] - problem.objective.measured[:, :3]
         far = float(np.nanmedian(np.linalg.norm(off, axis=1)))
@@ -204,23 +224,15 @@ def first_look(problem: Problem, first: Request | None = None) -> None:
 
 
 def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> Method:
-    if name == "least_squares":
-        from fitting.methods.least_squares import LeastSquares as Chosen
-    elif name == "gradient":
-        from fitting.methods.gradient import Gradient as Chosen
-    elif name == "genetic":
-        from fitting.methods.genetic import Genetic as Chosen
-    elif name == "cma_es":
-        from fitting.methods.strategies import CmaEs as Chosen
-    else:
-        from fitting.methods.strategies import DifferentialEvolution as Chosen
-    known = Chosen.options
+    module, kind = METHODS[name]
+    chosen = getattr(import_module(f"fitting.methods.{module}"), kind)
+    known = chosen.options
     for key, value in options.items():
         if key not in known:
             raise InputError(f"{name} has no option {key!r}", where="options", expected=f"one of: {', '.join(known)}")
         if not (isinstance(value, int) and value >= 1):
             raise InputError(f"found {value!r}", where=key, expected="a whole number of at least 1")
-    return Chosen(problem, seed, **options)
+    return chosen(problem, seed, **options)
 
 
 def _run(
@@ -239,29 +251,27 @@ def _run(
             search.tell(state, request, answer)
             state["iteration"] += 1
             state["evaluations"] += len(request.theta)
-            entry = {"iteration": state["iteration"], "evaluations": state["evaluations"]}
-            state["history"].append({**entry, "best": state["best_value"], "spread": search.spread(state)})
+            found = {"best": state["best_value"], "spread": search.spread(state)}
+            entry = {"iteration": state["iteration"], "evaluations": state["evaluations"], **found}
+            state["history"].append(entry)
             now = time.perf_counter()
             if path is not None and (now - saved > _BETWEEN_CHECKPOINTS or state["stopped"]):
-                checkpoints.save(path, identity, state)
+                save_checkpoint(path, identity, state)
                 saved = now
             if report is not None:
-                done = state["iteration"] - first
-                left = max(search.most_iterations - state["iteration"], 0) * (now - began) / done
-                best, spread = state["best_value"], search.spread(state)
-                report(
-                    Progress(search.name, state["iteration"], search.most_iterations, best, spread, now - began, left)
-                )
+                done, most = state["iteration"], search.most_iterations
+                left = max(most - done, 0) * (now - began) / (done - first)
+                report(Progress(search.name, done, most, **found, elapsed=now - began, left=left))
     except KeyboardInterrupt:
         state["interrupted"] = True
         if path is not None:
-            checkpoints.save(path, identity, state)
+            save_checkpoint(path, identity, state)
         if state["best_theta"] is None:
             raise
     return state
 
 
-def _estimate(search: Method, state: State, measured: Measured, began: float) -> Estimate:
+def _estimate(search: Method, state: State, measured: Measured, springs: Mapping[str, str], began: float) -> Estimate:
     problem = search.problem
     parameters, target = problem.parameters, problem.objective
     theta = np.asarray(state["best_theta"])
@@ -276,9 +286,7 @@ def _estimate(search: Method, state: State, measured: Measured, began: float) ->
     r = target.residuals(seen.values)[0]
     j = target.slopes(seen.slopes, seen.values)[0]
     noise = target.noise or target.noise_of(r, len(parameters))
-    known = target.known(noise)
-    sure = uncertainty(known, parameters, r, j, theta)
-    interrupted = "interrupted; the best so far"
+    sure = uncertainty(target.known(noise), parameters, r, j, theta)
     return Estimate(
         names=parameters.names,
         units=tuple(p.unit for p in parameters.items),
@@ -298,7 +306,7 @@ def _estimate(search: Method, state: State, measured: Measured, began: float) ->
         rmse=_rmse(target, r),
         method=search.name,
         seed=search.seed,
-        reason=interrupted if state["interrupted"] else str(state["stopped"]),
+        reason="interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
         evaluations=int(state["evaluations"]),
         iterations=int(state["iteration"]),
         starts=int(state["starts"]),
@@ -309,6 +317,7 @@ def _estimate(search: Method, state: State, measured: Measured, began: float) ->
         source=target.source,
         scene_name=problem.scene.name,
         priors={p.name: p.prior for p in parameters.items if p.prior is not None},
+        springs=dict(springs),
         nominal_scene=problem.scene,
         measured=measured,
     )

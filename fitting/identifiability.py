@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channels import ORIENTATION, POSITION, channels_of
 from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
-from fitting.fit import SPRING_PARAMETERS, measured_of
-from fitting.methods.problem import Problem, Request
-from fitting.objective import SPRINGS, Objective
+from fitting.fit import SPRING_PARAMETERS, likelihood_of
+from fitting.methods.problem import Problem
+from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters, free_parameters
+from fitting.programs import ORIENTATION, POSITION, channels_of
 from fitting.uncertainty import in_words, inverted, percent
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -60,25 +60,19 @@ class ExperimentPlan:
             before, after = float(self.relative.max()), float(self.additions[best].max())
             if after < 0.8 * before:
                 what = best if best in (POSITION, ORIENTATION) else f"the force of {best}"
-                text += (
-                    f"; {what} measured as well helps most: the worst standard deviation falls from "
-                    f"{percent(before)} to {percent(after)}"
-                )
+                falls = f"falls from {percent(before)} to {percent(after)}"
+                text += f"; {what} measured as well helps most: the worst standard deviation {falls}"
             else:
                 text += "; no single further measurement helps much"
         return text
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
+        plain = ("names", "values", "channels", "covariance", "condition", "unfelt")
         return {
-            "names": list(self.names),
-            "values": self.values.tolist(),
-            "channels": list(self.channels),
+            **{name: np.asarray(getattr(self, name)).tolist() for name in plain},
             "noise": self.noise,
-            "covariance": self.covariance.tolist(),
             "relative_standard_deviations": self.relative.tolist(),
-            "condition": self.condition,
-            "unfelt": list(self.unfelt),
             "additions": {k: v.tolist() for k, v in self.additions.items()},
             "sentence": self.sentence(),
         }
@@ -102,7 +96,7 @@ def plan_experiment(
         use: channels that will be measured: "position", "orientation", effects' names for their forces.
         noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white.
         candidates: channels that might be measured besides; by default every other one that the scene has.
-        priors: by name, mean and standard deviation of what is known beforehand.
+        priors: by name, mean and standard deviation of a normal prior.
         bounds: as for a fit: what "no reaction" is measured by.
 
     Raises:
@@ -121,6 +115,7 @@ def plan_experiment(
     sigma = {c: NOISE.get(c, FORCE_NOISE) for c in wanted} | dict(noise or {})
     if bad := [c for c in wanted if not (np.isfinite(sigma[c]) and sigma[c] > 0)]:
         raise InputError(f"{bad[0]}: found {sigma[bad[0]]!r}", where="noise", expected="a positive number")
+    measured = tuple(c for c in wanted if c in use)
     information, unfelt = _information(scene, parameters, wanted, sigma, tuple(use))
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
     base = sum(information[c] for c in use) + prior
@@ -131,13 +126,13 @@ def plan_experiment(
     return ExperimentPlan(
         parameters.names,
         parameters.nominal,
-        tuple(c for c in wanted if c in use),
+        measured,
         {c: sigma[c] for c in wanted},
         covariance,
         float(values[-1] / values[0]) if values[0] > 0 else np.inf,
         unfelt,
         dict(sorted(additions.items(), key=lambda item: float(item[1].max()))),
-        in_words(parameters, parameters.nominal, covariance, tuple(c for c in wanted if c in use)),
+        in_words(parameters.names, parameters.upper - parameters.lower, parameters.nominal, covariance, measured),
     )
 
 
@@ -204,30 +199,13 @@ def profile_likelihood(
     """
     if name not in estimate.names:
         raise InputError(f"no parameter {name!r}", where="name", expected=f"one of: {', '.join(estimate.names)}")
-    if estimate.nominal_scene is None:
-        raise InputError("an estimate from a file holds no scene", where="estimate", expected="one from `fit_tendons`")
-    data = measured or estimate.measured or measured_of(estimate.nominal_scene)
-    if estimate.objective == "paper":
-        raise InputError("the paper's objective is no likelihood", where="estimate", remedy="objective='likelihood'")
-    limits: dict[str, Any] = {
-        n: (lo, up) for n, lo, up in zip(estimate.names, estimate.lower, estimate.upper, strict=True)
-    }
-    parameters = free_parameters(estimate.nominal_scene, estimate.names, limits, estimate.priors)
-    target = Objective.of(
-        estimate.nominal_scene, data, use=estimate.channels, noise=estimate.noise, springs=_springs(estimate)
-    )
-    problem = Problem.of(estimate.nominal_scene, parameters, target)
-    problem.evaluator.prepare(None)
+    problem = likelihood_of(estimate, measured)
     i = estimate.names.index(name)
     sd = estimate.standard_deviations[i]
-    low, high = (
-        np.clip(estimate.values[i] + sign * reach * sd, estimate.lower[i], estimate.upper[i]) for sign in (-1, 1)
-    )
-    held = np.linspace(low, high, points)
+    around = np.clip(estimate.values[i] + reach * sd * np.array([-1, 1]), estimate.lower[i], estimate.upper[i])
+    held = np.linspace(around[0], around[1], points)
     theta = _conditional(problem, estimate, i, held, iterations)
-    at = problem.answer(Request(np.asarray(estimate.values)[None], problem.evaluator.fine, "normal"))
-    assert at.hessian is not None
-    values = problem.answer(Request(theta, problem.evaluator.fine, "normal")).value
+    at, values = problem.normal(np.asarray(estimate.values)[None]), problem.normal(theta).value
     deviance = 2 * (values - min(float(at.value[0]), float(np.min(values))))
     deviance *= inverted(at.hessian[0])[i, i] / estimate.covariance[i, i]
     return LikelihoodProfile(name, held, deviance, theta, _crossings(held, deviance))
@@ -247,24 +225,20 @@ def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, ite
         return t
 
     theta = inside(theta)
-    best = problem.answer(Request(theta, problem.evaluator.fine, "normal"))
+    best = problem.normal(theta)
     damping = np.full(len(held), 1e-3)
     for _ in range(iterations):
-        assert best.gradient is not None
-        assert best.hessian is not None
         h = best.hessian[:, others][:, :, others]
         diagonal = np.einsum("kii->ki", h)
         h = h + damping[:, None, None] * diagonal[:, :, None] * np.eye(h.shape[-1])
         trial = theta.copy()
         trial[:, others] -= np.linalg.solve(h, best.gradient[:, others, None])[..., 0]
         trial = inside(trial)
-        new = problem.answer(Request(trial, problem.evaluator.fine, "normal"))
-        assert new.gradient is not None
-        assert new.hessian is not None
+        new = problem.normal(trial)
         better = new.value < best.value
         theta = np.where(better[:, None], trial, theta)
         damping = np.where(better, damping / 5, damping * 10)
-        best = type(best)(
+        best = Normal(
             np.where(better, new.value, best.value),
             np.where(better[:, None], new.gradient, best.gradient),
             np.where(better[:, None, None], new.hessian, best.hessian),
@@ -285,10 +259,3 @@ def _crossings(held: Floats, deviance: Floats) -> tuple[float, float]:
         return none
 
     return cross(np.arange(least, -1, -1), -np.inf), cross(np.arange(least, len(held)), np.inf)
-
-
-def _springs(estimate: Estimate) -> dict[str, str]:
-    return estimate.springs or dict(SPRINGS)
-
-
-__all__ = ["ExperimentPlan", "LikelihoodProfile", "channels_of", "plan_experiment", "profile_likelihood"]

@@ -6,25 +6,25 @@ With S the mean square of a group of residuals over its n measured numbers, the 
 |---|---|---|
 | paper (Michaud et al. 2024, section 2.6) | X, Y, Z of the sphere's centre in the femur frame | sqrt(S) [m] |
 | likelihood, noise known | every channel: position, orientation, each force | n S / (2 noise^2) |
-| likelihood, noise unknown | the same | (n / 2) log S: the likelihood at its best noise |
+| likelihood, noise unknown | the same | (n / 2) log S: the noise at its most likely value |
 
-Every term is a concave function of S. So weighted least squares with the weights that its slope gives (iteratively
-reweighted, as robust losses are) never makes the objective worse than its quadratic model promises.
+Every term is a concave function of S, so weighted least squares with the weights that its slope gives (iteratively
+reweighted, as for robust losses) reduces the objective at least as much as its quadratic model predicts.
 
 Missing measurements (NaN) are left out. All of this runs on the host, in numpy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channels import ORIENTATION, POSITION
 from fitting.evaluation import Prediction
+from fitting.programs import ORIENTATION, POSITION, widths
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
@@ -101,25 +101,18 @@ class Objective:
         if noise is not None:
             _check_noise(noise, channels)
         if loss != "linear" and (noise is None or kind == "paper"):
-            raise InputError(
-                f"the loss {loss!r} tells outliers by the measurements' noise, which is not known here",
-                where="loss",
-                expected='a likelihood with noise, such as noise={"position": 2e-4}',
-            )
-        groups = _AXES if kind == "paper" else channels
-        group_of, present = [], []
-        for i, (channel, values) in enumerate(data.items()):
-            width = 3 if channel in (POSITION, ORIENTATION) else 1
-            group_of += [0, 1, 2] if kind == "paper" else [i] * width
-            there: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
-            present.append(np.repeat(there[:, None], width, axis=1))
+            problem = f"the loss {loss!r} tells outliers by the measurements' noise, which is not known here"
+            expected = 'a likelihood with noise, such as noise={"position": 2e-4}'
+            raise InputError(problem, where="loss", expected=expected)
+        there = np.stack([np.isfinite(values).all(axis=1) for values in data.values()], axis=1)
+        column_channel = _column_channel(channels)
         return Objective(
             kind,
             channels,
             np.concatenate(list(data.values()), axis=1),
-            np.concatenate(present, axis=1),
-            tuple(groups),
-            np.array(group_of),
+            there[:, column_channel],
+            _AXES if kind == "paper" else channels,
+            np.arange(3) if kind == "paper" else column_channel,
             None if noise is None or kind == "paper" else {c: float(noise[c]) for c in channels},
             loss,
             measured.synthetic,
@@ -172,24 +165,19 @@ class Objective:
         """Derivatives of the objective by the predictions (N, n, c), for reverse mode."""
         r = self.residuals(values)
         weighted = self._weights(r) * r
-        out, column, row = np.zeros(values.shape), 0, 0
-        for channel in self.channels:
+        out = np.zeros(values.shape)
+        for channel, columns, rows in self._columns():
+            part = weighted[..., rows]
             if channel == ORIENTATION:
-                q = values[..., column : column + 4]
-                turn = self._turn(q, column)
-                out[..., column : column + 4] = np.einsum("ijkl,ijk->ijl", turn, weighted[..., row : row + 3])
-                column, row = column + 4, row + 3
-            else:
-                width = 3 if channel == POSITION else 1
-                out[..., column : column + width] = weighted[..., row : row + width]
-                column, row = column + width, row + width
+                part = np.einsum("ijkl,ijk->ijl", self._turn(values[..., columns], columns), part)
+            out[..., columns] = part
         return out
 
     def noise_of(self, residuals: Floats, parameters: int) -> dict[str, float]:
         """The noise of every channel as these residuals (n, m) have it, free parameters accounted for."""
-        squares = np.array([np.sum(residuals[:, self._column_channel == i] ** 2) for i in range(len(self.channels))])
-        counts = np.array([self.present[:, self._column_channel == i].sum() for i in range(len(self.channels))])
-        total = counts.sum()
+        own = self.known(dict.fromkeys(self.channels, 1.0))
+        counts, total = own._counts, self.present.sum()
+        squares = own._by_group(np.sum(residuals**2, axis=0))
         return {
             c: float(np.sqrt(s / max(k - parameters * k / total, 1.0)))
             for c, s, k in zip(self.channels, squares, counts, strict=True)
@@ -197,24 +185,8 @@ class Objective:
 
     def known(self, noise: Mapping[str, float]) -> Objective:
         """The same measurements as a likelihood with known noise, for covariances."""
-        group_of = self._column_channel
-        return Objective(
-            "likelihood",
-            self.channels,
-            self.measured,
-            self.present,
-            self.channels,
-            group_of,
-            dict(noise),
-            "linear",
-            self.synthetic,
-            self.source,
-        )
-
-    @property
-    def _column_channel(self) -> NDArray[np.intp]:
-        widths = [3 if c in (POSITION, ORIENTATION) else 1 for c in self.channels]
-        return np.repeat(np.arange(len(self.channels)), widths)
+        by_channel = {"groups": self.channels, "group_of": _column_channel(self.channels), "noise": dict(noise)}
+        return replace(self, kind="likelihood", loss="linear", **by_channel)
 
     @property
     def _counts(self) -> Floats:
@@ -248,28 +220,38 @@ class Objective:
         assert self.noise is not None
         return np.array([self.noise[g] for g in self.groups])[self.group_of]
 
-    def _turn(self, q: Floats, column: int) -> Floats:
+    def _turn(self, q: Floats, columns: slice) -> Floats:
         """The matrices (N, n, 3, 4) from predicted quaternions to turns relative to the measured ones."""
-        w, x, y, z = self.measured[:, column : column + 4].T
+        measured = self.measured[:, columns]
+        w, x, y, z = measured.T
         rows = np.stack([np.stack(a, -1) for a in ((-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w))], axis=1)
-        sign = np.where(np.einsum("ijk,jk->ij", q, self.measured[:, column : column + 4]) < 0, -2.0, 2.0)
+        sign = np.where(np.einsum("ijk,jk->ij", q, measured) < 0, -2.0, 2.0)
         return np.nan_to_num(sign[..., None, None] * rows)
 
     def _compared(self, a: Floats, *, offset: bool, values: Floats | None = None) -> Floats:
         """Columns of predictions or of their derivatives (N, n, c, k) as residuals' (N, n, m, k)."""
-        quaternions = a[..., 0] if values is None else values
-        out, column = [], 0
-        for channel in self.channels:
+        quaternions, out = a[..., 0] if values is None else values, []
+        for channel, columns, _ in self._columns():
+            part = a[..., columns, :]
             if channel == ORIENTATION:
-                turn = self._turn(quaternions[..., column : column + 4], column)
-                out.append(turn @ a[..., column : column + 4, :])
-                column += 4
-                continue
-            width = 3 if channel == POSITION else 1
-            part = a[..., column : column + width, :]
-            out.append(part - self.measured[:, column : column + width, None] if offset else part)
-            column += width
+                part = self._turn(quaternions[..., columns], columns) @ part
+            elif offset:
+                part = part - self.measured[:, columns, None]
+            out.append(part)
         return np.where(self.present[:, :, None], np.concatenate(out, axis=2), 0.0)
+
+    def _columns(self) -> Iterator[tuple[str, slice, slice]]:
+        """Every channel with its columns among the predictions' and among the residuals."""
+        column = row = 0
+        for channel, width in zip(self.channels, widths(self.channels), strict=True):
+            rows = 3 if channel == ORIENTATION else width
+            yield channel, slice(column, column + width), slice(row, row + rows)
+            column, row = column + width, row + rows
+
+
+def _column_channel(channels: tuple[str, ...]) -> NDArray[np.intp]:
+    """Of every residual column the channel it belongs to (m,)."""
+    return np.repeat(np.arange(len(channels)), [3 if c in (POSITION, ORIENTATION) else 1 for c in channels])
 
 
 def _rho(z: Floats, loss: str) -> Floats:
@@ -303,9 +285,8 @@ def _chosen(
     data = {c: v for c, v in data.items() if np.isfinite(v).all(axis=1).any()}
     wanted = tuple(data) if use == "all" else (use,) if isinstance(use, str) else tuple(use)
     if kind == "paper" and wanted != (POSITION,):
-        raise InputError(
-            f"found {', '.join(wanted)}", where="use", expected="position alone: the paper's objective has no other"
-        )
+        expected = "position alone: the paper's objective has no other"
+        raise InputError(f"found {', '.join(wanted)}", where="use", expected=expected)
     if missing := [c for c in wanted if c not in data]:
         raise InputError(
             f"no {missing[0]!r} was measured" if missing[0] in available else f"no channel {missing[0]!r}",
@@ -313,9 +294,8 @@ def _chosen(
             expected=f"one of: {', '.join(data)}" if data else "at least one measured frame",
         )
     if not wanted:
-        raise InputError(
-            f"no measured variable for the objective {kind!r}", where=measured.source, expected="positions or forces"
-        )
+        problem = f"no measured variable for the objective {kind!r}"
+        raise InputError(problem, where=measured.source, expected="positions or forces")
     return {c: data[c] for c in data if c in wanted}
 
 
@@ -323,27 +303,24 @@ def _check_times(scene: Scene, measured: Measured) -> None:
     ours, theirs, interval = scene.motion.times, measured.times, scene.motion.frame_interval
     if theirs.size != ours.size:
         rate = (theirs.size - 1) / (theirs[-1] - theirs[0]) if theirs.size > 1 else 0.0
-        raise InputError(
-            f"{theirs.size} frames at {rate:.4g} Hz",
-            where=measured.source,
-            expected=f"the scene's {ours.size} frames at {1 / interval:.4g} Hz",
-            remedy="the measurements of the scene's motion, resampled at its frames",
-        )
+        expected = f"the scene's {ours.size} frames at {1 / interval:.4g} Hz"
+        remedy = "the measurements of the scene's motion, resampled at its frames"
+        found = f"{theirs.size} frames at {rate:.4g} Hz"
+        raise InputError(found, where=measured.source, expected=expected, remedy=remedy)
     if (bad := np.flatnonzero(np.abs(theirs - ours) > _SAME_TIME * interval)).size:
         i = int(bad[0])
-        raise InputError(
+        found, expected = (
             f"frame {i + 1} was measured at {theirs[i]:.6g} s",
-            where=measured.source,
-            expected=f"{ours[i]:.6g} s as in the scene's motion",
-            remedy="measurements with the clock and rate of the scene's motion",
+            f"{ours[i]:.6g} s as in the scene's motion",
         )
+        remedy = "measurements with the clock and rate of the scene's motion"
+        raise InputError(found, where=measured.source, expected=expected, remedy=remedy)
 
 
 def _check_noise(noise: Mapping[str, float], channels: tuple[str, ...]) -> None:
     for channel in channels:
         if channel not in noise:
-            raise InputError(
-                f"no noise of {channel!r}", where="noise", expected=f"a standard deviation of: {', '.join(channels)}"
-            )
+            expected = f"a standard deviation of: {', '.join(channels)}"
+            raise InputError(f"no noise of {channel!r}", where="noise", expected=expected)
         if not (np.isfinite(noise[channel]) and noise[channel] > 0):
             raise InputError(f"{channel}: found {noise[channel]!r}", where="noise", expected="a positive number")

@@ -1,10 +1,10 @@
-"""The free parameters of a fit: which numbers of a scene, within which bounds, with what known beforehand."""
+"""The free parameters of a fit: which numbers of a scene, with which bounds and priors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,9 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import NumberPlace, find
+
+if TYPE_CHECKING:
+    from pftwin.model.scene import Scene
 
 Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3
@@ -25,10 +28,10 @@ class Parameter:
 
     Args:
         name: as the user wrote it ("K1", "quadriceps.origin.y").
-        place: where it lives in the scene.
+        place: where it is in the scene.
         nominal: its value in the scene that is fitted, where searches begin.
         lower, upper: bounds.
-        prior: mean and standard deviation of what is known beforehand; None where nothing is.
+        prior: mean and standard deviation of a normal prior; None: flat.
         unit: of all of them.
     """
 
@@ -57,7 +60,7 @@ class Parameters:
 
     @property
     def places(self) -> tuple[NumberPlace, ...]:
-        """Where they live."""
+        """Where the numbers are in the scene."""
         return tuple(p.place for p in self.items)
 
     @property
@@ -83,6 +86,10 @@ class Parameters:
         """The values in a scene (p,)."""
         return np.array([float(place.read(scene)) for place in self.places])
 
+    def share(self, theta: Any) -> NDArray[np.float64]:
+        """Where values (..., p) stand between the bounds: 0 at the lower, 1 at the upper."""
+        return (np.asarray(theta, dtype=float) - self.lower) / (self.upper - self.lower)
+
     def to_bounded(self, u: ArrayLike) -> NDArray[np.float64]:
         """From any real numbers (..., p) to values within the bounds: lower + range / (1 + exp(-u))."""
         share = 0.5 * (1 + np.tanh(0.5 * np.asarray(u, dtype=float)))
@@ -90,7 +97,7 @@ class Parameters:
 
     def to_unbounded(self, theta: ArrayLike) -> NDArray[np.float64]:
         """The inverse of `to_bounded`."""
-        share = np.clip((np.asarray(theta, dtype=float) - self.lower) / (self.upper - self.lower), _EDGE, 1 - _EDGE)
+        share = np.clip(self.share(theta), _EDGE, 1 - _EDGE)
         return np.log(share) - np.log1p(-share)
 
     def slope(self, theta: ArrayLike) -> NDArray[np.float64]:
@@ -105,7 +112,7 @@ class Parameters:
         return self.lower + (self.upper - self.lower) * share
 
     def prior_terms(self, theta: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
-        """What is known beforehand, at theta (..., p): half its square sum (...), gradient (..., p), curvature (p,)."""
+        """Minus the priors' log density at theta (..., p): value (...), gradient (..., p), curvature (p,)."""
         mean = np.array([0.0 if p.prior is None else p.prior[0] for p in self.items])
         precision = np.array([0.0 if p.prior is None else p.prior[1] ** -2 for p in self.items])
         off = theta - mean
@@ -137,7 +144,7 @@ def free_parameters(
             once without the index.
         bounds: to either side as a share of the nominal value; or by name such a share or (lower, upper), the others
             +-30 %.
-        priors: by name the mean and standard deviation of what is known beforehand.
+        priors: by name mean and standard deviation of a normal prior.
 
     Raises:
         InputError: an unknown or repeated name; bounds that are empty, exclude the nominal value, or are a share of
@@ -146,25 +153,17 @@ def free_parameters(
     if isinstance(names, str) or not names:
         raise InputError(f"found {names!r}", where="free", expected='names of parameters, such as ("K1", "L1")')
     for given, what in ((bounds, "bounds"), (priors, "priors")):
-        if isinstance(given, Mapping) and (stray := [n for n in given if not _named(n, names)]):
+        if isinstance(given, Mapping) and (stray := [n for n in given if not {n, n.partition("[")[0]} & {*names}]):
             raise InputError(f"{stray[0]!r} is not free", where=what, expected=f"one of: {', '.join(names)}")
     items: list[Parameter] = []
     for name in names:
         places = find(scene, name)
         for place in places:
             own = name if len(places) == 1 else f"{name}[{place.index}]"
-            if any(p.place == place or _same_number(p.place, place) for p in items):
+            if any(p.place == place or p.place[:3] == place[:3] for p in items):
                 raise InputError(f"{own!r} is named twice", where="free", expected="every number once")
             items.append(_parameter(scene, own, name, place, bounds, priors or {}))
     return Parameters(tuple(items))
-
-
-def _named(name: str, names: Sequence[str]) -> bool:
-    return name in names or name.partition("[")[0] in names
-
-
-def _same_number(a: NumberPlace, b: NumberPlace) -> bool:
-    return a[:3] == b[:3]
 
 
 def _parameter(
@@ -178,12 +177,9 @@ def _parameter(
     if not (np.isfinite([lower, upper]).all() and lower < upper):
         raise InputError(f"{own}: bounds {lower:g} to {upper:g} are empty", where="bounds", expected="lower < upper")
     if not lower <= nominal <= upper:
-        raise InputError(
-            f"{own}: bounds {lower:g} to {upper:g} exclude the scene's value {nominal:g}, where the search begins",
-            where="bounds",
-            expected="bounds around it",
-            remedy="wider bounds, or a scene with another value",
-        )
+        problem = f"{own}: bounds {lower:g} to {upper:g} exclude the scene's value {nominal:g}, where the search begins"
+        remedy = "wider bounds, or a scene with another value"
+        raise InputError(problem, where="bounds", expected="bounds around it", remedy=remedy)
     prior = priors.get(own, priors.get(name))
     if prior is not None and not (len(prior) == 2 and np.isfinite(prior).all() and prior[1] > 0):
         raise InputError(f"{own}: found {prior!r}", where="priors", expected="a mean and a positive standard deviation")
@@ -195,14 +191,35 @@ def _limits(name: str, nominal: float, given: Any) -> tuple[float, float]:
         if not (0 < given < np.inf):
             raise InputError(f"{name}: found {given!r}", where="bounds", expected="a positive share, such as 0.3")
         if nominal == 0:
-            raise InputError(
-                f"{name}: {given:.0%} of its value 0 is nothing",
-                where="bounds",
-                expected=f"{{{name!r}: (lower, upper)}}",
-            )
+            expected = f"{{{name!r}: (lower, upper)}}"
+            raise InputError(f"{name}: {given:.0%} of its value 0 is nothing", where="bounds", expected=expected)
         return nominal - given * abs(nominal), nominal + given * abs(nominal)
     try:
         lower, upper = (float(v) for v in given)
     except (TypeError, ValueError):
         raise InputError(f"{name}: found {given!r}", where="bounds", expected="a share or (lower, upper)") from None
     return lower, upper
+
+
+@dataclass(frozen=True)
+class Applied:
+    """`Estimate.apply`. Two of them are equal if they set the same parameters: a program takes the values (theta) as
+    arrays and holds this by its equality, while methods of two estimates are never equal.
+    """
+
+    names: tuple[str, ...]
+    values: Any = field(compare=False)  # (p,)
+
+    def __call__(self, scene: Scene, theta: Any = None) -> Scene:
+        """The scene with the values, or with others (p,). Pure in theta.
+
+        Raises:
+            InputError: it has no such parameters.
+        """
+        import jax.numpy as jnp
+
+        from fitting.parameters import applied
+        from pftwin.model.scene_parameters import find
+
+        places = tuple(find(scene, name)[0] for name in self.names)
+        return applied(places, scene, jnp.asarray(self.values, dtype=float) if theta is None else theta)

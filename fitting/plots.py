@@ -1,4 +1,4 @@
-"""Figures of a fit: measured against fitted, how the parameters hang together, what follows, and the way there."""
+"""Figures of a fit: measured against fitted motion, correlations, predictions, and the search's history."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The compiled programs of a fit: what many parameter vectors predict, without and with derivatives.
+"""What can be measured of a motion, and the compiled programs that predict it for many parameter vectors.
 
 Predictions only: which measurements they are compared with, and how, is decided on the host (`fitting.objective`), so
 one program serves every objective, and every method and phase of a fit. The number of steps between two frames is a
@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array
+from numpy.typing import NDArray
 
-from fitting.channels import ORIENTATION, POSITION
 from fitting.parameters import applied
 from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.batch.batched import batched
@@ -27,7 +27,29 @@ from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import placed
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import NumberPlace
+from pftwin.model.scene_parameters import NumberPlace, numbered_elements
+
+POSITION, ORIENTATION = "position", "orientation"
+
+
+def channels_of(scene: Scene) -> tuple[str, ...]:
+    """Everything that could be measured: poses, and the forces of contact, tendons and ligaments."""
+    contact = scene.contact
+    tensions = [element.name for element in numbered_elements(scene)]
+    return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *tensions)
+
+
+def widths(channels: tuple[str, ...]) -> tuple[int, ...]:
+    """Columns of each: position 3, orientation 4 (a unit quaternion), forces 1."""
+    return tuple({POSITION: 3, ORIENTATION: 4}.get(c, 1) for c in channels)
+
+
+def columns_of(channels: tuple[str, ...], among: tuple[str, ...]) -> NDArray[np.intp]:
+    """Where the columns of some channels stand, side by side, among those of more."""
+    ends = np.cumsum(widths(among))
+    columns = {c: np.arange(end - n, end) for c, n, end in zip(among, widths(among), ends, strict=True)}
+    return np.concatenate([columns[c] for c in channels])
+
 
 _COLUMNS = PartitionSpec(None, AXIS)
 

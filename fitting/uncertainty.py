@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channels import POSITION
 from fitting.objective import Objective
 from fitting.parameters import Parameters
+from fitting.programs import POSITION
 
 Floats = NDArray[np.float64]
 
@@ -79,19 +79,22 @@ def _long_run(score: Floats, serial: float) -> Floats:
     return total
 
 
-def relative(parameters: Parameters, values: Floats, covariance: Floats) -> Floats:
-    """The covariance of relative deviations: those of the logarithms."""
-    scale = np.where(values == 0, parameters.upper - parameters.lower, values)
+def relative(span: Floats, values: Floats, covariance: Floats) -> Floats:
+    """The covariance of relative deviations, those of the logarithms; of the span of its bounds where a value is 0."""
+    scale = np.where(values == 0, span, values)
     return covariance / np.outer(scale, scale)
 
 
-def in_words(parameters: Parameters, values: Floats, covariance: Floats, channels: tuple[str, ...]) -> str:
+def in_words(
+    names: tuple[str, ...], span: Floats, values: Floats, covariance: Floats, channels: tuple[str, ...]
+) -> str:
     """What the data fix and what they do not."""
-    rel = relative(parameters, values, covariance)
+    rel = relative(span, values, covariance)
     sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
     subject = "positions" if channels == (POSITION,) else f"{', '.join(channels)}"
     verb = "fix" if channels == (POSITION,) or len(channels) > 1 else "fixes"
-    stiff = [i for i, p in enumerate(parameters.places) if p.path[-1] == "stiffness"]
+    plain = [n.partition("[")[0] for n in names]
+    stiff = [i for i, n in enumerate(plain) if n.endswith(".stiffness") or (n[:1] == "K" and n[1:].isdigit())]
     parts, rest = [], list(range(len(sd)))
     weak = ""
     if len(stiff) == 2:
@@ -99,19 +102,19 @@ def in_words(parameters: Parameters, values: Floats, covariance: Floats, channel
         ratio = np.sqrt(max(rel[a, a] + rel[b, b] - 2 * rel[a, b], 0))
         common = 0.5 * np.sqrt(max(rel[a, a] + rel[b, b] + 2 * rel[a, b], 0))
         if common > 3 * ratio:
-            pair = f"{parameters.names[a]}/{parameters.names[b]}"
+            pair = f"{names[a]}/{names[b]}"
             parts.append(f"{pair} to {percent(ratio)}")
             rest = [i for i in rest if i not in stiff]
-            weak = f", the common scale of {parameters.names[a]} and {parameters.names[b]} only to {percent(common)}"
+            weak = f", the common scale of {names[a]} and {names[b]} only to {percent(common)}"
             forces = [c for c in channels if c not in (POSITION, "orientation")]
             if common > POORLY and not forces:
                 weak += ": measure one force to fix both"
-    parts += [f"{parameters.names[i]} to {percent(sd[i])}" for i in rest]
+    parts += [f"{names[i]} to {percent(sd[i])}" for i in rest]
     text = f"{subject} {verb} {_listed(parts)}{weak}" if parts else f"{subject} {verb} nothing{weak}"
     if not weak and len(sd) > 1:
         values_, vectors = np.linalg.eigh(rel)
         if np.sqrt(values_[-1]) > POORLY and np.sqrt(values_[-1]) > 1.3 * sd.max():
-            worst = [parameters.names[i] for i in np.argsort(-np.abs(vectors[:, -1]))[:2]]
+            worst = [names[i] for i in np.argsort(-np.abs(vectors[:, -1]))[:2]]
             text += f"; the weakest combination is of {worst[0]} and {worst[1]}"
     return text
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -78,3 +80,16 @@ def test_imports_run_one_way(file: Path) -> None:
 def test_nothing_but_a_command_line_knows_one(file: Path) -> None:
     text = (ROOT / file).read_text(encoding="utf-8")
     assert not [name for name in imported(text) if f"{name}.".startswith(("pftwin.cli.", "fitting.cli."))]
+
+
+@pytest.mark.parametrize("face", [f for f in FILES if f.name == "__init__.py"], ids=str)
+def test_no_name_of_a_face_is_hidden_by_a_module(face: Path) -> None:
+    """Importing `package.name` binds the module in its package, where a face that looks names up later is not asked."""
+    package = import_module(".".join(face.parent.parts))
+    folder = (ROOT / face).parent
+    modules = {p.stem for p in folder.glob("*.py")} | {p.parent.name for p in folder.glob("*/__init__.py")}
+    meant = {*vars(package).get("_MODULES", ()), *vars(package).get("_PACKAGES", ())}  # faces that give modules say so
+    hidden = (modules & {*vars(package).get("__all__", ())}) - meant
+    if "__getattr__" in vars(package):
+        assert not hidden
+    assert not [name for name in hidden if isinstance(getattr(package, name), ModuleType)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from fitting.prediction.clinical_norms import USUAL
+from fitting.prediction.clinical_indices import USUAL
 from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import KINDS
 

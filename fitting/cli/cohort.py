@@ -16,10 +16,9 @@ from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_compu
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fitting.cohort.check import FileFinding
     from fitting.cohort.description import Cohort
-    from fitting.cohort.progress import CohortProgress
-    from fitting.cohort.report import CohortReport
+    from fitting.cohort.folder import FileFinding
+    from fitting.cohort.report import CohortProgress, CohortReport
 
 CohortArgument = Annotated[Path, typer.Argument(metavar="COHORT.toml", help="Patients, fit and treatments.")]
 
@@ -88,7 +87,7 @@ def _said(report: CohortReport, described: Cohort, files: list[str]) -> Iterator
 
 
 def _check(described: Cohort, folder: Path, json: str | None) -> None:
-    from fitting.cohort.check import LEFT_OVER, SOUND, check_cohort
+    from fitting.cohort.folder import LEFT_OVER, SOUND, check_cohort
 
     findings = check_cohort(described, folder)
     write_json({"cohort": described.name, "files": [f._asdict() for f in findings]}, json)
@@ -152,7 +151,7 @@ def _findings(findings: list[FileFinding]) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from fitting.cohort.check import SOUND
+    from fitting.cohort.folder import SOUND
 
     table = Table()
     for name in ("file", "verdict"):

@@ -45,8 +45,7 @@ def demo(
 def _paper_study(folder: Path, console: Console) -> dict[str, Any]:
     """The paper's section 2.6: springs fitted to case 2, cases 2 and 1 simulated with them; as plain values."""
     from fitting.demo.paper_study import FITS, STEP, paper_study
-    from fitting.demo.paper_study_files import save
-    from fitting.demo.paper_study_tables import facts, notes
+    from fitting.demo.paper_study_tables import facts, notes, save
 
     with err().status("fitting ...") as spinner:
         study = paper_study(dt=STEP, progress=lambda what: spinner.update(f"{what} ..."))

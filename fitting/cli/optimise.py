@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from fitting.treatments import Treatment
-    from fitting.treatments.plan import TreatmentPlan
+    from fitting.treatments.limits import TreatmentPlan
 
 
 @with_amounts("FROM:TO", ", within these limits")

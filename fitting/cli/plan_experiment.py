@@ -31,8 +31,8 @@ def plan_experiment(
     check_outputs(json)
     levels = noise_levels(noise)
     chosen = chosen_scene(scene, case, contact)
-    from fitting.channels import channels_of
     from fitting.identifiability import plan_experiment as plan
+    from fitting.programs import channels_of
 
     channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
     with working("linearising the motion"):

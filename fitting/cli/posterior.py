@@ -21,7 +21,7 @@ def check_posterior(objective: str) -> None:
         InputError: an objective that is no likelihood.
         MissingExtraError: blackjax is not installed.
     """
-    from fitting.posterior.independence import accepting
+    from fitting.posterior.sampling import accepting
 
     if objective == "paper":
         raise InputError("the paper's objective is no likelihood", where="--posterior", remedy="--objective likelihood")

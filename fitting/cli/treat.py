@@ -150,13 +150,13 @@ def _draw(data: Dataset, output: Path, name: str) -> list[Path]:
 
 
 def _finding(data: Dataset) -> str:
-    from fitting.prediction.table import finding
+    from fitting.prediction.plots import finding
 
     return finding(data)
 
 
 def _facts(data: Dataset) -> dict[str, Any]:
-    from fitting.prediction.table import facts
+    from fitting.prediction.plots import facts
 
     return facts(data)
 
@@ -165,7 +165,7 @@ def _table(data: Dataset) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from fitting.prediction.table import rows
+    from fitting.prediction.plots import rows
 
     headings, lines = rows(data)
     left_out = len(lines) - _MOST_ROWS

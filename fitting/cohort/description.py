@@ -7,15 +7,164 @@ import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, create_model, model_validator
 
-from fitting.cohort.tables import CohortTable, PatientTable
+from fitting.prediction.ranges import values
+from fitting.treatments import KINDS
+from fitting.treatments.treatment import Way
 from pftwin.base.errors import InputError
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.problems import scene_error
-from pftwin.files.scene_file.section import Reading
+from pftwin.files.scene_file.section import FileName, Positive, Reading, Section, problem
+
+_UNITS = {"mm": "mm", "deg": "deg", "%": "percent"}  # as names of fields spell them
+_DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
+
+
+def _file_name(name: str) -> str:
+    if name.lower() in _DEVICES:
+        raise problem(f"found {name!r}, which Windows takes for a device", expected="another name")
+    return name
+
+
+def _amounts(given: Any) -> list[float]:
+    """In the field's unit, from a number, a list of numbers, or text: "0:20:5"."""
+    if isinstance(given, str):
+        try:
+            return values(given, "")
+        except InputError as error:
+            raise problem(error.problem, expected=error.expected) from None
+    listed = given if isinstance(given, list) else [given]
+    numbers = [float(v) for v in listed if isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e300]
+    if not listed or len(numbers) < len(listed):
+        raise problem(f"found {given!r}", expected='a number, a list of numbers, or "FROM:TO:STEP"')
+    return numbers
+
+
+# Patients' files are named after them, on whatever system they are copied to.
+PatientName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"), AfterValidator(_file_name)]
+
+
+class FitTable(Section):
+    """How tendons are fitted: the options of `pftwin fit`. What is left out is as there."""
+
+    free: Annotated[list[str], Field(min_length=1)] | None = Field(default=None, description="parameters")
+    bounds: Positive | None = Field(default=None, description="to either side, as a share of the nominal value")
+    use: Annotated[list[str], Field(min_length=1)] | Literal["all"] | None = Field(
+        default=None, description='channels that are compared, in a list, or "all"'
+    )
+    noise: dict[str, Positive] | None = Field(
+        default=None, description="standard deviations by channel, in m, rad or N"
+    )
+    method: Literal["least_squares", "gradient", "genetic", "cma_es", "differential_evolution"] | None = Field(
+        default=None, description="how the best parameters are searched for"
+    )
+    objective: Literal["likelihood", "paper"] | None = Field(default=None, description="what makes a fit good")
+    loss: Literal["linear", "huber", "soft_l1"] | None = Field(default=None, description="how outliers count")
+    starts: Annotated[int, Field(ge=1)] | None = Field(
+        default=None, description="starting points (least squares, gradient)"
+    )
+    seed: Annotated[int, Field(ge=0)] | None = Field(default=None, description="of all random choices")
+
+    def options(self) -> dict[str, Any]:
+        """What is given, as `fitting.fit_tendons` takes it."""
+        return self.model_dump(exclude_none=True)
+
+
+class PredictTable(Section):
+    """How treatments are simulated: the options of `pftwin treat`."""
+
+    samples: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        default=50, description="draws from the fit's uncertainty, for bands"
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="of the draws")
+    dt_s: Positive = Field(default=2.5e-3, description="longest time step [s]")
+
+
+class PatientTable(Section):
+    """One knee: a scene with its recording."""
+
+    name: PatientName = Field(description="letters, digits, _ and -; files are named after it")
+    scene: FileName | None = Field(default=None, description="its scene file")
+    case: Annotated[int, Field(ge=1, le=4)] | None = Field(
+        default=None, description="instead of a scene file: a case of the virtual rig"
+    )
+    contact: str | None = Field(default=None, description="patch in place of the scene's own: P2, P4, P5, spline")
+    fit: FitTable | None = Field(default=None, description="table: what is other than in [fit] for this patient")
+
+    @model_validator(mode="after")
+    def _one_scene(self) -> PatientTable:
+        if (self.scene is None) == (self.case is None):
+            found = "neither scene nor case" if self.scene is None else "both scene and case"
+            raise problem(f"{found} given", expected='one of them: scene = "knee.toml"')
+        return self
+
+
+def amount_field(name: str, way: Way) -> str:
+    """What a treatment's amount is called in the file: its name with its unit."""
+    return f"{name}_{_UNITS[way.shown_unit]}"
+
+
+def _kind_table(kind: str) -> type[Section]:
+    ways = KINDS[kind].amounts
+    fields: Any = {
+        amount_field(name, way): (
+            Annotated[list[float] | None, BeforeValidator(_amounts)],
+            Field(default=None, description=f'{way.more} [{way.shown_unit}]: a number, a list, or "FROM:TO:STEP"'),
+        )
+        for name, way in ways.items()
+    }
+    return create_model(f"{kind}_table", __base__=Section, __doc__=f"Amounts of {kind}.", **fields)
+
+
+class _TreatmentTable(Section):
+    """One treatment, of one kind or of several after each other: all combinations of its amounts."""
+
+    @model_validator(mode="after")
+    def _something(self) -> _TreatmentTable:
+        if not self.amounts():
+            raise problem(
+                "no treatment given", expected='such as tibial_tuberosity_transfer = { medialisation_mm = "0:20:5" }'
+            )
+        return self
+
+    def amounts(self) -> dict[str, dict[str, list[float]]]:
+        """Values by kind and amount, as written: mm, degrees and percent."""
+        found: dict[str, dict[str, list[float]]] = {}
+        for kind, about in KINDS.items():
+            table = getattr(self, kind, None)
+            given = {n: getattr(table, amount_field(n, way), None) for n, way in about.amounts.items()}
+            if there := {n: v for n, v in given.items() if v is not None}:
+                found[kind] = there
+        return found
+
+
+_KINDS: Any = {k: (_kind_table(k) | None, Field(default=None, description=f"table: {KINDS[k].part}")) for k in KINDS}
+if TYPE_CHECKING:
+    TreatmentTable = _TreatmentTable
+else:
+    TreatmentTable = create_model("TreatmentTable", __base__=_TreatmentTable, __doc__=_TreatmentTable.__doc__, **_KINDS)
+
+
+class CohortTable(Section):
+    """The whole file."""
+
+    schema_version: Literal[1] = Field(alias="schema", description="version of this format: schema = 1")
+    name: FileName | None = Field(default=None, description="the cohort's name; the file's by default")
+    output: FileName | None = Field(default=None, description="folder of the results; NAME_results by default")
+    fit: FitTable | None = Field(default=None, description="table: how tendons are fitted; without it nothing is")
+    predict: PredictTable = Field(default_factory=PredictTable, description="table: how treatments are simulated")
+    treatment: list[TreatmentTable] = Field(default=[], description="tables [[treatment]]: what is predicted")
+    patient: Annotated[list[PatientTable], Field(min_length=1)] = Field(description="tables [[patient]]: who")
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> CohortTable:
+        if self.fit is None and not self.treatment:
+            raise problem("neither a fit nor a treatment", expected="a table [fit], tables [[treatment]], or both")
+        return self
+
 
 _MOST_MEMBERS = 1_000_000  # variants and draws of a patient
 
@@ -75,15 +224,13 @@ def read_cohort(path: str | os.PathLike[str], *, allow_outside: bool = False) ->
 
 
 def _patient(table: PatientTable, i: int, cohort: CohortTable, document: Document) -> Patient:
-    scene = None
+    scene = contact = fit = None
     if table.scene is not None:
         with document.naming("patient", i, "scene"):
             scene = _inside(document, table.scene)
-    contact = None
     if table.contact is not None:
         with document.naming("patient", i, "contact"):
             contact = _contact(table)
-    fit = None
     if cohort.fit is not None or table.fit is not None:
         fit = {**(cohort.fit.options() if cohort.fit else {}), **(table.fit.options() if table.fit else {})}
     return Patient(table.name, scene, table.case, contact, fit)
@@ -116,13 +263,10 @@ def _check_names(table: CohortTable, document: Document) -> None:
     """Case does not count: on many systems it does not in files' names."""
     counts = Counter(p.name.lower() for p in table.patient)
     for i, patient in enumerate(table.patient):
-        if counts[patient.name.lower()] > 1:
-            place, _, _ = document.locate(("patient", i, "name"))
-            raise InputError(
-                f"{counts[patient.name.lower()]} patients are called {patient.name!r}",
-                where=document.describe(place),
-                expected="names that differ by more than capital letters",
-            )
+        if (count := counts[patient.name.lower()]) > 1:
+            where = document.describe(document.locate(("patient", i, "name"))[0])
+            expected = "names that differ by more than capital letters"
+            raise InputError(f"{count} patients are called {patient.name!r}", where=where, expected=expected)
 
 
 def _check_size(treatments: tuple[Amounts, ...], table: CohortTable, document: Document) -> None:

@@ -1,4 +1,4 @@
-"""The folder of a cohort's results: opened by one process at a time, and cleared of what a killed one left."""
+"""The folder of a cohort's results: opened by one process at a time, cleared of what a killed one left, and checked."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import NamedTuple
 
-from fitting.cohort.manifest import NAME, SUMMARY, Manifest
-from fitting.cohort.units import PATIENTS
+from fitting.cohort.description import Cohort
+from fitting.cohort.manifest import NAME, PATIENTS, SUMMARY, Manifest, fault, file_digest, units_of
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.output import make_folder, remove_unfinished
 
+SOUND, DAMAGED, OUTDATED, ABSENT, LEFT_OVER = "sound", "damaged", "out of date", "not there yet", "no longer asked for"
 LOCK = ".lock"
 _ANOTHER = "another folder, with --out"
 _PROBE = bytes(1 << 16)
@@ -27,15 +28,10 @@ _UNFINISHED = {
 
 @contextmanager
 def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
-    """The folder's manifest, while no other process works there.
-
-    Args:
-        folder: made if it is not there.
-        cohort: its name.
-        resume: whether to go on with what the folder holds.
+    """The folder's manifest, while no other process works there; the folder is made if it is not there.
 
     Raises:
-        InputError: it holds results and nobody said to go on with them, those of another cohort, a damaged manifest, or
+        InputError: it holds results without `resume`, those of another cohort, a damaged manifest, or
             another process is at work there.
         OutputError: it cannot be made or written to.
     """
@@ -68,21 +64,13 @@ def _found(folder: Path, cohort: str, resume: bool) -> Manifest:
     """The manifest that is there, or a new one."""
     if not (folder / NAME).exists():
         if there := [name for name in (PATIENTS, SUMMARY) if (folder / name).exists()]:
-            raise InputError(
-                f"holds {there[0]} and no {NAME}",
-                where=folder,
-                expected="an empty folder, or one that pftwin cohort wrote",
-                remedy=_ANOTHER,
-            )
+            expected = "an empty folder, or one that pftwin cohort wrote"
+            raise InputError(f"holds {there[0]} and no {NAME}", where=folder, expected=expected, remedy=_ANOTHER)
         return Manifest(cohort)
     manifest = Manifest.load(folder)
     if manifest.cohort != cohort:
-        raise InputError(
-            f"holds results of the cohort {manifest.cohort!r}",
-            where=folder,
-            expected=f"those of {cohort!r}",
-            remedy=_ANOTHER,
-        )
+        problem = f"holds results of the cohort {manifest.cohort!r}"
+        raise InputError(problem, where=folder, expected=f"those of {cohort!r}", remedy=_ANOTHER)
     if not resume and (manifest.files or manifest.failures):
         raise InputError(
             f"holds results of this cohort already: {len(manifest.files)} finished files",
@@ -100,20 +88,75 @@ def _locked(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written to: {error.strerror or error}") from error
     with file:
-        _lock(file, folder)
+        try:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except ImportError:  # Windows: two processes at once do work twice, and no harm
+            pass
+        except BlockingIOError:
+            remedy = "wait for it, or another folder with --out"
+            raise InputError("another process works on this cohort", where=folder, remedy=remedy) from None
+        except OSError:  # a file system without locks
+            pass
         yield
 
 
-def _lock(file: IO[str], folder: Path) -> None:
+class FileFinding(NamedTuple):
+    """About one file."""
+
+    file: str
+    verdict: str
+    words: str = ""
+
+
+def check_cohort(cohort: Cohort, folder: str | os.PathLike[str] | None = None) -> list[FileFinding]:
+    """Every file of a cohort's folder against checksum and key. Reads all of them; changes nothing.
+
+    Raises:
+        InputError: no manifest, or a damaged one.
+    """
+    place = Path(cohort.output if folder is None else folder)
+    manifest = Manifest.load(place)
+    found: dict[str, FileFinding] = {}
+    for name, entry in manifest.files.items():
+        wrong = fault(entry, place / name)
+        found[name] = FileFinding(name, LEFT_OVER if wrong is None else DAMAGED, wrong or "")
+    asked: list[FileFinding] = []
+    for patient in cohort.patients:
+        try:
+            units = units_of(cohort, patient)
+        except InputError as error:
+            mine = [n for n, entry in manifest.files.items() if entry.patient == patient.name]
+            old = [found.pop(n) for n in mine]
+            asked += [f if f.verdict == DAMAGED else FileFinding(f.file, OUTDATED, str(error)) for f in old]
+            asked += [] if mine else [FileFinding(patient.name, ABSENT, str(error))]
+            continue
+        for unit in units:
+            there = found.pop(unit.file, None)
+            if there is None:
+                why = manifest.failures.get(patient.name)
+                asked.append(FileFinding(unit.file, ABSENT, "" if why is None else why.message))
+            elif there.verdict == DAMAGED:
+                asked.append(there)
+            elif manifest.files[unit.file].key != unit.key:
+                asked.append(FileFinding(unit.file, OUTDATED, "made from other files, settings or versions"))
+            else:
+                asked.append(FileFinding(unit.file, SOUND))
+    return [*asked, *found.values(), _summary(manifest, place / SUMMARY)]
+
+
+def _summary(manifest: Manifest, path: Path) -> FileFinding:
+    """A run that was killed may have left the summary before the last patient's."""
     try:
-        import fcntl
-    except ImportError:  # Windows: two processes at once do work twice, and no harm
-        return
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise InputError(
-            "another process works on this cohort", where=folder, remedy="wait for it, or another folder with --out"
-        ) from None
-    except OSError:  # a file system without locks
-        return
+        digest = file_digest(path) if path.is_file() else None
+    except OSError as error:
+        return FileFinding(SUMMARY, DAMAGED, f"cannot be read: {error.strerror or error}")
+    announced = manifest.summary
+    if announced is not None and digest == announced.sha256:
+        return FileFinding(SUMMARY, SOUND)
+    if digest is None and (announced is None or announced.before is None):
+        return FileFinding(SUMMARY, ABSENT)
+    if announced is not None and digest == announced.before:
+        return FileFinding(SUMMARY, OUTDATED, "the run ended before the last patient was in it")
+    return FileFinding(SUMMARY, DAMAGED, "is missing" if digest is None else "its checksum differs")

@@ -1,12 +1,72 @@
-"""What became of a cohort's patients in one run."""
+"""How far a cohort is, how long the rest will take, and what became of its patients."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from fitting.cohort.manifest import Failure
+from fitting.cohort.manifest import Failure, Unit
+
+
+class CohortProgress(NamedTuple):
+    """Of one run: units that were done before do not count."""
+
+    unit: Unit
+    share: float  # of the unit that is done
+    ended: bool  # whether its file is written and recorded, or it has failed
+    number: int  # of the unit, from 1
+    of: int  # units that this run has to do
+    seconds: float  # that the unit has taken so far
+    left: float | None  # for all that is to be done, at the pace so far [s]; None before the first unit has ended
+    failure: Failure | None = None
+
+
+class Pace:
+    """Means over the units of each kind: a fit and a prediction take different times."""
+
+    def __init__(self, units: Sequence[Unit]) -> None:
+        self.waiting, self.number, self.total = list(units), 0, len(units)
+        self.times: dict[str, list[float]] = {}
+        self._began = self._took = 0.0
+
+    def began(self, unit: Unit) -> None:
+        """A unit begins."""
+        self.waiting.remove(unit)
+        self.number += 1
+        self._began = time.perf_counter()
+
+    def ended(self, unit: Unit, *, failed: bool) -> None:
+        """It has ended. After a failure the patient's further units will not be done, and its time says nothing."""
+        self._took = time.perf_counter() - self._began
+        if not failed:
+            self.times.setdefault(unit.kind, []).append(self._took)
+            return
+        before = len(self.waiting)
+        self.waiting = [u for u in self.waiting if u.patient != unit.patient]
+        self.total -= before - len(self.waiting)
+
+    def progress(self, unit: Unit, share: float) -> CohortProgress:
+        """While a unit runs."""
+        seconds = time.perf_counter() - self._began
+        left = None if not self.times else self._rest() + max(self._usual(unit.kind) - seconds, 0.0)
+        return CohortProgress(unit, share, False, self.number, self.total, seconds, left)
+
+    def last(self, unit: Unit, failure: Failure | None) -> CohortProgress:
+        """After its end."""
+        left = self._rest() if self.times else None
+        return CohortProgress(unit, 1.0, True, self.number, self.total, self._took, left, failure)
+
+    def _rest(self) -> float:
+        return sum(self._usual(u.kind) for u in self.waiting)
+
+    def _usual(self, kind: str) -> float:
+        known = self.times.get(kind) or [t for times in self.times.values() for t in times]
+        # The first of a kind compiles what the others use: it counts while there is no other.
+        steady = known[1:] or known
+        return sum(steady) / len(steady)
 
 
 @dataclass
@@ -26,7 +86,7 @@ class CohortReport:
 
     folder: Path
     outcomes: list[Outcome]
-    unwritten: dict[str, str] = field(default_factory=dict)  # why manifest or summary could not be written, at last
+    unwritten: dict[str, str] = field(default_factory=dict)  # why manifest or summary could not be written in the end
     seconds: float = 0.0
 
     @property

@@ -8,24 +8,93 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fitting.cohort.description import Cohort, Patient
 from fitting.cohort.folder import check_room, opened
-from fitting.cohort.manifest import Failure, Manifest
-from fitting.cohort.progress import CohortProgress, Pace
-from fitting.cohort.report import CohortReport, Outcome
-from fitting.cohort.store import write_store
-from fitting.cohort.summary import require_pyarrow
-from fitting.cohort.summary_file import SummaryFile
-from fitting.cohort.units import PATIENTS, Unit, units_of
-from fitting.cohort.work import ByPftwin, Work
+from fitting.cohort.manifest import PATIENTS, Failure, Manifest, Unit, units_of
+from fitting.cohort.report import CohortProgress, CohortReport, Outcome, Pace
+from fitting.cohort.summary import SummaryFile, require_pyarrow, write_store
 from pftwin.base.errors import InputError, PftwinError
 
 if TYPE_CHECKING:
-    from fitting.estimate import Estimate
+    from xarray import Dataset
 
-_NOTHING: Callable[[CohortProgress], None] = lambda _: None  # noqa: E731
+    from fitting.estimate import Estimate
+    from pftwin.model.scene import Scene
+
+Tell = Callable[[float], None]  # how far a unit is: the share that is done
+
+
+class Work:
+    """What the loop over units needs to have done, by `fitting.fit_tendons` and `fitting.predict`."""
+
+    def __init__(self, cohort: Cohort) -> None:
+        self.cohort = cohort
+        self._last: tuple[Patient, Scene] | None = None  # a patient's units follow each other
+
+    def about(self, patient: Patient) -> dict[str, Any]:
+        """`scene`, its name, and `synthetic`, whether its motion or measurements are: 0 or 1."""
+        scene = self._scene(patient)
+        measured = scene.measured is not None and scene.measured.synthetic
+        return {"scene": scene.name, "synthetic": int(scene.synthetic or measured)}
+
+    def fit(self, patient: Patient, tell: Tell) -> Estimate:
+        """The patient's parameters.
+
+        Raises:
+            InputError: what `fitting.fit_tendons` refuses.
+            KeyboardInterrupt: Ctrl-C; half a fit is none.
+        """
+        from fitting.fit import fit_tendons, measured_of
+
+        scene = self._scene(patient)
+        estimate = fit_tendons(
+            scene, measured_of(scene), progress=lambda p: tell(p.iteration / max(p.of, 1)), **(patient.fit or {})
+        )
+        if estimate.reason.startswith("interrupted"):
+            raise KeyboardInterrupt
+        return estimate
+
+    def predict(self, patient: Patient, estimate: Estimate | None, tell: Tell) -> Dataset | None:
+        """Outcomes of the cohort's treatments; None if it has none.
+
+        Raises:
+            InputError: what `fitting.predict` refuses; no variant that could be simulated.
+        """
+        if not self.cohort.treatments:
+            return None
+        from fitting.prediction.predicting import predict
+        from fitting.prediction.variants import combinations
+
+        settings = dict(self.cohort.predict)
+        if estimate is None:
+            settings["samples"] = 0  # nothing is uncertain
+        variants = [combinations(amounts) for amounts in self.cohort.treatments]
+        scene = self._scene(patient)
+        data = predict(scene, variants, estimate, progress=lambda done, of: tell(done / max(of, 1)), **settings)
+        if bool(data["failed"].all()):
+            raise InputError(
+                "no variant could be simulated: no equilibrium to start from, or no finite motion",
+                where=patient.name,
+                remedy="pftwin simulate, which says more",
+            )
+        return data
+
+    def _scene(self, patient: Patient) -> Scene:
+        if self._last is None or self._last[0] != patient:
+            self._last = None  # frees the last scene before the next is loaded
+            if patient.scene is None:
+                from pftwin import rig
+
+                assert patient.case is not None
+                scene = rig.case(patient.case, contact=patient.contact or "P5")
+            else:
+                from pftwin.files.scene_file import load_scene
+
+                scene = load_scene(patient.scene, contact=patient.contact, allow_outside=self.cohort.allow_outside)
+            self._last = patient, scene
+        return self._last[1]
 
 
 def run_cohort(
@@ -58,7 +127,7 @@ def run_cohort(
     require_pyarrow()
     place = Path(cohort.output if folder is None else folder)
     with opened(place, cohort.name, resume=resume) as manifest:
-        return _CohortRun(cohort, place, manifest, work or ByPftwin(cohort), progress or _NOTHING).all()
+        return _CohortRun(cohort, place, manifest, work or Work(cohort), progress or (lambda _: None)).all()
 
 
 class _CohortRun:
@@ -71,13 +140,12 @@ class _CohortRun:
         self.outcomes = {p.name: Outcome(p.name) for p in cohort.patients}
         self.report = CohortReport(folder, list(self.outcomes.values()))
         self.summary = SummaryFile(cohort, folder, manifest)
-        self.pace = Pace()
 
     def all(self) -> CohortReport:
         """Plans, runs what is missing, and writes the summary after every patient."""
         began = time.perf_counter()
         missing = self._plan()
-        self.pace.waits_for(missing)
+        self.pace = Pace(missing)
         for patient in self.cohort.patients:
             if units := [u for u in missing if u.patient == patient.name]:
                 self._patient(patient, units)
@@ -142,18 +210,16 @@ class _CohortRun:
             self._check_inputs(patient, unit)
             estimate.save(path)
         else:
-            fitted = None if patient.fit is None else self._fitted(unit)
+            fitted = None  # from its file: a prediction is the same whether its fit was of this run or not
+            if patient.fit is not None:
+                from fitting.estimate import Estimate
+
+                fitted = Estimate.load(self.folder / PATIENTS / f"{unit.patient}.fit.json")
             prediction = self.work.predict(patient, fitted, tell)
             about = self.work.about(patient)
             self._check_inputs(patient, unit)
             write_store(path, unit, about, fitted, prediction)
         self.manifest.record(unit, self.folder, time.perf_counter() - began)
-
-    def _fitted(self, unit: Unit) -> Estimate:
-        """The patient's estimate, from its file: a prediction is the same whether its fit was of this run or not."""
-        from fitting.estimate import Estimate
-
-        return Estimate.load(self.folder / PATIENTS / f"{unit.patient}.fit.json")
 
     def _check_inputs(self, patient: Patient, unit: Unit) -> None:
         """Refuses a result of files that are no longer those of its key."""
@@ -161,7 +227,7 @@ class _CohortRun:
             raise InputError("its files changed while it was computed", where=patient.name, remedy="--resume")
 
     def _saved(self) -> None:
-        """The manifest, as far as the disk lets it; the next one that can be written holds the same."""
+        """Writes the manifest; if the disk refuses, the next write holds the same."""
         with self._noted("manifest"):
             self.manifest.save(self.folder)
 
@@ -172,7 +238,7 @@ class _CohortRun:
 
     @contextmanager
     def _caught(self, outcome: Outcome, stage: str) -> Iterator[None]:
-        """A patient's failure is written down. Not Ctrl-C: that is nobody's failure."""
+        """Records a patient's failure; Ctrl-C is none."""
         try:
             yield
         except Exception as error:
@@ -186,7 +252,7 @@ class _CohortRun:
 
     @contextmanager
     def _noted(self, what: str) -> Iterator[None]:
-        """What keeps manifest or summary from being written is said at the end, unless it could be written later."""
+        """Reports what kept the manifest or the summary from being written, unless a later write succeeds."""
         self.report.unwritten.pop(what, None)
         try:
             yield

@@ -1,7 +1,12 @@
-"""summary.parquet: one table of a whole cohort, a row for each patient and variant, for pandas, R and DuckDB."""
+"""A patient's store, and summary.parquet: one table of a whole cohort, for pandas, R and DuckDB.
+
+A store is one NetCDF file with the groups `fit` and `prediction`, not Zarr: everything else that pftwin writes is
+NetCDF, and one file is replaced in one step, while a kill can leave the files of a Zarr folder half old and half new.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import math
@@ -9,12 +14,90 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting.cohort.manifest import Failure
-from fitting.cohort.store import read_store
+import numpy as np
+
+from fitting.cohort.description import Cohort
+from fitting.cohort.manifest import SUMMARY, Announced, Failure, Manifest, Unit, file_digest, versions
 from pftwin.base.errors import MissingExtraError
+from pftwin.base.output import written_whole
 
 if TYPE_CHECKING:
     from xarray import Dataset
+
+    from fitting.estimate import Estimate
+
+_TEXTS = ("method", "objective", "objective_unit", "reason", "source", "scene_name")
+_NUMBERS = ("objective_value", "serial_correlation", "condition", "seed", "evaluations", "iterations", "starts")
+
+
+def write_store(
+    path: Path, unit: Unit, scene: dict[str, Any], estimate: Estimate | None, prediction: Dataset | None
+) -> None:
+    """Writes a store, whole or not at all; `scene` says where the numbers come from.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    from xarray import Dataset
+
+    from pftwin.files.result_files import save_dataset
+
+    about = {"title": f"patient {unit.patient}", "patient": unit.patient, "key": unit.key, **versions(), **scene}
+    groups = {} if estimate is None else {"fit": fit_dataset(estimate)}
+    groups |= {} if prediction is None else {"prediction": prediction}
+    about["groups"] = " ".join(groups)
+    save_dataset(Dataset(attrs=about), path, groups=groups)
+
+
+def fit_dataset(estimate: Estimate) -> Dataset:
+    """An estimate over its parameters, in SI units."""
+    from xarray import Dataset
+
+    low, high = estimate.intervals.T
+    columns = {
+        "value": (estimate.values, "best value"),
+        "standard_deviation": (estimate.standard_deviations, "standard deviation"),
+        "low": (low, "95 % interval, lower end"),
+        "high": (high, "95 % interval, upper end"),
+        "nominal": (estimate.nominal, "where the search began"),
+        "lower_bound": (estimate.lower, "lower bound of the search"),
+        "upper_bound": (estimate.upper, "upper bound of the search"),
+    }
+    over = {"units": "as parameter_unit"}
+    data: dict[str, Any] = {n: (("parameter",), v, {**over, "long_name": words}) for n, (v, words) in columns.items()}
+    both = ("parameter", "other_parameter")
+    data["covariance"] = (both, estimate.covariance, {"units": "product of both", "long_name": "covariance"})
+    coordinates = {
+        "parameter": list(estimate.names),
+        "other_parameter": list(estimate.names),
+        "parameter_unit": (("parameter",), list(estimate.units)),
+    }
+    attributes: dict[str, Any] = {n: getattr(estimate, n) for n in (*_TEXTS, *_NUMBERS)}
+    for name in ("rmse", "noise"):
+        attributes[name] = json.dumps(getattr(estimate, name))  # m, rad and N, by channel
+    attributes |= {
+        "synthetic": int(estimate.synthetic),
+        "at_bounds": " ".join(estimate.at_bounds),
+        "sentence": estimate.sentence(),
+        "remarks": "; ".join(estimate.remarks()),
+    }
+    plain = {k: float(v) if isinstance(v, np.floating) else v for k, v in attributes.items()}
+    return Dataset(data, coordinates, plain)
+
+
+def read_store(path: Path) -> tuple[dict[str, Any], Dataset | None, Dataset | None]:
+    """Attributes of a store, its fit, and its prediction.
+
+    Raises:
+        InputError: no store.
+    """
+    from pftwin.files.result_files import load_dataset
+
+    about = dict(load_dataset(path).attrs)
+    groups = str(about.get("groups", "")).split()
+    fit, prediction = (load_dataset(path, group=g) if g in groups else None for g in ("fit", "prediction"))
+    return about, fit, prediction
+
 
 # Columns that every summary has; those of parameters, amounts and outcomes follow as they come, all float64.
 FIXED = {
@@ -64,21 +147,8 @@ def rows_of(path: Path) -> tuple[list[Row], Units]:
     return [{**row, **more} for more in _predicted(prediction, units)], units
 
 
-def row_without(patient: str, failure: Failure | None) -> Row:
-    """Of a patient without results: failed, or pending."""
-    if failure is None:
-        return {"patient": patient, "status": "pending"}
-    return {"patient": patient, "status": "failed", "failed_at": failure.stage, "reason": failure.message}
-
-
 def table(rows: Iterable[Row], units: Mapping[str, str], about: Mapping[str, Any]) -> bytes:
-    """The Parquet file.
-
-    Args:
-        rows: in the order of the file; what a row lacks is null there.
-        units: by column: SI units and degrees.
-        about: what else the file's metadata say, for every reader.
-    """
+    """The Parquet file; what a row lacks is null there. Its metadata hold the columns' units and `about`."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -114,7 +184,7 @@ def _fitted(fit: Dataset, units: Units) -> Row:
 
 def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
     """Of the estimate itself, and with samples the 95 % band of the draws."""
-    from fitting.prediction.table import facts
+    from fitting.prediction.plots import facts
 
     found = facts(data)
     for name, unit in found["units"].items():
@@ -135,3 +205,44 @@ def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
 def _there(value: Any) -> Any:
     """Null where there is no number: NaN would spoil means in SQL."""
     return None if isinstance(value, float) and math.isnan(value) else value
+
+
+class SummaryFile:
+    """Rows of the patients that are done, as their stores hold them."""
+
+    def __init__(self, cohort: Cohort, folder: Path, manifest: Manifest) -> None:
+        self.cohort, self.folder, self.manifest = cohort, folder, manifest
+        self.rows: dict[str, list[Row]] = {}
+        self.units: Units = {}
+
+    def take(self, patient: str, unit: Unit) -> None:
+        """Reads a patient's store.
+
+        Raises:
+            InputError: it is none.
+        """
+        self.rows[patient], units = rows_of(self.folder / unit.file)
+        self.units |= units
+
+    def write(self, failures: dict[str, Failure]) -> None:
+        """Announces the summary in the manifest, then writes it; not at all where it is there already.
+
+        Raises:
+            OutputError: the manifest or the summary cannot be written.
+        """
+        rows: list[Row] = []
+        for patient in self.cohort.patients:
+            if (failure := failures.get(patient.name)) is not None:
+                why = {"failed_at": failure.stage, "reason": failure.message}
+                rows.append({"patient": patient.name, "status": "failed", **why})
+            else:
+                rows += self.rows.get(patient.name) or [{"patient": patient.name, "status": "pending"}]
+        content = table(rows, self.units, {"cohort": self.cohort.name, **versions()})
+        path, digest = self.folder / SUMMARY, hashlib.sha256(content).hexdigest()
+        there = file_digest(path) if path.is_file() else None
+        self.manifest.summary = Announced(digest, there)
+        self.manifest.save(self.folder)
+        if there == digest:
+            return
+        with written_whole(path) as temporary:
+            temporary.write_bytes(content)

@@ -36,6 +36,8 @@ def run_demo(folder: Path, console: Console, *, full: bool = False) -> dict[str,
     from pftwin import rig
     from pftwin.dynamics.simulate import simulate
     from pftwin.results.metrics import mean_of, validate
+    from pftwin.results.plots import case_figure, save_figure
+    from pftwin.rig.cases import contact_fit
 
     folder.mkdir(parents=True, exist_ok=True)
     results: dict[int, dict[str, Result]] = {n: {} for n in CASES}
@@ -56,26 +58,25 @@ def run_demo(folder: Path, console: Console, *, full: bool = False) -> dict[str,
         console.print(_table({c: means[c] for c in some}))
     outcomes = _outcomes(results)
     console.print(_outcome_table(outcomes))
-    pictures = [str(p) for n in CASES for p in _draw(results[n], n, folder)]
+    pictures = []
+    for n in CASES:
+        drawn = case_figure(results[n], rig.measured(n), f"Case {n} of the virtual rig")
+        pictures += [str(p) for p in save_figure(drawn, folder / f"case{n}")]
+    fits = {c: contact_fit(c) for c in (*CONTACTS, "spline")}
     _write_csv(means, folder / "table1.csv")
     console.print(f"results, figures and table1.csv are in {folder}", markup=False, highlight=False)
     return {
         "label": rig.measured(1).source,
         "synthetic": True,
         "settings": {"integrator": "linear_implicit", "dt_s": STEP},
-        "surface_fits": _fits(),
+        "surface_fits": {
+            c: {"r_squared": f.r_squared, "rms_m": f.rms, "max_error_m": f.max_error} for c, f in fits.items()
+        },
         "table1": {c: v.to_dict() for c, v in means.items()},
         "per_case": {c: [v.to_dict() for v in validations[c]] for c in contacts},
         "outcomes": outcomes,
         "figures": pictures,
     }
-
-
-def _fits() -> dict[str, dict[str, float]]:
-    from pftwin.rig.cases import contact_fit
-
-    fits = {c: contact_fit(c) for c in (*CONTACTS, "spline")}
-    return {c: {"r_squared": f.r_squared, "rms_m": f.rms, "max_error_m": f.max_error} for c, f in fits.items()}
 
 
 def narrow_table(title: str) -> Table:
@@ -128,16 +129,8 @@ def _outcomes(results: dict[int, dict[str, Result]]) -> list[dict[str, Any]]:
             tracking = result.dislocations()
             if tracking is None:
                 continue
-            first = tracking.events[0] if tracking.events else None
-            rows.append(
-                {
-                    "case": n,
-                    "contact": contact,
-                    "dislocates": first is not None,
-                    "text": tracking.describe(),
-                    "re_engaged": tracking.re_engaged,
-                }
-            )
+            found = {"text": tracking.describe(), "re_engaged": tracking.re_engaged}
+            rows.append({"case": n, "contact": contact, "dislocates": bool(tracking.events), **found})
     return rows
 
 
@@ -150,14 +143,6 @@ def _outcome_table(outcomes: list[dict[str, Any]]) -> Table:
     for row in outcomes:
         table.add_row(str(row["case"]), row["contact"], row["text"])
     return table
-
-
-def _draw(results: dict[str, Result], n: int, folder: Path) -> tuple[Path, ...]:
-    from pftwin import rig
-    from pftwin.results.plots import case_figure, save_figure
-
-    figure = case_figure(results, rig.measured(n), f"Case {n} of the virtual rig")
-    return save_figure(figure, folder / f"case{n}")
 
 
 def _write_csv(means: dict[str, Validation], path: Path) -> None:

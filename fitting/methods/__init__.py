@@ -1,1 +1,1 @@
-"""Methods of fitting. Each asks for evaluations and is told their answers."""
+"""Methods of fitting. Each asks for evaluations and receives their results."""

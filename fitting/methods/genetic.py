@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.methods.method import Method, State
-from fitting.methods.problem import Problem, ProblemAnswer, Request
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of
 
 Floats = NDArray[np.float64]
 Random = np.random.Generator
@@ -99,7 +98,40 @@ def stalled(best: Floats) -> bool:
     return float(np.mean(np.abs(np.diff(last)) / np.maximum(np.abs(last[1:]), 1e-300))) <= TOLERANCE
 
 
-class Genetic(Method):
+class Generations(Method):
+    """What the methods share that evaluate one generation after the other."""
+
+    options = ("population", "generations")
+
+    def __init__(
+        self, problem: Problem, seed: int, population: int | None = None, generations: int | None = None
+    ) -> None:
+        super().__init__(problem, seed)
+        p = len(problem.parameters)
+        self.population = max(4, default_population(p) if population is None else population)
+        self.most_iterations = 1 + (100 * p if generations is None else generations)
+        self.starts = self.widest = self.population
+
+    def settings(self) -> tuple[Any, ...]:
+        """What decides its course."""
+        return (self.population, self.most_iterations)
+
+    def spread(self, state: State) -> float:
+        """Of the finite scores of the last generation."""
+        return range_of(state["scores"])
+
+    def reason_to_stop(self, *, found: bool, over: bool, generations: int) -> str | None:
+        """Whether nothing was found, all populations have stalled, or generations have run out."""
+        if not found:
+            return "all starts failed"
+        if over:
+            return f"the best changed by less than {TOLERANCE:g} a generation over {STALL} generations"
+        return (
+            f"{self.most_iterations - 1} generations, the most allowed" if generations >= self.most_iterations else None
+        )
+
+
+class Genetic(Generations):
     """Populations that evolve side by side, each from its own seed."""
 
     name = "genetic"
@@ -113,10 +145,7 @@ class Genetic(Method):
         generations: int | None = None,
         populations: int = 1,
     ) -> None:
-        super().__init__(problem, seed)
-        p = len(problem.parameters)
-        self.population = max(4, default_population(p) if population is None else population)
-        self.most_iterations = 1 + (100 * p if generations is None else generations)
+        super().__init__(problem, seed, population, generations)
         self.populations = populations
         self.starts = self.widest = self.population * populations
 
@@ -171,17 +200,8 @@ class Genetic(Method):
         i = np.unravel_index(np.argmin(state["scores"]), state["scores"].shape)
         if np.isfinite(state["scores"][i]):
             state["best_value"], state["best_theta"] = float(state["scores"][i]), state["members"][i].copy()
-        if not np.isfinite(state["scores"]).any():
-            state["stopped"] = "all starts failed"
-        elif all(state["over"]):
-            state["stopped"] = f"the best changed by less than {TOLERANCE:g} a generation over {STALL} generations"
-        elif len(max(state["bests"], key=len)) >= self.most_iterations:
-            state["stopped"] = f"{self.most_iterations - 1} generations, the most allowed"
-
-    def spread(self, state: State) -> float:
-        """Of the finite scores."""
-        scores = state["scores"][np.isfinite(state["scores"])]
-        return float(np.ptp(scores)) if scores.size else np.inf
+        found, generations = bool(np.isfinite(state["scores"]).any()), len(max(state["bests"], key=len))
+        state["stopped"] = self.reason_to_stop(found=found, over=all(state["over"]), generations=generations)
 
     def _bred(self, state: State) -> tuple[list[NDArray[np.intp]], list[Floats]]:
         """Elites' places and children of the populations that have not ended."""

@@ -14,8 +14,7 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from fitting.methods.method import Method, State, lenient
-from fitting.methods.problem import Problem, ProblemAnswer, Request
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, lenient, range_of
 
 Floats = NDArray[np.float64]
 
@@ -45,9 +44,7 @@ class Gradient(Method):
 
     def begin(self) -> State:
         """The nominal point and others all over the box."""
-        p = self.problem.parameters
-        others = p.latin_hypercube(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
-        u = p.to_unbounded(np.concatenate([p.nominal[None], others]))
+        u = self.scattered_starts()
         return {
             **self.blank(),
             "u": u,
@@ -88,8 +85,7 @@ class Gradient(Method):
 
     def spread(self, state: State) -> float:
         """Of the finite values of the starts."""
-        finite = state["value"][np.isfinite(state["value"])]
-        return float(np.ptp(finite)) if finite.size else np.inf
+        return range_of(state["value"])
 
     def _adam_step(self, state: State, value: Floats, gradient: Floats) -> None:
         alive = np.isfinite(value)
@@ -119,7 +115,7 @@ class Gradient(Method):
     def _newton_step(self, state: State, value: Floats, gradient: Floats) -> None:
         at, i = self._along(state), int(np.argmin(value))
         first = not state["direction"].any()
-        if not first and not value[i] < state["value"][0]:  # nothing gained along this direction: start afresh
+        if not first and not value[i] < state["value"][0]:  # no gain along this direction: restart
             state["lbfgs"] = _leaves(_lbfgs().init(jnp.asarray(state["u"][0])))
             state["direction"] = -state["gradient"][0] / max(np.linalg.norm(state["gradient"][0]), 1e-300) * 0.05
             return

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.methods.method import Method, State
-from fitting.methods.problem import Problem, ProblemAnswer, Request
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +32,7 @@ class Phase(NamedTuple):
 
 PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 6, 1e3), Phase(4, True, 20, 1.0))
 _DAMPING = 1e-2  # to start with, of a diagonal's share
-_STUCK = 1e7  # a damping with which nothing moves any more
+_STUCK = 1e7  # a damping with which steps vanish
 _LONGEST = 2.0  # step of an unbounded parameter: from the middle to 88 % of the range
 _FARTHEST = 16.0  # of an unbounded parameter: 1e-7 of the range from a bound
 _SAME = 1e-2  # share of the range within which two starts have met
@@ -56,9 +55,7 @@ class LeastSquares(Method):
 
     def begin(self) -> State:
         """All starts, not looked at yet."""
-        p = self.problem.parameters
-        others = p.latin_hypercube(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
-        u = p.to_unbounded(np.concatenate([p.nominal[None], others]))
+        u = self.scattered_starts()
         n, k = u.shape
         return {
             **self.blank(),
@@ -84,7 +81,8 @@ class LeastSquares(Method):
         """Accepts what is better."""
         assert answer.gradient is not None
         assert answer.hessian is not None
-        gradient, hessian = self._unbounded(request.theta, answer)
+        slope = self.problem.parameters.slope(request.theta)  # by the unbounded parameters
+        gradient, hessian = answer.gradient * slope, answer.hessian * slope[:, :, None] * slope[:, None, :]
         if state["looking"]:
             state.update(value=answer.value.copy(), gradient=gradient, hessian=hessian, looking=False)
             if state["phase"] == 0:
@@ -102,14 +100,7 @@ class LeastSquares(Method):
 
     def spread(self, state: State) -> float:
         """Of the objective over the starts."""
-        return float(np.ptp(state["value"])) if len(state["value"]) else np.inf
-
-    def _unbounded(self, theta: Floats, answer: ProblemAnswer) -> tuple[Floats, Floats]:
-        """Gradient and Hessian by the unbounded parameters."""
-        s = self.problem.parameters.slope(theta)
-        assert answer.gradient is not None
-        assert answer.hessian is not None
-        return answer.gradient * s, answer.hessian * s[:, :, None] * s[:, None, :]
+        return range_of(state["value"])
 
     def _trials(self, state: State) -> tuple[Floats, Floats, Floats]:
         """Points (P, L, p), their dampings (P, L), and the decrease that the quadratic model promises (P, L)."""
@@ -170,10 +161,7 @@ class LeastSquares(Method):
         before = PHASES[state["phase"]]
         state["phase"] += 1
         phase = PHASES[state["phase"]]
-        share = self.problem.parameters.to_bounded(state["u"])
-        share = (share - self.problem.parameters.lower) / (
-            self.problem.parameters.upper - self.problem.parameters.lower
-        )
+        share = self.problem.parameters.share(self.problem.parameters.to_bounded(state["u"]))
         chosen: list[int] = []
         for i in np.argsort(state["value"], kind="stable"):
             if len(chosen) < phase.keep and all(np.abs(share[i] - share[j]).max() > _SAME for j in chosen):

@@ -1,10 +1,18 @@
-"""What every method of fitting sees: a function of the free parameters, evaluated in batches."""
+"""What every method of fitting sees, a function of the free parameters; a method's shape, and its state on disk.
+
+A method asks for evaluations and receives their results; the loop runs on the host.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,8 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator, Prediction
-from fitting.objective import Objective
+from fitting.objective import Normal, Objective
 from fitting.parameters import Parameters
+from pftwin.base.errors import InputError
+from pftwin.base.output import written_whole
+from pftwin.base.text_files import read_json
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.scene import Scene
 
@@ -58,9 +69,9 @@ class Problem:
         return Problem(scene, parameters, objective, evaluator)
 
     def answer(self, request: Request) -> ProblemAnswer:
-        """The objective, what is known beforehand included."""
+        """The objective with the priors."""
         theta = np.atleast_2d(request.theta)
-        prior, pull, precision = self.parameters.prior_terms(theta)
+        prior, pull, _ = self.parameters.prior_terms(theta)
         if request.want == "value":
             value = self.objective.value(self.evaluator.values(theta, request.substeps))
             return ProblemAnswer(value + prior)
@@ -69,8 +80,14 @@ class Problem:
             value = self.objective.value(prediction)
             known = np.isfinite(value) & np.isfinite(gradient).all(axis=1)
             return ProblemAnswer(np.where(known, value + prior, np.inf), np.where(known[:, None], gradient + pull, 0.0))
-        value, gradient, hessian = self.objective.normal(self.evaluator.with_slopes(theta, request.substeps))
-        return ProblemAnswer(value + prior, gradient + pull, hessian + np.diag(precision))
+        return ProblemAnswer(*self.normal(theta, request.substeps))
+
+    def normal(self, theta: Floats, substeps: int | None = None) -> Normal:
+        """The objective with the priors, its gradient and Hessian; by default with fine steps."""
+        prior, pull, precision = self.parameters.prior_terms(theta)
+        seen = self.evaluator.with_slopes(theta, self.evaluator.fine if substeps is None else substeps)
+        value, gradient, hessian = self.objective.normal(seen)
+        return Normal(value + prior, gradient + pull, hessian + np.diag(precision))
 
     def prediction(self, theta: Floats, substeps: int) -> Prediction:
         """With derivatives, at one point (p,)."""
@@ -87,3 +104,124 @@ class Problem:
         for array in (*jax.tree.leaves(arrays), o.measured, o.present):
             total.update(np.ascontiguousarray(array).tobytes())
         return total.hexdigest()
+
+
+State = dict[str, Any]  # arrays, numbers, texts and None: all that a method knows, so that a checkpoint holds it
+
+
+class Method(ABC):
+    """A search. All its randomness comes from the seed, and all it knows is in its state."""
+
+    name: ClassVar[str]
+    options: ClassVar[tuple[str, ...]]  # what a user may choose
+    most_iterations: int
+    starts: int  # points that it begins from
+    widest: int | None = None  # the largest batch of plain values that it asks for; None: it asks for derivatives only
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        self.problem, self.seed = problem, seed
+
+    @abstractmethod
+    def begin(self) -> State:
+        """The state before the first evaluation."""
+
+    @abstractmethod
+    def ask(self, state: State) -> Request:
+        """What it wants evaluated next."""
+
+    @abstractmethod
+    def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
+        """Takes the answer in. Sets state["stopped"] to the reason when it ends."""
+
+    @abstractmethod
+    def settings(self) -> tuple[Any, ...]:
+        """What decides its course besides problem and seed."""
+
+    @abstractmethod
+    def spread(self, state: State) -> float:
+        """How far apart the objective's values are: a measure of progress."""
+
+    def scattered_starts(self) -> Floats:
+        """The nominal point and others all over the box, as unbounded parameters (starts, p)."""
+        p = self.problem.parameters
+        others = p.latin_hypercube(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
+        return p.to_unbounded(np.concatenate([p.nominal[None], others]))
+
+    @staticmethod
+    def blank() -> State:
+        """What every state has."""
+        return {"best_value": float("inf"), "best_theta": None, "dropped": 0, "stopped": None}
+
+
+def range_of(values: Floats) -> float:
+    """From the least to the largest of the finite ones; infinite where there are none."""
+    finite = values[np.isfinite(values)]
+    return float(np.ptp(finite)) if finite.size else np.inf
+
+
+@contextmanager
+def lenient() -> Iterator[None]:
+    """JAX's default rules for mixed types and ranks: libraries for optimisation need them."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+FORMAT = "pftwin fit checkpoint 1"
+
+
+def save_checkpoint(path: Path, problem: str, state: dict[str, Any]) -> None:
+    """Writes a state.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    text = json.dumps({"format": FORMAT, "problem": problem, "state": _plain(state)})
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
+    """The state that was saved of this problem.
+
+    Raises:
+        InputError: no such file, no checkpoint, or one of another problem.
+    """
+    content = read_json(path, expected=f"a file of {FORMAT!r}")
+    try:
+        if content["format"] != FORMAT:
+            raise KeyError(content["format"])
+        state = _restored(content["state"])
+        saved_of = content["problem"]
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(f"no checkpoint of a fit: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
+    if saved_of != problem:
+        raise InputError(
+            "a checkpoint of another problem",
+            where=path,
+            expected="the same scene, measurements, parameters, bounds, objective, method and seed",
+            remedy="the command that it came from, or a fit without it",
+        )
+    return state
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it; Python's decimal numbers give back the very same floats."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return {"array": value.ravel().tolist(), "shape": list(value.shape), "dtype": value.dtype.str}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value
+
+
+def _restored(value: Any) -> Any:
+    if isinstance(value, dict):
+        if value.keys() == {"array", "shape", "dtype"}:
+            return np.array(value["array"], dtype=value["dtype"]).reshape(value["shape"])
+        return {k: _restored(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_restored(v) for v in value]
+    return value

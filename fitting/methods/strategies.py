@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.methods.genetic import STALL, TOLERANCE, default_population, stalled
-from fitting.methods.method import Method, State, lenient
-from fitting.methods.problem import Problem, ProblemAnswer, Request
+from fitting.methods.genetic import Generations, stalled
+from fitting.methods.problem import Problem, ProblemAnswer, Request, State, lenient
 from pftwin.base.errors import MissingExtraError
 
 Floats = NDArray[np.float64]
@@ -35,28 +34,18 @@ def _algorithm(name: str, population: int, parameters: int) -> Any:
         return kind(population_size=population, solution=jnp.zeros(parameters))
 
 
-class _Strategy(Method):
+class _Strategy(Generations):
     """An evosax algorithm; its state is kept as plain arrays."""
-
-    options = ("population", "generations")
 
     def __init__(
         self, problem: Problem, seed: int, population: int | None = None, generations: int | None = None
     ) -> None:
-        super().__init__(problem, seed)
-        p = len(problem.parameters)
-        self.population = max(4, default_population(p) if population is None else population)
-        self.most_iterations = 1 + (100 * p if generations is None else generations)
-        self.starts = self.widest = self.population
-        self._algorithm = _algorithm(self.name, self.population, p)
+        super().__init__(problem, seed, population, generations)
+        self._algorithm = _algorithm(self.name, self.population, len(problem.parameters))
         with lenient():
             self._params = self._algorithm.default_params
             if self.name == "cma_es":
                 self._params = self._params.replace(std_init=jnp.asarray(_SPREAD))
-
-    def settings(self) -> tuple[Any, ...]:
-        """What decides its course."""
-        return (self.population, self.most_iterations)
 
     def begin(self) -> State:
         """A first population all over the box; CMA-ES draws its own about the nominal point."""
@@ -65,7 +54,7 @@ class _Strategy(Method):
         state = {**self.blank(), "leaves": None, "trial": first, "bests": [], "scores": np.zeros(0), "generation": 0}
         if self.name == "cma_es":
             with lenient():
-                mean = jnp.asarray(self._share(self.problem.parameters.nominal), dtype=float)
+                mean = jnp.asarray(self.problem.parameters.share(self.problem.parameters.nominal), dtype=float)
                 self._store(state, self._algorithm.init(self._key(0, 0), mean, self._params))
             state["trial"] = None
         return state
@@ -99,21 +88,8 @@ class _Strategy(Method):
         if finite.any() and value.min() < state["best_value"]:
             state["best_value"], state["best_theta"] = float(value.min()), request.theta[int(np.argmin(value))].copy()
         state["bests"].append(state["best_value"])
-        if not np.isfinite(state["best_value"]):
-            state["stopped"] = "all starts failed"
-        elif stalled(np.array(state["bests"])):
-            state["stopped"] = f"the best changed by less than {TOLERANCE:g} a generation over {STALL} generations"
-        elif state["generation"] >= self.most_iterations:
-            state["stopped"] = f"{self.most_iterations - 1} generations, the most allowed"
-
-    def spread(self, state: State) -> float:
-        """Of the finite scores of the last generation."""
-        scores = state["scores"][np.isfinite(state["scores"])]
-        return float(np.ptp(scores)) if scores.size else np.inf
-
-    def _share(self, theta: Floats) -> Floats:
-        p = self.problem.parameters
-        return (theta - p.lower) / (p.upper - p.lower)
+        found, over = bool(np.isfinite(state["best_value"])), stalled(np.array(state["bests"]))
+        state["stopped"] = self.reason_to_stop(found=found, over=over, generations=state["generation"])
 
     def _key(self, generation: int, purpose: int) -> Any:
         return jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), generation), purpose)
@@ -123,12 +99,8 @@ class _Strategy(Method):
         state["leaves"] = [np.asarray(leaf) for leaf in jax.tree.leaves(inner)]
 
     def _inner(self, state: State) -> Any:
-        leaves = [jnp.asarray(leaf) for leaf in state["leaves"]]
-        return jax.tree.unflatten(self._structure, leaves)
-
-    @property
-    def _structure(self) -> Any:
-        return _structure(self.name, self.population, len(self.problem.parameters))
+        structure = _structure(self.name, self.population, len(self.problem.parameters))
+        return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in state["leaves"]])
 
 
 @lru_cache(maxsize=8)

@@ -11,16 +11,14 @@ Priors are tempered along with the likelihood, as they are there.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimate import Estimate
-from fitting.fit import measured_of
+from fitting.fit import likelihood_of
 from fitting.methods.problem import Problem
-from fitting.objective import SPRINGS, Objective
-from fitting.parameters import free_parameters
 from fitting.uncertainty import SERIAL
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -52,33 +50,12 @@ class Density:
 
     @staticmethod
     def of(estimate: Estimate, measured: Measured | None) -> Density:
-        """The density that belongs to an estimate.
-
-        Args:
-            estimate: of a likelihood, with its scene.
-            measured: the measurements; by default those of the estimate, or of its scene.
+        """The density that belongs to an estimate of a likelihood.
 
         Raises:
-            InputError: an estimate without a scene or of the paper's objective, which is no likelihood; what
-                `Objective.of` has against the measurements; parameters that they do not fix at all.
+            InputError: as `likelihood_of`; parameters that the measurements do not fix at all.
         """
-        scene = estimate.nominal_scene
-        if scene is None:
-            raise InputError(
-                "an estimate from a file holds no scene", where="estimate", remedy="Estimate.load(path, scene)"
-            )
-        if estimate.objective == "paper":
-            remedy = "objective='likelihood'"
-            raise InputError("the paper's objective is no likelihood", where="estimate", remedy=remedy)
-        data = measured or estimate.measured or measured_of(scene)
-        limits: dict[str, Any] = {
-            n: (lo, up) for n, lo, up in zip(estimate.names, estimate.lower, estimate.upper, strict=True)
-        }
-        parameters = free_parameters(scene, estimate.names, limits, estimate.priors)
-        springs = estimate.springs or SPRINGS
-        target = Objective.of(scene, data, use=estimate.channels, noise=estimate.noise, springs=springs)
-        problem = Problem.of(scene, parameters, target)
-        problem.evaluator.prepare(None)
+        problem = likelihood_of(estimate, measured)
         centre = np.asarray(estimate.values, dtype=np.float64)
         covariance = estimate.covariance if estimate.serial_correlation > SERIAL else None
         return Density.about(problem, centre, covariance)

@@ -53,16 +53,15 @@ def corner_figure(estimate: Estimate, posterior: Posterior | None = None) -> Fig
         InputError: a posterior of other parameters.
     """
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     from fitting.plots import fitted_to
-    from pftwin.results.plots.style import PAGE, house_style, title
+    from pftwin.results.plots.style import COLOURS, PAGE, house_style, title
 
     if posterior is not None and posterior.names != estimate.names:
-        raise InputError(
-            f"a posterior of {', '.join(posterior.names)}",
-            where="posterior",
-            expected=f"of {', '.join(estimate.names)}",
-        )
+        found, expected = f"a posterior of {', '.join(posterior.names)}", f"of {', '.join(estimate.names)}"
+        raise InputError(found, where="posterior", expected=expected)
     count = len(estimate.names)
     scales, units = zip(*(as_read(unit) for unit in estimate.units), strict=True)
     scale = np.array(scales)
@@ -82,7 +81,9 @@ def corner_figure(estimate: Estimate, posterior: Posterior | None = None) -> Fig
         figure.align_labels()
         what = "normal distribution about the estimate, not sampled" if posterior is None else posterior.sentence()
         title(figure, fitted_to(estimate), what)
-        handles, labels = _legend(posterior is not None)
+        line, area = Line2D([], [], color=COLOURS[1]), Patch(color=COLOURS[0], alpha=0.5)
+        words = "estimate: normal; 1 and 2 standard deviations"
+        handles, labels = ([line], [words]) if posterior is None else ([area, line], ["posterior", words])
         figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
 
@@ -126,17 +127,6 @@ def _name(axes: Axes, i: int, j: int, labels: list[str]) -> None:
         axes.tick_params(labelleft=j == 0)
         if j == 0:
             axes.set_ylabel(labels[i])
-
-
-def _legend(sampled: bool) -> tuple[list[Any], list[str]]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    from pftwin.results.plots.style import COLOURS
-
-    line, draws = Line2D([], [], color=COLOURS[1]), Patch(color=COLOURS[0], alpha=0.5)
-    words = "estimate: normal; 1 and 2 standard deviations"
-    return ([draws, line], ["posterior", words]) if sampled else ([line], [words])
 
 
 def _ellipse(mean: Any, covariance: Any, i: int, j: int, size: float) -> tuple[Any, Any]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from fitting.posterior.plots import PosteriorPlots
+    from fitting.posterior.sampling import Posterior
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,11 @@ LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
 AGREES = 0.15  # of an interval's half width: ends that differ less confirm it
 _UNSOLVED = 0.02  # per draw: worth a remark
 _MIXED, _ENOUGH = 1.02, 400  # R-hat at most, effective draws at least (Vehtari et al. 2021: 1.01, and 100 a chain)
+
+_PLAIN = (
+    *("names", "units", "means", "standard_deviations", "disagreement", "r_hat", "acceptance", "converged"),
+    *("tempered", "evaluations", "outside", "unsolved", "seed", "seconds"),
+)
 
 
 @dataclass(eq=False)
@@ -137,36 +143,60 @@ class Posterior:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values without the draws, for JSON."""
+        chains, draws, _ = self.draws.shape
         return {
-            "names": list(self.names),
-            "units": list(self.units),
-            "chains": self.draws.shape[0],
-            "draws": self.draws.shape[1],
-            "means": self.means.tolist(),
-            "standard_deviations": self.standard_deviations.tolist(),
+            **{name: np.asarray(getattr(self, name)).tolist() for name in _PLAIN},
+            "chains": chains,
+            "draws": draws,
             "levels": list(LEVELS),
             "quantiles": self.quantiles().tolist(),
             "standard_deviations_in_the_estimates": self.ratio.tolist(),
-            "disagreement": self.disagreement.tolist(),
-            "r_hat": self.r_hat.tolist(),
             "effective_sample_size": self.effective.tolist(),
-            "acceptance": self.acceptance.tolist(),
-            "converged": self.converged,
-            "tempered": self.tempered,
-            "evaluations": self.evaluations,
-            "outside": self.outside,
-            "unsolved": self.unsolved,
-            "seed": self.seed,
-            "seconds": self.seconds,
             "sentence": self.sentence(),
             "remarks": self.remarks(),
         }
 
     def to_dataset(self) -> Dataset:
         """Draws over (chain, draw, parameter), the estimate and the diagnostics beside them; SI units."""
-        from fitting.posterior.dataset import dataset
+        from xarray import Dataset
 
-        return dataset(self)
+        from pftwin import __version__
+
+        e, by = self.estimate, ("parameter",)
+        chains, draws, _ = self.draws.shape
+        own = {"units": "as parameter_unit"}
+
+        def plain(words: str) -> dict[str, str]:
+            return {"units": "1", "long_name": words}
+
+        variables = {
+            "theta": (("chain", "draw", "parameter"), self.draws, {**own, "long_name": "draws of the parameters"}),
+            "log_density": (("chain", "draw"), self.log_density, plain("log density up to a constant")),
+            "acceptance": (("chain",), self.acceptance, plain("share of accepted proposals")),
+            "r_hat": (by, self.r_hat, plain("rank-normalised split R-hat")),
+            "effective_sample_size": (by, self.effective, plain("effective sample size")),
+            "estimate": (by, e.values, {**own, "long_name": "estimate that is checked"}),
+            "estimate_standard_deviation": (by, e.standard_deviations, {**own, "long_name": "its standard deviation"}),
+        }
+        coordinates = {
+            "chain": (("chain",), np.arange(chains), plain("chain")),
+            "draw": (("draw",), np.arange(draws), plain("draw")),
+            "parameter": (by, list(self.names), {"long_name": "parameter"}),
+            "parameter_unit": (by, list(self.units), {"long_name": "its unit"}),
+        }
+        notes = "; ".join(self.remarks())
+        attributes = {
+            "title": f"posterior: {e.scene_name}",
+            "source": f"pftwin {__version__}",
+            "measurements": e.source,
+            "synthetic": int(e.synthetic),
+            "tempered": int(self.tempered),
+            "seed": self.seed,
+            "evaluations": self.evaluations,
+            "finding": self.sentence(),
+            **({"note": notes} if notes else {}),
+        }
+        return Dataset(variables, coordinates, attributes)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes the dataset as NetCDF.

@@ -3,32 +3,51 @@
     posterior = fitting.sample_posterior(estimate)
     print(posterior.sentence())
 
-Which density is sampled says `fitting.posterior.density`; how, `fitting.posterior.randomised` and
-`fitting.posterior.independence`. Needs the extra `posterior` (blackjax).
+A density exp(-|f|^2 / 2) of few parameters (`fitting.posterior.density`) is often thin and bent: a stiffer tendon with
+more slack moves the patella alike. So proposals are not drawn from a distribution about the estimate, but solved for.
+With Q the directions in which residuals f at the estimate react to parameters, a proposal theta solves
+Q'f(theta) = eta, eta normal. Its density is
+
+    |det Q' df/dtheta| exp(-|Q'f|^2 / 2),
+
+the posterior itself for linear f, and bent as the posterior is otherwise: "randomise, then optimise" (Bardsley,
+Solonen, Haario and Laine 2014; arXiv:1903.00870 explains the geometry). First derivatives suffice. Proposals do not
+depend on where a chain is, so all are simulated side by side; blackjax's independence sampler then accepts or rejects
+them one after the other. An eta whose solution lies outside the bounds, or is not found, is dropped.
+
+Needs the extra `posterior`.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from numpy.typing import NDArray
 
 from fitting.estimate import Estimate
-from fitting.methods.method import lenient
-from fitting.posterior.density import Density
-from fitting.posterior.independence import accepting, sampled
-from fitting.posterior.randomised import proposals
+from fitting.methods.problem import lenient
+from fitting.posterior.density import BLOCK, Density, Seen
 from fitting.posterior.result import Posterior
 from fitting.uncertainty import SERIAL
-from pftwin.base.errors import InputError
+from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.model.measured import Measured
 
 Floats = NDArray[np.float64]
 
 WARMUP = 25  # draws of each chain: proposals are independent, so chains forget their start within some
-_FEWEST = {"draws": 8, "chains": 2, "warmup": 1}
+_LEAST = {"draws": 8, "chains": 2, "warmup": 1}
+_TOLERANCE = 1e-2  # of Q'f - eta, in standard deviations: what is used is the density of the solution that was found
+_ITERATIONS = 12  # of Newton's method
+_MARGIN = 0.25  # of the range: how far beyond the bounds iterates may go
+_SHORTER = 0.4  # of a step that led to nothing better
+_FEWEST = 0.02  # share of solutions within the bounds, below which it is not worth while
 
 
 def sample_posterior(
@@ -57,8 +76,8 @@ def sample_posterior(
         InputError: numbers out of range, or what `Density.of` and `proposals` have against the estimate.
     """
     for name, value in (("draws", draws), ("chains", chains), ("warmup", warmup)):
-        if not (isinstance(value, int) and value >= _FEWEST[name]):
-            raise InputError(f"found {value!r}", where=name, expected=f"a whole number, at least {_FEWEST[name]}")
+        if not (isinstance(value, int) and value >= _LEAST[name]):
+            raise InputError(f"found {value!r}", where=name, expected=f"a whole number, at least {_LEAST[name]}")
     accepting()  # says what is missing before anything is compiled
     began, count = time.perf_counter(), (draws + warmup) * chains
     density = Density.of(estimate, measured)
@@ -69,35 +88,174 @@ def sample_posterior(
     return Posterior(
         estimate.names,
         estimate.units,
-        found.theta,
-        found.log_density,
-        found.acceptance,
+        *found,
         r_hat,
         effective,
         estimate,
-        estimate.serial_correlation > SERIAL,
-        made.evaluations,
-        made.outside,
-        made.unsolved,
-        seed,
-        time.perf_counter() - began,
+        tempered=estimate.serial_correlation > SERIAL,
+        evaluations=made.evaluations,
+        outside=made.outside,
+        unsolved=made.unsolved,
+        seed=seed,
+        seconds=time.perf_counter() - began,
     )
 
 
 def _diagnosed(draws: Floats) -> tuple[Floats, Floats]:
     """R-hat and effective sample sizes (p,) of draws (chains, draws, p), after Vehtari et al. (2021)."""
-    import jax
-    import jax.numpy as jnp
     from blackjax import diagnostics
 
     @jax.jit
-    def all_of(x: jax.Array) -> tuple[jax.Array, ...]:
+    def all_of(x: Array) -> tuple[Array, ...]:
         return diagnostics.rhat(x), diagnostics.ess_bulk(x), diagnostics.ess_tail(x)
 
     with lenient():
-        r_hat, bulk, tail = (np.asarray(a) for a in all_of(jnp.asarray(draws, dtype=float)))
-    p = draws.shape[-1]
-    return r_hat.reshape(p), np.minimum(bulk, tail).reshape(p)
+        r_hat, bulk, tail = (np.asarray(a).reshape(-1) for a in all_of(jnp.asarray(draws, dtype=float)))
+    return r_hat, np.minimum(bulk, tail)
 
 
-__all__ = ["Posterior", "sample_posterior"]
+class Proposals(NamedTuple):
+    """N independent proposals."""
+
+    theta: Floats  # (N, p)
+    log_density: Floats  # (N,) of the posterior, up to a constant
+    log_proposal: Floats  # (N,) of the proposals, up to a constant
+    outside: int  # further ones beyond the bounds
+    unsolved: int  # further ones that were not found
+    evaluations: int
+
+
+def proposals(
+    density: Density, count: int, random: np.random.Generator, progress: Callable[[int], None] | None = None
+) -> Proposals:
+    """As many proposals as are wanted; `progress` is told how many there are.
+
+    Raises:
+        InputError: next to no solution lies within the bounds.
+    """
+    start = density(density.centre[None])
+    lower, upper = density.bounds
+    found: list[Seen] = []
+    have = tried = outside = evaluations = 0
+    while have < count:
+        eta = random.standard_normal((BLOCK, len(density.centre)))
+        ended, good, spent = _solved(density, start, eta)
+        inside = ((ended.theta >= lower) & (ended.theta <= upper)).all(axis=1)
+        found.append(_rows(ended, np.flatnonzero(good & inside)))
+        have, tried = have + len(found[-1].theta), tried + len(eta)
+        outside, evaluations = outside + int(np.sum(good & ~inside)), evaluations + spent
+        if have < _FEWEST * tried:
+            raise InputError(
+                f"{tried - have} of {tried} proposals lie beyond the bounds or cannot be simulated",
+                where="estimate",
+                expected="parameters that the measurements fix within the bounds",
+                remedy="fewer parameters, priors, or wider bounds",
+            )
+        if progress is not None:
+            progress(min(have, count))
+    columns: Any = zip(*found, strict=True)
+    seen = Seen(*(np.concatenate(a)[:count] for a in columns))
+    log_proposal = np.linalg.slogdet(seen.slope)[1] - 0.5 * np.sum(seen.along**2, axis=1)
+    return Proposals(seen.theta, seen.log_density, log_proposal, outside, tried - have - outside, evaluations)
+
+
+def _solved(density: Density, start: Seen, eta: Floats) -> tuple[Seen, NDArray[np.bool_], int]:
+    """Where Q'f = eta (N, p), from one start: the points reached, whether they are solutions, and evaluations.
+
+    Newton's method for all at once. A step is shortened where the next one, with the old slope, would not be smaller
+    (Deuflhard's natural monotonicity test): residuals may grow on the way, since a thin bent density has steep sides.
+    """
+    lower, upper = density.bounds
+    span = upper - lower
+    now, size, evaluations = _rows(start, np.zeros(len(eta), dtype=np.intp)), np.ones(len(eta)), 1
+    for _ in range(_ITERATIONS):
+        off = now.along - eta
+        open_ = np.flatnonzero(np.linalg.norm(off, axis=1) > _TOLERANCE)
+        if not open_.size:
+            break
+        inverse = _inverses(now.slope[open_])
+        step = _product(inverse, off[open_])
+        trial = now.theta[open_] - size[open_, None] * step
+        new = density(np.clip(trial, lower - _MARGIN * span, upper + _MARGIN * span))
+        evaluations += len(trial)
+        after = np.linalg.norm(_product(inverse, new.along - eta[open_]) / span, axis=1)
+        smaller = after < (1 - size[open_] / 4) * np.linalg.norm(step / span, axis=1)
+        smaller = (smaller | (np.linalg.norm(new.along - eta[open_], axis=1) <= _TOLERANCE)) & new.usable
+        columns: Any = zip(now, new, strict=True)
+        for kept, fresh in columns:
+            kept[open_[smaller]] = fresh[smaller]
+        size[open_] = np.where(smaller, np.minimum(1.0, 2 * size[open_]), _SHORTER * size[open_])
+    return now, now.usable & (np.linalg.norm(now.along - eta, axis=1) <= _TOLERANCE), evaluations
+
+
+def _product(matrices: Floats, vectors: Floats) -> Floats:
+    return (matrices @ vectors[..., None])[..., 0]
+
+
+def _inverses(slope: Floats) -> Floats:
+    """Pseudo-inverses (N, p, p), since a slope may be singular; parameters scaled alike before."""
+    scale = np.linalg.norm(slope, axis=1)
+    scale = np.where(scale > 0, scale, 1.0)
+    return np.linalg.pinv(slope / scale[:, None, :]) / scale[:, :, None]
+
+
+def _rows(seen: Seen, rows: NDArray[np.intp]) -> Seen:
+    columns: Any = seen
+    return Seen(*(a[rows] for a in columns))
+
+
+class Draws(NamedTuple):
+    """What was sampled."""
+
+    theta: Floats  # (chains, draws, p)
+    log_density: Floats  # (chains, draws), up to a constant
+    acceptance: Floats  # (chains,)
+
+
+class _Point(NamedTuple):
+    """A proposal, with what was computed of it beforehand."""
+
+    theta: Any
+    log_density: Any
+    log_proposal: Any
+
+
+def sampled(theta: Floats, log_density: Floats, log_proposal: Floats, *, chains: int, warmup: int, seed: int) -> Draws:
+    """Chains over independent proposals (N, p), N a multiple of the chains: each begins at one, and meets its share of
+    the others. Of each, `warmup` draws are thrown away, the start among them.
+    """
+    points = _Point(
+        *(jnp.asarray(a.reshape(chains, -1, *a.shape[1:]), dtype=float) for a in (theta, log_density, log_proposal))
+    )
+    first, rest = jax.tree.map(lambda a: a[:, 0], points), jax.tree.map(lambda a: a[:, 1:], points)
+    keys = jax.random.split(jax.random.key(seed), rest.log_density.shape)
+    with lenient():
+        found, accepted = accepting()(keys, first, rest)
+    kept, level, rate = (np.asarray(a)[:, max(warmup - 1, 0) :] for a in (found.theta, found.log_density, accepted))
+    return Draws(kept, level, rate.mean(axis=1))
+
+
+@cache
+def accepting() -> Callable[[Array, _Point, _Point], tuple[_Point, Array]]:
+    """A compiled function that runs chains over proposals: from keys, starts (chains,) and proposals (chains, n).
+
+    Raises:
+        MissingExtraError: blackjax is not installed.
+    """
+    try:
+        from blackjax.mcmc import random_walk
+    except ImportError as error:
+        raise MissingExtraError("blackjax", extra="posterior", feature="posterior sampling") from error
+    kernel = random_walk.build_irmh()
+
+    def step(state: Any, given: tuple[Array, _Point]) -> tuple[Any, tuple[_Point, Array]]:
+        key, point = given
+        log_density, proposed = lambda at: at.log_density, lambda _: point
+        state, about = kernel(key, state, log_density, proposed, lambda _, to: to.position.log_proposal)
+        return state, (state.position, about.is_accepted)
+
+    def chain(keys: Array, start: _Point, proposed: _Point) -> tuple[_Point, Array]:
+        state = random_walk.init(start, lambda at: at.log_density)
+        return jax.lax.scan(step, state, (keys, proposed))[1]
+
+    return jax.jit(jax.vmap(chain))

@@ -12,26 +12,82 @@ inclination       Carrillon et al. 2000 (lateral trochlear inclination)
 Where this differs from radiology: distances and inclinations refer to the femur's medial-lateral axis, not to the
 tangent of the posterior condyles, which a scene does not hold; the tuberosity is where the patellar tendon is attached;
 and the trochlea is cut at a given share of its groove, while TT-TG and inclination are read in the most proximal slice
-that shows it whole, and Merchant's view looks along it at 45 deg of flexion. What is usual:
-`fitting.prediction.clinical_norms`.
+that shows it whole, and Merchant's view looks along it at 45 deg of flexion.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
+from typing import NamedTuple
 
-from fitting.prediction.clinical_values import ClinicalIndex, ClinicalIndices, Landmarks
-from fitting.prediction.course import groove_surface, knee_flexion
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fitting.prediction.outcomes import groove_surface
 from fitting.prediction.trochlear_section import TrochlearSection, section
 from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, line_element
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
+from pftwin.dynamics.trajectory import knee_angles
 from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
 
 LEVEL = 0.25  # of the groove's length from its proximal end: where trochleae are judged
 _NEAREST = np.radians(2.0)  # a recorded frame must come this near to a flexion that is asked for
-Floats = NDArray[np.float64]
+# What is usual of natural knees on X-rays, CT or MR images, in words: for readers, nothing is computed from it.
+USUAL = {
+    "tt_tg": (
+        "above some 15 to 20 mm abnormal in extension; healthy knees 15 +- 3 mm there, 10 +- 3 mm at 15 deg and "
+        "8 +- 3 mm at 30 deg (Dietrich et al. 2014)"
+    ),
+    "q_angle": "some 13 deg in men and 18 deg in women, in extension",
+    "caton_deschamps": (
+        "0.96 +- 0.13 in men, 0.99 +- 0.13 in women, from 10 to 80 deg of knee flexion; 1.2 and more patella alta, "
+        "0.8 and less patella infera (Caton and Deschamps)"
+    ),
+    "sulcus_angle": "135 +- 10 deg; above 145 to 150 deg dysplastic",
+    "lateral_trochlear_inclination": "below 11 deg dysplastic (Carrillon et al. 2000)",
+}
+
+
+class ClinicalIndex(NamedTuple):
+    """One index: its value (None where the scene cannot tell), its unit, and how it was taken or why it was not."""
+
+    value: float | None
+    unit: str
+    note: str
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Points that a scene does not hold, (3,) each [m]; None: not known."""
+
+    asis: ArrayLike | None = None  # anterior superior iliac spine, femur frame at the first frame
+    tibial_plateau: ArrayLike | None = None  # anterosuperior corner of the tibial plateau, tibia frame
+    articular_inferior: ArrayLike | None = None  # lower end of the patella's articular surface, patella frame
+    articular_superior: ArrayLike | None = None  # its upper end
+
+
+@dataclass(frozen=True)
+class ClinicalIndices:
+    """The indices of a scene."""
+
+    tt_tg: ClinicalIndex  # lateral distance from the groove's bottom to the tibial tuberosity [mm]
+    q_angle: ClinicalIndex  # tuberosity lateral of the quadriceps' line: positive [deg]
+    caton_deschamps: ClinicalIndex
+    sulcus_angle: ClinicalIndex  # [deg]
+    lateral_trochlear_inclination: ClinicalIndex  # [deg]
+
+    def describe(self) -> str:
+        """One line each, with what the literature has as usual."""
+        lines = []
+        for name in self.__dataclass_fields__:
+            index: ClinicalIndex = getattr(self, name)
+            value = "not known" if index.value is None else f"{index.value:.2f} {index.unit}".rstrip()
+            usual = "" if index.value is None else f"; usual in natural knees: {USUAL[name]}"
+            lines.append(f"{name.replace('_', ' ')}: {value} ({index.note}){usual}")
+        return "\n".join(lines)
 
 
 def clinical_indices(
@@ -64,7 +120,10 @@ def clinical_indices(
         point = getattr(known, name)
         if point is not None and (np.shape(point) != (3,) or not np.isfinite(np.asarray(point, dtype=float)).all()):
             raise InputError(f"found {point!r}", where=f"landmarks.{name}", expected="three finite numbers [m]")
-    cut, missing = _section(scene, level)
+    try:
+        cut, missing = section(groove_surface(scene), level), ""
+    except InputError as error:
+        cut, missing = None, error.problem
     return ClinicalIndices(
         _tt_tg(scene, cut, missing, flexion, tendon),
         _q_angle(scene, known, tendon, quadriceps),
@@ -74,17 +133,10 @@ def clinical_indices(
     )
 
 
-def _section(scene: Scene, level: float) -> tuple[TrochlearSection | None, str]:
-    try:
-        return section(groove_surface(scene), level), ""
-    except InputError as error:
-        return None, error.problem
-
-
 def _tt_tg(
     scene: Scene, cut: TrochlearSection | None, missing: str, flexion: float | None, tendon: str
 ) -> ClinicalIndex:
-    angles = np.asarray(knee_flexion(scene), dtype=np.float64)
+    angles = np.asarray(knee_angles(scene).flexion, dtype=np.float64)
     frame = int(np.argmin(angles if flexion is None else np.abs(angles - flexion)))
     if flexion is not None and abs(angles[frame] - flexion) > _NEAREST:
         low, high = np.degrees([angles.min(), angles.max()])
@@ -109,9 +161,7 @@ def _tuberosity(scene: Scene, tendon: str, frame: int) -> Floats | str:
         origin = _middle(element.origin_at(scene.motion.times[frame]))
     except InputError as error:
         return error.problem
-    femur, tibia = scene.motion.frames(scene.motion.times[frame])
-    world = tibia.point(Vec3(*origin))
-    return _row(world if femur is None else femur.to_local(world))
+    return _of_tibia(scene, origin, frame)
 
 
 def _q_angle(scene: Scene, known: Landmarks, tendon: str, quadriceps: str) -> ClinicalIndex:
@@ -119,40 +169,29 @@ def _q_angle(scene: Scene, known: Landmarks, tendon: str, quadriceps: str) -> Cl
     if known.asis is not None:
         above, line = np.asarray(known.asis, dtype=np.float64), "from the anterior superior iliac spine"
     else:
-        pulls = [e.line_element() for e in scene.effects if e.name == quadriceps]
-        pull = pulls[0] if pulls else None
+        pull = next((e.line_element() for e in scene.effects if e.name == quadriceps), None)
         if pull is None or pull.line_ends[1] != "femur":
-            return ClinicalIndex(
-                None, "deg", "neither the iliac spine nor a quadriceps tendon from the femur is in the scene"
-            )
-        above, line = (
-            _middle(pull.origin_at(scene.motion.start_time)),
-            "along the quadriceps' line of pull: the iliac spine is not in the scene",
-        )
+            why = "neither the iliac spine nor a quadriceps tendon from the femur is in the scene"
+            return ClinicalIndex(None, "deg", why)
+        above = _middle(pull.origin_at(scene.motion.start_time))
+        line = "along the quadriceps' line of pull: the iliac spine is not in the scene"
     below = _tuberosity(scene, tendon, 0)
     if isinstance(below, str):
         return ClinicalIndex(None, "deg", below)
-    up, down = above - _patella(scene, scene.tracked_point()), _patella(scene, scene.tracked_point()) - below
+    button = _patella(scene, scene.tracked_point())
+    up, down = above - button, button - below
     angle = np.arctan2(up[1], up[0]) - np.arctan2(down[1], down[0])
-    at = np.degrees(float(np.asarray(knee_flexion(scene))[0]))
-    return ClinicalIndex(float(np.degrees(angle)), "deg", f"{line}; at the start pose, {at:.1f} deg of knee flexion")
+    return ClinicalIndex(float(np.degrees(angle)), "deg", f"{line}; {_at_start(scene)}")
 
 
 def _caton_deschamps(scene: Scene, known: Landmarks) -> ClinicalIndex:
-    points = {
-        "tibial_plateau": known.tibial_plateau,
-        "articular_inferior": known.articular_inferior,
-        "articular_superior": known.articular_superior,
-    }
+    points = {n: getattr(known, n) for n in ("tibial_plateau", "articular_inferior", "articular_superior")}
     if absent := [n.replace("_", " ") for n, p in points.items() if p is None]:
         return ClinicalIndex(None, "", f"not in the scene and not given as landmarks: {', '.join(absent)}")
     plateau, low, high = (np.asarray(p, dtype=np.float64) for p in points.values())
-    femur, tibia = scene.motion.frames(scene.motion.times[0])
-    world = tibia.point(Vec3(*plateau))
-    corner = _row(world if femur is None else femur.to_local(world))
+    corner = _of_tibia(scene, plateau, 0)
     ratio = np.linalg.norm(_patella(scene, Vec3(*low)) - corner) / np.linalg.norm(high - low)
-    at = np.degrees(float(np.asarray(knee_flexion(scene))[0]))
-    return ClinicalIndex(float(ratio), "", f"at the start pose, {at:.1f} deg of knee flexion")
+    return ClinicalIndex(float(ratio), "", _at_start(scene))
 
 
 def _sulcus_angle(cut: TrochlearSection) -> ClinicalIndex:
@@ -176,6 +215,17 @@ def _inclination(cut: TrochlearSection) -> ClinicalIndex:
     along = along if along @ lateral > 0 else -along
     angle = np.arctan2(along @ outward / np.linalg.norm(outward), along @ lateral)
     return ClinicalIndex(float(np.degrees(angle)), "deg", f"against the femur's medial-lateral axis; {cut.note}")
+
+
+def _at_start(scene: Scene) -> str:
+    return f"at the start pose, {np.degrees(float(knee_angles(scene).flexion[0])):.1f} deg of knee flexion"
+
+
+def _of_tibia(scene: Scene, point: Floats, frame: int) -> Floats:
+    """A point of the tibia in the femur's frame."""
+    femur, tibia = scene.motion.frames(scene.motion.times[frame])
+    world = tibia.point(Vec3(*point))
+    return _row(world if femur is None else femur.to_local(world))
 
 
 def _patella(scene: Scene, point: Vec3) -> Floats:

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from fitting.prediction.course import CourseFrame, Groove, course_of
-from fitting.prediction.outcomes import measure
+from fitting.prediction.outcomes import Course, CourseFrame, Groove, course_of, measure
 from fitting.treatments import Treatment
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.batched import good_sizes
@@ -49,6 +48,11 @@ class Recipe(NamedTuple):
         scene = self.scene if self.fitted is None else self.fitted(self.scene, theta)
         return self.treatment.with_values(list(amounts))(scene)
 
+    def course(self, scene: Scene) -> tuple[Course, CourseFrame]:
+        """How the member's motion goes, and what was seen of it."""
+        seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), substeps=self.substeps)
+        return course_of(scene, seen, status, self.groove), seen
+
 
 class Members(NamedTuple):
     """What members came out as: (n, ...) on the host."""
@@ -62,8 +66,7 @@ class Members(NamedTuple):
 def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
     """A member's outcomes."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
-    seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), substeps=recipe.substeps)
-    at = course_of(scene, seen, status, recipe.groove)
+    at, seen = recipe.course(scene)
     flags = jnp.stack([jnp.sum((at.status & int(flag)) != 0) for flag in FLAGS])
     courses = {}
     if recipe.trajectories:
@@ -99,24 +102,34 @@ def run(
     progress: Callable[[int, int], None] | None = None,
     fewest: int = _FEWEST,
 ) -> Members:
-    """All members, up to `chunk` at a time on each device. No member's failure stops the others.
+    """All members of amounts (n, k) and parameters (n, p). No member's failure stops the others.
 
-    Args:
-        recipe: of every member.
-        amounts: (n, k).
-        thetas: (n, p).
-        chunk: most members of a chunk of one device; a study of fewer is one smaller chunk.
-        devices: over which members are laid, as `pftwin.simulate_batch` has them.
-        progress: called with the number of members done and of all.
-        fewest: least size of a chunk, to which fewer are filled up; that of `chunk` has all sizes share one program.
+    A chunk holds up to `chunk` members on each device; a study of fewer is one smaller chunk, filled up to `fewest`: at
+    the size of `chunk` all sizes share one program.
     """
     recipe = recipe._replace(scene=recipe.scene.unnamed())
+    chosen = chosen_devices(devices)
+
+    def simulated(amounts: Floats, thetas: Floats, starts: Pose | None, progress: Any) -> Members:
+        n = len(amounts)
+        size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
+        if starts is None:
+            starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
+        pieces, piece = good_sizes(size)
+        sharding = Sharding(chosen, piece, pieces * piece * len(chosen))
+        shared, rows = sharding.shared(recipe), (np.asarray(amounts, float), np.asarray(thetas, float), starts)
+
+        def computed(some: Chunk) -> Members:
+            return Members(*sharding.taken(sharding.run(_one, shared, some, sharding.placed(rows, some)), some))
+
+        return sharding.over(computed, n, feeding_threads(devices), progress)
+
     starts = _starts(recipe, amounts, thetas)
-    found = _in_chunks(recipe, amounts, thetas, starts, chunk, devices, progress, fewest)
+    found = simulated(amounts, thetas, starts, progress)
     badly = found.flags[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] > 0
-    if badly.any() and starts is not None:  # where the neighbour's equilibrium led nowhere, the scene's own start may
-        again = _in_chunks(recipe, amounts[badly], thetas[badly], None, chunk, devices, None, fewest)
-        jax.tree.map(lambda old, new: old.__setitem__(badly, new), found, again)
+    if badly.any() and starts is not None:  # retry from the scene's own start
+        retried = simulated(amounts[badly], thetas[badly], None, None)
+        jax.tree.map(lambda old, new: old.__setitem__(badly, new), found, retried)
     return found
 
 
@@ -133,7 +146,7 @@ def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
     if not good.any():
         return None
     usable = good[: len(chosen)]
-    if not usable.all():  # nobody starts from a search that failed
+    if not usable.all():  # no member starts from a search that failed
         distance = np.stack([np.sum((points - points[i]) ** 2, axis=1) for i in chosen[usable]])
         nearest = np.flatnonzero(usable)[np.argmin(distance, axis=0)]
     return jax.tree.map(lambda a: a[nearest], poses)
@@ -150,29 +163,3 @@ def _spread_out(points: Floats, count: int) -> tuple[NDArray[np.int64], NDArray[
         distance = np.minimum(distance, closer)
         chosen.append(far)
     return np.array(chosen), nearest
-
-
-def _in_chunks(
-    recipe: Recipe,
-    amounts: Floats,
-    thetas: Floats,
-    starts: Pose | None,
-    chunk: int,
-    devices: Devices,
-    progress: Callable[[int, int], None] | None,
-    fewest: int,
-) -> Members:
-    n = len(amounts)
-    size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
-    if starts is None:
-        starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
-    chosen = chosen_devices(devices)
-    pieces, piece = good_sizes(size)
-    spread = Sharding(chosen, piece, pieces * piece * len(chosen))
-    shared = spread.shared(recipe)
-    rows = (np.asarray(amounts, float), np.asarray(thetas, float), starts)
-
-    def computed(some: Chunk) -> Members:
-        return Members(*spread.taken(spread.run(_one, shared, some, spread.placed(rows, some)), some))
-
-    return spread.over(computed, n, feeding_threads(devices), progress)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.prediction.course import Groove
 from fitting.prediction.members import Members, Recipe, run
+from fitting.prediction.outcomes import MEASURES, Groove
 from fitting.prediction.variants import VariantBatch, batches
 from fitting.treatments import Treatment
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices
+from pftwin.dynamics.batch.member import FLAGS
 from pftwin.dynamics.frame_states import substeps_for
+from pftwin.dynamics.status import Status
+from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene, check
 from pftwin.results.tracking import DISLOCATED
 
@@ -93,13 +96,10 @@ def predict(
     groups = batches(given, variants)
     total = sum(len(b.places) for b in groups)
     if trajectories and total * (1 + samples) > _COURSE_LIMIT:
-        raise InputError(
-            f"trajectories of {total * (1 + samples)} members",
-            where="trajectories",
-            expected=f"at most {_COURSE_LIMIT}",
-            remedy="outcomes first, then the trajectories of a few variants",
-        )
-    thetas = _thetas(estimate, samples, seed)
+        many, remedy = total * (1 + samples), "outcomes first, then the trajectories of a few variants"
+        expected = f"at most {_COURSE_LIMIT}"
+        raise InputError(f"trajectories of {many} members", where="trajectories", expected=expected, remedy=remedy)
+    thetas = estimate_and_draws(estimate, samples, seed)
     done, found = 0, []
     for batch in groups:
 
@@ -107,44 +107,20 @@ def predict(
             if progress is not None:
                 progress(before + here, total * len(thetas))
 
-        found.append(_of_batch(batch, estimate, thetas, dt, threshold, trajectories, chunk, devices, counted))
-        done += len(batch.places) * len(thetas)
-    from fitting.prediction.dataset import dataset
-
+        scene = batch.scene
+        check(scene)
+        if estimate is not None:
+            check(estimate.apply(scene))  # refuses a scene that has no such parameters
+        substeps, fitted = substeps_for(scene.motion.frame_interval, dt), None if estimate is None else estimate.apply
+        groove = Groove.of(scene)
+        recipe = Recipe(scene, batch.treatment, fitted, groove, substeps, float(threshold), trajectories)
+        amounts = np.repeat(batch.amounts, len(thetas), axis=0)  # variants by samples, samples varying fastest
+        found.append(run(recipe, amounts, np.tile(thetas, (len(batch.amounts), 1)), chunk, devices, counted))
+        done += len(amounts)
     return dataset(groups, found, estimate, thetas, dt=dt, threshold=threshold)
 
 
-def _of_batch(
-    batch: VariantBatch,
-    estimate: Fitted | None,
-    thetas: Floats,
-    dt: float,
-    threshold: float,
-    trajectories: bool,
-    chunk: int,
-    devices: Devices,
-    progress: Callable[[int, int], None],
-) -> Members:
-    """Members in the order variants by samples, samples varying fastest."""
-    scene = batch.scene
-    check(scene)
-    if estimate is not None:
-        check(estimate.apply(scene))  # refuses a scene that has no such parameters
-    recipe = Recipe(
-        scene,
-        batch.treatment,
-        None if estimate is None else estimate.apply,
-        Groove.of(scene),
-        substeps_for(scene.motion.frame_interval, dt),
-        float(threshold),
-        trajectories,
-    )
-    amounts = np.repeat(batch.amounts, len(thetas), axis=0)
-    parameters = np.tile(thetas, (len(batch.amounts), 1))
-    return run(recipe, amounts, parameters, chunk, devices, progress)
-
-
-def _thetas(estimate: Fitted | None, samples: int, seed: int) -> Floats:
+def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floats:
     """(1 + samples, p): the estimate, then draws."""
     if estimate is None:
         return np.zeros((1, 0))
@@ -154,11 +130,132 @@ def _thetas(estimate: Fitted | None, samples: int, seed: int) -> Floats:
 
 
 def _check(samples: int, dt: float, threshold: float, chunk: int, estimate: Fitted | None) -> None:
-    for name, value, least in (("samples", samples, 0), ("chunk", chunk, 1)):
-        if not (isinstance(value, int) and value >= least):
-            raise InputError(f"found {value!r}", where=name, expected=f"a whole number, at least {least}")
+    check_draws(samples, estimate)
+    if not (isinstance(chunk, int) and chunk >= 1):
+        raise InputError(f"found {chunk!r}", where="chunk", expected="a whole number, at least 1")
     for name, value in (("dt", dt), ("threshold", threshold)):
         if not (isinstance(value, int | float) and 0 < value < np.inf):
             raise InputError(f"found {value!r}", where=name, expected="a positive number")
+
+
+def check_draws(samples: int, estimate: Fitted | None) -> None:
+    """Refuses a number of draws that cannot be had.
+
+    Raises:
+        InputError: no whole number, or draws without an estimate.
+    """
+    if not (isinstance(samples, int) and samples >= 0):
+        raise InputError(f"found {samples!r}", where="samples", expected="a whole number, at least 0")
     if samples and estimate is None:
-        raise InputError("samples of nothing uncertain", where="samples", remedy="predict(..., estimate, samples=...)")
+        raise InputError("samples of nothing uncertain", where="samples", remedy="an estimate as well: estimate=...")
+
+
+Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
+_DEGREES = 180 / np.pi
+_COURSES = {
+    "sphere_center": ("m", "button's sphere centre in the femur frame"),
+    "groove_offset": ("m", "sphere centre off the groove's bottom, lateral positive"),
+    "patella_tilt": ("rad", "patellar tilt, lateral positive"),
+    "force_medial": ("N", "normal force on the medial facet"),
+    "force_lateral": ("N", "normal force on the lateral facet"),
+}
+_TROUBLE = (Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM)  # what makes a member's outcomes void
+
+
+def dataset(
+    batches: list[VariantBatch], found: list[Members], estimate: Fitted | None, thetas: Floats, **settings: float
+) -> Dataset:
+    """The dataset of members, which stand batch by batch, variants by samples."""
+    from xarray import Dataset
+
+    places = np.concatenate([b.places for b in batches])
+    order, many = np.argsort(places), len(thetas)
+    sampled = many > 1
+    axes = ("variant", "sample") if sampled else ("variant",)
+
+    def gathered(parts: list[Any]) -> Any:
+        a = np.concatenate([p.reshape(len(b.places), many, *p.shape[1:]) for b, p in zip(batches, parts, strict=True)])
+        return a[order] if sampled else a[order][:, 0]
+
+    flags = gathered([m.flags for m in found])
+    failed = ~gathered([m.sensible for m in found]) | (flags[..., [FLAGS.index(f) for f in _TROUBLE]] > 0).any(axis=-1)
+    variables: Variables = {}
+    for name, about in MEASURES.items():
+        values, unit = _shown(gathered([m.outcomes[name] for m in found]), about.unit)
+        values = np.where(failed, np.nan, values)
+        variables[name] = (axes, values, {"units": unit, "long_name": about.long_name})
+    variables["failed"] = (axes, failed, {"units": "1", "long_name": "no equilibrium to start from, or not finite"})
+    meaning = {"units": "1", "long_name": "recorded frames with each status", "flags": [f.describe() for f in FLAGS]}
+    variables["status_frames"] = ((*axes, "flag"), flags, meaning)
+    for name in found[0].courses:
+        values, unit = _shown(gathered([m.courses[name] for m in found]), _COURSES[name][0])
+        last = ("axis",) if name == "sphere_center" else ()
+        variables[name] = ((*axes, "time", *last), values, {"units": unit, "long_name": _COURSES[name][1]})
+    coordinates = _coordinates(batches, order, len(places), bool(found[0].courses))
+    if estimate is not None:
+        parameters = thetas if sampled else thetas[0]
+        coordinates["parameter"] = (("parameter",), list(estimate.names), {"long_name": "estimated parameter"})
+        coordinates["parameter_unit"] = (("parameter",), list(estimate.units), {"long_name": "its unit"})
+        about = {"units": "as parameter_unit", "long_name": "values that were used"}
+        variables["parameters"] = ((*(("sample",) if sampled else ()), "parameter"), parameters, about)
+    if sampled:
+        about = {"long_name": "0: the estimate; then draws", "units": "1"}
+        coordinates["sample"] = (("sample",), np.arange(many), about)
+    return Dataset(variables, coordinates, _attributes(batches, estimate, settings))
+
+
+def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: int, timed: bool) -> Variables:
+    """The variant axis: number, scene, words, and each amount; 0 where a variant's treatment has no such amount."""
+    words, scenes = [], []
+    amounts: dict[str, tuple[NDArray[np.float64], str]] = {}
+    first = 0
+    for batch in batches:
+        rows = slice(first, first + len(batch.places))
+        first = rows.stop
+        words += [batch.treatment.with_values(row).describe() for row in batch.amounts]
+        scenes += [batch.scene.name] * len(batch.places)
+        named = zip(batch.treatment.names, batch.treatment.ways, batch.amounts.T, strict=True)
+        for name, way, column in named:
+            values, unit = _shown(column, way.unit)
+            amounts.setdefault(name.replace(".", "_"), (np.zeros(count), unit))[0][rows] = values
+    out: Variables = {
+        "variant": (("variant",), np.arange(count), {"units": "1", "long_name": "variant"}),
+        "scene": (("variant",), np.array(scenes)[order], {"long_name": "scene"}),
+        "treatment": (("variant",), np.array(words)[order], {"long_name": "treatment"}),
+        "flag": (("flag",), [str(f.name).lower() for f in FLAGS], {"long_name": "status flag"}),
+    }
+    for name, (values, unit) in amounts.items():
+        long_name = name.replace("_", " ")
+        out[name] = (("variant",), values[order], {"units": unit, "long_name": long_name})
+    if timed:
+        motion = batches[0].scene.motion
+        out["time"] = (("time",), motion.times, {"units": "s", "long_name": "time"})
+        axis = {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}
+        out["axis"] = (("axis",), ["x", "y", "z"], axis)
+    return out
+
+
+def _shown(values: NDArray[Any], unit: str) -> tuple[NDArray[Any], str]:
+    """Angles in degrees, all else as it is."""
+    return (_DEGREES * values, "deg") if unit == "rad" else (values, unit)
+
+
+def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: dict[str, float]) -> dict[str, Any]:
+    import jax
+
+    from pftwin import __version__
+
+    names = list(dict.fromkeys(b.scene.name for b in batches))
+    synthetic = bool(getattr(estimate, "synthetic", False))
+    source = getattr(estimate, "source", "")
+    said = [SYNTHETIC] if any(b.scene.synthetic for b in batches) else []
+    said += ["the parameters were estimated from synthetic measurements"] if synthetic else []
+    return {
+        "title": f"predicted outcomes: {', '.join(names)}",
+        "source": f"pftwin {__version__}",
+        "jax_version": jax.__version__,
+        "parameters": "of the scene" if estimate is None else f"estimated from {source or 'measurements'}",
+        "synthetic": int(synthetic),
+        **({"note": "; ".join(said)} if said else {}),
+        **{k: float(v) for k, v in settings.items()},
+    }

@@ -13,6 +13,7 @@ from pftwin.geometry.patch.closest import Surface
 from pftwin.results.tracking import groove_line
 
 _SAMPLES = 401
+_LIFT = (0.02, 0.021)  # heights whose difference points out of the bone [m]
 _HALF_WIDTH = 0.020  # where a surface does not say how wide it is [m]
 Floats = NDArray[np.float64]
 
@@ -66,18 +67,10 @@ def section(surface: Surface, level: float) -> TrochlearSection:
     low, high = (np.asarray(chart.point(jnp.asarray(u), jnp.asarray(bottom_v), jnp.asarray(h)).array()) for h in _LIFT)
     outward = (high - low) / np.linalg.norm(high - low)
     across = np.array([float(a) for a in (chart.axes.ey.x, chart.axes.ey.y, chart.axes.ey.z)])
-    return TrochlearSection(
-        _points(surface, np.array([u]), np.array([bottom_v]))[0],
-        ridges[0],
-        ridges[1],
-        facets[1],
-        np.cross(across, outward),
-        outward,
-        f"section at {level:.0%} of the groove from its proximal end",
-    )
-
-
-_LIFT = (0.02, 0.021)  # heights whose difference points out of the bone [m]
+    bottom, note = _points(surface, np.array([u]), np.array([bottom_v]))[0], f"section at {level:.0%} of the groove"
+    note += " from its proximal end"
+    (medial_ridge, lateral_ridge), normal = ridges, np.cross(across, outward)
+    return TrochlearSection(bottom, medial_ridge, lateral_ridge, facets[1], normal, outward, note)
 
 
 def _points(surface: Surface, u: Floats, v: Floats) -> Floats:

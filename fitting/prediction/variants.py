@@ -97,7 +97,8 @@ def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] |
         for alike in forms.values():
             amounts = np.concatenate([a for _, a, _ in alike])
             places = i * count + np.concatenate([p for *_, p in alike])
-            out.append(VariantBatch(scene, _bare(alike[0][0]).prepared(scene), amounts, places))
+            bare = alike[0][0].with_values([jnp.asarray(0.0) for _ in alike[0][0].values])
+            out.append(VariantBatch(scene, bare.prepared(scene), amounts, places))
     return out
 
 
@@ -113,12 +114,6 @@ def amounts_of(treatment: Treatment) -> Floats:
     longest = max(c.size for c in columns)
     if any(c.ndim != 1 or c.size not in (1, longest) for c in columns):
         shapes = ", ".join(str(c.shape) for c in columns)
-        raise InputError(
-            f"amounts of shapes {shapes}", where="variants", expected="one length; see fitting.prediction.variants.grid"
-        )
+        expected = "one length; see fitting.prediction.variants.grid"
+        raise InputError(f"amounts of shapes {shapes}", where="variants", expected=expected)
     return np.stack([np.broadcast_to(c, longest) for c in columns], axis=1)
-
-
-def _bare(treatment: Treatment) -> Treatment:
-    """With amounts of nothing: what a scene's parts are checked with."""
-    return treatment.with_values([jnp.asarray(0.0) for _ in treatment.values])

@@ -6,20 +6,19 @@ names one or several of them with their amounts, and prints itself in words.
 
 from __future__ import annotations
 
-from fitting.treatments.kinds import KINDS
-from fitting.treatments.patella import button_position, lateral_release, mpfl_graft
-from fitting.treatments.tendons import (
-    patellar_tendon_length_change,
-    quadriceps_lengthening,
-    tibial_tuberosity_transfer,
-)
-from fitting.treatments.treatment import Treatment
-from fitting.treatments.trochlea import (
+from fitting.treatments.changes import (
+    button_position,
     deepening_shape,
     femoral_component_rotation,
     femoral_component_translation,
+    lateral_release,
+    mpfl_graft,
+    patellar_tendon_length_change,
+    quadriceps_lengthening,
+    tibial_tuberosity_transfer,
     trochleoplasty,
 )
+from fitting.treatments.treatment import KINDS, Treatment
 
 __all__ = [
     "KINDS",

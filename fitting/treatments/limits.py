@@ -1,4 +1,4 @@
-"""Limits that a treatment has to keep."""
+"""Limits that a treatment has to keep, and the treatment that was found for them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from fitting.prediction.outcomes import MEASURES
+from fitting.treatments import Treatment
 from pftwin.base.errors import InputError
+from pftwin.results.plots.quantities import as_read
 
 NO_NUMBER = ("dislocation_time", "dislocation_flexion", "re_engagement_time", "re_engagement_flexion")  # where none is
 _UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # what room is counted in where the bound is 0
@@ -39,9 +41,8 @@ class Limit:
             raise InputError(f"no limit on {self.outcome!r}", where="Limit", expected=f"one of: {usable}")
         bounds = [b for b in (self.at_most, self.at_least) if b is not None]
         if len(bounds) != 1 or not np.isfinite(bounds[0]):
-            raise InputError(
-                f"found {bounds}", where=f"Limit({self.outcome!r})", expected="either at_most or at_least, a number"
-            )
+            where, expected = f"Limit({self.outcome!r})", "either at_most or at_least, a number"
+            raise InputError(f"found {bounds}", where=where, expected=expected)
 
     @staticmethod
     def parsed(text: str) -> Limit:
@@ -59,16 +60,13 @@ class Limit:
         if match is None or not np.isfinite(number):
             raise InputError(f"found {text!r}", where="limit", expected=example)
         outcome, sense, _, unit = match.groups()
-        limit = Limit(outcome, at_most=number) if sense == "<=" else Limit(outcome, at_least=number)
+        Limit(outcome, at_most=number)  # refuses an outcome that takes no limit
         units = _UNITS[MEASURES[outcome].unit]
         if unit not in units:
-            raise InputError(
-                f"found {text!r}",
-                where="limit",
-                expected=f"{outcome} in {' or '.join(u or 'plain numbers' for u in units)}",
-            )
+            expected = f"{outcome} in {' or '.join(u or 'plain numbers' for u in units)}"
+            raise InputError(f"found {text!r}", where="limit", expected=expected)
         value = number * units[unit]
-        return Limit(limit.outcome, value if sense == "<=" else None, value if sense == ">=" else None)
+        return Limit(outcome, at_most=value) if sense == "<=" else Limit(outcome, at_least=value)
 
     def room(self, value: Any) -> Any:
         """How far the value is on the right side; negative where the limit is broken."""
@@ -88,7 +86,64 @@ class Limit:
 
 def in_units(outcome: str, value: float) -> str:
     """An outcome's value as people read it: lengths in mm, angles in degrees."""
-    unit, scale = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "1": ("", 1.0)}.get(
-        MEASURES[outcome].unit, (MEASURES[outcome].unit, 1.0)
-    )
-    return f"{scale * value:.4g} {unit}".rstrip()
+    scale, unit = as_read(MEASURES[outcome].unit)
+    return f"{scale * value:.4g} {unit}".removesuffix(" 1")
+
+
+@dataclass(frozen=True)
+class TreatmentPlan:
+    """What was found."""
+
+    met: bool  # whether any amounts within the range meet all limits, in the share of draws that was asked for
+    treatment: Treatment  # the smallest that does; where none does, the one that comes nearest
+    outcomes: dict[str, float]  # with it, by the estimate, SI
+    limits: tuple[Limit, ...]
+    simulations: int
+    samples: int = 0  # draws from the estimate's uncertainty
+    confidence: float = 0.0  # share of them in which all limits were to hold
+    share: float | None = None  # in which they do; None without draws
+
+    def describe(self) -> str:
+        """In a sentence or two."""
+        drawn = ""
+        if self.share is not None:
+            drawn = (
+                f"; all limits hold in {self.share:.0%} of {self.samples} draws from the estimate's uncertainty "
+                f"({self.confidence:.0%} asked for)"
+            )
+        if self.met:
+            said = [
+                f"{x.outcome.replace('_', ' ')} {in_units(x.outcome, self.outcomes[x.outcome])}" for x in self.limits
+            ]
+            return f"smallest that meets the limits: {self.treatment.describe()} ({', '.join(said)}){drawn}"
+        broken = [lim.describe() for lim in self.limits if not lim.room(self.outcomes[lim.outcome]) >= 0]
+        fault = f"which breaks {'; '.join(broken)}" if broken else "which is not sure enough"
+        return f"no amount within the range meets the limits; nearest: {self.treatment.describe()}, {fault}{drawn}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON; SI units."""
+        amounts = zip(self.treatment.names, self.treatment.values, self.treatment.ways, strict=True)
+        return {
+            "met": self.met,
+            "treatment": self.treatment.describe(),
+            "amounts": {name: {"value": float(value), "unit": way.unit} for name, value, way in amounts},
+            "limits": [
+                {
+                    "outcome": x.outcome,
+                    "at_most": x.at_most,
+                    "at_least": x.at_least,
+                    "unit": MEASURES[x.outcome].unit,
+                    "words": x.describe(),
+                    "value": self.outcomes[x.outcome],
+                    "holds": bool(x.room(self.outcomes[x.outcome]) >= 0),
+                }
+                for x in self.limits
+            ],
+            "outcomes": self.outcomes,
+            "units": {name: about.unit for name, about in MEASURES.items()},
+            "samples": self.samples,
+            "confidence": self.confidence if self.samples else None,
+            "share_of_draws": self.share,
+            "simulations": self.simulations,
+            "sentence": self.describe(),
+        }

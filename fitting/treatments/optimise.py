@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.prediction.predicting import STEP, Fitted, predict
+from fitting.prediction.predicting import STEP, Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
-from fitting.treatments.limits import Limit
-from fitting.treatments.plan import TreatmentPlan
+from fitting.treatments.limits import Limit, TreatmentPlan
 from fitting.treatments.refine import CHUNK, Search, refined
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
@@ -75,10 +74,14 @@ def optimise_treatment(
     wanted = (limits,) if isinstance(limits, Limit) else tuple(limits)
     ranges = dict(ranges or {"medialisation": (0.0, 0.020)})
     lower, upper = _checked(wanted, ranges)
-    draws = _draws(estimate, samples, confidence, seed)
+    check_draws(samples, estimate)
+    if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
+        expected = "a share above 0 and up to 1, such as 0.9"
+        raise InputError(f"found {confidence!r}", where="confidence", expected=expected)
+    thetas = estimate_and_draws(estimate, samples, seed)
     if isinstance(treatment, str):
         treatment = Treatment.of(treatment, dict.fromkeys(ranges, 0.0))
-    search = Search(scene, treatment, tuple(ranges), estimate, wanted, draws, confidence, dt, threshold)
+    search = Search(scene, treatment, tuple(ranges), estimate, wanted, thetas, confidence, dt, threshold)
     axes = [np.linspace(a, b, _GRID[len(ranges)]) for a, b in zip(lower, upper, strict=True)]
     amounts = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
     scale = np.maximum(np.abs(lower), np.abs(upper))
@@ -125,23 +128,6 @@ def _room(data: Any, limits: tuple[Limit, ...]) -> Floats:
     """Least room of all limits of every variant (and draw), in their sizes; minus infinity where one has no number."""
     rooms = np.stack([lim.room(_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
     return np.where(np.isfinite(rooms), rooms, -np.inf)
-
-
-def _draws(estimate: Fitted | None, samples: int, confidence: float, seed: int) -> Floats:
-    """(samples, p)."""
-    if not (isinstance(samples, int) and samples >= 0):
-        raise InputError(f"found {samples!r}", where="samples", expected="a whole number, at least 0")
-    if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
-        raise InputError(
-            f"found {confidence!r}", where="confidence", expected="a share above 0 and up to 1, such as 0.9"
-        )
-    if samples and estimate is None:
-        raise InputError(
-            "samples of nothing uncertain", where="samples", remedy="optimise_treatment(..., estimate=..., samples=...)"
-        )
-    if estimate is None or not samples:
-        return np.zeros((0, 0))
-    return np.asarray(estimate.samples(samples, seed), dtype=np.float64)
 
 
 def _checked(limits: tuple[Limit, ...], ranges: dict[str, tuple[float, float]]) -> tuple[Floats, Floats]:

@@ -30,20 +30,15 @@ def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, bod
     """
     wanted = (names,) if isinstance(names, str) else names
     found = next((e for name in wanted for e in scene.effects if e.name == name), None)
-    where = f"{treatment} of {scene.name or 'the scene'}"
+    where = _where(scene, treatment)
     if found is None:
-        raise InputError(
-            f"no tendon or strands named {' or '.join(repr(n) for n in wanted)}; {_pulling(scene)}",
-            where=where,
-            remedy="name the part as the scene does",
-        )
+        there = _among([e.name for e in scene.effects if e.line_element() is not None], "no tendon and no strands")
+        problem = f"no tendon or strands named {' or '.join(map(repr, wanted))}; {there}"
+        raise InputError(problem, where=where, remedy="name the part as the scene does")
     element = found.line_element()
     if element is None:
-        raise InputError(
-            f"{found.name!r} is a {type(found).__name__}, which is no line of force",
-            where=where,
-            expected="a tendon or strands",
-        )
+        problem = f"{found.name!r} is a {type(found).__name__}, which is no line of force"
+        raise InputError(problem, where=where, expected="a tendon or strands")
     starts_on = element.line_ends[1]
     if body is not None and starts_on != body:
         raise InputError(f"{found.name!r} begins on the {starts_on}", where=where, expected=f"on the {body}")
@@ -58,11 +53,8 @@ def elastic(scene: Scene, names: str | tuple[str, ...], treatment: str, body: st
     """
     element = line_element(scene, names, treatment, body)
     if not element.elastic:
-        raise InputError(
-            f"{element.name!r} pulls with a prescribed tension, which no length or stiffness changes",
-            where=f"{treatment} of {scene.name or 'the scene'}",
-            expected="a tendon or strands",
-        )
+        problem = f"{element.name!r} pulls with a prescribed tension, which no length or stiffness changes"
+        raise InputError(problem, where=_where(scene, treatment), expected="a tendon or strands")
     return element  # type: ignore[return-value]
 
 
@@ -74,11 +66,8 @@ def contact_of(scene: Scene, treatment: str) -> Contact:
     """
     contact = scene.contact
     if contact is None:
-        raise InputError(
-            f"no contact between a button and a trochlea; {_all(scene)}",
-            where=f"{treatment} of {scene.name or 'the scene'}",
-            expected="a contact",
-        )
+        problem = f"no contact between a button and a trochlea; {_among([e.name for e in scene.effects], 'no effects')}"
+        raise InputError(problem, where=_where(scene, treatment), expected="a contact")
     return contact
 
 
@@ -93,7 +82,7 @@ def fitted_surface(scene: Scene, treatment: str) -> Surface:
     if surface is None:
         raise InputError(
             f"{contact.name!r} is a contact with the femur's mesh, and this treatment changes a fitted surface",
-            where=f"{treatment} of {scene.name or 'the scene'}",
+            where=_where(scene, treatment),
             expected='a contact with a surface fitted to the mesh, such as "P5" or "spline"',
         )
     return surface
@@ -104,11 +93,9 @@ def toward(medial: Amount, distal: Amount, anterior: Amount) -> Vec3:
     return Vec3(-distal, -medial, anterior)  # type: ignore[arg-type]
 
 
-def _pulling(scene: Scene) -> str:
-    names = [e.name for e in scene.effects if e.line_element() is not None]
-    return f"the scene has {', '.join(repr(n) for n in names)}" if names else "the scene has no tendon and no strands"
+def _where(scene: Scene, treatment: str) -> str:
+    return f"{treatment} of {scene.name or 'the scene'}"
 
 
-def _all(scene: Scene) -> str:
-    names = [e.name for e in scene.effects]
-    return f"the scene has {', '.join(repr(n) for n in names)}" if names else "the scene has no effects"
+def _among(names: list[str], nothing: str) -> str:
+    return f"the scene has {', '.join(map(repr, names)) or nothing}"

@@ -18,16 +18,14 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from fitting.prediction.course import Groove, course
 from fitting.prediction.members import Recipe, run
-from fitting.prediction.outcomes import MEASURES, measure
+from fitting.prediction.outcomes import MEASURES, Groove, measure
 from fitting.prediction.predicting import Fitted
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.batched import batched
-from pftwin.dynamics.frame_states import frame_states, substeps_for
-from pftwin.dynamics.observe import observe
+from pftwin.dynamics.frame_states import substeps_for
 from pftwin.model.scene import Scene
 
 _ITERATIONS = 30
@@ -47,8 +45,7 @@ def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array
     def found(x: Array) -> Any:
         def one(theta: Array) -> Any:
             scene = recipe.made(fixed.at[jnp.asarray(places)].set(x), theta)
-            seen = observe(scene, frame_states(scene, substeps=recipe.substeps))
-            return measure(course(scene, seen, recipe.groove), recipe.threshold)
+            return measure(recipe.course(scene)[0], recipe.threshold)
 
         return batched(one)(thetas)
 
@@ -66,7 +63,7 @@ class Search:
         names: of those that are.
         estimate: parameters in the place of the scene's own.
         limits: to be kept.
-        draws: further parameters (S, p), as uncertain as the estimate.
+        thetas: parameters (1 + draws, p): the estimate's, then draws as uncertain as it is.
         confidence: share of the draws in which all limits have to hold.
         dt: longest time step [s].
         threshold: beyond which the button counts as dislocated [m].
@@ -79,7 +76,7 @@ class Search:
         names: tuple[str, ...],
         estimate: Fitted | None,
         limits: tuple[Limit, ...],
-        draws: Floats,
+        thetas: Floats,
         confidence: float,
         dt: float,
         threshold: float,
@@ -95,10 +92,9 @@ class Search:
         fitted = None if estimate is None else estimate.apply
         prepared = treatment.prepared(scene)
         self._recipe = Recipe(scene.unnamed(), prepared, fitted, Groove.of(scene), substeps, threshold, False)
-        values = np.zeros((1, 0)) if estimate is None else np.asarray(estimate.values, dtype=np.float64)[None]
-        self._thetas = jnp.asarray(np.concatenate([values, draws]) if len(draws) else values, dtype=float)
-        self._limits = limits
-        self._draws, self._needed = len(draws), math.ceil(confidence * len(draws) - 1e-9)
+        self._thetas = jnp.asarray(thetas, dtype=float)
+        self._limits, self._draws = limits, len(thetas) - 1
+        self._needed = math.ceil(confidence * self._draws - 1e-9)
         self._known: dict[bytes, Any] = {}
         self.alone = len(names) == 1
 
@@ -108,21 +104,18 @@ class Search:
         return len(self._known) * (1 + self._draws)
 
     def _at(self, amounts: Floats) -> Any:
+        """Outcomes for the estimate and the draws (1 + draws,), and their derivatives (None of a single amount)."""
         key = np.asarray(amounts, dtype=np.float64).tobytes()
         if key not in self._known:
-            if self.alone:
-                self._known[key] = self._simulated(amounts), None
+            if self.alone:  # by the program that the grid was simulated with
+                every, thetas = np.array(self._fixed), np.asarray(self._thetas)
+                every[list(self._places)] = amounts
+                members = run(self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, fewest=CHUNK)
+                self._known[key] = members.outcomes, None
             else:
                 numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
                 self._known[key] = jax.tree.map(np.asarray, _looked(self._recipe, self._places, *numbers))
         return self._known[key]
-
-    def _simulated(self, amounts: Floats) -> dict[str, Floats]:
-        """Outcomes for the estimate and the draws (1 + draws,), by the program that the grid was simulated with."""
-        every = np.array(self._fixed)
-        every[list(self._places)] = amounts
-        thetas = np.asarray(self._thetas)
-        return run(self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, fewest=CHUNK).outcomes
 
     def outcomes(self, amounts: Floats) -> dict[str, float]:
         """The estimate's by name, SI."""
@@ -166,15 +159,9 @@ class Search:
 
 
 def refined(search: Search, start: Floats, below: Floats, lower: Floats, upper: Floats, scale: Floats) -> Floats:
-    """The smallest amounts near the start that meet the limits; the start where nothing smaller does.
+    """The smallest amounts near a start that meets the limits; the start where nothing smaller does.
 
-    Args:
-        search: what simulates.
-        start: amounts that meet the limits.
-        below: of a single amount, the nearest smaller one that was tried and does not meet them.
-        lower: least amounts.
-        upper: largest amounts.
-        scale: what amounts are measured by.
+    `below` is, of a single amount, the nearest smaller one that was tried and does not meet them.
     """
     if search.alone:
         return _just_met(search, start, below)

@@ -1,10 +1,10 @@
-"""A treatment as a value: which changes, by how much, in which order; in words, and over any number of amounts."""
+"""Treatments as values: their kinds, which changes by how much in which order, in words, over many amounts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,11 +12,75 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike
 
-from fitting.treatments import trochlea
-from fitting.treatments.kinds import KINDS, Way
+from fitting.treatments import changes
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar
 from pftwin.model.scene import Scene
+
+_SHOWN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "1": (100.0, "%")}  # at the edges
+
+
+class Way(NamedTuple):
+    """One amount of a treatment."""
+
+    unit: str  # "m", "rad" or "1"
+    more: str  # what a positive amount does, in words
+    less: str  # a negative one
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit in which people read it."""
+        return _SHOWN[self.unit][1]
+
+    def shown(self, value: ArrayLike) -> np.ndarray:
+        """In that unit."""
+        return _SHOWN[self.unit][0] * np.asarray(value, dtype=np.float64)
+
+    def from_shown(self, value: Any) -> np.ndarray:
+        """In SI from that unit."""
+        return np.asarray(value, dtype=np.float64) / _SHOWN[self.unit][0]
+
+
+class TreatmentKind(NamedTuple):
+    """A kind of treatment: its function, its amounts, and what it changes in words."""
+
+    change: Callable[..., Scene]
+    part: str
+    amounts: dict[str, Way]
+
+
+_MEDIAL = Way("m", "medially", "laterally")
+_DISTAL = Way("m", "distally", "proximally")
+_ANTERIOR = Way("m", "anteriorly", "posteriorly")
+_LONGER = Way("m", "longer", "shorter")
+_MOVED = {"medialisation": _MEDIAL, "distalisation": _DISTAL, "anteriorisation": _ANTERIOR}
+_TURNED = {
+    "external_rotation": Way("rad", "externally", "internally"),
+    "flexion": Way("rad", "into flexion", "into extension"),
+    "varus": Way("rad", "into varus", "into valgus"),
+}
+_GRAFTED = {
+    "stiffening": Way("1", "stiffer", "softer"),
+    "shortening": Way("m", "shorter", "longer"),
+    "proximalisation": Way("m", "proximally on the femur", "distally on the femur"),
+    "anteriorisation": Way("m", "anteriorly on the femur", "posteriorly on the femur"),
+}
+_TUBEROSITY = {"medialisation": _MEDIAL, "anteriorisation": _ANTERIOR, "distalisation": _DISTAL}
+
+KINDS = {
+    change.__name__: TreatmentKind(change, part, amounts)
+    for change, part, amounts in (
+        (changes.tibial_tuberosity_transfer, "tibial tuberosity", _TUBEROSITY),
+        (changes.patellar_tendon_length_change, "patellar tendon", {"lengthening": _LONGER}),
+        (changes.quadriceps_lengthening, "quadriceps tendon", {"lengthening": _LONGER}),
+        (changes.trochleoplasty, "trochlear groove", {"deepening": Way("m", "deeper", "shallower")}),
+        (changes.femoral_component_rotation, "femoral component turned", _TURNED),
+        (changes.femoral_component_translation, "femoral component", _MOVED),
+        (changes.button_position, "button", _MOVED),
+        (changes.lateral_release, "lateral strands", {"release": Way("1", "released", "tightened")}),
+        (changes.mpfl_graft, "MPFL graft", _GRAFTED),
+    )
+}
 
 
 class TreatmentStep(eqx.Module):
@@ -50,9 +114,8 @@ class Treatment(eqx.Module):
 
         Args:
             kind: a name in `KINDS`.
-            amounts: by name, in metres, radians or shares; likewise as keywords. A keyword that is no amount
-                (`tendon=`, `strands=`) names the scene's part.
-            **more: see `amounts`.
+            amounts: by name, in metres, radians or shares.
+            **more: the same as keywords; one that is no amount (`tendon=`, `strands=`) names the scene's part.
 
         Raises:
             InputError: no such kind or amount; an amount that is not finite, or no number.
@@ -90,19 +153,20 @@ class Treatment(eqx.Module):
         Raises:
             InputError: the scene lacks a part that a step changes.
         """
-        steps = []
-        for step in self.steps:
-            if step.kind == "trochleoplasty":
-                shape = trochlea.deepening_shape(trochlea.patch_of(scene, step.kind))
-                step = TreatmentStep(step.kind, step.names, step.amounts, step.parts, jnp.asarray(shape, dtype=float))
+        steps = self.steps
+        if any(step.kind == "trochleoplasty" for step in steps):
+            shape = jnp.asarray(changes.deepening_shape(changes.patch_of(scene, "trochleoplasty")), dtype=float)
+            steps = tuple(replace(s, shape=shape) if s.kind == "trochleoplasty" else s for s in steps)
+        for step in steps:
             step(scene)  # refuses what is not there
-            steps.append(step)
-        return Treatment(tuple(steps))
+        return Treatment(steps)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the amounts: "tibial_tuberosity_transfer.medialisation"; a kind that comes again is numbered."""
-        return tuple(f"{label}.{name}" for label, step in self._labelled() for name in step.names)
+        kinds = [s.kind for s in self.steps]
+        labels = (k if kinds.count(k) == 1 else f"{k}_{kinds[: i + 1].count(k)}" for i, k in enumerate(kinds))
+        return tuple(f"{label}.{name}" for label, step in zip(labels, self.steps, strict=True) for name in step.names)
 
     @property
     def ways(self) -> tuple[Way, ...]:
@@ -117,29 +181,18 @@ class Treatment(eqx.Module):
     def with_values(self, values: Any) -> Treatment:
         """The treatment with other amounts: a sequence in the order of `names`."""
         rest = iter(values)
-        return Treatment(
-            tuple(
-                TreatmentStep(s.kind, s.names, tuple(next(rest) for _ in s.names), s.parts, s.shape) for s in self.steps
-            )
-        )
+        return Treatment(tuple(replace(s, amounts=tuple(next(rest) for _ in s.names)) for s in self.steps))
 
     @property
     def form(self) -> tuple[Any, ...]:
         """What treatments must share to be run in one batch: kinds, amounts' names, and names of parts."""
         return tuple((s.kind, s.names, s.parts) for s in self.steps)
 
-    def _labelled(self) -> list[tuple[str, TreatmentStep]]:
-        kinds = [s.kind for s in self.steps]
-        return [
-            (k if kinds.count(k) == 1 else f"{k}_{kinds[: i + 1].count(k)}", self.steps[i]) for i, k in enumerate(kinds)
-        ]
-
     def describe(self) -> str:
         """In words, with amounts as people read them."""
         return "; ".join(_words(step) for step in self.steps) or "no treatment"
 
-    def __str__(self) -> str:
-        return self.describe()
+    __str__ = describe
 
 
 def _number(value: ArrayLike, where: str) -> Scalar:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fitting.estimate import Estimate
-from fitting.methods import checkpoint
-from pftwin.base import text_files as limits
+from fitting.methods.problem import load_checkpoint
+from pftwin.base import text_files as file_limits
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import read_json
 from pftwin.files.interchange.osim_document import read_osim
@@ -29,14 +29,14 @@ def large(path, size):
 @pytest.mark.parametrize(
     ("name", "read", "limit"),
     [
-        ("scene.toml", load_scene, limits.SCENE_BYTES),
-        ("a.trc", read_markers, limits.RECORDING_BYTES),
-        ("a.c3d", read_markers, limits.RECORDING_BYTES),
-        ("a.csv", read_csv, limits.RECORDING_BYTES),
-        ("a.sto", read_sto, limits.RECORDING_BYTES),
-        ("a.osim", read_osim, limits.MODEL_BYTES),
-        ("fit.json", Estimate.load, limits.JSON_BYTES),
-        ("checkpoint.json", lambda path: checkpoint.load(path, "problem"), limits.JSON_BYTES),
+        ("scene.toml", load_scene, file_limits.SCENE_BYTES),
+        ("a.trc", read_markers, file_limits.RECORDING_BYTES),
+        ("a.c3d", read_markers, file_limits.RECORDING_BYTES),
+        ("a.csv", read_csv, file_limits.RECORDING_BYTES),
+        ("a.sto", read_sto, file_limits.RECORDING_BYTES),
+        ("a.osim", read_osim, file_limits.MODEL_BYTES),
+        ("fit.json", Estimate.load, file_limits.JSON_BYTES),
+        ("checkpoint.json", lambda path: load_checkpoint(path, "problem"), file_limits.JSON_BYTES),
     ],
 )
 def test_too_large_a_file(tmp_path, name, read, limit):
@@ -46,7 +46,7 @@ def test_too_large_a_file(tmp_path, name, read, limit):
 
 def test_too_large_a_result(tmp_path):
     with pytest.raises(InputError, match=r"a\.nc: 4\.0 GB are too large; expected: at most 4 GB; try: fewer variants"):
-        load_dataset(large(tmp_path / "a.nc", limits.RESULT_BYTES))
+        load_dataset(large(tmp_path / "a.nc", file_limits.RESULT_BYTES))
 
 
 def test_a_device_is_no_file():

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import treatment_tables
 
-from fitting.prediction.clinical_values import ClinicalIndices
+from fitting.prediction.clinical_indices import ClinicalIndices
 from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import KINDS
 

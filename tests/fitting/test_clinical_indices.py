@@ -8,8 +8,7 @@ import pytest
 import scenes
 from scipy.spatial.transform import Rotation
 
-from fitting.prediction.clinical_indices import Landmarks, clinical_indices
-from fitting.prediction.clinical_norms import USUAL
+from fitting.prediction.clinical_indices import USUAL, Landmarks, clinical_indices
 from fitting.treatments import femoral_component_rotation, tibial_tuberosity_transfer, trochleoplasty
 from pftwin import rig
 from pftwin.base.errors import InputError

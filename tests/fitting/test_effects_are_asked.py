@@ -13,7 +13,7 @@ from small_scene import polynomial, small_scene, vec
 import fitting
 import pftwin
 from fitting.objective import Objective
-from fitting.prediction.course import Groove, groove_surface
+from fitting.prediction.outcomes import Groove, groove_surface
 from pftwin.base.leaves import number
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.state import System

@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from linear_problems import parameters
 from made_estimates import made_estimate
 from scipy import stats
 
@@ -97,10 +96,10 @@ def test_relative_covariances_are_those_of_logarithms():
     """Draws of small relative deviations, their logarithms' covariance."""
     e = correlated()
     draws = np.random.default_rng(0).multivariate_normal(e.values, e.covariance, 100_000)
-    found = relative(parameters(), e.values, e.covariance)
+    found = relative(e.upper - e.lower, e.values, e.covariance)
     size = np.outer(SD / e.values, SD / e.values)
     np.testing.assert_allclose(found / size, np.cov(np.log(draws).T) / size, atol=0.03)
-    at_zero = relative(parameters(half_width=5.0), np.array([0.0, 0.15, 600.0]), e.covariance)
+    at_zero = relative(np.full(3, 10.0), np.array([0.0, 0.15, 600.0]), e.covariance)
     assert at_zero[0, 0] == pytest.approx((4.0 / 10) ** 2)  # by the range, where a value is nothing to go by
 
 

@@ -11,10 +11,10 @@ from small_scene import small_scene
 
 import fitting
 from fitting import identifiability
-from fitting.channels import widths
 from fitting.evaluation import Prediction
 from fitting.identifiability import _crossings as crossings
 from fitting.methods.problem import Problem
+from fitting.programs import widths
 from pftwin.model.measured import Measured
 
 FRAMES, FREE = 41, ("K1", "L1", "K2")

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitting.prediction.course import Course, dislocated
-from fitting.prediction.outcomes import MEASURES, measure, outcomes, running_median
+from fitting.prediction.outcomes import MEASURES, Course, dislocated, measure, outcomes, running_median
 from pftwin import rig, simulate
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status

@@ -22,8 +22,7 @@ from fitting.demo.paper_study import (
     simulated,
     values_of,
 )
-from fitting.demo.paper_study_files import save
-from fitting.demo.paper_study_tables import facts, notes, outcome_rows, spring_rows, table_2
+from fitting.demo.paper_study_tables import facts, notes, outcome_rows, save, spring_rows, table_2
 from fitting.demo.straight_springs import nearest_line, recorded_line, recorded_pulls
 from fitting.estimate import Estimate
 from pftwin import rig

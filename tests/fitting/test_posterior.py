@@ -11,7 +11,7 @@ from small_scene import small_scene
 import fitting
 import pftwin
 from fitting.evaluation import Evaluator
-from fitting.posterior import independence
+from fitting.posterior.sampling import accepting
 from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.files.result_files import load_dataset
 from pftwin.model.measured import Measured
@@ -46,6 +46,21 @@ def estimate(scene, truth):
 
 
 @pytest.fixture(scope="module")
+def design(scene):
+    """By how much positions and the force, in units of their noise, react to the springs (frames, 4, 4): central
+    differences of plain simulations, which share nothing with a fit's derivatives."""
+    p = fitting.free_parameters(scene, SPRINGS)
+
+    def seen(theta):
+        result = pftwin.simulate(p.apply(scene, theta), dt=1 / 600)
+        return np.column_stack([result.center, result.effects["quadriceps"]["tension"]])
+
+    steps = np.diag(1e-4 * TRUTH)
+    columns = [(seen(TRUTH + step) - seen(TRUTH - step)) / (2 * step.sum()) for step in steps]
+    return np.stack(columns, axis=-1) / np.array([NOISE, NOISE, NOISE, FORCE_NOISE])[:, None]
+
+
+@pytest.fixture(scope="module")
 def posterior(estimate):
     seen = []
     found = fitting.sample_posterior(estimate, draws=250, progress=lambda *now: seen.append(now))
@@ -68,7 +83,16 @@ def test_one_program_serves_fits_to_other_channels(scene, estimate):
     assert 0.9 * NOISE < alone.rmse["position"] < estimate.rmse["position"]  # with the force it gives way a little
 
 
-@pytest.mark.slow
+def test_a_knees_posterior_is_as_wide_as_its_noise_and_derivatives_say(posterior, estimate, design):
+    """The noise is known and small, so the posterior is all but normal: its covariance follows from the design."""
+    exact = np.linalg.inv(np.einsum("tcp,tcq->pq", design, design))
+    sd = np.sqrt(np.diagonal(exact))
+    draws = posterior.draws.reshape(-1, 4)
+    np.testing.assert_allclose(draws.std(axis=0) / sd, 1.0, atol=0.2)
+    np.testing.assert_allclose(np.corrcoef(draws.T), exact / np.outer(sd, sd), atol=0.1)
+    assert (np.abs(posterior.means - TRUTH) < 4 * sd).all()
+
+
 def test_posterior_and_intervals_of_a_knee_agree(posterior, estimate):
     assert posterior.converged, posterior.summary()
     assert posterior.draws.shape == (4, 250, 4)
@@ -89,7 +113,9 @@ def test_intervals_that_are_wrong_are_found_out(posterior, estimate):
     assert "more draws" in few.sentence()
 
 
-def test_correlated_residuals_temper_it_to_the_estimates_covariance(scene, truth):
+def test_correlated_residuals_temper_it_to_how_far_estimates_scatter(scene, truth, design):
+    """Noise of known covariance Omega, A the design, both in units of the noise: estimates scatter by
+    (A'A)^-1 A' Omega A (A'A)^-1, which one recording of so few frames tells to a quarter."""
     random, shape = np.random.default_rng(2), truth.center.shape
     noise = np.zeros(shape)
     for i in range(1, shape[0]):
@@ -98,7 +124,14 @@ def test_correlated_residuals_temper_it_to_the_estimates_covariance(scene, truth
     assert found.serial_correlation > 0.4
     posterior = fitting.sample_posterior(found, draws=250, seed=1)
     assert posterior.tempered
-    np.testing.assert_allclose(posterior.standard_deviations, found.standard_deviations, rtol=0.15)
+    lag = np.abs(np.subtract.outer(np.arange(shape[0]), np.arange(shape[0])))
+    white = np.linalg.inv(np.einsum("tcp,tcq->pq", design, design))
+    middle = np.einsum("tcp,ts,scq->pq", design[:, :3], 0.8**lag, design[:, :3])
+    middle += np.einsum("tp,tq->pq", design[:, 3], design[:, 3])  # the force's noise is white
+    exact = white @ middle @ white
+    sd = np.sqrt(np.diagonal(exact))
+    assert (np.sqrt(np.diagonal(white)) / sd < 0.7).all()
+    np.testing.assert_allclose(posterior.standard_deviations / sd, 1.0, atol=0.25)
     assert "tempered to the estimate's covariance" in posterior.summary()
 
 
@@ -142,7 +175,7 @@ def test_the_papers_objective_has_no_posterior(estimate):
 
 
 def test_the_missing_extra_is_named(estimate, monkeypatch):
-    independence.accepting.cache_clear()
+    accepting.cache_clear()
     monkeypatch.setitem(sys.modules, "blackjax.mcmc", None)
     with pytest.raises(MissingExtraError, match=r"pftwin\[posterior\]"):
         fitting.sample_posterior(estimate)

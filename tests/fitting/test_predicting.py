@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -192,13 +191,3 @@ def test_grid_has_all_combinations():
 def test_what_is_wrong_is_named(knee, call, message):
     with pytest.raises(InputError, match=message):
         call(knee)
-
-
-def test_the_verb_is_not_hidden_by_a_module():
-    import fitting
-    from fitting.treatments.optimise import optimise_treatment
-
-    assert callable(fitting.predict)
-    assert fitting.optimise_treatment is optimise_treatment
-    modules = {path.stem for path in Path(fitting.__file__).parent.glob("*.py")}
-    assert not modules & (set(fitting.__all__) - {"outcomes", "treatments"})

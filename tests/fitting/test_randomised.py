@@ -8,8 +8,7 @@ from bent_problems import bent, cubic, linear, problem
 from scipy import stats
 
 from fitting.posterior.density import Density, tempering
-from fitting.posterior.independence import sampled
-from fitting.posterior.randomised import proposals
+from fitting.posterior.sampling import proposals, sampled
 from fitting.uncertainty import uncertainty
 from pftwin.base.errors import InputError
 

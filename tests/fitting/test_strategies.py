@@ -24,6 +24,10 @@ class Two:
     def __len__(self) -> int:
         return 2
 
+    @staticmethod
+    def share(theta: np.ndarray) -> np.ndarray:
+        return (theta - LOWER) / (UPPER - LOWER)
+
 
 def begun(kind: Any, seed: int, generations: int = 40) -> Any:
     problem: Any = SimpleNamespace(evaluator=SimpleNamespace(coarse=1, fine=1), parameters=Two())

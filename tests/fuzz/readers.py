@@ -153,11 +153,11 @@ def _estimate(name: str, folder: Path) -> Reader:
 
 
 def _checkpoint(name: str, folder: Path) -> Reader:
-    from fitting.methods.checkpoint import load, save
+    from fitting.methods.problem import load_checkpoint, save_checkpoint
 
     state = {"values": np.arange(6.0).reshape(2, 3), "count": 3, "deep": [{"best": np.float64(0.1)}, None, "text"]}
-    save(folder / "a.json", "problem", state)
-    return _written(name, folder / "a.json", lambda path: load(path, "problem"))
+    save_checkpoint(folder / "a.json", "problem", state)
+    return _written(name, folder / "a.json", lambda path: load_checkpoint(path, "problem"))
 
 
 def _osim(name: str, folder: Path) -> Reader:

@@ -36,7 +36,7 @@ def section(material: Material) -> PageSection:
 
 def finding_of(data: Dataset) -> str:
     """What the prediction comes to, as a sentence."""
-    from fitting.prediction.table import finding
+    from fitting.prediction.plots import finding
 
     words = finding(data)
     return f"{words[:1].upper()}{words[1:]}."
@@ -60,8 +60,7 @@ def doubts(material: Material, data: Dataset) -> list[str]:
 
 
 def _given(data: Dataset, said: list[str]) -> str:
-    from fitting.prediction.plots import amount_names, outcome_figure
-    from fitting.prediction.table import rows
+    from fitting.prediction.plots import amount_names, outcome_figure, rows
 
     headings, lines = rows(data)
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channels import POSITION
 from fitting.evaluation import Prediction
 from fitting.fit import SPRING_PARAMETERS
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import free_parameters
+from fitting.programs import POSITION
 from fitting.uncertainty import NORMAL_95, inverted, uncertainty
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene

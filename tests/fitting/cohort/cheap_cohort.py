@@ -10,7 +10,7 @@ import numpy as np
 from made_estimates import made_estimate
 
 from fitting.cohort import Cohort, Patient, read_cohort
-from fitting.cohort.work import Tell
+from fitting.cohort.run import Tell
 from fitting.estimate import Estimate
 from pftwin.base.errors import InputError
 
@@ -45,7 +45,7 @@ def cheap(folder: Path, count: int = 3, head: str = HEAD) -> Cohort:
 
 
 class CheapWork:
-    """In the place of `ByPftwin`: numbers that follow from the patient's name.
+    """In the place of `Work`: numbers that follow from the patient's name.
 
     Args:
         began: called with patient and kind when a unit begins.

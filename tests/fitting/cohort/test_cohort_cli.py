@@ -19,8 +19,8 @@ from typer.testing import CliRunner, Result
 
 from fitting import Estimate, predict
 from fitting.cohort.manifest import Manifest
-from fitting.cohort.store import read_store
-from fitting.prediction.applied import Applied
+from fitting.cohort.summary import read_store
+from fitting.parameters import Applied
 from fitting.prediction.variants import grid
 from pftwin.base.errors import InputError
 from pftwin.cli import app
@@ -36,7 +36,7 @@ def pftwin(*arguments: object) -> Result:
 @pytest.fixture
 def cheap_work(monkeypatch) -> CheapWork:
     work = CheapWork()
-    monkeypatch.setattr("fitting.cohort.run.ByPftwin", lambda _: work)
+    monkeypatch.setattr("fitting.cohort.run.Work", lambda _: work)
     return work
 
 

@@ -11,7 +11,7 @@ import pytest
 from cheap_cohort import CheapWork, cheap
 
 from fitting.cohort import run_cohort
-from fitting.cohort.check import check_cohort
+from fitting.cohort.folder import check_cohort
 from pftwin.base.errors import OutputError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")

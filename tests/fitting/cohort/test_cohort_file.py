@@ -9,7 +9,7 @@ import pytest
 from cheap_cohort import HEAD, write_cohort
 
 from fitting.cohort import read_cohort
-from fitting.cohort.tables import FitTable
+from fitting.cohort.description import FitTable
 from fitting.fit import METHODS
 from fitting.objective import LOSSES, OBJECTIVES
 from fitting.prediction.variants import amounts_of, combinations
@@ -65,7 +65,7 @@ def test_choices_are_those_of_fits():
         annotation = FitTable.model_fields[name].annotation
         return get_args(get_args(annotation)[0])
 
-    assert choices("method") == METHODS
+    assert choices("method") == tuple(METHODS)
     assert choices("objective") == OBJECTIVES
     assert choices("loss") == LOSSES
 

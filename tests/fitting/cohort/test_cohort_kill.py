@@ -17,9 +17,8 @@ import pytest
 from cheap_cohort import CheapWork, cheap, write_cohort
 
 from fitting.cohort import read_cohort, run_cohort
-from fitting.cohort.check import check_cohort
-from fitting.cohort.manifest import Manifest, fault
-from fitting.cohort.units import file_digest
+from fitting.cohort.folder import check_cohort
+from fitting.cohort.manifest import Manifest, fault, file_digest
 
 HERE = Path(__file__).resolve().parent
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -190,7 +189,7 @@ def test_the_manifest_announces_the_summary_before_it_is_written(tmp_path, monke
     class KilledError(BaseException):
         pass
 
-    import fitting.cohort.summary_file as module
+    import fitting.cohort.summary as module
 
     real, calls = module.written_whole, []
 

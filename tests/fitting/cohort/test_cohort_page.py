@@ -8,8 +8,8 @@ from pathlib import Path
 from cheap_cohort import CheapWork, write_cohort
 
 from fitting.cohort import read_cohort, run_cohort
+from fitting.cohort.description import CohortTable, FitTable, PatientTable, PredictTable
 from fitting.cohort.summary import FIXED
-from fitting.cohort.tables import CohortTable, FitTable, PatientTable, PredictTable
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "cohorts.md").read_text(encoding="utf-8")
 

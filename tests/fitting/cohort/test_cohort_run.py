@@ -9,9 +9,8 @@ import pytest
 from cheap_cohort import HEAD, CheapWork, cheap, write_cohort
 
 from fitting.cohort import read_cohort, run_cohort
-from fitting.cohort.check import check_cohort
-from fitting.cohort.folder import opened
-from fitting.cohort.store import read_store
+from fitting.cohort.folder import check_cohort, opened
+from fitting.cohort.summary import read_store
 from fitting.estimate import Estimate
 from pftwin.base.errors import InputError, OutputError
 
@@ -99,7 +98,7 @@ def test_a_file_that_a_scene_names_is_part_of_the_key(tmp_path):
 def test_another_version_computes_anew(tmp_path, monkeypatch):
     cohort = cheap(tmp_path, 1)
     run_cohort(cohort, work=CheapWork())
-    monkeypatch.setattr("fitting.cohort.units.versions", lambda: {"pftwin": "99"})
+    monkeypatch.setattr("fitting.cohort.manifest.versions", lambda: {"pftwin": "99"})
     work = CheapWork()
     run_cohort(cohort, resume=True, work=work)
     assert work.ran == units("A")
@@ -239,7 +238,7 @@ def test_ctrl_c_keeps_the_units_that_are_done(tmp_path):
 
 def test_progress_and_time_left(tmp_path, monkeypatch):
     seen, clock = [], [0.0]
-    monkeypatch.setattr("fitting.cohort.progress.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr("fitting.cohort.report.time", SimpleNamespace(perf_counter=lambda: clock[0]))
 
     def began(patient: str, _: str) -> None:
         clock[0] += 1000.0 if patient == "B" else 10.0

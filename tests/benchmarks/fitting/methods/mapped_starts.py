@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from fitting.methods.method import lenient
-from fitting.methods.problem import Problem
+from fitting.methods.problem import Problem, lenient
 from fitting.parameters import applied
 from pftwin.base.errors import MissingExtraError
 from pftwin.base.spatial import Pose

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 
-from fitting.channels import POSITION
 from fitting.evaluation import Evaluator
 from fitting.fit import SPRING_PARAMETERS
 from fitting.objective import Objective
 from fitting.parameters import free_parameters
+from fitting.programs import POSITION
 from tests.benchmarks.fitting.methods.comparison import Setting, compared
 from tests.benchmarks.fitting.methods.meter import Budget
 from tests.benchmarks.fitting.methods.table import rows_of

@@ -8,8 +8,7 @@ from typing import Any
 from fitting.methods.genetic import Genetic
 from fitting.methods.gradient import Gradient
 from fitting.methods.least_squares import LeastSquares
-from fitting.methods.method import Method
-from fitting.methods.problem import Problem
+from fitting.methods.problem import Method, Problem
 from fitting.methods.strategies import CmaEs, DifferentialEvolution
 from tests.benchmarks.fitting.methods.meter import Meter
 

@@ -1,4 +1,4 @@
-"""Treatments of the trochlea: deepening its groove, and where a femoral component sits."""
+"""What treatments change: the extensor mechanism, the patella's button and strands, the trochlea."""
 
 from __future__ import annotations
 
@@ -11,13 +11,126 @@ from jax.core import Tracer
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from fitting.treatments.parts import Amount, contact_of, fitted_surface, toward
+from fitting.treatments.parts import (
+    LATERAL,
+    MPFL,
+    PATELLAR_TENDON,
+    QUADRICEPS,
+    Amount,
+    contact_of,
+    elastic,
+    fitted_surface,
+    line_element,
+    toward,
+)
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion, Rotation, Vec3
-from pftwin.geometry.patch.closest import Surface
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import groove_line
+
+
+def tibial_tuberosity_transfer(
+    scene: Scene,
+    medialisation: Amount = 0.0,
+    anteriorisation: Amount = 0.0,
+    distalisation: Amount = 0.0,
+    *,
+    tendon: str = PATELLAR_TENDON,
+) -> Scene:
+    """The scene with the patellar tendon's origin moved on the tibia, along the tibia's anatomical axes [m].
+
+    The tendon keeps its length, so distalisation pulls the patella down. Fulkerson's osteotomy is medialisation with
+    anteriorisation (Fulkerson 1983), Elmslie-Trillat's medialisation alone.
+
+    Args:
+        scene: whose tibia frame has x proximal, y lateral and z anterior.
+        medialisation: towards the midline.
+        anteriorisation: towards the front.
+        distalisation: towards the foot.
+        tendon: name of the patellar tendon in the scene.
+
+    Raises:
+        InputError: no such tendon on the tibia.
+    """
+    found = line_element(scene, tendon, "tibial_tuberosity_transfer", body="tibia")
+    return scene.with_effect(found.with_origin_moved(toward(medialisation, distalisation, anteriorisation)))
+
+
+def patellar_tendon_length_change(scene: Scene, lengthening: Amount = 0.0, *, tendon: str = PATELLAR_TENDON) -> Scene:
+    """The scene with a longer patellar tendon, or a shorter one where `lengthening` is negative [m].
+
+    The length that changes is the slack length; of strands, every strand's alike. Tenodesis or imbrication shortens.
+
+    Raises:
+        InputError: no such tendon on the tibia.
+    """
+    return scene.with_effect(elastic(scene, tendon, "patellar_tendon_length_change", "tibia").lengthened(lengthening))
+
+
+def quadriceps_lengthening(scene: Scene, lengthening: Amount = 0.0, *, tendon: str = QUADRICEPS) -> Scene:
+    """The scene with a longer quadriceps tendon [m]: its slack length grows, so it pulls less.
+
+    Raises:
+        InputError: no such tendon; a quadriceps that pulls with a prescribed tension, which no length changes.
+    """
+    return scene.with_effect(elastic(scene, tendon, "quadriceps_lengthening").lengthened(lengthening))
+
+
+_LEFT = 1e-6  # share of its stiffness that a strand keeps when all is released: a scene's strands have some
+
+
+def button_position(
+    scene: Scene, medialisation: Amount = 0.0, distalisation: Amount = 0.0, anteriorisation: Amount = 0.0
+) -> Scene:
+    """The scene with the button elsewhere on the patella, along the patella's axes [m].
+
+    Anteriorisation buries it (a deeper cut, a thinner patella); negative, it makes the patella thicker. The button's
+    sphere centre, whose path results show, moves with it.
+
+    Raises:
+        InputError: a scene without a button.
+    """
+    contact = contact_of(scene, "button_position")
+    return scene.with_effect(contact.with_button_moved(toward(medialisation, distalisation, anteriorisation)))
+
+
+def lateral_release(scene: Scene, release: Amount = 0.0, *, strands: str | tuple[str, ...] = LATERAL) -> Scene:
+    """The scene with the lateral strands cut to a share: `release` 0 leaves them, 1 cuts all (a millionth stays).
+
+    Raises:
+        InputError: the scene has no strands of that name.
+    """
+    found = elastic(scene, strands, "lateral_release")
+    return scene.with_effect(found.stiffened(1 - (1 - _LEFT) * release))
+
+
+def mpfl_graft(
+    scene: Scene,
+    stiffening: Amount = 0.0,
+    shortening: Amount = 0.0,
+    proximalisation: Amount = 0.0,
+    anteriorisation: Amount = 0.0,
+    *,
+    strands: str = MPFL,
+) -> Scene:
+    """The scene with a graft in the place of the medial patellofemoral ligament (MPFL).
+
+    Args:
+        scene: with strands from the femur to the patella that stand for the ligament.
+        stiffening: of the graft over the ligament, as a share: 1 is twice as stiff.
+        shortening: of the slack length, which tensions the graft [m].
+        proximalisation: of the femoral attachment (Schoettle's point, missed) [m].
+        anteriorisation: of the femoral attachment [m].
+        strands: their name in the scene.
+
+    Raises:
+        InputError: the scene has no such strands on the femur.
+    """
+    found = elastic(scene, strands, "mpfl_graft", body="femur")
+    moved = found.with_origin_moved(toward(0.0, -proximalisation, anteriorisation))
+    return scene.with_effect(moved.stiffened(1 + stiffening).lengthened(-shortening))
+
 
 LOWEST_DEGREE = 4  # of a patch that can be deepened in its groove and stay as it is at its ridges
 _GRID = 61  # points to a side on which the shape is fitted
@@ -97,7 +210,8 @@ def trochleoplasty(scene: Scene, deepening: Amount = 0.0, *, shape: Array | None
         shape = jax.numpy.asarray(deepening_shape(patch), dtype=float)
     assert not isinstance(patch.coefficients, tuple)
     deeper = patch.coefficients + deepening * shape
-    return _with_surface(scene, eqx.tree_at(lambda p: p.coefficients, patch, deeper))
+    surface = eqx.tree_at(lambda p: p.coefficients, patch, deeper)
+    return scene.with_effect(contact_of(scene, "trochleoplasty").with_fitted_surface(surface))
 
 
 def femoral_component_rotation(
@@ -133,10 +247,6 @@ def femoral_component_translation(
     """
     chart = fitted_surface(scene, "femoral_component_translation").chart
     return _with_chart(scene, chart.origin + toward(medialisation, distalisation, anteriorisation), chart.axes)
-
-
-def _with_surface(scene: Scene, surface: Surface) -> Scene:
-    return scene.with_effect(contact_of(scene, "treatment").with_fitted_surface(surface))
 
 
 def _with_chart(scene: Scene, origin: Vec3, axes: Rotation) -> Scene:

@@ -69,7 +69,9 @@ def ligament(name: str, *, reference_strain: float = 0.0) -> StrandGroup:
     if not -1 < reference_strain < np.inf:
         raise InputError(f"found {reference_strain!r}", where="reference_strain", expected="a number above -1")
     made = LIGAMENTS[name]
-    insertion, origin = (np.linspace(*np.asarray(ends), STRANDS) for ends in (made.patella, made.femur))
+    insertion, origin = (
+        np.linspace(np.array(first), np.array(last), STRANDS) for first, last in (made.patella, made.femur)
+    )
     there = Rotation.from_quat(REFERENCE_QUATERNION, scalar_first=True).apply(insertion) + np.array(REFERENCE_POSITION)
     slack = np.linalg.norm(there - origin, axis=1) / (1 + reference_strain)
     one = np.ones(STRANDS)

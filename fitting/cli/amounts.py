@@ -1,4 +1,4 @@
-"""Amounts of treatments as options: the same names and units for every command that takes them."""
+"""Amounts of treatments as options, the same for every command that takes them."""
 
 from __future__ import annotations
 

@@ -7,16 +7,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pftwin.base.errors import InputError, OutputError
+from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, flagged, keeping
-from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
+from pftwin.cli.terminal import (
+    JsonOption,
+    check_figure,
+    check_outputs,
+    present,
+    progress,
+    save_picture,
+    start_computing,
+    working,
+    written,
+)
 
 if TYPE_CHECKING:
     from pftwin.files.mocap.poses import PoseSeries
     from pftwin.model.effects.foundation_law import FoundationLaw
     from pftwin.studies.contact_map.mapping import ContactMap
-
-_FIGURES = (".png", ".svg", ".pdf")
 
 
 def contact_map(
@@ -37,7 +45,7 @@ def contact_map(
     thickness: Annotated[str, typer.Option("--thickness-mm", help="Of the layer, or femur's,patella's.")] = "5",
     start: Annotated[float | None, typer.Option("--from", help="First time [s].")] = None,
     end: Annotated[float | None, typer.Option("--to", help="Last time [s].")] = None,
-    proximity: Annotated[float, typer.Option("--proximity-mm", help="How far off gaps are still told [mm].")] = 1.0,
+    proximity: Annotated[float, typer.Option("--proximity-mm", help="Largest gap that is reported [mm].")] = 1.0,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
     ] = None,
@@ -52,15 +60,18 @@ def contact_map(
 
     Example: `pftwin contact-map --femur femur.stl --patella button.stl --units m --poses poses.csv -o contact.nc`
     """
-    if figure is not None and figure.suffix.lower() not in _FIGURES:
-        raise OutputError(f"{figure}: unknown kind of figure; expected: {', '.join(_FIGURES)}")
+    check_figure(figure)
     check_outputs(output, figure, json)
     if not 0 <= proximity <= 10:
         raise InputError(f"{proximity:g} mm", where="--proximity-mm", expected="0 to 10")
     start_computing()
     rule = _law(law, modulus, poisson, thickness)
+    from pftwin import __version__
+    from pftwin.files.result_files import save_dataset
     from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
     from pftwin.studies.contact_map.checks import check_outcome, check_sides, load_pair
+    from pftwin.studies.contact_map.dataset import compressed, dataset
+    from pftwin.studies.contact_map.figures import map_figure
     from pftwin.studies.contact_map.mapping import map_contact
 
     with working("reading"):
@@ -68,9 +79,9 @@ def contact_map(
         relative = _poses(poses, bodies, start, end)
         check_sides(thigh, button, relative)
         surfaces = pressed_surface(thigh), pressing_surface(button)
-    with _progress(relative.times.size) as progress:
+    with progress("frames") as done:
         found = map_contact(
-            *surfaces, rule, relative, triangles=len(button.faces), band=1e-3 * proximity, progress=progress
+            *surfaces, rule, relative, triangles=len(button.faces), band=1e-3 * proximity, progress=done
         )
     missing = relative.times.size - found.times.size
     if not missing:
@@ -88,19 +99,22 @@ def contact_map(
         settings["title"] = f"contact at given poses (interrupted: {found.times.size} of {relative.times.size} frames)"
     with keeping(output, figure):
         if output is not None:
+            data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
             with working("writing"):
-                _write(output, found, button, settings)
+                save_dataset(data, output, encoding=compressed(data))
         if missing:
             raise Interrupted(*([] if output is None else [output]))
         if figure is not None:
             with working("drawing"):
-                _draw(figure, found, thigh, button, f"{patella.name} on {femur.name}, {law} foundation")
-    write_json({**settings, **_facts(found)}, json)
-    console = out(json)
-    console.print(_words(found), markup=False, highlight=False)
-    for path in (output, figure):
-        if path is not None:
-            console.print(f"written: {path}", markup=False, highlight=False)
+                title = f"{patella.name} on {femur.name}, {law} foundation"
+                save_picture(map_figure(found, thigh, button, title), figure)
+    f = _facts(found)
+    summary = (
+        f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
+        f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
+    )
+    files = [path for path in (output, figure) if path is not None]
+    present({**settings, **f}, summary, written(files), json=json)
     if deep := int(found.too_deep.sum()):
         flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
 
@@ -120,7 +134,7 @@ def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw
 
 
 def _two(option: str, text: str, factor: float) -> list[float]:
-    """One number for both layers, or the femur's and the patella's; in SI units."""
+    """One number for both layers, or one each for femur and patella, in SI units."""
     try:
         values = [factor * float(part) for part in text.split(",")]
     except ValueError:
@@ -131,7 +145,7 @@ def _two(option: str, text: str, factor: float) -> list[float]:
 
 
 def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> PoseSeries:
-    """Of the patella in the femur's frame, within the times asked for."""
+    """Poses of the patella in the femur within the times asked for."""
     from pftwin.files.mocap import read_poses_csv
 
     names = bodies.split(",")
@@ -141,40 +155,6 @@ def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> P
     relative = found[names[1]].relative_to(found[names[0]])
     first, last = float(relative.times[0]), float(relative.times[-1])
     return relative.between(first if start is None else start, last if end is None else end)
-
-
-def _progress(frames: int) -> Any:
-    """A context whose value takes how many frames are done, and of how many; silent where stderr is no terminal."""
-    from contextlib import contextmanager
-
-    from rich.progress import Progress
-
-    @contextmanager
-    def bar() -> Any:
-        console = err()
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as shown:
-            task = shown.add_task("frames", total=frames)
-            yield lambda done, of: shown.update(task, completed=done, total=of)
-
-    return bar()
-
-
-def _write(path: Path, found: ContactMap, button: Any, settings: dict[str, Any]) -> None:
-    from pftwin import __version__
-    from pftwin.files.result_files import save_dataset
-    from pftwin.studies.contact_map.dataset import compressed, dataset
-
-    data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
-    save_dataset(data, path, encoding=compressed(data))
-
-
-def _draw(path: Path, found: ContactMap, femur: Any, button: Any, title: str) -> None:
-    from pftwin.base.output import written_whole
-    from pftwin.studies.contact_map.figures import map_figure
-
-    figure = map_figure(found, femur, button, title)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=150)
 
 
 def _facts(found: ContactMap) -> dict[str, Any]:
@@ -189,11 +169,3 @@ def _facts(found: ContactMap) -> dict[str, Any]:
         "largest_area_mm2": float(1e6 * found.area.max()),
         "largest_depth_mm": float(1e3 * found.largest_depth.max()),
     }
-
-
-def _words(found: ContactMap) -> str:
-    f = _facts(found)
-    return (
-        f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
-        f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
-    )

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from typing import Any, NamedTuple
 
-from pftwin.cli.terminal import err
+from pftwin.cli.terminal import tell
 
 COMMANDS, SCENE_CHANGES = "pftwin.commands", "pftwin.scene_changes"
 PANELS = ("Start", "Simulate", "Fit", "Treat", "Look", "Check", "Exchange")  # in this order; further ones follow
@@ -32,7 +32,7 @@ class Command(NamedTuple):
 
 
 def installed_commands() -> list[Command]:
-    """All commands that installed packages bring, in the order of the help. One that cannot be loaded is told."""
+    """All commands that installed packages bring, in the order of the help; warns of any that cannot be loaded."""
     found = [command for listed in _loaded(COMMANDS) for command in listed]
     panels = list(dict.fromkeys([*PANELS, *(c.panel for c in found)]))
     return sorted(found, key=lambda c: (panels.index(c.panel), c.place))
@@ -59,5 +59,7 @@ def _loaded(group: str) -> Iterator[Any]:
         try:
             yield point.load()
         except Exception as error:  # another package's mistake must not take the program down
-            text = f"warning: the entry point {point.name!r} ({point.value}) of {group} cannot be loaded: {error}"
-            err().print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
+            tell(
+                f"warning: the entry point {point.name!r} ({point.value}) of {group} cannot be loaded: {error}",
+                "yellow",
+            )

@@ -13,7 +13,7 @@ from pftwin.base.errors import PftwinError, PftwinWarning
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
 from pftwin.cli.plugins import installed_commands
 from pftwin.cli.scenes import allow_outside
-from pftwin.cli.terminal import err
+from pftwin.cli.terminal import tell
 
 
 class _Commands(TyperGroup):
@@ -25,7 +25,7 @@ class _Commands(TyperGroup):
             try:
                 return super().invoke(ctx)
             except PftwinError as error:
-                err().print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+                tell(f"error: {error}", "red")
                 raise typer.Exit(code_of(error)) from None
             except KeyboardInterrupt as error:
                 after_interrupt(error)
@@ -36,7 +36,7 @@ _show_elsewhere = warnings.showwarning
 
 def _show_warning(message: Any, category: Any, *rest: Any, **options: Any) -> None:
     if isinstance(message, PftwinWarning):
-        err().print(f"warning: {message}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+        tell(f"warning: {message}", "yellow")
     else:
         _show_elsewhere(message, category, *rest, **options)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pftwin.base.errors import InputError
-from pftwin.cli.terminal import err, start_computing, working
+from pftwin.cli.terminal import start_computing, tell, working
 
 if TYPE_CHECKING:
     from pftwin.dynamics.integrator import Integrator
@@ -108,7 +108,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
         with working(f"reading {scene}"):
             loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get())
         for note in loaded.notes:
-            err().print(note, style="dim", markup=False, highlight=False, soft_wrap=True)
+            tell(note, "dim")
         return Chosen(loaded.scene, contact or _contact(loaded.scene), loaded.button)
     from pftwin import rig
 

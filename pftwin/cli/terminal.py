@@ -1,4 +1,4 @@
-"""What commands share at the terminal: consoles, spinners, JSON output, and checks of output paths before long work."""
+"""What commands share at the terminal: one renderer for their outcomes, progress, and checks of output paths."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,12 +17,16 @@ import typer
 from pftwin.base.errors import InputError, OutputError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
+
+    from pftwin.studies.tables import Sheet
 
 JsonOption = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -."),
 ]
+FIGURES = (".png", ".svg", ".pdf")
 
 
 def err() -> Console:
@@ -32,6 +36,11 @@ def err() -> Console:
     return Console(stderr=True)
 
 
+def tell(text: str, style: str | None = None) -> None:
+    """Writes a line on stderr."""
+    err().print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
 def out(json_to: str | None = None) -> Console:
     """For tables and text: stdout, or stderr where stdout is taken by JSON."""
     from rich.console import Console
@@ -39,11 +48,63 @@ def out(json_to: str | None = None) -> Console:
     return Console(stderr=json_to == "-", soft_wrap=True)
 
 
+def show(*parts: Sheet | str, json: str | None = None, markdown: bool = False) -> None:
+    """Prints tables, each with its notes, and lines in their order; empty lines are left out.
+
+    Args:
+        parts: tables and lines.
+        json: where JSON goes; see `out`.
+        markdown: tables as Markdown.
+    """
+    console = out(json)
+    for part in parts:
+        if isinstance(part, str):
+            lines = [part] if part else []
+        elif markdown:
+            lines = [part.markdown()]
+        else:
+            console.print(part.table())
+            lines = part.notes
+        for line in lines:
+            console.print(line, markup=False, highlight=False)
+
+
+def present(facts: Any, *parts: Sheet | str, json: str | None, markdown: bool = False) -> None:
+    """Gives the user the outcome of a command: its facts as JSON where asked for, and tables and lines.
+
+    Raises:
+        OutputError: the JSON file cannot be written.
+    """
+    write_json(facts, json)
+    show(*parts, json=json, markdown=markdown)
+
+
+def written(paths: Sequence[Path | str]) -> str:
+    """The line that names the files of a command; empty if there are none."""
+    return f"written: {', '.join(map(str, paths))}" if paths else ""
+
+
 @contextmanager
 def working(what: str) -> Iterator[None]:
     """A spinner on stderr while something takes its time; nothing where stderr is no terminal."""
     with err().status(f"{what} ..."):
         yield
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Callable[..., None]]:
+    """A bar on stderr, silent where that is no terminal; yields `show(done, of, now="", what=None)`."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = err()
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None, now="")
+
+        def show(done: float, of: float, now: str = "", what: str | None = None) -> None:
+            bar.update(task, completed=done, total=of, now=now, description=what)
+
+        yield show
 
 
 def start_computing(*, batches: bool = False) -> None:
@@ -76,6 +137,39 @@ def _cpu_devices() -> int | str:
     raise InputError(f"found {given!r}", where="PFTWIN_DEVICES", expected='"all", or a whole number, at least 1')
 
 
+def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
+    """Refuses an output of another kind than the command writes.
+
+    Args:
+        path: of the output.
+        suffixes: those that are allowed, the usual one first.
+        what: the kind, for the message: "results are NetCDF".
+
+    Raises:
+        OutputError: another suffix.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise OutputError(f"{path}: {what}; try: {path.with_suffix(suffixes[0])}")
+
+
+def check_figure(path: Path | None) -> None:
+    """Refuses a figure of a kind that matplotlib is not asked for.
+
+    Raises:
+        OutputError: another suffix.
+    """
+    if path is not None and path.suffix.lower() not in FIGURES:
+        raise OutputError(f"{path}: unknown kind of figure; expected: {', '.join(FIGURES)}")
+
+
+def save_picture(figure: Figure, path: Path) -> None:
+    """Writes a figure, whole or not at all."""
+    from pftwin.base.output import written_whole
+
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
 def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
     """Refuses places that cannot be written to, before any work is done; None and "-" are passed over.
 
@@ -100,18 +194,26 @@ def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuses a folder that is not there and cannot be made, or cannot be written to; makes nothing.
+    """Refuses a folder that does not exist and cannot be made, or cannot be written to; makes nothing.
 
     Raises:
         OutputError: saying why.
     """
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; try: another name for the folder")
-    there = folder.absolute()
-    while not there.exists():
-        there = there.parent
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+    if not may_write(there := nearest(folder)):
         raise OutputError(f"{folder}: cannot be made: no permission to write in {there}")
+
+
+def nearest(folder: Path) -> Path:
+    """The folder, or the nearest place above it that exists."""
+    there = folder.absolute()
+    return next(place for place in (there, *there.parents) if place.exists())
+
+
+def may_write(place: Path) -> bool:
+    """Whether it is a folder in which this user may make files."""
+    return place.is_dir() and os.access(place, os.W_OK | os.X_OK)
 
 
 def write_json(value: Any, to: str | None) -> None:

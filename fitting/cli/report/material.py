@@ -1,13 +1,16 @@
-"""What a report is made of, and where it comes from: a fit, a result's file, or the demo's folder."""
+"""What a report is made of, read from a fit, from a result's file, or from the demo's folder."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fitting.cli.report.run import ReportedRun
+import numpy as np
+
 from pftwin.base.errors import InputError
 from pftwin.cli.scenes import Chosen, chosen_scene
 from pftwin.cli.terminal import working
@@ -16,11 +19,120 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from fitting.estimate import Estimate
+    from pftwin.model.measured import Measured
+    from pftwin.model.scene import Scene
+    from pftwin.results.result import Result
 
 _RIG = re.compile(r"rig case ([1-4]), (\w+)")
 _WHICH = "fit.json of `pftwin fit`, the folder of `pftwin demo`, or the NetCDF file of `pftwin simulate`"
 _NAME_IT = "--scene knee/scene.toml or --case N"
 DEMO_FIT = "fit.json"
+_ANGLES = ("flexion", "rotation", "tilt")
+
+
+class Mark(NamedTuple):
+    """What frames are flagged with."""
+
+    name: str
+    frames: int
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedRun:
+    """One simulation."""
+
+    name: str
+    data: Dataset
+    source: Path | Result  # what the viewer draws
+
+    @classmethod
+    def of_file(cls, path: Path, name: str | None = None) -> ReportedRun:
+        """From what `Result.save` wrote.
+
+        Raises:
+            InputError: no such file, not NetCDF, or not a result.
+        """
+        from pftwin.files.result_files import load_dataset
+
+        data = load_dataset(path)
+        if "variant" in data.dims:
+            raise InputError(
+                "holds a prediction of treatments, not a simulation",
+                where=path,
+                expected="fit.json, the demo's folder, or a result of `pftwin simulate`",
+                remedy=f"pftwin report fit.json --treatment {path} -o report.html",
+            )
+        absent = [n for n in ("patella_quaternion", "sphere_center", "status") if n not in data]
+        if absent or data.sizes.get("time", 0) < 1:
+            raise InputError(
+                f"no simulation in it: it lacks {', '.join(absent) or 'frames'}",
+                where=path,
+                expected="a result of `pftwin simulate`",
+                remedy="pftwin simulate --case 2 -o case2.nc",
+            )
+        return cls(name or str(data.attrs.get("scene", path.stem)), data, path)
+
+    @classmethod
+    def of_result(cls, result: Result, name: str) -> ReportedRun:
+        """From memory."""
+        return cls(name, result.to_dataset(), result)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """The attributes of the file."""
+        return self.data.attrs
+
+    @property
+    def frames(self) -> int:
+        """How many there are."""
+        return self.data.sizes["time"]
+
+    @property
+    def note(self) -> str:
+        """A remark about its motion, such as that it is synthetic."""
+        return str(self.about.get("note", ""))
+
+    @property
+    def tracking(self) -> str:
+        """What becomes of the patella, in words."""
+        return str(self.about.get("tracking", "not in the file"))
+
+    @property
+    def contact(self) -> str | None:
+        """Of the effect that is the button's contact; None where there is none."""
+        names = [str(n).removesuffix("_force_medial") for n in self.data.data_vars if str(n).endswith("_force_medial")]
+        return next((n for n in names if f"{n}_force" in self.data), None)
+
+    @property
+    def marks(self) -> list[Mark]:
+        """The flags that any frame has."""
+        status, about = self.data["status"].values, self.data["status"].attrs
+        names = str(about.get("flag_meanings", "")).split()
+        words = np.atleast_1d(about.get("flag_descriptions", names))
+        masks = np.atleast_1d(about.get("flag_masks", []))
+        counts = [int(np.count_nonzero(status & int(m))) for m in masks]
+        return [Mark(n, c, str(w)) for n, c, w in zip(names, counts, words, strict=True) if c]
+
+    @cached_property
+    def result(self) -> Any:
+        """The result, or what the figures read of one, made from the file."""
+        if not isinstance(self.source, Path):
+            return self.source
+        data = self.data
+        angles = {n: np.radians(data[f"patella_{n}"].values) for n in _ANGLES}
+        contact = self.contact
+        forces = {} if contact is None else {contact: {"force": data[f"{contact}_force"].values}}
+        return SimpleNamespace(
+            scene_name=self.name,
+            times=data["time"].values,
+            center=data["sphere_center"].values,
+            angles=SimpleNamespace(**angles),
+            knee=SimpleNamespace(flexion=np.radians(data["knee_flexion"].values)),
+            contact=contact,
+            effects=forces,
+            scene=SimpleNamespace(synthetic="synthetic" in self.note),
+        )
 
 
 @dataclass(eq=False)
@@ -33,7 +145,6 @@ class Material:
     chosen: Chosen | None = None  # the scene, and its measurements
     runs: list[ReportedRun] = field(default_factory=list)
     treatment: Dataset | None = None
-    treatment_file: Path | None = None
     demo: Path | None = None  # the folder, where it is one
     files: list[Path] = field(default_factory=list)  # that were read
 
@@ -42,8 +153,48 @@ class Material:
         """The first of the estimates."""
         return next(iter(self.estimates.values()), None)
 
+    @property
+    def scene(self) -> Scene | None:
+        """The scene, where it is known."""
+        return None if self.chosen is None else self.chosen.scene
+
+    @property
+    def measured(self) -> Measured | None:
+        """The scene's measurements."""
+        return None if self.chosen is None else self.chosen.measured
+
+    @property
+    def names(self) -> str:
+        """Of the runs."""
+        return " and ".join(r.name for r in self.runs)
+
+    def changed_since(self, e: Estimate) -> list[str]:
+        """Parameters whose values in the scene are not those that the fit began from: it may be another scene."""
+        if self.scene is None:
+            return []
+        here = [self.scene.get(name) for name in e.names]
+        return [n for n, x, began in zip(e.names, here, e.nominal, strict=True) if abs(x - began) > 1e-6 * abs(began)]
+
+    def doubts(self) -> list[str]:
+        """Where the prediction is not of the knee that the rest of the report is about."""
+        data, estimate, out = self.treatment, self.estimate, []
+        if data is None:
+            return out
+        own = {str(run.about.get("scene", run.name)) for run in self.runs}
+        if others := sorted(set(map(str, data["scene"].values)) - own):
+            out.append(f"The prediction is of {', '.join(others)}; this report is of {', '.join(sorted(own))}.")
+        if estimate is None:
+            return out
+        if "parameters" not in data:
+            return [*out, "The prediction was made with the scene's own parameters, not with the fitted ones."]
+        used = data["parameters"].values.reshape(-1, data.sizes["parameter"])[0]
+        names = tuple(map(str, data["parameter"].values))
+        if names != estimate.names or not np.allclose(used, estimate.values, rtol=1e-9, atol=0):
+            out.append("The prediction was made with other parameters than those under Fit.")
+        return out
+
     def synthetic(self) -> list[str]:
-        """What has to be said of synthetic data, each once."""
+        """Every remark about synthetic data, once."""
         from pftwin.base.labels import SYNTHETIC
 
         said = [r.note for r in self.runs if "synthetic" in r.note]
@@ -88,18 +239,18 @@ def gathered(
         found = _of_estimate(source, given)
     elif source.suffix.lower() == ".nc":
         run = ReportedRun.of_file(source)
-        _check_same(str(run.data.attrs.get("scene", "")), given, source)
+        _check_same(str(run.about.get("scene", "")), given, source)
         found = Material(source, f"Simulated knee: {run.name}", chosen=given, runs=[run], files=[source])
     else:
         raise InputError("not a file that a report is made of", where=source, expected=_WHICH)
-    found.treatment, found.treatment_file = predicted, treatment
+    found.treatment = predicted
     if treatment is not None:
         found.files.append(treatment)
     return found
 
 
 def _of_estimate(path: Path, given: Chosen | None) -> Material:
-    """An estimate, its scene, and both as they move: nominal and fitted."""
+    """An estimate, its scene, and the nominal and the fitted motion."""
     from fitting.estimate import Estimate
     from pftwin.dynamics.simulate import simulate
 

@@ -10,10 +10,9 @@ import pytest
 from report_pages import VALUES, Seen, estimate, fitted, prediction
 from small_scene import small_result
 
-from fitting.cli.report import contents
-from fitting.cli.report.contents import report
-from fitting.cli.report.material import Material
-from fitting.cli.report.run import ReportedRun
+from fitting.cli.report import command
+from fitting.cli.report.command import report_page as report
+from fitting.cli.report.material import Material, ReportedRun
 from pftwin.base.labels import SYNTHETIC
 
 
@@ -186,8 +185,8 @@ def test_without_k3d_the_page_says_how_to_get_it(file, monkeypatch):
 
 
 def test_a_page_too_large_goes_without_the_drawing(file, page, monkeypatch):
-    assert len(page.encode()) < contents.MOST_BYTES == 12_000_000
-    monkeypatch.setattr(contents, "MOST_BYTES", 1_000_000)
+    assert len(page.encode()) < command.MOST_BYTES == 12_000_000
+    monkeypatch.setattr(command, "MOST_BYTES", 1_000_000)
     made = report(of_file(file), "")
     assert not made.viewer
     assert len(made.page.encode()) < 1_000_000

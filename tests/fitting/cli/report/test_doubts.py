@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from report_pages import Seen, fitted, prediction
 
-from fitting.cli.report.contents import report
+from fitting.cli.report.command import report_page as report
 
 
 def test_a_scene_with_other_values_than_the_fit_began_from_is_doubted(tmp_path):

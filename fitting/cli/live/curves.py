@@ -5,18 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fitting.cli.live.answer import ShownMotion
-from pftwin.results.plots import COLOURS
+from fitting.cli.live.motion import Floats, ShownMotion
+from fitting.cli.live.words import AFTER, BEFORE
 
 if TYPE_CHECKING:
     from viser import GuiApi
 
 HEIGHT = 142  # of a chart [pixels]
 ROUND = 5.0  # edges of the charts are multiples of this, in degrees, mm or newtons
-BEFORE, AFTER = COLOURS[:2]
-Floats = NDArray[np.float64]
 
 
 class Curves:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fitting.cli.live.shown import Shown, ShownTrack
+from fitting.cli.live.motion import Shown, ShownTrack
 from pftwin.results.viewer import bones
 from pftwin.results.viewer.drawing import darker, paler
 from pftwin.results.viewer.knee import BONE, METAL, PLASTIC

@@ -12,11 +12,10 @@ import warnings
 from collections.abc import Collection, Iterator
 from typing import Any
 
-from fitting.cli.live.address import check_address
+from fitting.cli.live.access import check_address, guarded, own_pages
 from fitting.cli.live.engine import Engine
-from fitting.cli.live.origin import guarded, own_pages
 from fitting.cli.live.session import Session
-from fitting.cli.live.worker import Worker
+from fitting.cli.live.threads import Worker
 from pftwin.base.errors import MissingExtraError
 from pftwin.results.viewer.views import views
 
@@ -45,7 +44,7 @@ class LiveServer:
         Args:
             engine: what simulates.
             host, port: where; a port that is taken is passed over.
-            origins: whose pages may connect, besides the server's own; see `fitting.cli.live.origin`.
+            origins: whose pages may connect, besides the server's own; see `fitting.cli.live.access`.
 
         Raises:
             InputError: no such address.

@@ -13,7 +13,7 @@ from small_scene import small_scene
 import pftwin
 from fitting.cli.live.engine import Engine
 from fitting.cli.live.knobs import KNOBS, neutral, turned
-from fitting.cli.live.shown import Shown
+from fitting.cli.live.motion import Shown
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.matrices import of_poses
 

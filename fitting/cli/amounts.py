@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import Option
 
 from fitting.prediction.ranges import numbers, values
 from pftwin.base.errors import InputError
@@ -73,9 +73,7 @@ def with_amounts(
                 a.parameter,
                 inspect.Parameter.KEYWORD_ONLY,
                 default=None,
-                annotation=Annotated[
-                    str | None, typer.Option(a.flag, metavar=metavar, help=f"{a.words} [{a.unit}]{more}.")
-                ],
+                annotation=Annotated[str | None, Option(a.flag, metavar=metavar, help=f"{a.words} [{a.unit}]{more}.")],
             )
             for a in AMOUNTS
         ]

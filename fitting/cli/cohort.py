@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from pftwin.cli.exit_codes import flagged, keeping
 from pftwin.cli.scenes import allow_outside
@@ -17,17 +17,13 @@ if TYPE_CHECKING:
 
 
 def cohort(
-    file: Annotated[Path, typer.Argument(metavar="COHORT.toml", help="Patients, fit and treatments.")],
+    file: Annotated[Path, Argument(metavar="COHORT.toml", help="Patients, fit and treatments.")],
     *,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Results go there, in place of the file's `output`.")
+        Path | None, Option("--out", metavar="DIR", help="Results go there, in place of the file's `output`.")
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on: compute what is missing, failed or out of date.")
-    ] = False,
-    check: Annotated[
-        bool, typer.Option("--check", help="Compute nothing; compare files with checksums and keys.")
-    ] = False,
+    resume: Annotated[bool, Option("--resume", help="Go on: compute what is missing, failed or out of date.")] = False,
+    check: Annotated[bool, Option("--check", help="Compute nothing; compare files with checksums and keys.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Fit many patients and predict their treatments; go on after a crash where it stopped.

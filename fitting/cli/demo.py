@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from pftwin.cli.exit_codes import keeping
 from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, err, out, show, start_computing, write_json
@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 
 def demo(
     *,
-    folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the results.")] = Path("demo"),
-    full: Annotated[
-        bool, typer.Option("--full", help="The paper's meshes CM and FM, and the spline, as well.")
-    ] = False,
+    folder: Annotated[Path, Option("--out", metavar="DIR", help="Folder of the results.")] = Path("demo"),
+    full: Annotated[bool, Option("--full", help="The paper's meshes CM and FM, and the spline, as well.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Simulate the virtual rig's cases, fit its springs, predict a treatment; beside measurements and the paper.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, keeping
@@ -17,47 +17,45 @@ if TYPE_CHECKING:
     from fitting.fit import Progress
     from fitting.posterior.sampling import Posterior
 
-FreeOption = Annotated[
-    str, typer.Option("--free", metavar="NAMES", help='Parameters, with commas: "K1,L1,contact.radius".')
-]
+FreeOption = Annotated[str, Option("--free", metavar="NAMES", help='Parameters, with commas: "K1,L1,contact.radius".')]
 BoundsOption = Annotated[
-    float, typer.Option("--bounds", metavar="SHARE", help="To either side, as a share of the nominal value.")
+    float, Option("--bounds", metavar="SHARE", help="To either side, as a share of the nominal value.")
 ]
 UseOption = Annotated[
     str,
-    typer.Option("--use", metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all."),
+    Option("--use", metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all."),
 ]
 NoiseOption = Annotated[
     list[str] | None,
-    typer.Option("--noise", metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated."),
+    Option("--noise", metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated."),
 ]
 
 
 def fit(
     scene: SceneArgument = None,
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FIT.json", help="The estimate.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="FIT.json", help="The estimate.")],
     case: CaseOption = None,
     contact: ContactOption = None,
     method: Annotated[
         str,
-        typer.Option(metavar="NAME", help="least_squares, gradient, genetic, cma_es or differential_evolution."),
+        Option(metavar="NAME", help="least_squares, gradient, genetic, cma_es or differential_evolution."),
     ] = "least_squares",
-    objective: Annotated[str, typer.Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
+    objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
     free: FreeOption = "K1,L1,K2,L2",
     bounds: BoundsOption = 0.3,
     use: UseOption = "position",
     noise: NoiseOption = None,
-    loss: Annotated[str, typer.Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
-    seed: Annotated[int, typer.Option(min=0, help="Of all random choices.")] = 0,
-    starts: Annotated[int | None, typer.Option(min=1, help="Starting points (least squares, gradient).")] = None,
-    checkpoint: Annotated[Path | None, typer.Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
+    loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
+    seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
+    starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
+    checkpoint: Annotated[Path | None, Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Go on from the checkpoint.")] = False,
     posterior: Annotated[
         int | None,
-        typer.Option(min=8, metavar="N", help="Check the intervals by N draws from the posterior in each of 4 chains."),
+        Option(min=8, metavar="N", help="Check the intervals by N draws from the posterior in each of 4 chains."),
     ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Figures beside the output.")] = True,
+    figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
     json: JsonOption = None,
 ) -> None:
     """Fit the tendons to motion capture, and say how sure the answer is.

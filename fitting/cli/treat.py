@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from fitting.cli.amounts import Given, by_kind, limits, with_amounts
 from fitting.prediction.ranges import values
@@ -38,27 +38,25 @@ _MOST_VARIANTS = 1_000_000
 _BLOCK = 4096  # members that are simulated in one go: what Ctrl-C can lose
 
 EstimateOption = Annotated[
-    Path | None, typer.Option("--estimate", metavar="FIT.json", help="Parameters that `pftwin fit` found.")
+    Path | None, Option("--estimate", metavar="FIT.json", help="Parameters that `pftwin fit` found.")
 ]
-StepOption = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s].")]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of the draws.")]
+StepOption = Annotated[float, Option("--dt", metavar="SECONDS", help="Longest time step [s].")]
+SeedOption = Annotated[int, Option("--seed", min=0, help="Of the draws.")]
 
 
 @with_amounts("FROM:TO:STEP", "; or values: 0,5,10")
 def treat(
     scene: SceneArgument = None,
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.nc", help="The outcomes as NetCDF.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The outcomes as NetCDF.")],
     case: CaseOption = None,
     contact: ContactOption = None,
     estimate: EstimateOption = None,
     amounts: Given,
-    samples: Annotated[
-        int, typer.Option("--samples", min=0, help="Draws from the estimate's uncertainty, for bands.")
-    ] = 50,
+    samples: Annotated[int, Option("--samples", min=0, help="Draws from the estimate's uncertainty, for bands.")] = 50,
     seed: SeedOption = 0,
     dt: StepOption = 2.5e-3,
-    figure: Annotated[bool, typer.Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
+    figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
     json: JsonOption = None,
 ) -> None:
     """Predict what treatments would do: all combinations of the amounts given, with bands from a fit's uncertainty.
@@ -103,19 +101,19 @@ def optimise(
     *,
     limit: Annotated[
         list[str],
-        typer.Option("--limit", metavar="LIMIT", help='To be met: "dislocation_margin>=3 mm"; may be repeated.'),
+        Option("--limit", metavar="LIMIT", help='To be met: "dislocation_margin>=3 mm"; may be repeated.'),
     ],
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="PLAN.json", help="The plan.")] = None,
+    output: Annotated[Path | None, Option("-o", "--output", metavar="PLAN.json", help="The plan.")] = None,
     case: CaseOption = None,
     contact: ContactOption = None,
     estimate: EstimateOption = None,
     amounts: Given,
     samples: Annotated[
         int | None,
-        typer.Option("--samples", min=0, help="Draws from the estimate's uncertainty; 50 where there is one."),
+        Option("--samples", min=0, help="Draws from the estimate's uncertainty; 50 where there is one."),
     ] = None,
     confidence: Annotated[
-        float, typer.Option("--confidence", metavar="SHARE", help="Share of the draws in which all limits must hold.")
+        float, Option("--confidence", metavar="SHARE", help="Share of the draws in which all limits must hold.")
     ] = 0.9,
     seed: SeedOption = 0,
     dt: StepOption = 2.5e-3,

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, keeping
@@ -24,7 +24,7 @@ from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present
 if TYPE_CHECKING:
     from pftwin.studies.audit.audit import Audit
 
-MarkdownOption = Annotated[bool, typer.Option("--markdown", help="Print the table as Markdown.")]
+MarkdownOption = Annotated[bool, Option("--markdown", help="Print the table as Markdown.")]
 
 
 def explain(
@@ -58,11 +58,9 @@ def audit(
     *,
     case: CaseOption = None,
     contact: ContactOption = None,
-    out_dir: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")
-    ] = None,
+    out_dir: Annotated[Path | None, Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")] = None,
     tolerance: Annotated[
-        float, typer.Option("--tolerance", metavar="MM", help="What the path may be off by before it matters [mm].")
+        float, Option("--tolerance", metavar="MM", help="What the path may be off by before it matters [mm].")
     ] = 0.1,
     integrator: IntegratorOption = None,
     dt: StepOption = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, flagged, keeping
@@ -29,28 +29,28 @@ if TYPE_CHECKING:
 
 def contact_map(
     *,
-    femur: Annotated[Path, typer.Option("--femur", metavar="MESH", help="STL, OBJ or PLY file.")],
-    patella: Annotated[Path, typer.Option("--patella", metavar="MESH", help="The button's or the cartilage's mesh.")],
-    poses: Annotated[Path, typer.Option("--poses", metavar="CSV", help="time_s, BODY_px_m ... BODY_qz.")],
-    units: Annotated[str, typer.Option("--units", metavar="m|mm", help="Unit of the meshes' coordinates.")],
+    femur: Annotated[Path, Option("--femur", metavar="MESH", help="STL, OBJ or PLY file.")],
+    patella: Annotated[Path, Option("--patella", metavar="MESH", help="The button's or the cartilage's mesh.")],
+    poses: Annotated[Path, Option("--poses", metavar="CSV", help="time_s, BODY_px_m ... BODY_qz.")],
+    units: Annotated[str, Option("--units", metavar="m|mm", help="Unit of the meshes' coordinates.")],
     patella_units: Annotated[
-        str | None, typer.Option("--patella-units", metavar="m|mm", help="If the patella's mesh has another.")
+        str | None, Option("--patella-units", metavar="m|mm", help="If the patella's mesh has another.")
     ] = None,
     bodies: Annotated[
-        str, typer.Option("--bodies", metavar="FEMUR,PATELLA", help="Names in the poses' file.")
+        str, Option("--bodies", metavar="FEMUR,PATELLA", help="Names in the poses' file.")
     ] = "femur,patella",
-    law: Annotated[str, typer.Option("--law", metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
-    modulus: Annotated[str, typer.Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
-    poisson: Annotated[str, typer.Option("--poisson", help="Poisson ratio, or femur's,patella's.")] = "0.46",
-    thickness: Annotated[str, typer.Option("--thickness-mm", help="Of the layer, or femur's,patella's.")] = "5",
-    start: Annotated[float | None, typer.Option("--from", help="First time [s].")] = None,
-    end: Annotated[float | None, typer.Option("--to", help="Last time [s].")] = None,
-    proximity: Annotated[float, typer.Option("--proximity-mm", help="Largest gap that is reported [mm].")] = 1.0,
+    law: Annotated[str, Option("--law", metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
+    modulus: Annotated[str, Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
+    poisson: Annotated[str, Option("--poisson", help="Poisson ratio, or femur's,patella's.")] = "0.46",
+    thickness: Annotated[str, Option("--thickness-mm", help="Of the layer, or femur's,patella's.")] = "5",
+    start: Annotated[float | None, Option("--from", help="First time [s].")] = None,
+    end: Annotated[float | None, Option("--to", help="Last time [s].")] = None,
+    proximity: Annotated[float, Option("--proximity-mm", help="Largest gap that is reported [mm].")] = 1.0,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
+        Path | None, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="OUT.png", help="Pressure maps, path and courses.")
+        Path | None, Option("--figure", metavar="OUT.png", help="Pressure maps, path and courses.")
     ] = None,
     json: JsonOption = None,
 ) -> None:

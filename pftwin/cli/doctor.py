@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from pftwin.cli.exit_codes import flagged
 from pftwin.cli.installation import Extra, Finding, cache, extras, packages, python
@@ -19,7 +19,7 @@ MOST_CREATED = 0.04  # energy that no effect accounts for, as a share of the wor
 
 def doctor(
     *,
-    quick: Annotated[bool, typer.Option("--no-self-test", help="Look at what is installed; simulate nothing.")] = False,
+    quick: Annotated[bool, Option("--no-self-test", help="Look at what is installed; simulate nothing.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Say whether this installation is sound: versions, devices, precision, cache, optional parts, a self-test.

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import flagged
@@ -28,9 +29,9 @@ _MOST_NAMES = 60  # letters of names in a cell of the table; the file not_import
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the example; made if it is not there.")],
+    folder: Annotated[Path, Argument(metavar="DIR", help="Folder for the example; made if it is not there.")],
     *,
-    case: Annotated[int, typer.Option("--case", min=1, max=4, help="Case of the virtual rig.")] = 1,
+    case: Annotated[int, Option("--case", min=1, max=4, help="Case of the virtual rig.")] = 1,
     json: JsonOption = None,
 ) -> None:
     """Write a commented example: a scene file with the files of a laboratory (markers, forces, mesh).
@@ -49,11 +50,11 @@ def init(
 
 
 def export(
-    result: Annotated[Path, typer.Argument(metavar="RESULT.nc", help="A result of `pftwin simulate`.")],
+    result: Annotated[Path, Argument(metavar="RESULT.nc", help="A result of `pftwin simulate`.")],
     *,
     output: Annotated[
         list[Path],
-        typer.Option(
+        Option(
             "-o", "--output", metavar="OUT.(mot|sto|glb|csv)", help="The suffix chooses the format; again for more."
         ),
     ],
@@ -82,18 +83,18 @@ def export(
 
 def view(
     results: Annotated[
-        list[Path], typer.Argument(metavar="RESULT.nc ...", help="Results of `pftwin simulate`; several are overlaid.")
+        list[Path], Argument(metavar="RESULT.nc ...", help="Results of `pftwin simulate`; several are overlaid.")
     ],
     *,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="VIEW.html", help="The page; beside the first result if left out."),
+        Option("-o", "--output", metavar="VIEW.html", help="The page; beside the first result if left out."),
     ] = None,
     names: Annotated[
         list[str] | None,
-        typer.Option("--name", metavar="NAME", help="What a result is called in the legend; once for each, in order."),
+        Option("--name", metavar="NAME", help="What a result is called in the legend; once for each, in order."),
     ] = None,
-    browser: Annotated[bool, typer.Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Draw the knee in three dimensions: one HTML file that opens offline, with play and a time slider.
@@ -117,22 +118,20 @@ def view(
 
 
 def import_model(
-    model: Annotated[Path, typer.Argument(metavar="MODEL.osim", help="A model of OpenSim 4.")],
+    model: Annotated[Path, Argument(metavar="MODEL.osim", help="A model of OpenSim 4.")],
     *,
-    folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the scene.")],
+    folder: Annotated[Path, Option("-o", "--output", metavar="DIR", help="Folder of the scene.")],
     motion: Annotated[
         Path | None,
-        typer.Option(
-            "--motion", metavar="COORDINATES.mot", help="Coordinates over time; the knee is bent if left out."
-        ),
+        Option("--motion", metavar="COORDINATES.mot", help="Coordinates over time; the knee is bent if left out."),
     ] = None,
-    bend: Annotated[str | None, typer.Option("--bend", metavar="COORDINATE", help="The one to bend by.")] = None,
-    side: Annotated[str | None, typer.Option("--side", metavar="right|left", help="Where the model has both.")] = None,
-    femur: Annotated[str | None, typer.Option("--femur", metavar="BODY", help="If its name does not tell.")] = None,
-    tibia: Annotated[str | None, typer.Option("--tibia", metavar="BODY", help="If its name does not tell.")] = None,
-    patella: Annotated[str | None, typer.Option("--patella", metavar="BODY", help="If its name does not tell.")] = None,
+    bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="The one to bend by.")] = None,
+    side: Annotated[str | None, Option("--side", metavar="right|left", help="Where the model has both.")] = None,
+    femur: Annotated[str | None, Option("--femur", metavar="BODY", help="If its name does not tell.")] = None,
+    tibia: Annotated[str | None, Option("--tibia", metavar="BODY", help="If its name does not tell.")] = None,
+    patella: Annotated[str | None, Option("--patella", metavar="BODY", help="If its name does not tell.")] = None,
     geometry: Annotated[
-        list[Path] | None, typer.Option("--geometry", metavar="DIR", help="Where meshes are, besides; again for more.")
+        list[Path] | None, Option("--geometry", metavar="DIR", help="Where meshes are, besides; again for more.")
     ] = None,
     json: JsonOption = None,
 ) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import flagged
@@ -31,13 +31,13 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def doctor_mesh(
-    mesh: Annotated[Path, typer.Argument(metavar="FILE", help="STL, OBJ or PLY file.")],
+    mesh: Annotated[Path, Argument(metavar="FILE", help="STL, OBJ or PLY file.")],
     *,
     units: Annotated[
-        str | None, typer.Option("--units", metavar="m|mm", help="Unit of the coordinates; guessed if not given.")
+        str | None, Option("--units", metavar="m|mm", help="Unit of the coordinates; guessed if not given.")
     ] = None,
     repair: Annotated[
-        Path | None, typer.Option("--repair", metavar="OUT", help="Write the mesh with what is safe repaired.")
+        Path | None, Option("--repair", metavar="OUT", help="Write the mesh with what is safe repaired.")
     ] = None,
     json: JsonOption = None,
 ) -> None:
@@ -90,28 +90,26 @@ def _description(found: Diagnosis, units: str | None) -> Iterator[str]:
 
 
 def fit_surface(
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="STL, OBJ or PLY file of a femoral component.")],
+    mesh: Annotated[Path, Argument(metavar="MESH", help="STL, OBJ or PLY file of a femoral component.")],
     *,
-    units: Annotated[str, typer.Option("--units", metavar="m|mm", help="Unit of the mesh's coordinates.")],
+    units: Annotated[str, Option("--units", metavar="m|mm", help="Unit of the mesh's coordinates.")],
     kind: Annotated[
-        str, typer.Option("--kind", metavar="polynomial|spline", help="Polynomials, or a bicubic spline.")
+        str, Option("--kind", metavar="polynomial|spline", help="Polynomials, or a bicubic spline.")
     ] = "polynomial",
     degree: Annotated[
-        str | None, typer.Option("--degree", metavar="LIST", help="Polynomials to fit; P2,P4,P5 if left out.")
+        str | None, Option("--degree", metavar="LIST", help="Polynomials to fit; P2,P4,P5 if left out.")
     ] = None,
     tolerance: Annotated[
-        float | None, typer.Option("--tolerance-mm", help="Rms that a spline is to reach; 0.02 if left out [mm].")
+        float | None, Option("--tolerance-mm", help="Rms that a spline is to reach; 0.02 if left out [mm].")
     ] = None,
-    chart: Annotated[str, typer.Option("--chart", metavar="plane|cylinder", help="Heights over what.")] = "plane",
-    anterior: Annotated[str, typer.Option("--anterior", help="Anterior direction in the mesh's frame.")] = "+z",
-    proximal: Annotated[str, typer.Option("--proximal", help="Proximal direction in the mesh's frame.")] = "+x",
-    half_width: Annotated[float, typer.Option("--half-width-mm", help="Half width of the region [mm].")] = 20.0,
+    chart: Annotated[str, Option("--chart", metavar="plane|cylinder", help="Heights over what.")] = "plane",
+    anterior: Annotated[str, Option("--anterior", help="Anterior direction in the mesh's frame.")] = "+z",
+    proximal: Annotated[str, Option("--proximal", help="Proximal direction in the mesh's frame.")] = "+x",
+    half_width: Annotated[float, Option("--half-width-mm", help="Half width of the region [mm].")] = 20.0,
     angles: Annotated[
-        tuple[float, float], typer.Option("--angles-deg", help="Region's limits about the trochlear axis [deg].")
+        tuple[float, float], Option("--angles-deg", help="Region's limits about the trochlear axis [deg].")
     ] = (-60.0, 60.0),
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FIGURE.png", help="Figure of the region.")
-    ] = None,
+    output: Annotated[Path | None, Option("-o", "--output", metavar="FIGURE.png", help="Figure of the region.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Find the trochlea on a mesh and fit patches to it: table of R^2 and errors, and a figure of the region.

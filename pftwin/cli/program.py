@@ -7,6 +7,7 @@ import warnings
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 from typer.core import TyperGroup
 
 from pftwin.base.errors import PftwinError, PftwinWarning
@@ -62,10 +63,10 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and end.")
+        bool, Option("--version", callback=_version, is_eager=True, help="Show the version and end.")
     ] = False,
     outside: Annotated[
-        bool, typer.Option("--allow-outside", help="Let a scene file name files outside its folder: one you trust.")
+        bool, Option("--allow-outside", help="Let a scene file name files outside its folder: one you trust.")
     ] = False,
 ) -> None:
     """Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."""

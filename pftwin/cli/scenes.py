@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.terminal import start_computing, tell, working
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 SceneArgument = Annotated[
-    Path | None, typer.Argument(metavar="[SCENE.toml]", help="Scene file; `pftwin init` writes an example.")
+    Path | None, Argument(metavar="[SCENE.toml]", help="Scene file; `pftwin init` writes an example.")
 ]
 CaseOption = Annotated[
-    int | None, typer.Option("--case", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
+    int | None, Option("--case", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
 ]
 # Whether scene files may name files outside their folders: --allow-outside, set before each command by the program.
 allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
@@ -37,7 +37,7 @@ def _offered(incomplete: str) -> list[str]:
 
 ContactOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--contact",
         metavar=_CONTACTS,
         autocompletion=_offered,
@@ -46,7 +46,7 @@ ContactOption = Annotated[
 ]
 IntegratorOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--integrator",
         metavar="NAME",
         help="linear_implicit (with --tolerance linear_implicit_bdf2), linear_implicit_bdf2, newmark, quasi_static,"
@@ -54,11 +54,11 @@ IntegratorOption = Annotated[
     ),
 ]
 StepOption = Annotated[
-    float | None, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s]: 0.001 if left out.")
+    float | None, Option("--dt", metavar="SECONDS", help="Longest time step [s]: 0.001 if left out.")
 ]
 ToleranceOption = Annotated[
     str | None,
-    typer.Option("--tolerance", metavar='"0.05 mm"', help="Instead of --dt: the longest step with an error below."),
+    Option("--tolerance", metavar='"0.05 mm"', help="Instead of --dt: the longest step with an error below."),
 ]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import check_trust, flagged, keeping
@@ -29,15 +29,15 @@ from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present
 def simulate(
     scene: SceneArgument = None,
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.nc", help="The result as NetCDF.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The result as NetCDF.")],
     case: CaseOption = None,
     contact: ContactOption = None,
     integrator: IntegratorOption = None,
     dt: StepOption = None,
     tolerance: ToleranceOption = None,
     change: Callable[[Any], Any] | None = None,
-    csv: Annotated[bool, typer.Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
-    sto: Annotated[bool, typer.Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
+    csv: Annotated[bool, Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
+    sto: Annotated[bool, Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Simulate the patella through the recorded motion, as it is or after a treatment.

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import typer
+from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, flagged, keeping
@@ -43,16 +43,16 @@ def accuracy(
     case: CaseOption = None,
     contact: Annotated[
         list[str] | None,
-        typer.Option("--contact", metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; again for more."),
+        Option("--contact", metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; again for more."),
     ] = None,
     integrator: Annotated[
-        list[str] | None, typer.Option("--integrator", metavar="NAME", help="Again for more; the common four.")
+        list[str] | None, Option("--integrator", metavar="NAME", help="Again for more; the common four.")
     ] = None,
     dtype: Annotated[
-        list[str] | None, typer.Option("--dtype", metavar="float64|float32", help="Again for more: float64.")
+        list[str] | None, Option("--dtype", metavar="float64|float32", help="Again for more: float64.")
     ] = None,
-    full: Annotated[bool, typer.Option("--full", help="Everything; takes half an hour.")] = False,
-    folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="For tables and figures.")] = Path("accuracy"),
+    full: Annotated[bool, Option("--full", help="Everything; takes half an hour.")] = False,
+    folder: Annotated[Path, Option("--out", metavar="DIR", help="For tables and figures.")] = Path("accuracy"),
     json: JsonOption = None,
 ) -> None:
     """Measure what accuracy costs in time: contact models, integrators, steps and float types, with the best settings.
@@ -131,37 +131,35 @@ def _source(scene: Path | None, case: int | None) -> _Source:
 def hard_cases(
     *,
     case: Annotated[
-        list[str] | None, typer.Option("--case", metavar="NAME", help="A case, again for more; all if left out.")
+        list[str] | None, Option("--case", metavar="NAME", help="A case, again for more; all if left out.")
     ] = None,
     contact: Annotated[
         list[str] | None,
-        typer.Option("--contact", metavar="NAME", help="A kind of contact, again for more; all if left out."),
+        Option("--contact", metavar="NAME", help="A kind of contact, again for more; all if left out."),
     ] = None,
     integrator: Annotated[
         list[str] | None,
-        typer.Option("--integrator", metavar="NAME", help="An integrator, again for more; all if left out."),
+        Option("--integrator", metavar="NAME", help="An integrator, again for more; all if left out."),
     ] = None,
     dtype: Annotated[
-        list[str] | None, typer.Option("--dtype", metavar="float64|float32", help="A float type; both if left out.")
+        list[str] | None, Option("--dtype", metavar="float64|float32", help="A float type; both if left out.")
     ] = None,
     list_: Annotated[
-        bool, typer.Option("--list", help="Name the cases and say what is hard about them; run nothing.")
+        bool, Option("--list", help="Name the cases and say what is hard about them; run nothing.")
     ] = False,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Neither derivatives nor batches side by side: a third of the time.")
+        bool, Option("--quick", help="Neither derivatives nor batches side by side: a third of the time.")
     ] = False,
     from_: Annotated[
         list[Path] | None,
-        typer.Option(
+        Option(
             "--from",
             metavar="PATH",
             help="Run nothing; show cells kept by --json: a file, or a folder's. Again for more, newest last.",
         ),
     ] = None,
     json: JsonOption = None,
-    markdown: Annotated[
-        Path | None, typer.Option("--markdown", metavar="FILE", help="Write the page of the docs.")
-    ] = None,
+    markdown: Annotated[Path | None, Option("--markdown", metavar="FILE", help="Write the page of the docs.")] = None,
 ) -> None:
     """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from pftwin.base.errors import InputError, OutputError
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 JsonOption = Annotated[
     str | None,
-    typer.Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -."),
+    Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -."),
 ]
 FIGURES = (".png", ".svg", ".pdf")
 

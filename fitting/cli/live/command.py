@@ -7,6 +7,7 @@ import time
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from pftwin.cli.scenes import CaseOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import show, tell, working
@@ -21,21 +22,19 @@ def app(
     case: CaseOption = None,
     contact: Annotated[
         str | None,
-        typer.Option("--contact", metavar="NAME", help="Contact to begin with; the page can choose others."),
+        Option("--contact", metavar="NAME", help="Contact to begin with; the page can choose others."),
     ] = None,
     host: Annotated[
-        str, typer.Option("--host", metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
+        str, Option("--host", metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")
+        int, Option("--port", min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")
     ] = 8080,
     origin: Annotated[
         list[str] | None,
-        typer.Option(
-            "--origin", metavar="URL", help="Origin of pages that may use it besides its own; again for more."
-        ),
+        Option("--origin", metavar="URL", help="Origin of pages that may use it besides its own; again for more."),
     ] = None,
-    browser: Annotated[bool, typer.Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
 ) -> None:
     """Turn treatments by sliders in the browser: every move simulates the whole motion anew.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
+from typer import Argument, Option
 
 from fitting.cli.pages import template
 from pftwin.base.errors import InputError, MissingExtraError
@@ -28,20 +29,18 @@ class ReportPage(NamedTuple):
 
 
 def report(
-    source: Annotated[
-        Path, typer.Argument(metavar="FIT.json|DEMO|RESULT.nc", help="A fit, the demo's folder, or a result.")
-    ],
+    source: Annotated[Path, Argument(metavar="FIT.json|DEMO|RESULT.nc", help="A fit, the demo's folder, or a result.")],
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT.html", help="The page.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="REPORT.html", help="The page.")],
     treatment: Annotated[
-        Path | None, typer.Option("--treatment", metavar="VARIANTS.nc", help="A prediction of `pftwin treat`.")
+        Path | None, Option("--treatment", metavar="VARIANTS.nc", help="A prediction of `pftwin treat`.")
     ] = None,
     scene: Annotated[
-        Path | None, typer.Option("--scene", metavar="SCENE.toml", help="The scene that was fitted or simulated.")
+        Path | None, Option("--scene", metavar="SCENE.toml", help="The scene that was fitted or simulated.")
     ] = None,
     case: CaseOption = None,
     contact: ContactOption = None,
-    browser: Annotated[bool, typer.Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Tell a fit or a result on one page that opens offline: scene, data quality, fit, treatment, figures, the knee.

@@ -100,11 +100,7 @@ def with_treatment(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def limits(text: str, option: str) -> tuple[float, float]:
-    """The least and the most from "0:20".
-
-    Raises:
-        InputError: anything else.
-    """
+    """The least and the most from "0:20"; InputError for anything else."""
     parts = numbers(text.split(":"))
     if len(parts) != 2 or not parts[0] < parts[1]:
         raise InputError(f"found {text!r}", where=option, expected="FROM:TO, such as 0:20")
@@ -112,22 +108,14 @@ def limits(text: str, option: str) -> tuple[float, float]:
 
 
 def by_kind(given: Given) -> dict[str, list[tuple[Amount, str]]]:
-    """Treatments in the order of `AMOUNTS`, each with its amounts.
-
-    Raises:
-        InputError: none was given.
-    """
+    """Treatments in the order of `AMOUNTS`, each with its amounts; InputError if there is none."""
     if not given:
         raise InputError("no treatment given", expected="at least one amount", remedy="--medialise 0:20")
     return {k: [(a, t) for a, t in given if a.kind == k] for k in dict.fromkeys(a.kind for a, _ in given)}
 
 
 def treated(scene: Scene, given: Given) -> Scene:
-    """The scene after a treatment with one value for each amount, which its name then tells.
-
-    Raises:
-        InputError: several values, or a part that the scene lacks.
-    """
+    """The scene after a treatment, which its name then tells; InputError for several values of one amount."""
     if not given:
         return scene
     from fitting.treatments import KINDS, Treatment

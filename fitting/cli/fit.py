@@ -137,12 +137,7 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
 
 
 def _check_posterior(objective: str) -> None:
-    """Refuses before a fit what could not be sampled after it.
-
-    Raises:
-        InputError: an objective that is no likelihood.
-        MissingExtraError: blackjax is not installed.
-    """
+    """Refuses before a fit what could not be sampled after it: no likelihood, or no blackjax."""
     from fitting.posterior.independence import accepting
 
     if objective == "paper":
@@ -203,11 +198,7 @@ def names_in(text: str) -> tuple[str, ...]:
 
 
 def noise_levels(given: list[str] | None) -> dict[str, float] | None:
-    """From "channel=sd".
-
-    Raises:
-        InputError: anything else.
-    """
+    """Standard deviations from "channel=sd"; InputError for anything else."""
     levels = {}
     for text in given or []:
         channel, _, value = text.partition("=")

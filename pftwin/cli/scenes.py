@@ -77,16 +77,7 @@ class Chosen:
 
 
 def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> Chosen:
-    """Loads the scene.
-
-    Args:
-        scene: the scene file.
-        case: or the rig's case.
-        contact: patch in place of the scene's own.
-
-    Raises:
-        InputError: none or both of scene and case; what the scene's files have against them.
-    """
+    """Loads the scene file or the rig's case, with another contact if one is named; InputError where it cannot."""
     if (scene is None) == (case is None):
         found = "both a scene file and --case" if scene is not None else "neither a scene file nor --case"
         raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")
@@ -119,11 +110,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
 
 
 def integrator_of(text: str | None) -> Integrator | None:
-    """The integrator that was asked for on the command line; None where none was.
-
-    Raises:
-        InputError: no such integrator or option.
-    """
+    """The integrator named on the command line, None if none is; InputError for an unknown one."""
     from pftwin.dynamics.integrators import integrator_from_text
 
     return None if text is None else integrator_from_text(text)
@@ -132,12 +119,9 @@ def integrator_of(text: str | None) -> Integrator | None:
 def simulated(
     chosen: Chosen, integrator: str | None, dt: float | None, tolerance: str | None = None
 ) -> tuple[Result, float]:
-    """The result with the timing of a warm run, and how long the first run took, compilation included [s].
+    """The result with the timing of a warm run, and the time of the first run with its compilation [s].
 
-    Warns where contact leaves the part of a fitted button that is a sphere.
-
-    Raises:
-        InputError: an unknown integrator or an impossible step.
+    Warns where contact leaves the spherical part of a fitted button.
     """
     import time
 

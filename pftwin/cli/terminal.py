@@ -70,11 +70,7 @@ def show(*parts: Sheet | str, json: str | None = None, markdown: bool = False) -
 
 
 def present(facts: Any, *parts: Sheet | str, json: str | None, markdown: bool = False) -> None:
-    """Gives the user the outcome of a command: its facts as JSON where asked for, and tables and lines.
-
-    Raises:
-        OutputError: the JSON file cannot be written.
-    """
+    """Gives the user the outcome of a command: its facts as JSON where asked for, and tables and lines."""
     write_json(facts, json)
     show(*parts, json=json, markdown=markdown)
 
@@ -108,15 +104,9 @@ def progress(what: str) -> Iterator[Callable[..., None]]:
 
 
 def start_computing(*, batches: bool = False) -> None:
-    """Double precision, fast CPU code and the folder of compiled programs; for batches, a device for each core.
+    """Sets double precision, fast CPU code and the folder of compiled programs, unless the process has done so already.
 
-    A process that has made these settings already keeps its own.
-
-    Args:
-        batches: whether batches are run: $PFTWIN_DEVICES says on how many CPU devices, by default one for each core.
-
-    Raises:
-        InputError: $PFTWIN_DEVICES is no number.
+    For batches every core becomes a device, or as many as $PFTWIN_DEVICES says.
     """
     devices = _cpu_devices() if batches else None
     if "jax" in sys.modules:
@@ -138,26 +128,13 @@ def _cpu_devices() -> int | str:
 
 
 def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
-    """Refuses an output of another kind than the command writes.
-
-    Args:
-        path: of the output.
-        suffixes: those that are allowed, the usual one first.
-        what: the kind, for the message: "results are NetCDF".
-
-    Raises:
-        OutputError: another suffix.
-    """
+    """Refuses an output of another suffix; `what` says why ("results are NetCDF"), and the first suffix is proposed."""
     if path.suffix.lower() not in suffixes:
         raise OutputError(f"{path}: {what}; try: {path.with_suffix(suffixes[0])}")
 
 
 def check_figure(path: Path | None) -> None:
-    """Refuses a figure of a kind that matplotlib is not asked for.
-
-    Raises:
-        OutputError: another suffix.
-    """
+    """Refuses a figure of a kind that is not offered."""
     if path is not None and path.suffix.lower() not in FIGURES:
         raise OutputError(f"{path}: unknown kind of figure; expected: {', '.join(FIGURES)}")
 
@@ -171,11 +148,7 @@ def save_picture(figure: Figure, path: Path) -> None:
 
 
 def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
-    """Refuses places that cannot be written to, before any work is done; None and "-" are passed over.
-
-    Raises:
-        OutputError: a folder that is missing or read-only, a path that is a folder, two outputs to one file.
-    """
+    """Refuses places that cannot be written to, and two outputs to one file, before any work; skips None and "-"."""
     from pftwin.base.output import check_place
 
     seen: set[Path] = set()
@@ -194,11 +167,7 @@ def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuses a folder that does not exist and cannot be made, or cannot be written to; makes nothing.
-
-    Raises:
-        OutputError: saying why.
-    """
+    """Refuses a folder that does not exist and cannot be made, or cannot be written to; makes nothing."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; try: another name for the folder")
     if not may_write(there := nearest(folder)):
@@ -217,11 +186,7 @@ def may_write(place: Path) -> bool:
 
 
 def write_json(value: Any, to: str | None) -> None:
-    """Writes JSON to a file or stdout ("-"); None: not at all. Numbers that are not finite become null.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Writes JSON to a file or stdout ("-"); None: not at all. Numbers that are not finite become null."""
     if to is None:
         return
     text = json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"

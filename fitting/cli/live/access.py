@@ -38,12 +38,7 @@ def _ip(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def check_address(host: str, port: int) -> None:
-    """Refuses an address that no server can have here.
-
-    Raises:
-        InputError: no such address on this machine, or a port that is not allowed. A port in use is no error: the
-            server takes the next one.
-    """
+    """Refuses an address of another machine and a forbidden port; for a port in use the server takes the next one."""
     unknown = InputError(
         f"{host!r} is no address of this machine", where="--host", expected="127.0.0.1, or 0.0.0.0 for all of them"
     )
@@ -63,11 +58,7 @@ def check_address(host: str, port: int) -> None:
 
 
 def checked_origins(given: Collection[str]) -> frozenset[str]:
-    """Origins as browsers send them.
-
-    Raises:
-        InputError: something else.
-    """
+    """Origins as browsers send them; InputError for anything else."""
     for text in given:
         parts = urlsplit(text)
         if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
@@ -109,8 +100,7 @@ def own_pages(host: str, also: Collection[str] = ()) -> Allowed:
 def guarded(allowed: Allowed) -> Iterator[None]:
     """Servers that viser starts inside this context admit only allowed connections; viser has no setting for it.
 
-    Raises:
-        PftwinError: viser started no server in the way that is guarded.
+    Raises PftwinError if viser started none in the way that is guarded.
     """
     import websockets.asyncio.server as module
 

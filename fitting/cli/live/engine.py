@@ -49,15 +49,7 @@ class Engine:
     """
 
     def __init__(self, load: Callable[[str], Scene], contacts: tuple[str, ...]) -> None:
-        """For scenes of these contacts; the first one's is loaded now.
-
-        Args:
-            load: the scene with the contact of that name; raises InputError where there is none.
-            contacts: the names.
-
-        Raises:
-            InputError: what the first scene has against it.
-        """
+        """For scenes of these contacts, loaded by name; loads the first one, and raises InputError if that fails."""
         self._load, self.contacts = load, contacts
         self._models: dict[str, LiveModel] = {}
         self._preparing = threading.Lock()  # two threads cannot trace at once
@@ -73,11 +65,7 @@ class Engine:
         return self._models[contact]
 
     def prepare(self, contact: str) -> LiveModel:
-        """Compiles for a contact, unless that was done; takes seconds.
-
-        Raises:
-            InputError: no such contact, or what the scene has against it, also that it cannot be simulated untreated.
-        """
+        """Compiles for a contact, unless that is done; takes seconds. InputError if its scene cannot be simulated."""
         with self._preparing:
             if contact in self._models:
                 return self._models[contact]
@@ -97,9 +85,7 @@ class Engine:
     def run(self, contact: str, values: Mapping[str, float]) -> ShownMotion:
         """The whole motion with these values of the knobs and a contact that is ready.
 
-        Raises:
-            InputError: a value that is none, a treated scene that is none (a slack length below zero), or a motion that
-                is not to be shown: without an equilibrium to start from, or lost.
+        Raises InputError for values that are not allowed, and for a motion without an equilibrium or with lost frames.
         """
         model = self._models[contact]
         answer = _simulated(turned(model.scene, self.knobs, values), TREATED, model.still)

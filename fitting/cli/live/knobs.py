@@ -30,11 +30,7 @@ class Knob:
     change: Callable[[Scene, float], Scene]  # from a value in `unit`
 
     def checked(self, value: Any) -> float:
-        """The value as a number within the knob's range.
-
-        Raises:
-            InputError: no number, not finite, or out of range.
-        """
+        """The value as a number; InputError if it is none, not finite, or out of range."""
         expected = f"{self.least:g} to {self.most:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"found {_short(value)}", where=self.label, expected=expected)
@@ -107,11 +103,7 @@ def usable(scene: Scene) -> tuple[tuple[Knob, ...], dict[str, str]]:
 
 
 def turned(scene: Scene, knobs: tuple[Knob, ...], values: Mapping[str, float]) -> Scene:
-    """The scene with every knob applied, neutral ones too, so that all values share one compiled program.
-
-    Raises:
-        InputError: a value that is no number within its knob's range, or one that is missing.
-    """
+    """The scene with every knob applied, neutral ones too, so that all values share one compiled program."""
     for knob in knobs:
         scene = knob.change(scene, knob.checked(values.get(knob.name)))
     return scene

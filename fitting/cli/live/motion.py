@@ -43,16 +43,7 @@ class ShownMotion:
 
     @classmethod
     def of(cls, result: Result, name: str, geometry: Dataset) -> ShownMotion:
-        """From a result.
-
-        Args:
-            result: of the simulation.
-            name: in the legend.
-            geometry: what there is to draw of its scene.
-
-        Raises:
-            InputError: fewer than two frames of it are finite.
-        """
+        """From a result, under a name for the legend, and what there is to draw of its scene."""
         from pftwin.dynamics.status import Status
 
         outcome = result.dislocations()
@@ -86,14 +77,7 @@ class ShownMotion:
         return replace(self, recorded=replace(self.recorded, name=name))
 
     def refuse_if_lost(self, unlike: ShownMotion | None = None) -> None:
-        """Refuses a motion without a meaning.
-
-        Args:
-            unlike: the untreated motion; a fault that it has too is no reason.
-
-        Raises:
-            InputError: frames that are not finite; no equilibrium to start from.
-        """
+        """Raises InputError if frames are not finite, or if it starts from no equilibrium and the untreated one does."""
         if not self.finite:
             raise InputError("the patella is lost in this motion (frames are not finite)", remedy=_REMEDY)
         if not self.settled and unlike is not None and unlike.settled:

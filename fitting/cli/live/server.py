@@ -21,11 +21,7 @@ from pftwin.results.viewer.views import views
 
 
 def viser() -> Any:
-    """The package.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """The package; MissingExtraError if it is not installed."""
     try:
         import viser as package
     except ImportError as error:
@@ -43,12 +39,8 @@ class LiveServer:
 
         Args:
             engine: what simulates.
-            host, port: where; a port that is taken is passed over.
+            host, port: where; a port in use is skipped. InputError if this machine has no such address.
             origins: whose pages may connect, besides the server's own; see `fitting.cli.live.access`.
-
-        Raises:
-            InputError: no such address.
-            MissingExtraError: the extra `app` is not installed.
         """
         package = viser()
         check_address(host, port)

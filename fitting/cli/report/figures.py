@@ -130,11 +130,7 @@ def outcomes(data: Dataset) -> list[Picture]:
 
 
 def of_demo(folder: Path) -> list[Picture]:
-    """The figures of the treatment in the demo's folder.
-
-    Raises:
-        InputError: a file that is no PNG picture.
-    """
+    """The figures of the treatment in the demo's folder; InputError for a file that is no PNG picture."""
     captions = {
         "pathology_fitted": "Case 2, the pathology: measured (synthetic) and simulated with fitted springs",
         "treatment_predicted": "Case 1, the treatment: predicted with the springs fitted to case 2",
@@ -152,13 +148,9 @@ def of_demo(folder: Path) -> list[Picture]:
 
 
 def viewer(material: Material) -> str:
-    """The viewer's page, to be put into the report.
+    """The viewer's page, to be put into the report; MissingExtraError without k3d, InputError if nothing can be drawn.
 
     Its base is no address: k3d's style sheet names fonts beside the page, which browsers would look for there.
-
-    Raises:
-        MissingExtraError: the extra `viewer` is not installed.
-        InputError: runs without anything to draw.
     """
     from pftwin.results.viewer import view
     from pftwin.results.viewer.page import page

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.cli.report.run import ReportedRun
 from pftwin.base.errors import InputError
 from pftwin.cli.scenes import Chosen, chosen_scene
 from pftwin.cli.terminal import working
@@ -21,118 +20,11 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from pftwin.model.measured import Measured
     from pftwin.model.scene import Scene
-    from pftwin.results.result import Result
 
 _RIG = re.compile(r"rig case ([1-4]), (\w+)")
 _WHICH = "fit.json of `pftwin fit`, the folder of `pftwin demo`, or the NetCDF file of `pftwin simulate`"
 _NAME_IT = "--scene knee/scene.toml or --case N"
 DEMO_FIT = "fit.json"
-_ANGLES = ("flexion", "rotation", "tilt")
-
-
-class Mark(NamedTuple):
-    """What frames are flagged with."""
-
-    name: str
-    frames: int
-    words: str
-
-
-@dataclass(frozen=True, eq=False)
-class ReportedRun:
-    """One simulation."""
-
-    name: str
-    data: Dataset
-    source: Path | Result  # what the viewer draws
-
-    @classmethod
-    def of_file(cls, path: Path, name: str | None = None) -> ReportedRun:
-        """From what `Result.save` wrote.
-
-        Raises:
-            InputError: no such file, not NetCDF, or not a result.
-        """
-        from pftwin.files.result_files import load_dataset
-
-        data = load_dataset(path)
-        if "variant" in data.dims:
-            raise InputError(
-                "holds a prediction of treatments, not a simulation",
-                where=path,
-                expected="fit.json, the demo's folder, or a result of `pftwin simulate`",
-                remedy=f"pftwin report fit.json --treatment {path} -o report.html",
-            )
-        absent = [n for n in ("patella_quaternion", "sphere_center", "status") if n not in data]
-        if absent or data.sizes.get("time", 0) < 1:
-            raise InputError(
-                f"no simulation in it: it lacks {', '.join(absent) or 'frames'}",
-                where=path,
-                expected="a result of `pftwin simulate`",
-                remedy="pftwin simulate --case 2 -o case2.nc",
-            )
-        return cls(name or str(data.attrs.get("scene", path.stem)), data, path)
-
-    @classmethod
-    def of_result(cls, result: Result, name: str) -> ReportedRun:
-        """From memory."""
-        return cls(name, result.to_dataset(), result)
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """The attributes of the file."""
-        return self.data.attrs
-
-    @property
-    def frames(self) -> int:
-        """How many there are."""
-        return self.data.sizes["time"]
-
-    @property
-    def note(self) -> str:
-        """A remark about its motion, such as that it is synthetic."""
-        return str(self.about.get("note", ""))
-
-    @property
-    def tracking(self) -> str:
-        """What becomes of the patella, in words."""
-        return str(self.about.get("tracking", "not in the file"))
-
-    @property
-    def contact(self) -> str | None:
-        """Of the effect that is the button's contact; None where there is none."""
-        names = [str(n).removesuffix("_force_medial") for n in self.data.data_vars if str(n).endswith("_force_medial")]
-        return next((n for n in names if f"{n}_force" in self.data), None)
-
-    @property
-    def marks(self) -> list[Mark]:
-        """The flags that any frame has."""
-        status, about = self.data["status"].values, self.data["status"].attrs
-        names = str(about.get("flag_meanings", "")).split()
-        words = np.atleast_1d(about.get("flag_descriptions", names))
-        masks = np.atleast_1d(about.get("flag_masks", []))
-        counts = [int(np.count_nonzero(status & int(m))) for m in masks]
-        return [Mark(n, c, str(w)) for n, c, w in zip(names, counts, words, strict=True) if c]
-
-    @cached_property
-    def result(self) -> Any:
-        """The result, or what the figures read of one, made from the file."""
-        if not isinstance(self.source, Path):
-            return self.source
-        data = self.data
-        angles = {n: np.radians(data[f"patella_{n}"].values) for n in _ANGLES}
-        contact = self.contact
-        forces = {} if contact is None else {contact: {"force": data[f"{contact}_force"].values}}
-        return SimpleNamespace(
-            scene_name=self.name,
-            times=data["time"].values,
-            center=data["sphere_center"].values,
-            angles=SimpleNamespace(**angles),
-            knee=SimpleNamespace(flexion=np.radians(data["knee_flexion"].values)),
-            contact=contact,
-            effects=forces,
-            scene=SimpleNamespace(synthetic="synthetic" in self.note),
-        )
 
 
 @dataclass(eq=False)
@@ -333,11 +225,7 @@ def _check_same(name: str, given: Chosen | None, path: Path) -> None:
 
 
 def _prediction(path: Path) -> Dataset:
-    """What `pftwin treat` wrote.
-
-    Raises:
-        InputError: something else.
-    """
+    """What `pftwin treat` wrote; InputError for any other file."""
     from pftwin.files.result_files import load_dataset
 
     data = load_dataset(path)

@@ -20,7 +20,7 @@ from pftwin.studies.tables import Sheet
 if TYPE_CHECKING:
     from xarray import Dataset
 
-    from fitting.cli.report.material import ReportedRun
+    from fitting.cli.report.run import ReportedRun
     from fitting.estimate import Estimate
     from pftwin.model.effects.base import Effect
     from pftwin.model.measured import Measured
@@ -218,11 +218,7 @@ def tracking(runs: Sequence[ReportedRun]) -> Sheet:
 
 
 def errors(path: Path) -> Sheet:
-    """Table 2 of the study in the demo's folder.
-
-    Raises:
-        InputError: another table.
-    """
+    """Table 2 of the study in the demo's folder; InputError for another table."""
     lines = [line for line in csv.reader(read_lines(path)[0]) if line]
     if not lines or lines[0][:2] != ["row", "unit"] or any(len(line) != len(lines[0]) for line in lines):
         raise InputError("is not the demo's table", where=path, expected="the folder as `pftwin demo` wrote it")

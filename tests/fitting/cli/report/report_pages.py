@@ -10,7 +10,8 @@ import numpy as np
 from made_estimates import made_estimate
 from small_scene import small_result, small_scene
 
-from fitting.cli.report.material import Material, ReportedRun
+from fitting.cli.report.material import Material
+from fitting.cli.report.run import ReportedRun
 from fitting.estimate import Estimate
 from pftwin.cli.scenes import Chosen
 from pftwin.model.measured import Measured

@@ -12,7 +12,8 @@ from small_scene import small_result
 
 from fitting.cli.report import command
 from fitting.cli.report.command import report_page as report
-from fitting.cli.report.material import Material, ReportedRun
+from fitting.cli.report.material import Material
+from fitting.cli.report.run import ReportedRun
 from pftwin.base.labels import SYNTHETIC
 
 

@@ -8,7 +8,8 @@ from report_pages import estimate, fitted, measured
 from small_scene import small_result
 
 from fitting.cli.report import figures
-from fitting.cli.report.material import Material, ReportedRun
+from fitting.cli.report.material import Material
+from fitting.cli.report.run import ReportedRun
 
 
 @pytest.fixture(scope="module")

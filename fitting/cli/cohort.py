@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import flagged, keeping
 from pftwin.cli.scenes import allow_outside
 from pftwin.cli.terminal import JsonOption, check_outputs, present, progress, start_computing, tell, written
@@ -48,7 +49,6 @@ def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str
     """Computes, and returns what is wrong with the outcome: nothing if it is empty."""
     from fitting.cohort.manifest import NAME, SUMMARY
     from fitting.cohort.run import run_cohort
-    from pftwin.studies.tables import Sheet
 
     files = [folder / NAME, folder / SUMMARY]
     with keeping(*files), progress(f"{len(described.patients)} patients: checking what is there") as shown:
@@ -82,7 +82,6 @@ def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str
 def _check(described: Cohort, folder: Path, json: str | None) -> str:
     """Compares files with checksums and keys, and returns what is wrong: nothing if it is empty."""
     from fitting.cohort.check import LEFT_OVER, SOUND, check_cohort
-    from pftwin.studies.tables import Sheet
 
     findings = check_cohort(described, folder)
     others = [f for f in findings if f.verdict != SOUND]

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import keeping
 from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, err, out, show, start_computing, write_json
 
 if TYPE_CHECKING:
     from fitting.demo.paper_study import PaperStudy
-    from pftwin.studies.tables import Sheet
 
 
 def demo(
@@ -56,7 +56,6 @@ def _paper_study(folder: Path, json: str | None) -> dict[str, Any]:
 def _table_2(study: PaperStudy) -> Sheet:
     from fitting.demo.paper_study import CASES, PATHOLOGY
     from fitting.demo.paper_study_tables import table_2
-    from pftwin.studies.tables import Sheet
 
     title = (
         "Springs fitted to the motion of case 2 (pathology); cases 2 and 1 (treatment)\n"
@@ -80,7 +79,6 @@ def _table_2(study: PaperStudy) -> Sheet:
 
 def _springs(study: PaperStudy, fit: str) -> Sheet:
     from fitting.demo.paper_study_tables import SPRINGS, spring_rows
-    from pftwin.studies.tables import Sheet
 
     title = f"Springs, {SPRINGS[fit]}, to SYNTHETIC measurements of case 2"
     about = "line: the straight one nearest to the plant's; off: against nominal, as the paper counts"
@@ -99,7 +97,6 @@ def _springs(study: PaperStudy, fit: str) -> Sheet:
 def _outcomes(study: PaperStudy) -> Sheet:
     from fitting.demo.paper_study import PAPER
     from fitting.demo.paper_study_tables import outcome_rows
-    from pftwin.studies.tables import Sheet
 
     published = "; ".join(f"case {n} {text}" for n, text in PAPER.outcomes.items())
     title = f"Outcome of pathology and treatment\n(the paper, measured and predicted: {published})"

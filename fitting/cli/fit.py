@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, keeping
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, working, written
@@ -104,7 +105,6 @@ def fit(
 
 def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:
     """Writes the estimate, its figures and, if asked for, its posterior; says what was found."""
-    from pftwin.studies.tables import Sheet
 
     facts, said, files = estimate.to_dict(), [], [str(estimate.save(output))]
 
@@ -177,7 +177,6 @@ def plan_experiment(
     chosen = chosen_scene(scene, case, contact)
     from fitting.channels import channels_of
     from fitting.identifiability import plan_experiment as plan
-    from pftwin.studies.tables import Sheet
 
     channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
     with working("linearising the motion"):

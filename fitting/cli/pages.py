@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+from pftwin.base.sheet import Sheet
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-    from pftwin.studies.tables import Sheet
 
 _MOST_WHOLE = 1e6  # numbers below are written out, above as powers of ten
 
@@ -34,7 +34,7 @@ def template(name: str) -> Template:
 def number(value: Any, digits: int = 4) -> str:
     """A number as people read it; a dash where there is none."""
     x = float(value)
-    if not np.isfinite(x):
+    if not math.isfinite(x):
         return "–"
     whole = 10**digits <= abs(x) < _MOST_WHOLE
     return f"{x:{'.0f' if whole else f'.{digits}g'}}".replace("-", "\N{MINUS SIGN}")

@@ -11,6 +11,7 @@ from fitting.cli.amounts import Given, by_kind, limits, with_amounts
 from fitting.prediction.ranges import values
 from pftwin.base.errors import InputError
 from pftwin.base.labels import SYNTHETIC
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import (
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from fitting.treatments import Treatment
     from pftwin.model.scene import Scene
-    from pftwin.studies.tables import Sheet
 
 _MOST_ROWS = 40
 _MOST_VARIANTS = 1_000_000
@@ -129,7 +129,6 @@ def optimise(
     start_computing(batches=True)
     from fitting.treatments.limits import Limit, in_units
     from fitting.treatments.optimise import optimise_treatment
-    from pftwin.studies.tables import Sheet
 
     stated = [Limit.parsed(text) for text in limit]
     found = _loaded(estimate)
@@ -236,7 +235,6 @@ def _variants(numbers: dict[str, dict[str, list[float]]]) -> Treatment:
 
 def _sheet(data: Dataset) -> Sheet:
     from fitting.prediction.table import rows
-    from pftwin.studies.tables import Sheet
 
     headings, lines = rows(data)
     hidden = len(lines) - _MOST_ROWS

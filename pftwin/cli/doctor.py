@@ -9,6 +9,7 @@ from typing import Annotated
 
 from typer import Option
 
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import flagged
 from pftwin.cli.installation import Extra, Finding, cache, extras, packages, python
 from pftwin.cli.terminal import JsonOption, check_outputs, present, show, start_computing, working
@@ -32,7 +33,6 @@ def doctor(
     check_outputs(json)
     from pftwin import __version__
     from pftwin.base.runtime import default_cache_dir
-    from pftwin.studies.tables import Sheet
 
     folder = Path(default_cache_dir())
     optional: list[Extra] = []

@@ -9,6 +9,7 @@ import typer
 from typer import Argument, Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import flagged
 from pftwin.cli.terminal import (
     JsonOption,
@@ -146,7 +147,6 @@ def import_model(
     check_outputs(json)
     from pftwin.files.interchange.osim_scene import import_osim
     from pftwin.files.interchange.osim_toml import rows
-    from pftwin.studies.tables import Sheet
 
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
     with working(f"reading {model}"):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import flagged
 from pftwin.cli.terminal import (
     JsonOption,
@@ -49,7 +50,6 @@ def doctor_mesh(
     """
     from pftwin.geometry.mesh.doctor import examine_file
     from pftwin.geometry.mesh.files import check_format
-    from pftwin.studies.tables import Sheet
 
     if repair is not None:
         check_format(repair)
@@ -128,7 +128,6 @@ def fit_surface(
     from pftwin.geometry.mesh.mesh import load_mesh
     from pftwin.geometry.patch.region import trochlear_region
     from pftwin.geometry.patch.spline_or_polynomial import fit_named
-    from pftwin.studies.tables import Sheet
 
     with working(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)

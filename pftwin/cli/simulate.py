@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from typer import Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import check_trust, flagged, keeping
 from pftwin.cli.plugins import with_scene_changes
 from pftwin.cli.scenes import (
@@ -81,7 +82,6 @@ def equilibrium(
     check_outputs(json)
     chosen = chosen_scene(scene, case, contact)
     from pftwin.dynamics.simulate import equilibrium as solve
-    from pftwin.studies.tables import Sheet
 
     name = chosen.scene.name
     with working(f"solving for the equilibrium of {name}"):
@@ -121,7 +121,6 @@ def validate(
         raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
     from pftwin.results.metrics import PAPER_TABLE_1
     from pftwin.results.metrics import validate as compare
-    from pftwin.studies.tables import Sheet
 
     result, first = simulated(chosen, integrator, dt, tolerance)
     names = {e.name for e in chosen.scene.effects}

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from pftwin.base.errors import InputError, OutputError
+from pftwin.base.sheet import Sheet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-    from pftwin.studies.tables import Sheet
 
 JsonOption = Annotated[
     str | None,

@@ -77,7 +77,7 @@ class ShownMotion:
         return replace(self, recorded=replace(self.recorded, name=name))
 
     def refuse_if_lost(self, unlike: ShownMotion | None = None) -> None:
-        """Raises InputError if frames are not finite, or if it starts from no equilibrium and the untreated one does."""
+        """Raises InputError for lost frames, and for a start without equilibrium where the untreated motion has one."""
         if not self.finite:
             raise InputError("the patella is lost in this motion (frames are not finite)", remedy=_REMEDY)
         if not self.settled and unlike is not None and unlike.settled:

@@ -14,8 +14,8 @@ import numpy as np
 
 from fitting.cli.pages import number
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import read_lines
-from pftwin.studies.tables import Sheet
 
 if TYPE_CHECKING:
     from xarray import Dataset

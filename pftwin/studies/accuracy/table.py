@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pftwin.base.sheet import Sheet
 from pftwin.studies import tables
 from pftwin.studies.accuracy.measure import AccuracyRow
-from pftwin.studies.tables import Column, Sheet, short
+from pftwin.studies.tables import Column, short
 
 LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors that settings are recommended for [mm]
 ALIKE = 0.9  # ratio of two speeds that measuring again may turn around

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 from pftwin.base.labels import SYNTHETIC
+from pftwin.base.sheet import Sheet
 from pftwin.studies.audit.audit import Audit
 from pftwin.studies.audit.explain import Explanation, PartCost
 from pftwin.studies.audit.table import columns, interruption
-from pftwin.studies.tables import Sheet, short
+from pftwin.studies.tables import short
 
 _SHOWN = (
     ("path_rms_mm", "path rms [mm]"),

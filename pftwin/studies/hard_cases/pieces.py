@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.studies.hard_cases.verdict import Cell
-from pftwin.studies.tables import Sheet, read_rows
+from pftwin.studies.tables import read_rows
 
 _EXPECTED = "what pftwin hard-cases --json has written"
 

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
 
+from pftwin.base.sheet import Sheet
 from pftwin.studies.hard_cases.case import HardCase
 from pftwin.studies.hard_cases.pieces import KeptPiece, runs
 from pftwin.studies.hard_cases.verdict import Cell
-from pftwin.studies.tables import Sheet
 
 OUTCOMES = ("pass", "fail", "refused")
 LONGEST_REASON = 160  # characters

@@ -9,7 +9,16 @@ from typer import Option
 
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import keeping
-from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, err, out, show, start_computing, write_json
+from pftwin.cli.terminal import (
+    JsonOption,
+    check_folder,
+    check_outputs,
+    err,
+    progress,
+    show,
+    start_computing,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from fitting.demo.paper_study import PaperStudy
@@ -31,7 +40,9 @@ def demo(
     from fitting.demo.cases import run_demo
 
     with keeping(folder):
-        outcome = run_demo(folder, out(json), full=full)
+        with progress("simulating") as shown:
+            outcome, parts = run_demo(folder, shown, full=full)
+        show(*parts, json=json)
         study = _paper_study(folder, json)
     figures = [*outcome["figures"], *study.pop("figures")]
     write_json({**outcome, "figures": figures, "section_2_6": study}, json)

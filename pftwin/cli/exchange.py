@@ -56,7 +56,7 @@ def export(
     output: Annotated[
         list[Path],
         Option(
-            "-o", "--output", metavar="OUT.(mot|sto|glb|csv)", help="The suffix chooses the format; again for more."
+            "-o", "--output", metavar="OUT.(mot|sto|glb|csv)", help="The suffix chooses the format; may be repeated."
         ),
     ],
     json: JsonOption = None,
@@ -132,7 +132,7 @@ def import_model(
     tibia: Annotated[str | None, Option("--tibia", metavar="BODY", help="If its name does not tell.")] = None,
     patella: Annotated[str | None, Option("--patella", metavar="BODY", help="If its name does not tell.")] = None,
     geometry: Annotated[
-        list[Path] | None, Option("--geometry", metavar="DIR", help="Where meshes are, besides; again for more.")
+        list[Path] | None, Option("--geometry", metavar="DIR", help="A further folder of meshes; may be repeated.")
     ] = None,
     json: JsonOption = None,
 ) -> None:

@@ -33,7 +33,7 @@ _REFUSALS = (InputError, OutputError, MissingExtraError)
 
 
 def code_of(error: PftwinError) -> ExitCode:
-    """Of an error that is meant for the user."""
+    """The exit code of an error that is meant for the user."""
     return ExitCode.BAD_INPUT if isinstance(error, _REFUSALS) else ExitCode.FLAGGED
 
 
@@ -86,7 +86,7 @@ def after_interrupt(error: KeyboardInterrupt) -> NoReturn:
 
 
 def leave_at_once(code: ExitCode) -> NoReturn:
-    """Ends the process without taking Python down: compiled code may still run in threads that would crash with it."""
+    """Ends the process without Python's own shutdown, which crashes if compiled code still runs in threads."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     os._exit(code)

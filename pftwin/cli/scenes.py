@@ -31,7 +31,7 @@ _CONTACTS = "P2|P4|P5|spline|CM|FM|volume"
 
 
 def _offered(incomplete: str) -> list[str]:
-    """Contacts, for a shell that completes."""
+    """Contacts that complete what was typed, for the shell."""
     return [name for name in _CONTACTS.split("|") if name.lower().startswith(incomplete.lower())]
 
 
@@ -141,7 +141,7 @@ def simulated(
 
 
 def _contact(scene: Scene) -> str | None:
-    """What the button touches by: the patch's name, or the method of meshes."""
+    """The name of the contact: the patch's, or the method of meshes."""
     from pftwin.geometry.patch.spline_or_polynomial import name_of
 
     method = "" if scene.contact is None else scene.contact.method

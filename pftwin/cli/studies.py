@@ -43,13 +43,13 @@ def accuracy(
     case: CaseOption = None,
     contact: Annotated[
         list[str] | None,
-        Option("--contact", metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; again for more."),
+        Option("--contact", metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; may be repeated."),
     ] = None,
     integrator: Annotated[
-        list[str] | None, Option("--integrator", metavar="NAME", help="Again for more; the common four.")
+        list[str] | None, Option("--integrator", metavar="NAME", help="May be repeated; the common four if left out.")
     ] = None,
     dtype: Annotated[
-        list[str] | None, Option("--dtype", metavar="float64|float32", help="Again for more: float64.")
+        list[str] | None, Option("--dtype", metavar="float64|float32", help="May be repeated; float64 if left out.")
     ] = None,
     full: Annotated[bool, Option("--full", help="Everything; takes half an hour.")] = False,
     folder: Annotated[Path, Option("--out", metavar="DIR", help="For tables and figures.")] = Path("accuracy"),
@@ -131,15 +131,15 @@ def _source(scene: Path | None, case: int | None) -> _Source:
 def hard_cases(
     *,
     case: Annotated[
-        list[str] | None, Option("--case", metavar="NAME", help="A case, again for more; all if left out.")
+        list[str] | None, Option("--case", metavar="NAME", help="A case, may be repeated; all if left out.")
     ] = None,
     contact: Annotated[
         list[str] | None,
-        Option("--contact", metavar="NAME", help="A kind of contact, again for more; all if left out."),
+        Option("--contact", metavar="NAME", help="A kind of contact, may be repeated; all if left out."),
     ] = None,
     integrator: Annotated[
         list[str] | None,
-        Option("--integrator", metavar="NAME", help="An integrator, again for more; all if left out."),
+        Option("--integrator", metavar="NAME", help="An integrator, may be repeated; all if left out."),
     ] = None,
     dtype: Annotated[
         list[str] | None, Option("--dtype", metavar="float64|float32", help="A float type; both if left out.")
@@ -155,7 +155,7 @@ def hard_cases(
         Option(
             "--from",
             metavar="PATH",
-            help="Run nothing; show cells kept by --json: a file, or a folder's. Again for more, newest last.",
+            help="Run nothing; show cells kept by --json: a file, or a folder's. May be repeated, newest last.",
         ),
     ] = None,
     json: JsonOption = None,

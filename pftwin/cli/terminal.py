@@ -41,22 +41,14 @@ def tell(text: str, style: str | None = None) -> None:
     err().print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
-def out(json_to: str | None = None) -> Console:
-    """For tables and text: stdout, or stderr where stdout is taken by JSON."""
+def show(*parts: Sheet | str, json: str | None = None, markdown: bool = False) -> None:
+    """Prints tables, each with its notes, and lines; on stdout, or on stderr where JSON takes stdout ("-").
+
+    Empty lines are left out. With `markdown` tables are Markdown.
+    """
     from rich.console import Console
 
-    return Console(stderr=json_to == "-", soft_wrap=True)
-
-
-def show(*parts: Sheet | str, json: str | None = None, markdown: bool = False) -> None:
-    """Prints tables, each with its notes, and lines in their order; empty lines are left out.
-
-    Args:
-        parts: tables and lines.
-        json: where JSON goes; see `out`.
-        markdown: tables as Markdown.
-    """
-    console = out(json)
+    console = Console(stderr=json == "-", soft_wrap=True)
     for part in parts:
         if isinstance(part, str):
             lines = [part] if part else []

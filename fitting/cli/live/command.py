@@ -32,7 +32,7 @@ def app(
     ] = 8080,
     origin: Annotated[
         list[str] | None,
-        Option("--origin", metavar="URL", help="Origin of pages that may use it besides its own; again for more."),
+        Option("--origin", metavar="URL", help="Origin of pages that may use it besides its own; may be repeated."),
     ] = None,
     browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
 ) -> None:

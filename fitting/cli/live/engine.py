@@ -1,4 +1,4 @@
-"""From values of the knobs to a motion: simulated whole, by a program that is compiled once for each contact."""
+"""From values of the knobs to the whole motion, by a program that is compiled once for each contact."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class LiveModel:
     scene: Scene
     still: Still
     before: ShownMotion  # untreated
-    preparation: float  # that it took to compile, or to load what was compiled before [s]
+    preparation: float  # time to compile, or to load a kept program [s]
 
 
 class Engine:
@@ -57,11 +57,11 @@ class Engine:
         self.knobs, self.missing = usable(self._first)
 
     def ready(self, contact: str) -> bool:
-        """Whether nothing has to be compiled for this contact any more."""
+        """Whether this contact is compiled."""
         return contact in self._models
 
     def model(self, contact: str) -> LiveModel:
-        """What was prepared."""
+        """The model of a contact that is ready."""
         return self._models[contact]
 
     def prepare(self, contact: str) -> LiveModel:
@@ -75,7 +75,7 @@ class Engine:
             began = time.perf_counter()
             scene = self._first if contact == self.contacts[0] else self._load(contact)
             rest, still = turned(scene, self.knobs, neutral(self.knobs)), Still(scene)
-            _simulated(rest, UNTREATED, still)  # compiles, the small programs of what is shown too
+            _simulated(rest, UNTREATED, still)  # compiles this, and the small programs of what is shown
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still)
             before.refuse_if_lost()
@@ -94,7 +94,7 @@ class Engine:
 
 
 def _simulated(scene: Scene, name: str, still: Still) -> ShownMotion:
-    """With the integrator and the step that every command has if it is not told others."""
+    """Simulates with the default integrator and step of every command."""
     began = time.perf_counter()
     answer = ShownMotion.of(simulate(scene), name, still.geometry(scene))
     return replace(answer, seconds=time.perf_counter() - began)
@@ -114,9 +114,9 @@ class Still:
         return self._bodies.assign(lines.data_vars)
 
     def continued(self, points: Floats) -> Shape | None:
-        """The surface beyond its fitted rectangle, as far as contact points (k, 3) [m] need it; None where they do not.
+        """The surface beyond its fitted rectangle, as far as contact points (k, 3) [m] reach; None where they do not.
 
-        Points that are missing are NaN: arrays of one size need one program.
+        Missing points are NaN, so that arrays of one size need one program.
         """
         beyond = self._beyond
         if beyond is None or not len(points):

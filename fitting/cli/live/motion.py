@@ -113,14 +113,23 @@ class Shown:
     newtons: float  # drawn as 10 mm of an arrow
 
     @cached_property
-    def patella(self) -> ShownTrack:
-        """Of the patella."""
-        return ShownTrack.of(self.recorded.patella)
+    def tracks(self) -> dict[str, ShownTrack]:
+        """Of "patella" and "tibia"; of each facet's contact point, "at FACET", and force, "on FACET".
 
-    @cached_property
-    def tibia(self) -> ShownTrack:
-        """Of the tibia."""
-        return ShownTrack.of(self.recorded.tibia)
+        A force is drawn by an arrow of length 1 along z.
+        """
+        found = {"patella": ShownTrack.of(self.recorded.patella), "tibia": ShownTrack.of(self.recorded.tibia)}
+        for push in self.recorded.pushes:
+            here = push.present
+            if not here.any():
+                continue
+            points = held(push.points, here)
+            if push.touches:
+                found[f"at {push.name}"] = ShownTrack.of(at_points(points), here)
+            if push.forces is not None:
+                along = held(push.forces, here) * (10 / self.newtons)
+                found[f"on {push.name}"] = ShownTrack.of(of_arrows(points, along), here)
+        return found
 
     @cached_property
     def lines(self) -> dict[str, tuple[NDArray[np.float32], NDArray[np.uint32]]]:
@@ -138,31 +147,14 @@ class Shown:
         return {n: MM * lines.origin.reshape(-1, 3).mean(axis=0) for n, lines in on_tibia.items()}
 
     @cached_property
-    def points(self) -> dict[str, ShownTrack]:
-        """Contact points, by the facets' names."""
-        pushes = [p for p in self.recorded.pushes if p.touches and p.present.any()]
-        return {p.name: ShownTrack.of(at_points(held(p.points, p.present)), p.present) for p in pushes}
-
-    @cached_property
-    def arrows(self) -> dict[str, ShownTrack]:
-        """Contact forces on the patella, for an arrow of length 1 along z."""
-        found = {}
-        for push in self.recorded.pushes:
-            if push.forces is not None and push.present.any():
-                here = push.present
-                along = held(push.forces, here) * (10 / self.newtons)
-                found[push.name] = ShownTrack.of(of_arrows(held(push.points, here), along), here)
-        return found
-
-    @cached_property
     def paths(self) -> dict[str, Shape]:
-        """The path of each contact point."""
+        """The path of each contact point, "way FACET"."""
         found = {}
         for push in self.recorded.pushes:
             points = MM * np.where(push.present[:, None], push.points, np.nan)
             taken = apart(points, REST)
             if push.touches and taken.sum() > 1:
-                found[push.name] = path(points[taken | ~push.present], 0.5)
+                found[f"way {push.name}"] = path(points[taken | ~push.present], 0.5)
         return found
 
     @cached_property
@@ -172,6 +164,6 @@ class Shown:
 
     def drawn_now(self) -> Shown:
         """The same with every array computed, so that the thread that simulates does it and not the one that draws."""
-        for name in ("patella", "tibia", "lines", "origins", "points", "arrows", "paths", "touched"):
+        for name in ("tracks", "lines", "origins", "paths", "touched"):
             getattr(self, name)
         return self

@@ -47,7 +47,7 @@ class Session:
             self._drawn(model, Shown(model.before.recorded, self._page.newtons).drawn_now())
 
     def turn(self, knob: Knob, value: Any) -> None:
-        """A slider was moved."""
+        """Takes the value of a slider that was moved."""
         began = time.perf_counter()
         try:
             self._values[knob.name] = knob.checked(value)
@@ -80,7 +80,7 @@ class Session:
         self._preparing.submit(self, lambda: self._prepare(contact))
 
     def seek(self, at: Any) -> None:
-        """The time slider was moved."""
+        """Goes to the time of the slider that was moved."""
         self.pause()
         begin, end = self._after.times[[0, -1]]
         if isinstance(at, int | float) and begin - 1e-3 <= at <= end + 1e-3:
@@ -90,7 +90,7 @@ class Session:
             self._page.time.value = self._now
 
     def play_or_pause(self) -> None:
-        """The button."""
+        """Plays, or pauses what plays."""
         if self._player.playing:
             self.pause()
         else:
@@ -98,7 +98,7 @@ class Session:
             self._page.play.label = "Pause"
 
     def pause(self) -> None:
-        """Stops where it is."""
+        """Stops at the current frame."""
         self._player.pause()
         self._page.play.label = "Play"
         self._frame(self._now, numbers=True)
@@ -121,7 +121,7 @@ class Session:
         self._preparing.forget(self)
 
     def _prepare(self, contact: str) -> None:
-        """In the preparing worker's thread."""
+        """Compiles for a contact, in the preparing worker's thread."""
         try:
             self._engine.prepare(contact)
         except Exception as error:

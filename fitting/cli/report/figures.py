@@ -33,7 +33,7 @@ class Picture:
 
     @property
     def source(self) -> str:
-        """The picture as the address of an image: there even the scripts of an SVG, had it any, are dead."""
+        """The picture as the address of an image: as an image even an SVG runs no scripts."""
         kind, data = "png", self.figure
         if not isinstance(data, bytes):
             from pftwin.results.plots import house_style
@@ -109,7 +109,7 @@ def correlation(e: Estimate) -> Picture:
         f"Left: correlation of the errors of {', '.join(e.names)}.{strongest} Right: estimates with 95 % intervals "
         "in percent of the nominal values; the numbers are in the table above."
     )
-    caption = "Errors that hang together (left); estimates against nominal values (right)."
+    caption = "Correlation of the errors (left); estimates against nominal values (right)."
     return Picture(e.plot.correlation(), alternative, caption)
 
 

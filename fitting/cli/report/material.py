@@ -29,11 +29,11 @@ DEMO_FIT = "fit.json"
 
 @dataclass(eq=False)
 class Material:
-    """What there is to tell."""
+    """Everything that a report shows."""
 
     source: Path
     title: str
-    estimates: dict[str, Estimate] = field(default_factory=dict)  # by what they are called
+    estimates: dict[str, Estimate] = field(default_factory=dict)  # by name
     chosen: Chosen | None = None  # the scene, and its measurements
     runs: list[ReportedRun] = field(default_factory=list)
     treatment: Dataset | None = None
@@ -57,7 +57,7 @@ class Material:
 
     @property
     def names(self) -> str:
-        """Of the runs."""
+        """Names of the runs."""
         return " and ".join(r.name for r in self.runs)
 
     def changed_since(self, e: Estimate) -> list[str]:
@@ -203,7 +203,7 @@ def _scene_of(estimate: Estimate, given: Chosen | None, path: Path) -> Chosen:
 def _case_of(estimate: Estimate) -> tuple[int, str] | None:
     """Number and contact of the rig's case that was fitted to its own measurements; None of any other estimate.
 
-    A name alone would not do: a user's scene may have any.
+    The name is not enough: a user's scene may have any.
     """
     from pftwin.rig.recording import source_of
 
@@ -214,7 +214,7 @@ def _case_of(estimate: Estimate) -> tuple[int, str] | None:
 
 
 def _check_same(name: str, given: Chosen | None, path: Path) -> None:
-    """Refuses a scene that the file is not of: its numbers would stand beside those of another knee."""
+    """Refuses a scene other than the file's, which would mix the numbers of two knees."""
     if given is not None and given.scene.name != name:
         raise InputError(
             f"is of the scene {name!r}, and the scene that was named is {given.scene.name!r}",

@@ -21,7 +21,7 @@ _ANGLES = ("flexion", "rotation", "tilt")
 
 
 class Mark(NamedTuple):
-    """What frames are flagged with."""
+    """A flag, and the number of frames that have it."""
 
     name: str
     frames: int
@@ -30,7 +30,7 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReportedRun:
-    """One simulation."""
+    """One simulation of a report."""
 
     name: str
     data: Dataset
@@ -61,7 +61,7 @@ class ReportedRun:
 
     @classmethod
     def of_result(cls, result: Result, name: str) -> ReportedRun:
-        """From memory."""
+        """From a result in memory."""
         return cls(name, result.to_dataset(), result)
 
     @property
@@ -71,7 +71,7 @@ class ReportedRun:
 
     @property
     def frames(self) -> int:
-        """How many there are."""
+        """The number of frames."""
         return self.data.sizes["time"]
 
     @property
@@ -86,7 +86,7 @@ class ReportedRun:
 
     @property
     def contact(self) -> str | None:
-        """Of the effect that is the button's contact; None where there is none."""
+        """Name of the effect that is the button's contact; None where there is none."""
         names = [str(n).removesuffix("_force_medial") for n in self.data.data_vars if str(n).endswith("_force_medial")]
         return next((n for n in names if f"{n}_force" in self.data), None)
 

@@ -197,7 +197,7 @@ def predicted(data: Dataset) -> Sheet:
 
 
 def reservations(data: Dataset) -> list[str]:
-    """What has to be said of a prediction's table."""
+    """What a reader of a prediction's table has to know."""
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
     said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:

@@ -76,11 +76,12 @@ def report_page(material: Material, command: str) -> ReportPage:
         command: what the report was asked for with, for its settings.
     """
     from fitting.cli.report import figures, tables
+    from fitting.prediction.table import finding
 
     now = tables.stamp(datetime.now(UTC))
 
     def page(view: str, no_view: str = "") -> str:
-        about = {"m": material, "t": tables, "f": figures, "command": command, "now": now}
+        about = {"m": material, "t": tables, "f": figures, "finding": finding, "command": command, "now": now}
         return template("report.html").render(**about, view=view, no_view=no_view)
 
     try:

@@ -42,7 +42,7 @@ _CHECKS = (  # words, attribute of the file, factor, digits, unit
     ("largest indentation", "largest_indentation_m", 1e3, 3, "mm"),
     ("largest constraint drift", "largest_constraint_drift_m", 1e3, 2, "mm"),
 )
-_SIMULATED = {
+SIMULATED = {
     "integrator": "integrator",
     "dt_s": "longest time step [s]",
     "substeps": "steps between frames",
@@ -52,7 +52,7 @@ _SIMULATED = {
     "pftwin_version": "pftwin",
     "jax_version": "JAX",
 }
-_PREDICTED = {"source": "made by", "jax_version": "JAX", "dt": "longest time step [s]", "seed": "seed of the draws"}
+PREDICTED = {"source": "made by", "jax_version": "JAX", "dt": "longest time step [s]", "seed": "seed of the draws"}
 _MOST_ROWS = 60  # of a prediction
 
 
@@ -180,13 +180,6 @@ def meaning(scene: Scene | None, name: str) -> str:
     return find(scene, name)[0].name.replace("_", " ").replace(".", ", ", 1)
 
 
-def finding(data: Dataset) -> str:
-    """What a prediction comes to."""
-    from fitting.prediction.table import finding as found
-
-    return found(data)
-
-
 def predicted(data: Dataset) -> Sheet:
     """A row for each variant of a prediction, at most `_MOST_ROWS`."""
     from fitting.prediction.table import rows
@@ -253,17 +246,8 @@ def versions(command: str, now: str) -> Sheet:
     return Sheet("This report", ("made with", "value"), tuple(made.items()))
 
 
-def simulation(run: ReportedRun) -> Sheet:
-    """Settings of a simulation."""
-    return _settings(f"Simulation: {run.name}", run.about, _SIMULATED)
-
-
-def prediction(data: Dataset) -> Sheet:
-    """Settings of a prediction."""
-    return _settings("Prediction of treatments", data.attrs, _PREDICTED)
-
-
-def _settings(title: str, about: dict[str, Any], words: dict[str, str]) -> Sheet:
+def settings(title: str, about: dict[str, Any], words: dict[str, str]) -> Sheet:
+    """Settings of a simulation or prediction: the attributes of its file that are named in words."""
     found = ((shown, about[key]) for key, shown in words.items() if key in about)
     rows = tuple((shown, value if isinstance(value, str) else f"{value:g}") for shown, value in found)
     return Sheet(title, ("setting", "value"), rows)

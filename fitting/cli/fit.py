@@ -10,7 +10,7 @@ from typer import Option
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, keeping
-from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
+from pftwin.cli.scenes import SceneOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, working, written
 
 if TYPE_CHECKING:
@@ -32,12 +32,11 @@ NoiseOption = Annotated[
 ]
 
 
+@on_scene
 def fit(
-    scene: SceneArgument = None,
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="FIT.json", help="The estimate.")],
-    case: CaseOption = None,
-    contact: ContactOption = None,
+    knee: SceneOptions,
     method: Annotated[
         str,
         Option(metavar="NAME", help="least_squares, gradient, genetic, cma_es or differential_evolution."),
@@ -66,9 +65,9 @@ def fit(
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
     levels = noise_levels(noise)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     if chosen.measured is None:
-        raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
+        raise InputError("nothing to compare with", where=knee.scene, expected="a table [measured] in the scene file")
     from fitting.fit import fit_tendons
 
     if posterior is not None:
@@ -158,11 +157,10 @@ def _sampled(estimate: Estimate, draws: int, output: Path) -> Posterior:
     return found
 
 
+@on_scene
 def plan_experiment(
-    scene: SceneArgument = None,
     *,
-    case: CaseOption = None,
-    contact: ContactOption = None,
+    knee: SceneOptions,
     free: FreeOption = "K1,L1,K2,L2",
     use: UseOption = "position",
     noise: NoiseOption = None,
@@ -174,7 +172,7 @@ def plan_experiment(
     """
     check_outputs(json)
     levels = noise_levels(noise)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     from fitting.channels import channels_of
     from fitting.identifiability import plan_experiment as plan
 

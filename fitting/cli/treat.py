@@ -13,7 +13,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.labels import SYNTHETIC
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, flagged
-from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
+from pftwin.cli.scenes import SceneOptions, on_scene
 from pftwin.cli.terminal import (
     JsonOption,
     check_outputs,
@@ -45,12 +45,11 @@ SeedOption = Annotated[int, Option("--seed", min=0, help="Of the draws.")]
 
 
 @with_amounts("FROM:TO:STEP", "; or values: 0,5,10")
+@on_scene
 def treat(
-    scene: SceneArgument = None,
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The outcomes as NetCDF.")],
-    case: CaseOption = None,
-    contact: ContactOption = None,
+    knee: SceneOptions,
     estimate: EstimateOption = None,
     amounts: Given,
     samples: Annotated[int, Option("--samples", min=0, help="Draws from the estimate's uncertainty, for bands.")] = 50,
@@ -71,7 +70,7 @@ def treat(
     start_computing(batches=True)
     variants = _variants(numbers)
     found = _loaded(estimate)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     from fitting.prediction.plots import outcome_figure
     from fitting.prediction.table import facts, finding
     from pftwin.files.result_files import save_dataset
@@ -96,16 +95,15 @@ def treat(
 
 
 @with_amounts("FROM:TO", ", within these limits")
+@on_scene
 def optimise(
-    scene: SceneArgument = None,
     *,
     limit: Annotated[
         list[str],
         Option("--limit", metavar="LIMIT", help='To be met: "dislocation_margin>=3 mm"; may be repeated.'),
     ],
     output: Annotated[Path | None, Option("-o", "--output", metavar="PLAN.json", help="The plan.")] = None,
-    case: CaseOption = None,
-    contact: ContactOption = None,
+    knee: SceneOptions,
     estimate: EstimateOption = None,
     amounts: Given,
     samples: Annotated[
@@ -132,7 +130,7 @@ def optimise(
 
     stated = [Limit.parsed(text) for text in limit]
     found = _loaded(estimate)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     treatment, ranges = _treatment(pairs)
     with working("searching"):
         plan = optimise_treatment(

@@ -10,15 +10,7 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, keeping
-from pftwin.cli.scenes import (
-    CaseOption,
-    ContactOption,
-    IntegratorOption,
-    SceneArgument,
-    StepOption,
-    chosen_scene,
-    integrator_of,
-)
+from pftwin.cli.scenes import RunOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present, show, working, written
 
 if TYPE_CHECKING:
@@ -27,43 +19,32 @@ if TYPE_CHECKING:
 MarkdownOption = Annotated[bool, Option("--markdown", help="Print the table as Markdown.")]
 
 
-def explain(
-    scene: SceneArgument = None,
-    *,
-    case: CaseOption = None,
-    contact: ContactOption = None,
-    integrator: IntegratorOption = None,
-    dt: StepOption = None,
-    markdown: MarkdownOption = False,
-    json: JsonOption = None,
-) -> None:
+@on_scene
+def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: JsonOption = None) -> None:
     """Say what each effect of a scene adds: equations, time, stiffness, and the energy it moved over the run.
 
     Example: `pftwin explain --case 2`
     """
     check_outputs(json)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     from pftwin.base.machine import describe
     from pftwin.studies.audit.explain import explain as look
     from pftwin.studies.audit.report import explanation_sheet
 
     with working(f"running {chosen.scene.name} with and without each effect"):
-        found = look(chosen.scene, integrator=integrator_of(integrator), dt=dt or 1e-3)
+        found = look(chosen.scene, integrator=knee.method, dt=knee.dt or 1e-3)
     facts = {"contact": chosen.contact, **found.to_dict(), "machine": describe()}
     present(facts, explanation_sheet(found), json=json, markdown=markdown)
 
 
+@on_scene
 def audit(
-    scene: SceneArgument = None,
     *,
-    case: CaseOption = None,
-    contact: ContactOption = None,
+    knee: RunOptions,
     out_dir: Annotated[Path | None, Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")] = None,
     tolerance: Annotated[
         float, Option("--tolerance", metavar="MM", help="What the path may be off by before it matters [mm].")
     ] = 0.1,
-    integrator: IntegratorOption = None,
-    dt: StepOption = None,
     markdown: MarkdownOption = False,
     json: JsonOption = None,
 ) -> None:
@@ -78,13 +59,13 @@ def audit(
     if out_dir is not None:
         check_folder(out_dir)
     check_outputs(json)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     from pftwin.base.machine import describe
     from pftwin.studies.audit.audit import audit as weigh
     from pftwin.studies.audit.report import audit_sheet
 
     with working(f"running {chosen.scene.name} with every effect left out in turn"):
-        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator_of(integrator), dt=dt or 1e-3)
+        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=knee.method, dt=knee.dt or 1e-3)
     files = [] if out_dir is None else _write(found, out_dir)
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in files]}
     present({**found.to_dict(), **about}, audit_sheet(found), json=json, markdown=markdown)

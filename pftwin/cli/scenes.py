@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_type_hints
 
 from typer import Argument, Option
 
 from pftwin.base.errors import InputError
+from pftwin.cli.plugins import with_options
 from pftwin.cli.terminal import start_computing, tell, working
 
 if TYPE_CHECKING:
@@ -109,16 +112,46 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
         return Chosen(rig.case(case, contact=name), name)
 
 
-def integrator_of(text: str | None) -> Integrator | None:
-    """The integrator named on the command line, None if none is; InputError for an unknown one."""
-    from pftwin.dynamics.integrators import integrator_from_text
+@dataclass(frozen=True)
+class SceneOptions:
+    """The options that say which scene a command works on; see `on_scene`."""
 
-    return None if text is None else integrator_from_text(text)
+    scene: SceneArgument = None
+    case: CaseOption = None
+    contact: ContactOption = None
+
+    def load(self) -> Chosen:
+        """Loads the scene; InputError where it cannot."""
+        return chosen_scene(self.scene, self.case, self.contact)
 
 
-def simulated(
-    chosen: Chosen, integrator: str | None, dt: float | None, tolerance: str | None = None
-) -> tuple[Result, float]:
+@dataclass(frozen=True)
+class RunOptions(SceneOptions):
+    """Also those that say how it is simulated."""
+
+    integrator: IntegratorOption = None
+    dt: StepOption = None
+
+    @property
+    def method(self) -> Integrator | None:
+        """The integrator, None if none is named; InputError for an unknown one."""
+        from pftwin.dynamics.integrators import integrator_from_text
+
+        return None if self.integrator is None else integrator_from_text(self.integrator)
+
+
+def on_scene(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives a command whose argument `knee` is a `SceneOptions` or `RunOptions` the options of that class."""
+    kind = inspect.signature(command, eval_str=True).parameters["knee"].annotation
+    hints = get_type_hints(kind, include_extras=True)
+    options = [
+        inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
+        for f in fields(kind)
+    ]
+    return with_options(command, "knee", options, lambda values: kind(**values))
+
+
+def simulated(chosen: Chosen, knee: RunOptions, tolerance: str | None = None) -> tuple[Result, float]:
     """The result with the timing of a warm run, and the time of the first run with its compilation [s].
 
     Warns where contact leaves the spherical part of a fitted button.
@@ -127,12 +160,12 @@ def simulated(
 
     from pftwin.dynamics.simulate import simulate
 
-    scene, began, method = chosen.scene, time.perf_counter(), integrator_of(integrator)
+    scene, began, method = chosen.scene, time.perf_counter(), knee.method
     with working(f"compiling and simulating {scene.name}"):
-        result = simulate(scene, integrator=method, dt=dt, tolerance=tolerance)
+        result = simulate(scene, integrator=method, dt=knee.dt, tolerance=tolerance)
         first = time.perf_counter() - began
         if tolerance is None:  # the run that was chosen for a tolerance is a warm one
-            result = simulate(scene, integrator=method, dt=dt)
+            result = simulate(scene, integrator=method, dt=knee.dt)
     if chosen.button is not None:
         from pftwin.results.button_cap import check_cap
 

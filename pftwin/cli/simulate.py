@@ -13,28 +13,16 @@ from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import check_trust, flagged, keeping
 from pftwin.cli.plugins import with_scene_changes
-from pftwin.cli.scenes import (
-    CaseOption,
-    ContactOption,
-    IntegratorOption,
-    SceneArgument,
-    StepOption,
-    ToleranceOption,
-    chosen_scene,
-    simulated,
-)
+from pftwin.cli.scenes import RunOptions, SceneOptions, ToleranceOption, on_scene, simulated
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, working, written
 
 
 @with_scene_changes
+@on_scene
 def simulate(
-    scene: SceneArgument = None,
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The result as NetCDF.")],
-    case: CaseOption = None,
-    contact: ContactOption = None,
-    integrator: IntegratorOption = None,
-    dt: StepOption = None,
+    knee: RunOptions,
     tolerance: ToleranceOption = None,
     change: Callable[[Any], Any] | None = None,
     csv: Annotated[bool, Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
@@ -48,9 +36,9 @@ def simulate(
     check_suffix(output, [".nc"], "results are NetCDF")
     files = [output, *(output.with_suffix(s) for s, wanted in ((".csv", csv), (".sto", sto)) if wanted)]
     check_outputs(*files, json)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     chosen = chosen if change is None else replace(chosen, scene=change(chosen.scene))
-    result, first = simulated(chosen, integrator, dt, tolerance)
+    result, first = simulated(chosen, knee, tolerance)
     with keeping(*files), working("writing"):
         for path in files:
             {".nc": result.save, ".csv": result.to_csv, ".sto": result.to_sto}[path.suffix.lower()](path)
@@ -72,15 +60,14 @@ def simulate(
     check_trust(result)
 
 
-def equilibrium(
-    scene: SceneArgument = None, *, case: CaseOption = None, contact: ContactOption = None, json: JsonOption = None
-) -> None:
+@on_scene
+def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     """Find the static equilibrium at the first frame of the motion.
 
     Example: `pftwin equilibrium --case 2 --contact P4`
     """
     check_outputs(json)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     from pftwin.dynamics.simulate import equilibrium as solve
 
     name = chosen.scene.name
@@ -100,29 +87,21 @@ def equilibrium(
         flagged(f"{name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
 
 
-def validate(
-    scene: SceneArgument = None,
-    *,
-    case: CaseOption = None,
-    contact: ContactOption = None,
-    integrator: IntegratorOption = None,
-    dt: StepOption = None,
-    tolerance: ToleranceOption = None,
-    json: JsonOption = None,
-) -> None:
+@on_scene
+def validate(*, knee: RunOptions, tolerance: ToleranceOption = None, json: JsonOption = None) -> None:
     """Simulate, and compare with the measurements: the rows of Table 1 of Michaud et al. 2024.
 
     Example: `pftwin validate --case 1 --contact P5`
     """
     check_outputs(json)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     measured = chosen.measured
     if measured is None:
-        raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
+        raise InputError("nothing to compare with", where=knee.scene, expected="a table [measured] in the scene file")
     from pftwin.results.metrics import PAPER_TABLE_1
     from pftwin.results.metrics import validate as compare
 
-    result, first = simulated(chosen, integrator, dt, tolerance)
+    result, first = simulated(chosen, knee, tolerance)
     names = {e.name for e in chosen.scene.effects}
     springs: dict[str, Any] = {}
     if measured.tibial_spring_force is None and "patellar_tendon" not in names:

@@ -246,6 +246,19 @@ def test_simulate_names_the_files_that_are_whole(toy, tmp_path):
     assert load_dataset(tmp_path / "out.nc").attrs["scene"] == "toy"
 
 
+def test_a_file_that_is_cut_off_is_removed(toy, tmp_path, monkeypatch):
+    whole = Path.write_bytes
+
+    def write_bytes(self: Path, data: bytes) -> None:
+        whole(self, data[:100])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    assert "nothing was saved" in interrupted("simulate", toy, "-o", tmp_path / "out.nc", "--dt", "0.005")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
 def test_simulate_leaves_no_half_of_a_file(toy, tmp_path):
     before = (
         "whole = Path.write_bytes\n"

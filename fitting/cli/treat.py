@@ -12,19 +12,9 @@ from fitting.prediction.ranges import values
 from pftwin.base.errors import InputError
 from pftwin.base.labels import SYNTHETIC
 from pftwin.base.sheet import Sheet
+from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.scenes import SceneOptions, on_scene
-from pftwin.cli.terminal import (
-    JsonOption,
-    check_outputs,
-    check_suffix,
-    present,
-    progress,
-    start_computing,
-    working,
-    write_json,
-    written,
-)
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -56,18 +46,18 @@ def treat(
     seed: SeedOption = 0,
     dt: StepOption = 2.5e-3,
     figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Predict what treatments would do: all combinations of the amounts given, with bands from a fit's uncertainty.
 
     Example: `pftwin treat --case 2 --estimate fit.json --medialise 0:20:1 -o variants.nc`
     """
     wanted = by_kind(amounts)
-    check_suffix(output, [".nc"], "results are NetCDF")
+    terminal.check_suffix(output, [".nc"], "results are NetCDF")
     numbers = {k: {a.name: values(text, a.flag) for a, text in v} for k, v in wanted.items()}
     pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
-    check_outputs(output, *pictures, json)
-    start_computing(batches=True)
+    terminal.check_outputs(output, *pictures, json)
+    terminal.start_computing(batches=True)
     variants = _variants(numbers)
     found = _loaded(estimate)
     chosen = knee.load()
@@ -78,7 +68,7 @@ def treat(
 
     draws = samples if found is not None else 0
     data, whole = _predicted(chosen.scene, variants, found, samples=draws, seed=seed, dt=dt)
-    with working("writing"):
+    with terminal.working("writing"):
         save_dataset(data, output)
         if not whole:
             raise Interrupted(output)
@@ -88,7 +78,7 @@ def treat(
             files += save_figure(drawn, output.with_suffix(""))
     said = finding(data)
     told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
-    present(told, _sheet(data), said, data.attrs.get("note", ""), written(files), json=json)
+    terminal.present(told, _sheet(data), said, data.attrs.get("note", ""), terminal.written(files), json=json)
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
     if failed := int(own.sum()):
         flagged(f"{failed} of {data.sizes['variant']} variants could not be simulated")
@@ -115,7 +105,7 @@ def optimise(
     ] = 0.9,
     seed: SeedOption = 0,
     dt: StepOption = 2.5e-3,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Find the smallest treatment that meets stated limits, and say how surely it does.
 
@@ -123,8 +113,8 @@ def optimise(
     plan.json`
     """
     pairs = {k: {a.name: limits(text, a.flag) for a, text in given} for k, given in by_kind(amounts).items()}
-    check_outputs(output, json)
-    start_computing(batches=True)
+    terminal.check_outputs(output, json)
+    terminal.start_computing(batches=True)
     from fitting.treatments.limits import Limit, in_units
     from fitting.treatments.optimise import optimise_treatment
 
@@ -132,7 +122,7 @@ def optimise(
     found = _loaded(estimate)
     chosen = knee.load()
     treatment, ranges = _treatment(pairs)
-    with working("searching"):
+    with terminal.working("searching"):
         plan = optimise_treatment(
             chosen.scene,
             stated,
@@ -150,14 +140,14 @@ def optimise(
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
     files = [] if output is None else [output]
     for path in files:
-        write_json(facts, str(path))
+        terminal.write_json(facts, str(path))
     reached = [(lim, plan.outcomes[lim.outcome]) for lim in plan.limits]
     sheet = Sheet(
         f"{chosen.scene.name}: {plan.treatment.describe()}",
         ("limit", "value", "holds"),
         tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
     )
-    present(facts, sheet, plan.describe(), *notes, written(files), json=json)
+    terminal.present(facts, sheet, plan.describe(), *notes, terminal.written(files), json=json)
     if not plan.met:
         flagged("no amount within the range meets the limits")
 
@@ -186,7 +176,7 @@ def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **o
     draws = 1 + options["samples"]
     size, count = max(1, _BLOCK // draws), len(amounts)
     blocks: list[Dataset] = []
-    with progress("compiling and simulating") as shown:
+    with terminal.progress("compiling and simulating") as shown:
         try:
             for first in range(0, count, size):
                 rows = variants.with_values(amounts[first : first + size].T)

@@ -8,18 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from pftwin.base.errors import InputError
+from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, flagged, keeping
-from pftwin.cli.terminal import (
-    JsonOption,
-    check_figure,
-    check_outputs,
-    present,
-    progress,
-    save_picture,
-    start_computing,
-    working,
-    written,
-)
 
 if TYPE_CHECKING:
     from pftwin.files.mocap.poses import PoseSeries
@@ -52,7 +42,7 @@ def contact_map(
     figure: Annotated[
         Path | None, Option("--figure", metavar="OUT.png", help="Pressure maps, path and courses.")
     ] = None,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Contact at recorded poses: force, moment, area, pressures, centre of pressure and proximity in every frame.
 
@@ -60,11 +50,11 @@ def contact_map(
 
     Example: `pftwin contact-map --femur femur.stl --patella button.stl --units m --poses poses.csv -o contact.nc`
     """
-    check_figure(figure)
-    check_outputs(output, figure, json)
+    terminal.check_figure(figure)
+    terminal.check_outputs(output, figure, json)
     if not 0 <= proximity <= 10:
         raise InputError(f"{proximity:g} mm", where="--proximity-mm", expected="0 to 10")
-    start_computing()
+    terminal.start_computing()
     rule = _law(law, modulus, poisson, thickness)
     from pftwin import __version__
     from pftwin.files.result_files import save_dataset
@@ -74,12 +64,12 @@ def contact_map(
     from pftwin.studies.contact_map.figures import map_figure
     from pftwin.studies.contact_map.mapping import map_contact
 
-    with working("reading"):
+    with terminal.working("reading"):
         thigh, button = load_pair(femur, patella, units=units, patella_units=patella_units)
         relative = _poses(poses, bodies, start, end)
         check_sides(thigh, button, relative)
         surfaces = pressed_surface(thigh), pressing_surface(button)
-    with progress("frames") as done:
+    with terminal.progress("frames") as done:
         found = map_contact(
             *surfaces, rule, relative, triangles=len(button.faces), band=1e-3 * proximity, progress=done
         )
@@ -100,21 +90,21 @@ def contact_map(
     with keeping(output, figure):
         if output is not None:
             data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
-            with working("writing"):
+            with terminal.working("writing"):
                 save_dataset(data, output, encoding=compressed(data))
         if missing:
             raise Interrupted(*([] if output is None else [output]))
         if figure is not None:
-            with working("drawing"):
+            with terminal.working("drawing"):
                 title = f"{patella.name} on {femur.name}, {law} foundation"
-                save_picture(map_figure(found, thigh, button, title), figure)
+                terminal.save_picture(map_figure(found, thigh, button, title), figure)
     f = _facts(found)
     summary = (
         f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
         f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
     )
     files = [path for path in (output, figure) if path is not None]
-    present({**settings, **f}, summary, written(files), json=json)
+    terminal.present({**settings, **f}, summary, terminal.written(files), json=json)
     if deep := int(found.too_deep.sum()):
         flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
 

@@ -10,18 +10,8 @@ from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.cli import terminal
 from pftwin.cli.exit_codes import flagged
-from pftwin.cli.terminal import (
-    JsonOption,
-    check_folder,
-    check_outputs,
-    check_suffix,
-    present,
-    show,
-    start_computing,
-    working,
-    written,
-)
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
@@ -33,21 +23,21 @@ def init(
     folder: Annotated[Path, Argument(metavar="DIR", help="Folder for the example; made if it is not there.")],
     *,
     case: Annotated[int, Option("--case", min=1, max=4, help="Case of the virtual rig.")] = 1,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Write a commented example: a scene file with the files of a laboratory (markers, forces, mesh).
 
     Example: `pftwin init knee`, then `pftwin simulate knee/scene.toml -o knee.nc`
     """
-    check_folder(folder)
-    check_outputs(json)
+    terminal.check_folder(folder)
+    terminal.check_outputs(json)
     from pftwin.rig.scene_template import write_example
 
-    start_computing()
-    with working(f"writing the example to {folder}"):
+    terminal.start_computing()
+    with terminal.working(f"writing the example to {folder}"):
         files = write_example(folder, case)
     following = f"next: pftwin simulate {folder / 'scene.toml'} -o knee.nc"
-    present({"files": [str(p) for p in files]}, *(f"written: {p}" for p in files), following, json=json)
+    terminal.present({"files": [str(p) for p in files]}, *(f"written: {p}" for p in files), following, json=json)
 
 
 def export(
@@ -59,7 +49,7 @@ def export(
             "-o", "--output", metavar="OUT.(mot|sto|glb|csv)", help="The suffix chooses the format; may be repeated."
         ),
     ],
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Write a result for other programs.
 
@@ -73,13 +63,13 @@ def export(
 
     for path in output:
         check_format(path)
-    check_outputs(*output, json)
+    terminal.check_outputs(*output, json)
     for path in output:
-        with working(f"writing {path}"):
+        with terminal.working(f"writing {path}"):
             write(result, path)
     sizes = {str(p): p.stat().st_size for p in output}
     lines = (f"written: {path} ({size / 1e6:.2f} MB)" for path, size in sizes.items())
-    present({"result": str(result), "files": sizes}, *lines, json=json)
+    terminal.present({"result": str(result), "files": sizes}, *lines, json=json)
 
 
 def view(
@@ -96,24 +86,24 @@ def view(
         Option("--name", metavar="NAME", help="What a result is called in the legend; once for each, in order."),
     ] = None,
     browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Draw the knee in three dimensions: one HTML file that opens offline, with play and a time slider.
 
     Example: `pftwin view before.nc after.nc -o view.html`
     """
     page = output or results[0].with_suffix(".html")
-    check_suffix(page, [".html", ".htm"], "the page is HTML")
+    terminal.check_suffix(page, [".html", ".htm"], "the page is HTML")
     if names and len(names) != len(results):
         raise InputError(f"{len(names)} names for {len(results)} results", where="--name", expected="one for each")
-    check_outputs(page, json)
+    terminal.check_outputs(page, json)
     from pftwin.results.viewer import view as draw
 
-    with working("drawing"):
+    with terminal.working("drawing"):
         draw(list(zip(names, results, strict=True)) if names else results, html=page)
     size = page.stat().st_size
     facts = {"results": [str(p) for p in results], "file": str(page), "bytes": size}
-    present(facts, f"written: {page} ({size / 1e6:.1f} MB)", json=json)
+    terminal.present(facts, f"written: {page} ({size / 1e6:.1f} MB)", json=json)
     if browser:
         typer.launch(page.resolve().as_uri())
 
@@ -134,7 +124,7 @@ def import_model(
     geometry: Annotated[
         list[Path] | None, Option("--geometry", metavar="DIR", help="A further folder of meshes; may be repeated.")
     ] = None,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Write a scene folder from an OpenSim model: patella, ligaments, contact meshes, motion by coordinates.
 
@@ -143,13 +133,13 @@ def import_model(
 
     Example: `pftwin import lenhart2015.osim -o knee`
     """
-    check_folder(folder)
-    check_outputs(json)
+    terminal.check_folder(folder)
+    terminal.check_outputs(json)
     from pftwin.files.interchange.osim_scene import import_osim
     from pftwin.files.interchange.osim_toml import rows
 
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
-    with working(f"reading {model}"):
+    with terminal.working(f"reading {model}"):
         found = import_osim(model, folder, motion=motion, bend=bend, side=side, **bodies, geometry=geometry or ())
     trouble = _trouble(found)
     facts = {
@@ -160,10 +150,10 @@ def import_model(
     }
     cells = tuple((kind, _shortened(names), why) for kind, names, why in rows(found.left_out))
     sheet = Sheet("not imported", ("what", "names", "why"), cells)
-    present(facts, *found.notes, sheet, written(found.files), json=json)
+    terminal.present(facts, *found.notes, sheet, terminal.written(found.files), json=json)
     if trouble is not None:
         flagged(trouble)
-    show(f"next: pftwin simulate {found.scene} -o knee.nc", json=json)
+    terminal.show(f"next: pftwin simulate {found.scene} -o knee.nc", json=json)
 
 
 def _shortened(names: str) -> str:
@@ -172,10 +162,10 @@ def _shortened(names: str) -> str:
 
 def _trouble(found: Imported) -> str | None:
     """Why the scene cannot be loaded as it is; None where it can."""
-    start_computing()
+    terminal.start_computing()
     from pftwin.files.scene_file import load_scene_file
 
-    with working("loading the scene"):
+    with terminal.working("loading the scene"):
         try:
             scene = load_scene_file(found.scene).scene
         except InputError as error:

@@ -10,17 +10,8 @@ from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.cli import terminal
 from pftwin.cli.exit_codes import flagged
-from pftwin.cli.terminal import (
-    JsonOption,
-    check_figure,
-    check_outputs,
-    present,
-    save_picture,
-    start_computing,
-    working,
-    written,
-)
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.doctor import Diagnosis
@@ -40,7 +31,7 @@ def doctor_mesh(
     repair: Annotated[
         Path | None, Option("--repair", metavar="OUT", help="Write the mesh with what is safe repaired.")
     ] = None,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Say what is wrong with a mesh: doubled and empty triangles, winding, holes, non-manifold edges, parts, scale.
 
@@ -53,8 +44,8 @@ def doctor_mesh(
 
     if repair is not None:
         check_format(repair)
-    check_outputs(repair, json)
-    with working(f"examining {mesh}"):
+    terminal.check_outputs(repair, json)
+    with terminal.working(f"examining {mesh}"):
         found = examine_file(mesh, units=units)
     facts, parts = found.facts(), list[Sheet | str](_description(found, units))
     if found.findings:
@@ -68,12 +59,12 @@ def doctor_mesh(
         from pftwin.geometry.mesh.mesh import save_mesh
         from pftwin.geometry.mesh.repair import repaired_file
 
-        with working("repairing"):
+        with terminal.working("repairing"):
             healed, after = repaired_file(mesh, units=units)
         save_mesh(healed, repair)  # numbers as they are: the unit stays the file's
         facts["repaired"] = {**after.facts(), "file": str(repair)}
         parts.append(f"written: {repair}, {after.n_faces} triangles: {after.verdict}")
-    present(facts, *parts, json=json)
+    terminal.present(facts, *parts, json=json)
     if found.of("fatal"):
         flagged(f"{mesh}: {found.verdict}")
 
@@ -110,37 +101,37 @@ def fit_surface(
         tuple[float, float], Option("--angles-deg", help="Region's limits about the trochlear axis [deg].")
     ] = (-60.0, 60.0),
     output: Annotated[Path | None, Option("-o", "--output", metavar="FIGURE.png", help="Figure of the region.")] = None,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Find the trochlea on a mesh and fit patches to it: table of R^2 and errors, and a figure of the region.
 
     Example: `pftwin fit-surface femur.stl --units mm --anterior=-x --proximal=+y -o region.png`
     """
-    check_figure(output)
-    check_outputs(output, json)
+    terminal.check_figure(output)
+    terminal.check_outputs(output, json)
     names, asked = _patches(kind, degree, tolerance)
     directions = {"anterior": _direction(anterior, "anterior"), "proximal": _direction(proximal, "proximal")}
     if chart not in ("plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="--chart", expected="plane or cylinder")
-    start_computing()
+    terminal.start_computing()
     import numpy as np
 
     from pftwin.geometry.mesh.mesh import load_mesh
     from pftwin.geometry.patch.region import trochlear_region
     from pftwin.geometry.patch.spline_or_polynomial import fit_named
 
-    with working(f"reading {mesh}"):
+    with terminal.working(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
-    with working("looking for the trochlea"):
+    with terminal.working("looking for the trochlea"):
         limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
         region = trochlear_region(surface, **directions, half_width=1e-3 * half_width, angles=limits)
-    with working("fitting"):
+    with terminal.working("fitting"):
         fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
     if output is not None:
         from pftwin.results.plots.region import plot_region
 
-        with working("drawing"):
-            save_picture(plot_region(region, surface), output)
+        with terminal.working("drawing"):
+            terminal.save_picture(plot_region(region, surface), output)
     facts = {
         "mesh": str(mesh),
         "chart": chart,
@@ -158,7 +149,7 @@ def fit_surface(
         ),
         words=(),
     )
-    present(facts, sheet, written([] if output is None else [output]), json=json)
+    terminal.present(facts, sheet, terminal.written([] if output is None else [output]), json=json)
 
 
 def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:

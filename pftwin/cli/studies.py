@@ -10,20 +10,9 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from typer import Option
 
 from pftwin.base.errors import InputError
+from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, flagged, keeping
 from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside
-from pftwin.cli.terminal import (
-    JsonOption,
-    check_folder,
-    check_outputs,
-    present,
-    show,
-    start_computing,
-    tell,
-    working,
-    write_json,
-    written,
-)
 
 if TYPE_CHECKING:
     from pftwin.model.measured import Measured
@@ -53,7 +42,7 @@ def accuracy(
     ] = None,
     full: Annotated[bool, Option("--full", help="Everything; takes half an hour.")] = False,
     folder: Annotated[Path, Option("--out", metavar="DIR", help="For tables and figures.")] = Path("accuracy"),
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Measure what accuracy costs in time: contact models, integrators, steps and float types, with the best settings.
 
@@ -61,9 +50,9 @@ def accuracy(
     """
     if scene is not None and case is not None:
         raise InputError("both a scene file and --case given", expected="one of them")
-    check_folder(folder)
-    check_outputs(json)
-    start_computing()
+    terminal.check_folder(folder)
+    terminal.check_outputs(json)
+    terminal.start_computing()
     from pftwin.base.machine import describe
     from pftwin.studies.accuracy.plan import COMMON, FLOATS, chosen, everything
     from pftwin.studies.accuracy.run import measure_all, write
@@ -73,15 +62,17 @@ def accuracy(
         raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
     source = _source(scene, case)
     plan = everything() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
-    with keeping(folder / "accuracy.csv"), working("measuring"):
-        found = measure_all(
-            plan, source.scene_of, source.measured, lambda line: tell(line, "dim"), lambda rows: _keep(rows, folder)
-        )
+    with keeping(folder / "accuracy.csv"), terminal.working("measuring"):
+        found = measure_all(plan, source.scene_of, source.measured, _tell, lambda rows: _keep(rows, folder))
     synthetic = source.measured is not None and source.measured.synthetic
     about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}
     paths = write(found, folder, source.title, about)
     facts = {"about": about, "rows": [asdict(r) for r in found.rows], "files": [str(p) for p in paths]}
-    present(facts, overview(found.rows), advice(found.rows), written(paths), json=json)
+    terminal.present(facts, overview(found.rows), advice(found.rows), terminal.written(paths), json=json)
+
+
+def _tell(line: str) -> None:
+    terminal.tell(line, "dim")
 
 
 def _keep(rows: list[AccuracyRow], folder: Path) -> None:
@@ -158,7 +149,7 @@ def hard_cases(
             help="Run nothing; show cells kept by --json: a file, or a folder's. May be repeated, newest last.",
         ),
     ] = None,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
     markdown: Annotated[Path | None, Option("--markdown", metavar="FILE", help="Write the page of the docs.")] = None,
 ) -> None:
     """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
@@ -168,8 +159,8 @@ def hard_cases(
 
     Example: `pftwin hard-cases --contact P5 --integrator linear_implicit --dtype float64`
     """
-    check_outputs(json, markdown)
-    start_computing()
+    terminal.check_outputs(json, markdown)
+    terminal.start_computing()
     from pftwin.dynamics.integrators import integrator_from_text
     from pftwin.studies.hard_cases import (
         CONTACTS,
@@ -185,7 +176,7 @@ def hard_cases(
 
     cases = tuple(case_named(n) for n in case) if case else catalogue()
     if list_:
-        show(table.named(cases), json=json)
+        terminal.show(table.named(cases), json=json)
         return
     for name in integrator or ():
         integrator_from_text(name)
@@ -203,9 +194,9 @@ def hard_cases(
         from pftwin.base.text_files import write_text
 
         write_text(markdown, table.markdown(cells, cases, found))
-    show(table.summary(cells), json=json)
+    terminal.show(table.summary(cells), json=json)
     if failed := table.counts(cells)["fail"]:
-        show(table.reasons(cells, "fail"), json=json)
+        terminal.show(table.reasons(cells, "fail"), json=json)
         flagged(f"{failed} of {len(cells)} cells fail")
 
 
@@ -219,12 +210,12 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
     began = time.perf_counter()
 
     def one(contact: str) -> list[Cell]:
-        return run_matrix(cases, chosen._replace(contacts=(contact,)), lambda words: tell(words, "dim"))
+        return run_matrix(cases, chosen._replace(contacts=(contact,)), _tell)
 
     found = run_each(chosen.contacts, one)
     cells = tuple(cell for of_contact in found for cell in of_contact)
     piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives)
-    write_json(piece.as_dict(), json)
+    terminal.write_json(piece.as_dict(), json)
     if len(found) < len(chosen.contacts):
         raise Interrupted(*([Path(json)] if json not in (None, "-") else []))
     return piece

@@ -23,8 +23,7 @@ from pftwin.results.plots import save_figure
 from pftwin.studies.audit.audit import audit
 from pftwin.studies.audit.explain import explain
 from pftwin.studies.audit.figure import audit_figure
-from pftwin.studies.audit.report import audit_sheet, explanation_sheet
-from pftwin.studies.audit.table import dataset, table
+from pftwin.studies.audit.report import audit_sheet, dataset, explanation_sheet, table
 from pftwin.studies.tables import to_csv
 
 

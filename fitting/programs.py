@@ -21,7 +21,7 @@ from fitting.channels import ORIENTATION, POSITION
 from fitting.parameters import applied
 from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.batch.batched import batched
-from pftwin.dynamics.batch.shard_over import AXIS, SPLIT, shard_over
+from pftwin.dynamics.batch.sharding import AXIS, SPLIT, shard_over
 from pftwin.dynamics.frame_states import scan_observations, starting_equilibrium
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import placed

@@ -49,7 +49,7 @@ from pftwin.dynamics import tolerance
 from pftwin.results.metrics import PAPER_TABLE_1
 from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies.accuracy.figure import work_precision
-from pftwin.studies.accuracy.plan import MeasuredProgram
+from pftwin.studies.accuracy.programs import MeasuredProgram
 from pftwin.studies.accuracy.run import measure_all
 from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended
 from pftwin.studies.tables import short

@@ -80,7 +80,7 @@ def _write(found: Audit, folder: Path) -> list[Path]:
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
     from pftwin.studies.audit.figure import audit_figure
-    from pftwin.studies.audit.table import dataset, table
+    from pftwin.studies.audit.report import dataset, table
     from pftwin.studies.tables import to_csv
 
     csv, netcdf, *figures = files = [folder / f"audit.{kind}" for kind in ("csv", "nc", "png", "svg")]

@@ -60,8 +60,7 @@ def contact_map(
     from pftwin.files.result_files import save_dataset
     from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
     from pftwin.studies.contact_map.checks import check_outcome, check_sides, load_pair
-    from pftwin.studies.contact_map.dataset import compressed, dataset
-    from pftwin.studies.contact_map.figures import map_figure
+    from pftwin.studies.contact_map.figures import compressed, dataset, map_figure
     from pftwin.studies.contact_map.mapping import map_contact
 
     with terminal.working("reading"):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pftwin.studies.accuracy.measure import AccuracyRow, SceneOf
     from pftwin.studies.hard_cases import HardCase
     from pftwin.studies.hard_cases import Selection as Selected
-    from pftwin.studies.hard_cases.pieces import KeptPiece
+    from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.hard_cases.verdict import Cell
 
 OWN = "as it is"  # a scene file's contact
@@ -54,7 +54,7 @@ def accuracy(
     terminal.check_outputs(json)
     terminal.start_computing()
     from pftwin.base.machine import describe
-    from pftwin.studies.accuracy.plan import COMMON, FLOATS, chosen, everything
+    from pftwin.studies.accuracy.programs import COMMON, FLOATS, chosen, everything
     from pftwin.studies.accuracy.run import measure_all, write
     from pftwin.studies.accuracy.table import advice, overview
 
@@ -107,7 +107,7 @@ def _source(scene: Path | None, case: int | None) -> _Source:
         loaded = load_scene_file(scene, allow_outside=allowed)
         return _Source(of_the_file, OWN, loaded.measured, loaded.scene.name)
     from pftwin import rig
-    from pftwin.studies.accuracy.plan import CYLINDER
+    from pftwin.studies.accuracy.programs import CYLINDER
 
     n = 1 if case is None else case
 
@@ -170,7 +170,6 @@ def hard_cases(
         case_named,
         catalogue,
         method_named,
-        pieces,
         table,
     )
 
@@ -187,9 +186,9 @@ def hard_cases(
         derivatives=not quick,
         mates=not quick,
     )
-    found = [piece for path in from_ for piece in pieces.read_pieces(path)] if from_ else [_run(cases, chosen, json)]
+    found = [piece for path in from_ for piece in table.read_pieces(path)] if from_ else [_run(cases, chosen, json)]
     order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
-    cells = pieces.merged(found, order)
+    cells = table.merged(found, order)
     if markdown is not None:
         from pftwin.base.text_files import write_text
 
@@ -204,7 +203,7 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
     """Runs what was chosen, contact by contact, with progress on stderr; Ctrl-C keeps the contacts that are done."""
     from pftwin.base.machine import describe
     from pftwin.studies.hard_cases import run_matrix
-    from pftwin.studies.hard_cases.pieces import KeptPiece
+    from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.runs import run_each
 
     began = time.perf_counter()

@@ -2,14 +2,14 @@
 
 Newton-Raphson with a trust region (Michaud et al. 2024, section 2.3.3 solve the same problem by Newton-Raphson): the
 tangent of the whole static load, contacts included, is shifted by |r| / reach, which bounds a step by `reach` and
-vanishes at the solution, so the last iterations converge quadratically. The tangent is not made symmetric: forces of
-meshes' contours have no potential, and with a symmetric one the steps led from facet to facet for ever. Where it is
-indefinite (between two equilibria) the stiff terms' own positive semidefinite part takes its place. Where that has led
-nowhere for a while, as on a mesh of few triangles, across whose edges forces jump, the shift grows with every step for
-the worse and shrinks with every one for the better. `pftwin.dynamics.relaxation` is the fallback.
+vanishes at the solution, so the last iterations converge quadratically. The tangent is not made symmetric: forces from
+contours of meshes have no potential, and with a symmetric tangent the search can cycle between facets. Where it is
+indefinite (between two equilibria) the positive semidefinite part of the stiff terms replaces it. If the search stalls,
+as on a coarse mesh whose forces jump across edges, the shift grows with every step that increases the residual and
+shrinks with every step that lowers it. `pftwin.dynamics.relaxation` is the fallback.
 
 The tangent is taken by central differences: as good as automatic differentiation here (relative error 1e-8 in float64)
-and far quicker to compile.
+and much quicker to compile.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from pftwin.dynamics.state import Guide, System
 from pftwin.dynamics.static_load import Surroundings, look_around, moved, residual, still
 
 REACH = 2e-3  # longest step [m]
-SEARCH_STEPS = 4  # loads at rest that make rough memories right
+SEARCH_STEPS = 4  # evaluations that turn rough memories into exact ones before the pose moves
 MOST_ITERATIONS = 200
-PATIENCE = 50  # iterations after which steps that make it worse are followed by shorter ones
-ROUNDINGS = 12  # of a stretch: see `_rounding`
-RIDGE = 1e-12  # of the tangent's trace: a direction in which nothing holds the patella has no derivative, not NaN
-MOST_CAUTION = 1e4  # what their shift is multiplied by at most
+PATIENCE = 50  # iterations after which a step that increases the residual makes the next steps shorter
+ROUNDINGS = 12  # roundings in a stretch: see `_rounding`
+RIDGE = 1e-12  # share of the tangent's trace that is added: a direction without stiffness gets derivative zero, not NaN
+MOST_CAUTION = 1e4  # largest factor on the shift
 
 
 class Solution(eqx.Module):
@@ -67,7 +67,7 @@ def tolerance_on_host(solution: Solution) -> NDArray[np.floating]:
 
 
 def _rounding(system: System, pose: Pose, there: Surroundings) -> Scalar:
-    """What the load is uncertain by because places are rounded [N].
+    """Uncertainty of the load due to the rounding of positions [N].
 
     A stiff term's stretch comes from coordinates of the size L of the patella's place and of the arm to its button's
     middle, by six independent roundings of eps / 2 * L: the place as it is stored, the arm's rotation (two), the sum of
@@ -90,10 +90,10 @@ class _Iterate(NamedTuple):
     rounding: Scalar
     count: Scalar
     done: Scalar
-    caution: Scalar  # what the shift is multiplied by
+    caution: Scalar  # factor on the shift
 
     def solution(self) -> Solution:
-        """What is handed out of it: no type is weak, so that before the search and after it are one kind."""
+        """The solution with strong dtypes, so that before and after the search it has the same structure."""
         whole = Solution(self.pose, self.memories, self.residual, self.count, self.stiffness, self.rounding)
         return jax.tree.map(lambda a: jax.lax.convert_element_type(a, a.dtype), whole)
 
@@ -115,14 +115,14 @@ def downhill(there: Surroundings, shift: Scalar) -> list[Scalar]:
     """
     r, stiffness = there.residual(), there.tangent()
     tangent = [[stiffness[i, j] for j in range(6)] for i in range(6)]
-    both = jax.tree.map(lambda a, b: jnp.stack([a, b]), tangent, there.convex())  # compiled once for the two of them
+    both = jax.tree.map(lambda a, b: jnp.stack([a, b]), tangent, there.convex())  # compiled once for both
     steps, definite = jax.vmap(lambda matrix: _solved(matrix, shift, r))(both)
     return [jnp.where(definite[0], a[0], a[1]) for a in steps]
 
 
 def _size(r: list[Scalar]) -> Scalar:
     square = sum((a * a for a in r[1:]), start=r[0] * r[0])
-    return jnp.where(jnp.isnan(square), square, safe_sqrt(square))  # a load that is not known is not none
+    return jnp.where(jnp.isnan(square), square, safe_sqrt(square))  # an unknown load must not count as zero
 
 
 def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
@@ -145,7 +145,7 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
 
 
 def _caution(at: _Iterate, size: Scalar) -> Scalar:
-    """Shorter steps where long ones have led nowhere; 1 until then."""
+    """The factor on the shift: above 1 where the search has stalled."""
     changed = jnp.clip(at.caution * jnp.where(size > at.residual, 4.0, 0.5), 1.0, MOST_CAUTION)
     return jnp.where(at.count < PATIENCE, 1.0, changed)
 
@@ -166,8 +166,8 @@ def unsolved(system: System, guide: Guide, guess: Pose) -> Solution:
 def solve_equilibrium(system: System, guide: Guide, guess: Pose) -> Solution:
     """The equilibrium nearest to a guess, downhill. Jit and vmap apply; derivatives by the implicit function theorem.
 
-    The iteration goes on to a hundredth of the tolerance, or below the tolerance until it gets no better, or until its
-    count runs out. One variant that went on to the end would hold up its whole batch.
+    The iteration ends at a hundredth of the tolerance, or below the tolerance once it stops improving (else one member
+    that keeps iterating would hold up its whole batch), or at `MOST_ITERATIONS`.
     """
     found = jax.lax.while_loop(
         lambda at: ~at.done & (at.count < MOST_ITERATIONS),
@@ -190,7 +190,7 @@ def _solve_equilibrium_jvp(primals: Any, tangents: Any) -> tuple[Solution, Solut
         scaled = jax.tree.map(lambda a: factor * a, tuple(tangents[:2]))
         return eqx.filter_jvp(load, (system, guide), scaled)[1]
 
-    # In a loop and by the library's solver: what is stored is not computed again for every use of its entries.
+    # In a loop, and by LAPACK: XLA does not recompute stored results at every use of their entries.
     dr = jax.lax.map(slope, jnp.array([1.0, 0.0], solution.residual.dtype))[0]
     ridge = RIDGE * jnp.trace(solution.stiffness) * jnp.eye(6, dtype=dr.dtype)
     d = list(jnp.linalg.solve(solution.stiffness + ridge, dr))

@@ -31,7 +31,7 @@ class FrameStates(eqx.Module):
     ledger: Ledger | None
     start: Solution  # the equilibrium it started from
     step: Scalar  # [s]
-    integrator: Integrator = eqx.field(static=True, default=LinearImplicit())  # which knows what the states carry
+    integrator: Integrator = eqx.field(static=True, default=LinearImplicit())  # it knows what `states.carried` holds
 
 
 def substeps_for(interval: float, dt: float) -> int:
@@ -52,7 +52,7 @@ def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
 
 
 def start_before_search(scene: Scene) -> Solution:
-    """Of the same structure as `starting_equilibrium`'s answer, at no cost."""
+    """An unsolved `Solution` of the structure that `starting_equilibrium` returns, without the search."""
     return unsolved(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
 
 
@@ -66,7 +66,7 @@ def first_guide(scene: Scene) -> Guide:
 
 
 def starting_state(scene: Scene, start: Solution) -> State:
-    """At rest on the femur: one that moves at the first frame already carries the patella along, not runs into it."""
+    """At rest relative to the femur, so that a femur that moves at the first frame does not hit the patella."""
     state = System.of(scene).at_rest(start.pose, start.memories)
     if scene.motion.femur is None:
         return state
@@ -76,7 +76,7 @@ def starting_state(scene: Scene, start: Solution) -> State:
 
 
 def _parts(now: Carry) -> tuple[Any, Any]:
-    """What is stored of a frame, as two rows: a batch of which poses alone are asked for never makes the other."""
+    """What is stored of a frame, in two parts: the second is never computed where only poses are used."""
     state, books = now
     return (state.position, state.orientation), (state.velocity, state.spin, state.memories, state.carried, books)
 
@@ -99,8 +99,8 @@ def frame_states(
     Args:
         scene: any leaf of it may be traced.
         integrator: see `pftwin.dynamics.integrators`.
-        substeps: steps between two recorded frames. A traced number is not part of the program, but there is no reverse
-            mode by it; 0 stays in the equilibrium.
+        substeps: steps between two recorded frames. A traced number leaves the program unchanged but excludes reverse
+            mode; 0 stays at the equilibrium.
         start: an equilibrium to start from; by default it is solved for.
         ledger: whether to keep the energy ledger.
 
@@ -130,21 +130,21 @@ def scan_observations(
     start: Solution | None = None,
     ledger: bool = False,
 ) -> tuple[Any, Solution, Scalar]:
-    """What a look shows of every recorded frame, taken while the motion goes on: no states are kept.
+    """Evaluates look(state, ledger, frame) at every recorded frame during the motion; no states are kept.
 
-    A batch stores a tenth as much so, and takes half the time, where looks are short. The rest is as in `frame_states`.
+    A batch then stores a tenth as much and takes half the time where `look` is cheap. Options as in `frame_states`.
 
     Args:
         look: a pure function of the state, the ledger and the frame's number, to a tree of arrays.
 
     Returns:
-        What it shows (n_frames, ...), the equilibrium at the start, and the step [s].
+        The values of `look` (n_frames, ...), the equilibrium at the start, and the step [s].
     """
     run, n = _run(scene, integrator, substeps, start, ledger), scene.motion.n_frames
     layout = Layout.of(look, *run.carry, jnp.zeros((), int))
 
     def one_frame(now: Carry, index: Scalar) -> tuple[Carry, Array]:
-        # One look in the program, before the step; the last step leads nowhere.
+        # `look` appears once in the program, before the step; the step after the last frame is not used.
         return run.next_frame(now, jnp.minimum(index, n - 2)), layout.row(look(*now, index))
 
     _, rows = jax.lax.scan(one_frame, run.carry, jnp.arange(n))
@@ -152,7 +152,7 @@ def scan_observations(
 
 
 class _Run(NamedTuple):
-    """A motion that is ready to go on from frame to frame."""
+    """A prepared motion that advances from frame to frame."""
 
     carry: Carry
     start: Solution

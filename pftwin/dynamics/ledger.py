@@ -1,7 +1,7 @@
-"""The energy budget's two running sums: work that guided bodies and known pulls put in, heat that damping takes out.
+"""The two running sums of the energy budget: work of guided bodies and prescribed tensions, and heat of damping.
 
-What is left over, (T + V) - (T + V at the start) - work + heat, is the integrator's own: what the
-step itself dissipated where it is negative. It tends to zero with the step.
+The remainder, (T + V) - (T + V at the start) - work + heat, is the integrator's error; where it is negative, the method
+itself dissipated energy. It tends to zero with the step.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ class Ledger(eqx.Module):
         step: Scalar,
         looked: Twist | None = None,
     ) -> Ledger:
-        """With one step's entries.
+        """The ledger after one more step.
 
         Args:
             before: state at the step's start.
             after: at its end.
             loads: of the step.
-            applied: the forces that the stiff terms really had, in the loads' order; None: as they are halfway.
-            at: where in the step the loads' elastic forces stand: 0 at its start, 1 at its end.
+            applied: the forces that the stiff terms had in the step, in the loads' order; None: those at mid-step.
+            at: the instant of the loads' elastic forces within the step: 0 its start, 1 its end.
             step: its length [s].
-            looked: the patella's velocities that the loads were taken at; by default those of `before`.
+            looked: the patella's velocities at which the loads were evaluated; by default those of `before`.
         """
         seen = Twist(before.velocity, before.spin) if looked is None else looked
         velocity, spin = _middle(before.velocity, after.velocity), _middle(before.spin, after.spin)
@@ -69,7 +69,7 @@ class Ledger(eqx.Module):
 
 
 def _dragged(drag: Drag, seen: Twist, before: State, after: State, mean: Twist, at: float) -> tuple[Scalar, Scalar]:
-    """Power put in by what drags and power lost, with the drag's force as it is at the place `at` within the step."""
+    """Power that the moving medium puts in and power lost, with the drag's force at the instant `at` of the step."""
     moving, turning = seen.linear - drag.velocity, seen.angular - drag.spin
     ahead = [
         start + at * (end - start) - own
@@ -81,7 +81,7 @@ def _dragged(drag: Drag, seen: Twist, before: State, after: State, mean: Twist, 
 
 
 def _bedded(bed: AggregateStiffness, seen: Twist, mean: Twist, at: float, step: Scalar) -> tuple[Scalar, Scalar]:
-    """Power put in by the body that the bed stands on and power lost, with the bed's force as it is."""
+    """Power that the guided body under the foundation puts in and power lost, with the foundation's force as it is."""
     guided = jnp.concatenate([(seen.linear - bed.velocity).array(), (seen.angular - bed.spin).array()])
     twist = jnp.concatenate([mean.linear.array(), mean.angular.array()]) - guided
     elastic = bed.elastic - (0.5 - at) * step * bed.stiffness @ twist

@@ -1,4 +1,4 @@
-"""What a trajectory shows: poses in the femur's frame, what each effect reports, energies, and a status per frame."""
+"""Observables of a motion: poses in the femur's frame, what each effect reports, energies, and a status per frame."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ class Observation(eqx.Module):
 
 
 class ObservedFrame(NamedTuple):
-    """What a look at one frame shows."""
+    """The observables of one frame."""
 
     patella: Pose  # patella frame in the femur's
     center: Vec3  # the button's sphere centre (else the patella's origin) in the femur's frame [m]
     effects: dict[str, dict[str, Array]]
     kinetic_energy: Scalar  # [J]
     potential_energy: dict[str, Scalar]  # [J]
-    status: Array  # () int, but for what only the whole motion tells
+    status: Array  # () int, without the flags that need the whole motion
 
 
 def observe(scene: Scene, path: FrameStates) -> Observation:
-    """Looks at every recorded frame. Pure: jit and vmap apply."""
+    """The observables of every recorded frame. Pure: jit and vmap apply."""
     chosen = path.integrator
     look, guides = _look(scene, path.integrator)
-    # A loop, which is the same program as one frame's and so is compiled as quickly.
+    # A loop compiles as quickly as a single frame.
     seen = map_rows(lambda at: look(at[0], at[1], path.step), (path.states, guides))
     energies = None
     if path.ledger is not None:
@@ -76,11 +76,11 @@ def observe_on_the_way(
     start: Solution | None = None,
     ledger: bool = False,
 ) -> tuple[Any, Array, Solution]:
-    """Simulates, and keeps a part of what `observe` would show. Pure: jit and vmap apply; half a batch's time is saved.
+    """Simulates and keeps part of what `observe` would return. Pure; it halves the time of a batch.
 
     Args:
         scene: as in `frame_states`, and so the options.
-        kept: from a frame to what is wanted of it, a tree of arrays.
+        kept: selects what is wanted of a frame, a tree of arrays.
 
     Returns:
         What is kept (n_frames, ...), the status (n_frames,), and the equilibrium at the start.
@@ -112,7 +112,7 @@ def placed(scene: Scene, state: State, guide: Guide) -> tuple[Instant, Pose, Vec
 def tracked_center(scene: Scene, states: State) -> Vec3:
     """The button's centre (without a contact: the patella's origin) in the femur's frame, at the recorded frames [m].
 
-    What a path alone needs: none of the rest that `observe` shows is computed.
+    Nothing else of what `observe` returns is computed.
     """
     center = states.position + states.orientation.rotate(scene.tracked_point() - scene.patella.center_of_mass)
     femur = scene.motion.femur
@@ -120,9 +120,9 @@ def tracked_center(scene: Scene, states: State) -> Vec3:
 
 
 def _look(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], ObservedFrame], Guide]:
-    """What shows a frame, from the state, the guided bodies and the step; and those bodies at all frames."""
+    """A function of (state, guided bodies, step) to a frame's observables; and the guided bodies at all frames."""
     system = System.of(scene)
-    # Clear of the frames' rounding: the last frame is asked for itself.
+    # Exact frame times, so that the last frame is not extrapolated by rounding.
     times = scene.motion.frame_times()
 
     def look(state: State, guide: Guide, step: Scalar) -> ObservedFrame:

@@ -1,7 +1,7 @@
-"""What a loop puts out, as one row per turn.
+"""The outputs of a loop, packed into one row per iteration.
 
-A loop that stores dozens of scalars at every turn spends more time on storing than on computing: each is an operation
-of its own on an array as long as the loop. One row of all of them is one operation.
+A loop that stores dozens of scalars per iteration spends more time storing than computing, because each store is an
+operation of its own on an array as long as the loop. Storing one row of all of them is a single operation.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Layout(NamedTuple):
 
     @staticmethod
     def of(function: Callable[..., Any], *args: Any) -> Layout:
-        """That of a function's value; nothing is computed."""
+        """The layout of function(*args); nothing is computed."""
         leaves, structure = jax.tree.flatten(jax.eval_shape(function, *args))
         return Layout(structure, leaves)
 

@@ -1,4 +1,4 @@
-"""Where heavily damped dynamics comes to rest: the fallback when the search for an equilibrium does not end."""
+"""Where heavily damped motion comes to rest: the fallback when the search for an equilibrium fails."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pftwin.model.effects.damping import LinearDamping
 STEPS = 1500
 STEP = 2e-3  # [s]
 RATE = 20.0  # [1/s]: overdamped against the tendons' slow modes, settled well within the time given
-THROWN = 0.07  # [m] from where it was put: a contact that was too deep has thrown the patella, it has not settled
+THROWN = 0.07  # [m] a patella that ends farther from its start was thrown off by too deep a contact
 
 
 BURST_STEP, BURST_STEPS = 5e-3, 4000  # of a burst [s], and how many at most
-AWAY = 100  # steps that a burst takes at least: slow at first, where an equilibrium has only just ended
+AWAY = 100  # fewest steps of a burst: motion starts slowly where an equilibrium has just ceased to exist
 QUIET = 1e-5  # [m/s] the patella rests when it has become as slow as that
 
 
@@ -31,7 +31,7 @@ def _damped(system: System) -> System:
 
 
 def relax(system: System, guide: Guide, pose: Pose) -> Pose:
-    """The pose after a while, from another; of the centre of mass, in the world."""
+    """The pose of the centre of mass (world) after `STEPS` damped steps."""
     damped = _damped(system)
     state = damped.start(pose, guide)
     step = jnp.asarray(STEP, dtype=pose.position.x.dtype)
@@ -44,7 +44,7 @@ def relax(system: System, guide: Guide, pose: Pose) -> Pose:
 
 
 def thrown(before: Pose, after: Pose) -> np.ndarray:
-    """Whether relaxation ended so far from where the patella was put, or nowhere, that it is no start (on the host)."""
+    """Whether relaxation ended too far away, or not finite, to be a start. Runs on the host."""
     way = np.asarray(after.position.array()) - np.asarray(before.position.array())
     return ~(np.linalg.norm(way, axis=-1) < THROWN)
 

@@ -75,7 +75,7 @@ def settle(scene: Scene) -> tuple[Timed, bool]:
 
 
 def prepare_relaxation(scene: Scene) -> None:
-    """Compiles what `settle` falls back on for scenes of this kind, so that nobody has to wait for it when it does."""
+    """Compiles the fallback of `settle` for scenes of this structure ahead of time."""
     _relaxed.prepare(scene.unnamed())
 
 
@@ -85,7 +85,7 @@ def _converged(solution: Solution) -> bool:
 
 
 def _compiled_side_by_side(scene: Scene, integrator: Integrator, substeps: int, energy: bool) -> float:
-    """Where both programs have to be compiled, does it on two cores at once; the seconds that it took."""
+    """Compiles both programs on two cores at once where neither is compiled yet; returns the seconds it took."""
     began = time.perf_counter()
     if _solve.at_hand(scene):
         return 0.0
@@ -158,9 +158,9 @@ def refuse_traced(scene: Scene, verb: str, pure: str) -> None:
 
 
 def _within(scene: Scene, tolerance: float, integrator: Integrator, energy: bool) -> Result:
-    """With the longest steps that hold a tolerance; one program serves all of them.
+    """Runs with the longest steps that hold a tolerance; one program serves every number of steps.
 
-    By default those of BDF2: least work for an error between 0.3 and 0.0001 mm (docs/accuracy.md).
+    BDF2 is the default: least work for errors between 0.3 and 0.0001 mm (docs/accuracy.md).
     """
     chosen = checked_integrator(integrator, "simulate")
     chosen.refuse_unfit(scene.effects)

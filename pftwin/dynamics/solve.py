@@ -1,12 +1,26 @@
-"""Small systems of equations, unrolled: scalars that XLA keeps in registers. None pivots: see who calls."""
+"""Small systems of linear equations, and derivatives of what such systems define.
+
+`factor`, `solve` and `eliminate` are unrolled into scalar operations, which XLA keeps in registers. None pivots:
+callers pass matrices that are positive definite, or nearly so. `inverse_with_pivots` loops over the pivots instead: XLA
+recomputes the result of an unrolled version wherever it is used, and a call to LAPACK keeps it from compiling a loop of
+time steps as one function.
+
+Derivatives of the solution x(p) of six equations r(x, p) = 0, however it was found: dx = -(dr/dx)^-1 (dr/dp) dp. XLA
+recomputes scalar results for every entry of an array that they are stacked into. So the columns of dr/dx pass through
+the numbers that a loop carries, which stores them, and right-hand sides are never stacked.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from pftwin.base.spatial import Scalar
+from pftwin.base.spatial import Scalar, Vec3
 
 Lower = list[list[Scalar]]  # row i holds columns 0..i
 
@@ -14,7 +28,7 @@ Lower = list[list[Scalar]]  # row i holds columns 0..i
 def add_outer(a: Lower, g: Sequence[Scalar], weight: Scalar) -> Lower:
     """a + w g g^T; entries with a leading axis (a group of terms) are summed over it."""
     if jnp.ndim(weight):
-        # Sums, not a product of matrices: around that XLA would not make one loop of a step.
+        # Sums rather than a matrix product: XLA does not fuse a step that holds a matrix product into one loop.
         rows = [jnp.broadcast_to(x, weight.shape) for x in g]
         weighted = [weight * x for x in rows]
         return [[entry + jnp.sum(weighted[i] * rows[j]) for j, entry in enumerate(row)] for i, row in enumerate(a)]
@@ -77,3 +91,61 @@ def eliminate(a: Sequence[Sequence[Scalar]], b: Sequence[Scalar]) -> tuple[list[
             t[k] = t[k] - rows[k][j] * t[j]
         t[k] = t[k] * inverse[k]
     return t, inverse
+
+
+def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
+    """The inverse of an (n, n) matrix that is definite or nearly so, and whether all its pivots are positive.
+
+    The largest pivot left on the diagonal comes first. Where the matrix is symmetric, positive pivots show that it is
+    positive definite; where a pivot is zero, the answer is not finite.
+    """
+    n = matrix.shape[0]
+
+    def sweep(_: int, now: tuple[Array, Array, Scalar]) -> tuple[Array, Array, Scalar]:
+        a, used, positive = now
+        size = jnp.where(used, -1.0, jnp.abs(jnp.diagonal(a)))
+        here = jnp.arange(n) == jnp.argmax(size)
+        row = jnp.sum(jnp.where(here[:, None], a, 0.0), axis=0)
+        column = jnp.sum(jnp.where(here[None, :], a, 0.0), axis=1)
+        pivot = jnp.sum(jnp.where(here, row, 0.0))
+        # With the pivot's row and column set like this, one formula updates all entries.
+        row, column = jnp.where(here, 1.0, row) / pivot, jnp.where(here, -1.0, column)
+        rest = jnp.where(here[:, None] | here[None, :], 0.0, a)
+        return rest - column[:, None] * row[None, :], used | here, positive & (pivot > 0)
+
+    start = matrix, jnp.zeros(n, bool), jnp.isfinite(matrix).all()
+    inverse, _, positive = jax.lax.fori_loop(0, n, sweep, start)
+    return inverse, positive
+
+
+Six = list[Scalar]
+
+
+def six(a: Vec3, b: Vec3) -> Six:
+    """Components of two vectors."""
+    return [a.x, a.y, a.z, b.x, b.y, b.z]
+
+
+def tangent_of(residual: Callable[[Six], Six], x: Six) -> Array:
+    """(6, 6), dr_i/dx_j in row i: one derivative after the other."""
+
+    def one(last: Six, direction: Array) -> tuple[Six, Array]:
+        change = jax.jvp(residual, (x,), ([direction[i] for i in range(6)],))[1]
+        return change, jnp.stack(last)
+
+    directions = jnp.eye(7, 6, dtype=x[0].dtype)  # one row more: each column is stored while the next one is computed
+    return jax.lax.scan(one, [jnp.zeros_like(a) for a in x], directions)[1][1:].T
+
+
+def changed_by(function: Callable[[Any], Any], values: Any, changes: Any) -> Any:
+    """The change of function(values) for given changes of the values; None marks a value that does not change."""
+    known = jax.tree.map(lambda c: c is not None, changes, is_leaf=lambda c: c is None)
+    moving, still = eqx.partition(values, known)
+    return jax.jvp(lambda m: function(eqx.combine(m, still)), (moving,), (changes,))[1]
+
+
+def solution_changes(tangent: Array, right: Six) -> Six:
+    """-(dr/dx)^-1 times a change of the residual at unchanged x."""
+    inverse, _ = inverse_with_pivots(tangent)
+    rows = [[inverse[i, j] * r for j, r in enumerate(right)] for i in range(6)]
+    return [-sum(row[1:], start=row[0]) for row in rows]

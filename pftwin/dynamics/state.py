@@ -54,7 +54,7 @@ class Guide(eqx.Module):
         displacement_gain: Scalar | None = None,
         twist: Twist | None = None,
     ) -> Instant:
-        """What effects may look at."""
+        """What effects see."""
         femur = Ground() if self.femur is None else self.femur
         return Instant(patella, femur, self.tibia, self.time, step, lookahead, displacement_gain, twist)
 
@@ -85,7 +85,7 @@ class System(eqx.Module):
         return tuple(e.remember(now) for e in self.effects)
 
     def refined(self, memories: tuple[Any, ...], trial: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Memories with what a look at a trial pose has found better: see `Effect.refined`."""
+        """Memories improved by an evaluation at a trial pose: see `Effect.refined`."""
         return tuple(e.refined(m, new) for e, m, new in zip(self.effects, memories, trial, strict=True))
 
     def guess(self, now: Instant) -> tuple[Any, ...]:
@@ -120,14 +120,14 @@ def gyroscopic(inertia: Vec3, spin: Vec3) -> Vec3:
 
 
 def acceleration(system: System, spin: Vec3, loads: list[Load]) -> Twist:
-    """What loads and the spin's own moment give: world axes, patella axes."""
+    """Linear (world axes) and angular (patella axes) acceleration under the loads and the gyroscopic moment."""
     total = sum((load.total() for load in loads), start=Wrench(Vec3.zero(), gyroscopic(system.inertia, spin)))
     m, i = total.moment, system.inertia
     return Twist((1 / system.mass) * total.force, Vec3(m.x / i.x, m.y / i.y, m.z / i.z))
 
 
 def moved(state: State, way: Twist, velocity: Twist) -> State:
-    """The state displaced, with other velocities; all that is remembered stays."""
+    """The state displaced, with other velocities; memories stay."""
     position, orientation = state.position + way.linear, state.orientation.turned(way.angular)
     return State(position, orientation, velocity.linear, velocity.angular, state.memories, state.carried)
 

@@ -45,7 +45,7 @@ def residual(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]
 
 
 class Surroundings(NamedTuple):
-    """What one pose and its twelve neighbours tell."""
+    """The loads at one pose and at its twelve neighbours."""
 
     memories: tuple[Any, ...]
     table: Array  # (13, 6) loads: here, a little ahead along each axis, a little back
@@ -58,9 +58,9 @@ class Surroundings(NamedTuple):
         return [self.table[0, i] for i in range(6)]
 
     def tangent(self) -> Array:
-        """(6, 6): what the load loses per displacement [N/m].
+        """(6, 6) tangent stiffness: by how much the load falls per displacement [N/m].
 
-        Not symmetric where forces have no potential, as those of meshes' contours have none.
+        Not symmetric where forces have no potential, as with contours of meshes.
         """
         return ((self.table[7:] - self.table[1:7]) / (2 * difference(self.table.dtype))).T
 
@@ -69,7 +69,7 @@ class Surroundings(NamedTuple):
         return self._summed([t.stiffness for t in self.terms], [b.stiffness for b in self.beds])
 
     def viscosity(self) -> list[list[Scalar]]:
-        """What the load loses per velocity [N s/m], as far as stiff terms, beds and drags say it."""
+        """By how much the load falls per velocity [N s/m], as far as stiff terms, foundations and drags declare it."""
         rows = self._summed([t.damping for t in self.terms], [b.damping_time * b.stiffness for b in self.beds])
         for drag in self.drags:
             each = [drag.translational] * 3 + [drag.rotational / LEVER**2] * 3
@@ -98,14 +98,15 @@ def look_around(
 ) -> Surroundings:
     """Loads at a pose and at its twelve neighbours, all at once, so that effects are compiled once.
 
-    In a loop that runs once: what it carries out is stored, and not computed again wherever it is used.
+    The evaluation is the body of a loop that runs once: XLA stores what a loop returns and does not recompute it at
+    every use.
 
     Args:
         system: whose loads.
-        instant_at: from a displacement of the pose, in metres and angles * lever, to what effects look at.
+        instant_at: the instant that effects see, as a function of the displacement of the pose [m, angles * lever].
         memories: of the effects.
         like: a traced number of the numbers' type, whatever its value.
-        neighbours: whether to look at them; the pose alone has no tangent.
+        neighbours: whether to evaluate them too; without them there is no tangent.
     """
     dtype = like.dtype
     small = difference(dtype) * jnp.eye(6, dtype=dtype)
@@ -125,7 +126,7 @@ def look_around(
 
     kinds = jax.eval_shape(lambda: once(None)[1])
     nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), kinds)
-    always = (like > -jnp.inf) | ~(like > 0)  # not known before it runs, or there would be no loop
+    always = (like > -jnp.inf) | ~(like > 0)  # XLA must not be able to prove this, or it would remove the loop
     r, (later, terms, beds, drags) = jax.lax.while_loop(lambda now: now[0], once, (always, nothing))[1]
     return Surroundings(later, jnp.stack(r, axis=1), terms, beds, drags)
 

@@ -1,4 +1,4 @@
-"""How far each frame of a motion can be trusted: flags, their words, and what raises them."""
+"""How far each frame of a motion can be trusted: the flags, their texts, and the conditions that raise them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pftwin.model.scene import Scene
 if TYPE_CHECKING:
     from pftwin.dynamics.equilibrium import Solution
 
-FARTHEST = 0.25  # a way within one step beyond this share of the button's radius leaps over what it should feel
+FARTHEST = 0.25  # share of the button's radius; a longer way within one step may jump over a contact
 MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is exact
-MOST_CREATED = 0.02  # energy from nowhere, as a share of the largest that moves; times the milliseconds of longer steps
-MOST_SO_FAR = 0.2  # and as a share of the largest that has moved so far
-LEAST_CREATED = 1e-6  # below which nothing is said [J]
+MOST_CREATED = 0.02  # created energy as a share of the largest change of energy; for steps above 1 ms, per ms
+MOST_SO_FAR = 0.2  # and as a share of the largest change so far
+LEAST_CREATED = 1e-6  # smaller amounts are ignored [J]
 DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
 
 
@@ -61,7 +61,7 @@ _WORDS = {
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
-RESERVATIONS = {  # what effects report, and what it says where positive
+RESERVATIONS = {  # the flag that an observable raises where it is positive
     "off_patch": Status.LEFT_PATCH,
     "at_rim": Status.LEFT_PATCH,
     "overflow": Status.SEARCH_OVERFLOW,
@@ -76,7 +76,7 @@ def status_of_all(
     step: Scalar,
     snaps: Array | None,
 ) -> Array:
-    """The status of every frame (n,), with what the start and the frames before it tell.
+    """The status of every frame (n,), including what follows from the start and from earlier frames.
 
     Args:
         status: of each frame by itself (n,).
@@ -86,7 +86,7 @@ def status_of_all(
         snaps: since the start (n,), of integrators that count them.
     """
     badly_started = jnp.where(start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
-    # What was finite at the start, and loads that are all known, become infinite by too long a step alone.
+    # If the start was finite and all loads are known, only too long a step can have made the motion infinite.
     lost, unknown = ((status & int(flag)) > 0 for flag in (Status.NOT_FINITE, Status.SEARCH_OVERFLOW))
     blown_up = lost & ~lost[0] & ~unknown.any()
     flags = status | badly_started | jnp.where(blown_up, int(Status.STEP_TOO_LONG), 0)
@@ -97,7 +97,7 @@ def status_of_all(
 
 
 def _snapped(snaps: Array | None) -> Array | int:
-    """Frames before which a motion without inertia has left its equilibrium for another."""
+    """Flags the frames before which a motion without inertia snapped to another equilibrium."""
     return 0 if snaps is None else jnp.where(jnp.diff(snaps, prepend=0) > 0, int(Status.SNAPPED), 0)
 
 
@@ -113,7 +113,7 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
     moving, size = (
         jnp.where(jnp.isfinite(x), x, 0.0) for x in (jnp.abs(jnp.stack(changes)).max(axis=0), jnp.abs(total))
     )
-    # Of all that ever moves; where that blows up later, of what has moved so far, in which little is much.
+    # A share of the largest change of all frames; where the motion blows up later, of the largest change so far.
     most = jnp.minimum(MOST_CREATED * moving.max(), MOST_SO_FAR * jax.lax.cummax(moving))
     rounding = 1000 * jnp.finfo(left.dtype).eps * jax.lax.cummax(size)
     return jax.lax.cummax(rise) > jnp.maximum(1.0, step / 1e-3) * most + rounding + LEAST_CREATED
@@ -122,14 +122,14 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
 def status_of_frame(
     scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar, residual: Scalar | None
 ) -> Array:
-    """What a frame tells by itself: () int, bits of `Status`.
+    """The flags that follow from one frame alone: () int, bits of `Status`.
 
     Args:
         scene: whose effects report.
         seen: their reports, by name.
         state: of the patella.
         step: [s].
-        residual: what is left of the step's equations, where the integrator tells.
+        residual: of the step's equations, where the integrator reports it.
     """
     too_long = step * state.spin.norm() > MOST_TURN
     if residual is not None:
@@ -156,7 +156,7 @@ def status_of_frame(
 
 
 def reservations(report: dict[str, Array]) -> Array:
-    """Bits of `Status` that an effect's report says by itself, whatever moves."""
+    """Bits of `Status` that follow from an effect's report alone."""
     flags = jnp.zeros((), int)
     for name, flag in RESERVATIONS.items():
         if name in report:

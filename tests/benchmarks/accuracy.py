@@ -18,7 +18,7 @@ REFERENCE = 500  # 0.02 ms
 def errors(scene: Scene, substeps: tuple[int, ...] = SUBSTEPS, reference: int = REFERENCE) -> dict[int, np.ndarray]:
     """Distances (n_frames,) [m] of the sphere's centre to its converged place, by number of substeps.
 
-    The converged path is extrapolated to a step of zero from `reference` and half as many substeps (order one).
+    The converged path is extrapolated to a step of zero from `reference` and half as many substeps (order two).
     """
     start = compiled(starting_equilibrium, scene)()
 
@@ -26,7 +26,7 @@ def errors(scene: Scene, substeps: tuple[int, ...] = SUBSTEPS, reference: int = 
         return np.asarray(compiled(lambda s, at: tracked_path(s, substeps=n, start=at).array(), scene, start)())
 
     fine = path(reference)
-    converged = 2 * fine - path(reference // 2)
+    converged = (4 * fine - path(reference // 2)) / 3
     return {n: np.linalg.norm(path(n) - converged, axis=1) for n in substeps}
 
 

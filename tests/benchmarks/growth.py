@@ -19,8 +19,7 @@ from pftwin.dynamics.state import State
 from pftwin.model.effects.strands import StrandGroup
 from pftwin.model.scene import Scene
 from pftwin.studies.audit.account import account
-from pftwin.studies.audit.equations import equations
-from pftwin.studies.audit.step_cost import through_frames
+from pftwin.studies.audit.step import equations, through_frames
 from pftwin.studies.runs import time_in_turn
 from tests.benchmarks.row import Row
 

@@ -17,6 +17,7 @@ from jaxtyping import Array
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
+from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import tracked_center
 from pftwin.model.effects.tendon import Tendon
 from pftwin.model.scene import Scene
@@ -80,5 +81,5 @@ def started_nearby(scene: Scene) -> Scene:
 
 
 def tracked_path(scene: Scene, *, substeps: int | Scalar = 10, start: Solution | None = None) -> Vec3:
-    """The tracked point's path alone, femur frame (n_frames,) [m], by the linearly implicit step."""
-    return tracked_center(scene, frame_states(scene, substeps=substeps, start=start).states)
+    """The tracked point's path alone, femur frame (n_frames,) [m], by the integrator that `tolerance=` takes."""
+    return tracked_center(scene, frame_states(scene, integrator=BDF2(), substeps=substeps, start=start).states)

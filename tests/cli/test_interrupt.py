@@ -152,7 +152,7 @@ def test_treat_keeps_the_blocks_that_are_done(toy, tmp_path, monkeypatch):
 
 
 def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path, monkeypatch):
-    from pftwin.studies.hard_cases.pieces import read_piece
+    from pftwin.studies.hard_cases.table import read_piece
     from pftwin.studies.hard_cases.verdict import Cell
 
     def run_matrix(cases: Any, chosen: Any, say: Any) -> list[Cell]:

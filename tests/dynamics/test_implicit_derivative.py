@@ -12,8 +12,8 @@ import pytest
 from scenes import J, knee, settled
 
 from pftwin.dynamics.frame_states import frame_states
-from pftwin.dynamics.implicit_derivative import changed_by, solution_changes, tangent_of
 from pftwin.dynamics.integrators import Newmark
+from pftwin.dynamics.solve import changed_by, solution_changes, tangent_of
 
 FRAMES = 41
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.dynamics.inverse_with_pivots import inverse_with_pivots
+from pftwin.dynamics.solve import inverse_with_pivots
 
 RANDOM = np.random.default_rng(0)
 HALF = RANDOM.normal(size=(6, 6)) * np.logspace(-2, 1, 6)[:, None]

@@ -1,7 +1,7 @@
-"""What a batch is known by: two processes, or two runs, that have the same key compute the same numbers.
+"""The identity of a batch: two processes, or two runs, with the same key compute the same numbers.
 
-The code is taken as the program that JAX traces, of one member: it holds the change and the outcome, effects of one's
-own and whatever they look up, and no names or places of files. So neither functions nor scenes need be of pftwin.
+The code enters as the program that JAX traces for one member. It covers the change, the outcome and effects of the
+user, but no file names, so functions and effects may come from outside pftwin.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Many variants side by side, in pieces that suit the processor's cache.
 
-A step reads and writes hundreds of arrays of a piece's length, one behind the other in memory. A piece of some hundred
-variants stays in a core's second-level cache; pieces follow one another. Where the length is a large power of two, the
-same element of all arrays falls on the same few lines of the cache (4 KiB aliasing), so such pieces are filled up by a
-few members nobody sees.
+A step reads and writes hundreds of arrays as long as a piece, which lie one after the other in memory. A piece of about
+a hundred variants fits a core's second-level cache, and pieces run one after the other. If the length is a large power
+of two, the same element of all arrays maps to the same few cache lines (4 KiB aliasing), so such pieces are padded with
+a few unused members.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FILL = 8  # members added: one vector register of float64
 
 
 def good_sizes(n: int) -> tuple[int, int]:
-    """How many pieces a batch of n is best computed in, and their size: together at least n."""
+    """The number of pieces for a batch of n, and their size; together they hold at least n members."""
     pieces = max(1, -(-n // PIECE))
     size = -(-n // pieces)
     return pieces, size + FILL if size % ALIASING == 0 and size > 0 else size

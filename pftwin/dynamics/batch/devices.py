@@ -1,4 +1,4 @@
-"""Which devices a batch is laid over. JAX counts a whole CPU as one device unless it is told otherwise as it starts."""
+"""The devices that a batch uses. JAX counts a whole CPU as one device unless it is configured before it starts."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def chosen_devices(devices: Devices = "all") -> tuple[Any, ...]:
 def feeding_threads(devices: Devices) -> int:
     """How many threads may feed the devices that are meant: all cores where "all" is a CPU that JAX takes for one.
 
-    Of several processes each has one: nobody knows here which cores are whose.
+    Each of several processes gets one: which cores belong to which process is unknown here.
     """
     whole = isinstance(devices, str) and [d.platform for d in chosen_devices(devices)] == ["cpu"]
     return cores() if whole and jax.process_count() == 1 else 1

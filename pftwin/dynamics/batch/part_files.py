@@ -27,13 +27,13 @@ NAME = "batch.json"
 FORMAT = "pftwin batch in parts 1"
 _EXPECTED = f"a file of {FORMAT!r}, as pftwin.simulate_batch writes it"
 _UNFINISHED = re.compile(r"^\.(?:batch\.[a-z0-9_]{8}\.json|part_\d+\.[a-z0-9_]{8}\.nc)$")
-_LEFT = 3600.0  # [s] since it was last written to: no process is at it any more
+_LEFT = 3600.0  # [s] since the last write, after which an unfinished file counts as abandoned
 SHOWN = 60.0  # [s] that a network file system may take to show one machine what another has written
-_ANEW = "the same call again computes this part anew; delete it first if it comes from elsewhere"
+_ANEW = "the same call again recomputes this part; delete it first if it comes from elsewhere"
 
 
 class BatchIndex(NamedTuple):
-    """What `batch.json` says."""
+    """The content of `batch.json`."""
 
     key: str
     features: dict[str, str]

@@ -1,4 +1,4 @@
-"""Reading a batch that was computed in parts: all of it, or as much as is there."""
+"""Reads a batch that was computed in parts: the whole, or the parts that exist."""
 
 from __future__ import annotations
 

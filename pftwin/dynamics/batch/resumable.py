@@ -1,8 +1,8 @@
 """A batch computed in units, each written as soon as it is done, by one process or several.
 
 Units follow from the batch alone, so that any number of processes, one after the other or at once, fill one folder.
-Processes agree at the beginning on what is missing, share it out, and meet again when each has done its own. What one
-left undone that was lost meanwhile is shared out among the others.
+Processes agree at the start on what is missing, divide it among themselves, and synchronise when each has finished its
+share. The unfinished share of a process that was lost is divided among the others.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class InParts:
         self.own, self.counted = 0, 0  # members to compute, and computed
 
     def all(self) -> Dataset:
-        """Computes what is missing, and reads what others have done.
+        """Computes the missing units and reads those that other processes have written.
 
         Raises:
             InputError: processes that have different batches; the folder of another batch.
@@ -80,7 +80,7 @@ class InParts:
         return joined([self.done[u] for u in asked])
 
     def _agree(self) -> None:
-        """Nobody computes a part of something else."""
+        """Makes sure that all processes were given the same batch."""
         said = self.processes.gathered(json.dumps(self.index.features))
         first = json.loads(said[min(said)])
         for process, text in said.items():
@@ -118,11 +118,11 @@ class InParts:
         return read_part(self.folder, unit, self.index, wait, next(iter(self.done.values()), None))
 
     def _together(self, work: Callable[[], Any]) -> dict[int, Any]:
-        """Everybody's answer, by process. What one fails in ends all, each with words: nobody waits in vain.
+        """The result of `work` by process. If one fails, all raise an error, so that none waits forever.
 
         Raises:
-            Exception: what this process failed in.
-            PftwinError: what another failed in; an InputError or OutputError if it was one.
+            Exception: this process failed.
+            PftwinError: another process failed; an InputError or OutputError if its error was one.
         """
         failure, said = None, {}
         try:

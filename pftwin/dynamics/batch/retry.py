@@ -1,4 +1,4 @@
-"""Members that ended badly are recomputed with more care, and marked; their mates stay as they are."""
+"""Members whose run cannot be trusted are recomputed more carefully and marked; the other members do not change."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, Newmark
 from pftwin.dynamics.status import Status
 
-# What says that the run itself is not to be trusted; that a patella leaves its patch or its groove is physics.
+# Flags of a run that cannot be trusted. A patella that leaves its patch or its groove is physics, not an error.
 BAD = (Status.STEP_TOO_LONG, Status.NOT_FINITE, Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM)
-WAYS = ("no", "relaxed_start", "smaller_step", "other_integrator", "in_vain")  # `recomputed` counts along these
-SMALLER = 4  # times as many steps
+WAYS = ("no", "relaxed_start", "smaller_step", "other_integrator", "in_vain")  # `recomputed` is an index into these
+SMALLER = 4  # factor on the number of steps
 _OTHERS: tuple[Integrator, ...] = (Newmark(), LinearImplicit())
 Found = dict[str, Any]
 
@@ -50,7 +50,7 @@ def with_care(spread: Sharding, task: Task, rows: Any, found: Found) -> NDArray[
     """Recomputes, in `found`, the members that are bad: from another start, by smaller steps, by another integrator.
 
     Returns:
-        What was done, (n,), counting along `WAYS`. Whoever stays bad keeps what came out first.
+        What was done, (n,), an index into `WAYS`. A member that stays bad keeps its first result.
     """
     done = np.zeros(len(found["sensible"]), dtype=np.int8)
     relaxed = np.zeros(done.size, dtype=bool)
@@ -98,7 +98,7 @@ def _some(rows: Any, which: NDArray[np.bool_]) -> Any:
 
 
 def _taken_over(found: Found, better: Found, which: NDArray[np.bool_], good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Puts what is good among the recomputed into its places; which they are, (n,)."""
+    """Copies the good ones of the recomputed members into `found`; returns which they are, (n,)."""
     places = np.flatnonzero(which)[good]
 
     def put(old: NDArray[Any], new: NDArray[Any]) -> None:

@@ -1,11 +1,12 @@
 """A function over a batch, laid over devices: one program for a kind of scene, run chunk by chunk.
 
 Members are computed in pieces of one size, side by side as vector lanes, as `pftwin.dynamics.batch.batched` explains.
-Every device has a loop over its pieces, whose number is not part of the program. So a member's arithmetic is the same,
-to the last bit, whatever the size of chunks and its place: lanes do not hear of each other. For several devices XLA
-partitions the program, by passes that a program for one does not go through: between one device and several answers
-differ by rounding. What a piece lacks is filled up with a copy of the last member; pieces that nobody needs are not
-run.
+Every device loops over its pieces, and their number is not part of the program. So a member's result is the same to the
+last bit whatever the chunk size and its place in the batch. For several devices XLA partitions the program with passes
+that a single-device program does not need, so results on one device and on several differ by rounding. Incomplete
+pieces are padded with copies of the last member; unused pieces are not run.
+
+A function of shared values and of per-member rows, with the rows distributed over devices.
 """
 
 from __future__ import annotations
@@ -19,19 +20,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 from numpy.typing import NDArray
 
 from pftwin.dynamics.batch.batched import PIECE
-from pftwin.dynamics.batch.shard_over import AXIS, SHARED, SPLIT, shard_over
 
-FEW = 16  # members of a piece where there are few
+FEW = 16  # members of a piece in a small batch
 _ACCELERATED = 2048  # members of a piece on an accelerator, whose lanes are thousands
 
 
 def piece_for(n: int, platform: str) -> int:
-    """How many members are computed side by side: of few sizes, so that programs are shared; by n alone."""
+    """How many members are computed side by side: a function of n with few values, so that programs are shared."""
     if platform != "cpu":
         return min(_ACCELERATED, max(FEW, 1 << (n - 1).bit_length()))
     return FEW if n <= 2 * FEW else PIECE
@@ -44,7 +44,7 @@ def _on_devices(function: Callable[..., Any], mesh: Mesh, shared: Any, counts: A
     def of_one_device(shared: Any, counts: Array, rows: Any) -> Any:
         arrays, fixed = eqx.partition(shared, eqx.is_array)
 
-        @partial(jax.jit, inline=True)  # asked for shapes and then for the answer, it is traced once
+        @partial(jax.jit, inline=True)  # jit: traced once for both the shapes and the result
         def piece(arrays: Any, some: Any) -> Any:
             return jax.vmap(lambda row: function(eqx.combine(arrays, fixed), *row))(some)
 
@@ -65,7 +65,7 @@ def _on_devices(function: Callable[..., Any], mesh: Mesh, shared: Any, counts: A
 
 
 class Chunk(NamedTuple):
-    """Members that are computed together, on their places."""
+    """Members that are computed together, and where each is computed."""
 
     rows: NDArray[np.int64]  # (devices * pieces, piece) which member is where
     counts: NDArray[np.int64]  # (devices,) pieces of each that are run
@@ -74,12 +74,12 @@ class Chunk(NamedTuple):
 
 
 class Sharding:
-    """Devices, and how members are laid on them.
+    """Devices, and how members are distributed over them.
 
     Args:
         devices: of one kind.
         piece: members computed side by side.
-        chunk: most members computed between two looks of the host, at least a piece for each device.
+        chunk: most members computed before results return to the host, at least a piece for each device.
     """
 
     def __init__(self, devices: tuple[Any, ...], piece: int, chunk: int) -> None:
@@ -106,7 +106,7 @@ class Sharding:
             yield Chunk(rows, counts, used, members)
 
     def shared(self, tree: Any) -> Any:
-        """What all members share, on every device."""
+        """Copies what all members share to every device."""
         place = NamedSharding(self._mesh, SHARED)
         return jax.tree.map(lambda a: jax.device_put(a, place) if _is_array(a) else a, tree)
 
@@ -119,7 +119,7 @@ class Sharding:
         """function(shared, *row) of a chunk, left on the devices.
 
         Args:
-            function: pure; found by itself, so no lambda made on the way.
+            function: pure; defined at module level, since its identity is the key of the compiled program.
             shared: from `shared`.
             chunk: from `chunks`.
             each: a tuple of trees, from `placed` or of `run`'s answers.
@@ -128,7 +128,7 @@ class Sharding:
         return _on_devices(function, self._mesh, shared, counts, each)
 
     def taken(self, out: Any, chunk: Chunk) -> Any:
-        """What `run` gave, on the host in the members' order."""
+        """The results of `run` on the host, in the members' order."""
 
         def rows(a: Array) -> NDArray[Any]:
             whole = np.asarray(a)[chunk.used]
@@ -139,12 +139,12 @@ class Sharding:
     def over(
         self, work: Callable[[Chunk], Any], n: int, threads: int = 1, progress: Callable[[int, int], None] | None = None
     ) -> Any:
-        """All chunks' answers of `work`, put together.
+        """The results of `work` for all chunks, concatenated.
 
         Args:
             work: from a chunk to a tree of arrays on the host.
             n: members.
-            threads: chunks at once: where JAX takes all cores for one device, threads can still use them.
+            threads: chunks computed at once; they use all cores even where JAX counts the CPU as one device.
             progress: called with the number of members done and of all.
         """
         done = 0
@@ -169,3 +169,28 @@ class Sharding:
 
 def _is_array(a: Any) -> bool:
     return isinstance(a, jax.Array | np.ndarray | np.generic)
+
+
+AXIS = "batch"
+SHARED, SPLIT = PartitionSpec(), PartitionSpec(AXIS)
+
+
+def shard_over(mesh: Mesh, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
+    """function(shared, *each) on every device of a mesh with its own rows. For use within a compiled program.
+
+    Args:
+        mesh: one-dimensional, over `AXIS`.
+        function: pure; it is given its device's rows.
+        shared: a tree; its leaves that are not arrays stay static.
+        each: trees of arrays whose leading axis is distributed over the devices.
+        out: how the result's axes are distributed.
+    """
+    arrays, fixed = eqx.partition(shared, eqx.is_array)
+    # Loop carries differ between devices; the check that would have to prove this is off.
+    return jax.shard_map(
+        lambda own, *rows: function(eqx.combine(own, fixed), *rows),
+        mesh=mesh,
+        in_specs=(SHARED, *[SPLIT] * len(each)),
+        out_specs=out,
+        check_vma=False,
+    )(arrays, *each)

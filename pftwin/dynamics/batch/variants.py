@@ -1,4 +1,4 @@
-"""Members of a batch: a scene, and what is put into it for each. A hundred thousand of them are rows, not scenes."""
+"""Members of a batch: one scene, and a row of numbers for each member that a function puts into it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Group(NamedTuple):
 
 
 class _Replaced(eqx.Module):
-    """Puts leaves in the place of a scene's."""
+    """Replaces leaves of a scene."""
 
     which: tuple[int, ...] = eqx.field(static=True)
 
@@ -51,7 +51,7 @@ class _Replaced(eqx.Module):
 
 
 def groups_of(scenes: Any) -> list[Group]:
-    """Members by structure, in the order in which structures come.
+    """Members grouped by the structure of their scene, in order of first appearance.
 
     Raises:
         InputError: no scenes; something that is no scene; a scene that cannot give a right answer; values that are no
@@ -89,7 +89,7 @@ def _of_scenes(scenes: Sequence[Scene], places: list[int]) -> Group:
         if not all(np.array_equal(a, values[0]) for a in values):
             which.append(k)
             rows.append(np.stack(values))
-    if not which:  # all are one scene: something has to say how many there are
+    if not which:  # all members equal: some array has to carry their number
         k = next(k for k, column in enumerate(columns) if eqx.is_array(column[0]))
         which, rows = [k], [np.stack([np.asarray(a) for a in columns[k]])]
     names = [scenes[i].name for i in places]

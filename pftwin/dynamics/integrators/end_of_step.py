@@ -1,7 +1,7 @@
-"""The change of velocity over a step under forces that depend on it, and those forces' impulses.
+"""The change of velocity over a step under forces that depend on it, and the impulses of those forces.
 
-With M the mass matrix (and all that acts as one), R the impulse of the forces that stay as they are, and terms that
-push along wrench directions g_i with impulses that give way to the change of velocity,
+With M the mass matrix (plus whatever acts like mass), R the impulse of the constant forces, and terms along wrench
+directions g_i whose impulses decrease with the change of velocity,
 
     M dv = R + sum_i g_i p_i,        p_i = P_i - w_i g_i . dv,        p_i >= 0 where the term is unilateral,
 

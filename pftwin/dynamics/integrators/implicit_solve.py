@@ -4,13 +4,13 @@ Each stiff term, a force f(s, s') along the wrench direction g, is
 
     f_end = f - (r k + c) g . dv
 
-with r how far ahead a change of velocity is felt, so that with forces acting for a time h there is one symmetric
-positive definite 6 x 6 system
+with r the displacement at the step's end per change of velocity. With forces acting for a time h this gives one
+symmetric positive definite 6 x 6 system
 
     (M + sum_i w_i g_i g_i^T) dv = h (f_rest + sum_i g_i f_i),      w_i = h (r k_i + c_i),
 
-solved for the end forces first (`pftwin.dynamics.integrators.end_of_step`), without those contacts that would end with
-a pull.
+which is solved for the end forces first (`pftwin.dynamics.integrators.end_of_step`), leaving out contacts that would
+end up pulling.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from pftwin.model.effects.base import Load, StiffTerm
 
 SPAN = 0.07  # typical length of a line of force [m]
 LEVER = 0.02  # typical arm of a force on the patella [m]
-FEW = 4  # two-sided terms up to which a system of one row per term is smaller than one of six
+FEW = 4  # up to this many two-sided terms, a system with one row per term is smaller than the 6 x 6 one
 
 
 class Span(NamedTuple):
-    """How long forces act, and how far ahead a change of velocity is felt."""
+    """How long forces act, and the displacement that a change of velocity causes."""
 
     impulse: Scalar  # an end force's time in the change of velocity [s]
     displacement_gain: Scalar  # displacement at the step's end per change of velocity [s]
@@ -85,7 +85,7 @@ def _weight(term: StiffTerm, span: Span) -> Scalar:
 
 
 def load_at_end(load: Load, dv: list[Scalar], displacement_gain: Scalar) -> Load:
-    """The load as it is at the end of the step, with the forces that the solve has reckoned with."""
+    """The load at the end of the step, with the forces that the solve has used."""
     load = load._replace(stiff=tuple(_at_end(term, dv, displacement_gain) for term in load.stiff))
     if load.bed is None:
         return load
@@ -105,12 +105,12 @@ def _at_end(term: StiffTerm, dv: list[Scalar], displacement_gain: Scalar) -> Sti
 
 
 def _diagonal(system: System, loads: list[Load], span: Span) -> list[Scalar]:
-    """Mass and moments of inertia, the drags' share, and what the forces' turning amounts to times h r.
+    """Mass and moments of inertia, the drags' contribution, and that of the turning of forces, times h r.
 
-    A force f that turns with the body is a spring across its own direction: about f / SPAN against displacement,
-    f LEVER against rotation. Only its size matters here: the step stays of the same order whatever is added, and large
-    steps stay stable. A contact that would pull at the predicted pose counts for nothing: a negative share would make
-    the body lighter than it is, or its mass negative.
+    A force f that turns with the body acts as a spring across its own direction: about f / SPAN against displacement,
+    f LEVER against rotation. Its rough size is enough: the order of the step does not depend on it, and it keeps large
+    steps stable. A contact that would pull at the predicted pose is left out, since a negative contribution could make
+    the mass negative.
     """
     terms = [term for load in loads for term in load.stiff]
     pushes = [jnp.sum(jnp.where(t.force > 0, t.force, 0.0)) for t in terms]

@@ -24,16 +24,16 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.implicit_derivative import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.solve import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, gyroscopic, moved
 from pftwin.model.effects.base import Load
 
 MOST_ITERATIONS = 20
 LEVER = 0.02  # [m] turns angles into lengths
-# Last change of the velocity at a step's end [m/s]. The iteration gains a constant share each time: with 1e-9 the
+# Last change of the velocity at a step's end [m/s]. The iteration converges linearly: with 1e-9 the
 # differences of two runs were 3 % off by a contact's stiffness, and 1e-11 takes a twentieth more time.
 SETTLED = {"float64": 1e-11, "float32": 1e-4}
 
@@ -63,7 +63,7 @@ class Weights(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """One step's givens."""
+    """What is known at the start of a step."""
 
     system: System
     state: State
@@ -71,7 +71,7 @@ class _Step(NamedTuple):
     length: Scalar  # h
 
     def end(self, velocity: Twist, w: Weights) -> tuple[State, Twist, Twist]:
-        """The state that ends with a velocity, its algorithmic acceleration, and the one that forces must give."""
+        """The end state for an end velocity, its algorithmic acceleration, and the one that forces must cause."""
         carried, h = self.state.carried, self.length
         start = Twist(self.state.velocity, self.state.spin)
         a = velocity.plus(-1.0, start).plus(-h * (1 - w.gamma), carried.algorithmic).times(1 / (w.gamma * h))

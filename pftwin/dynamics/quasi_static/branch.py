@@ -1,4 +1,4 @@
-"""Where the next state of a motion without inertia is looked for: displacements of a pose, and the rates they mean."""
+"""The unknowns of a step without inertia: displacements of a pose, and the velocities that follow from them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Six = list[Scalar]  # displacements in metres and angles * lever, or forces and 
 
 
 class Branch(NamedTuple):
-    """Where a solution is looked for, and how rates come in."""
+    """The pose that displacements count from, and how velocities follow from displacements."""
 
     system: System
     origin: State  # d counts from here
@@ -25,7 +25,7 @@ class Branch(NamedTuple):
     rates: Scalar  # 1 in motion, 0 where everything stands still
 
     def span(self) -> Scalar:
-        """What a change of the displacement is divided by to be one of the velocity [s]."""
+        """The change of the displacement per change of the velocity [s]."""
         return (1 - self.origin.carried.share) * self.step
 
     def after(self, d: Six, past: Scalar | float = 1.0) -> State:
@@ -54,7 +54,7 @@ class Branch(NamedTuple):
         return self._replace(origin=eqx.tree_at(lambda s: s.memories, self.origin, memories))
 
     def residual(self, d: Six) -> Six:
-        """Force, and moment / lever, that nothing balances [N]."""
+        """Unbalanced force, and moment / lever [N]."""
         loads, _ = self.system.loads(self.instant(d), self.origin.memories)
         return components(sum((load.total() for load in loads), start=Wrench.zero()))
 

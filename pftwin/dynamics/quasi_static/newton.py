@@ -1,10 +1,10 @@
-"""The equilibrium near a guess: from one pose at a time while that leads there, then by exact looks.
+"""The equilibrium near a guess, by a cheap iteration first and by Newton's with the exact tangent where that fails.
 
-The tangent is that of the stiff terms, as each pose tells it, and a remainder that changes little from step to step:
-what the last exact look has found beside them. So an iteration evaluates one pose. Where that has all but met the
-balance, one look around says whether what has been found is stable, takes the rest of the residual away, and leaves its
-remainder to the next step. Where the residual is not halved every time, Newton's iteration starts from the guess again
-and looks around at every iterate.
+The cheap iteration evaluates one pose per iterate. Its tangent is the stiff terms' own stiffness at that pose plus a
+remainder, the rest of the last exact tangent, which changes little from step to step. Once the balance is nearly
+met, one evaluation of the pose and its twelve neighbours gives the exact tangent: it tells whether the equilibrium is
+stable, removes the rest of the residual, and provides the remainder for the next step. Where the residual is not halved
+in every iteration, Newton's iteration starts again from the guess with the exact tangent at every iterate.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from pftwin.dynamics.quasi_static.stability import stable
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.static_load import Surroundings
 
-MOST_ITERATIONS = 20  # that look around
-MOST_SINGLE = 8  # that look at one pose
-SLOW = 0.5  # where one of those leaves more than that of the residual, it is given up
-FARTHEST = 5e-3  # how far from where the motion would lead an equilibrium still counts as the same one [m]
-NEAR = 1e-5  # residual from which a step by the remainder leads close enough for the last look [N]
-POLISH = 1e-6  # how long a step is at most that a balanced pose still takes, without a look after it [m]
+MOST_ITERATIONS = 20  # iterations with the exact tangent
+MOST_SINGLE = 8  # iterations that evaluate one pose
+SLOW = 0.5  # share of the residual that such an iteration may leave; beyond it the cheap iteration is abandoned
+FARTHEST = 5e-3  # an equilibrium farther than this from the predicted pose counts as another one [m]
+NEAR = 1e-5  # residual below which one more step with the remainder suffices before the exact evaluation [N]
+POLISH = 1e-6  # longest last step that is taken without another evaluation [m]
 
 
 class Iterate(NamedTuple):

@@ -1,4 +1,7 @@
-"""The next equilibrium of a motion without inertia: the same one further on, or another one after a snap."""
+"""The next equilibrium of a motion without inertia: the same one further on, or another one after a snap.
+
+The state after a snap: the patella at rest on the femur, and the released energy as heat.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.base.spatial import Scalar
+from pftwin.base.spatial import Scalar, Twist
 from pftwin.dynamics.equilibrium import RIDGE
-from pftwin.dynamics.implicit_derivative import changed_by, solution_changes, tangent_of
+from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.quasi_static.branch import Branch, Six, components_of
 from pftwin.dynamics.quasi_static.newton import newton
 from pftwin.dynamics.relaxation import come_to_rest
+from pftwin.dynamics.solve import changed_by, solution_changes, tangent_of
 from pftwin.dynamics.state import State, moved
 
 LEAST_HELD = 1e-9  # stiffness of every direction, for derivatives alone [N/m]
@@ -72,3 +76,22 @@ def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     right = changed_by(lambda b: found.landed(b).residual(found.d), branch, tangents[0])
     none = jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else None, found)
     return found, none._replace(d=solution_changes(tangent + ridge, right))
+
+
+def carried_along(branch: Branch, state: State) -> Twist:
+    """The displacement over a step of a patella at rest on the moving femur."""
+    femur = branch.guide.femur
+    if femur is None:
+        return Twist(state.velocity, state.spin).times(0.0)
+    turning = state.orientation.unrotate(femur.angular_velocity)
+    return Twist(femur.velocity_at(state.position), turning).times(branch.step)
+
+
+def over_a_snap(ledger: Ledger, branch: Branch, landed: list[Any]) -> Ledger:
+    """Guided bodies move first, then the patella; the stored energy that it loses becomes heat."""
+    held = branch._replace(rates=jnp.zeros_like(branch.rates))
+    standing = held.after([jnp.zeros_like(branch.step)] * 6)
+    loads, _ = branch.system.loads(branch.guide.instant(standing.patella(), 0.0), branch.origin.memories)
+    entered = ledger.entered(standing, standing, loads, None, 1.0, branch.step)
+    stored = [sum((x.energy for x in own if x.energy is not None), jnp.zeros(())) for own in (loads, landed)]
+    return eqx.tree_at(lambda a: a.heat, entered, entered.heat + stored[0] - stored[1])

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar
-from pftwin.dynamics.inverse_with_pivots import inverse_with_pivots
+from pftwin.dynamics.solve import inverse_with_pivots
 
 NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts as none, neutral and not unstable
 SQUARINGS = 16  # from a factor that is 0.2 % off 1, as the slack's and the trace's own are, to one of 1e-57

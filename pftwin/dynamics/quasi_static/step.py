@@ -30,8 +30,7 @@ from pftwin.base.spatial import Scalar, Twist
 from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.quasi_static.branch import Branch, way_of
-from pftwin.dynamics.quasi_static.snap import carried_along, over_a_snap
-from pftwin.dynamics.quasi_static.solution import solved
+from pftwin.dynamics.quasi_static.solution import carried_along, over_a_snap, solved
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.files.interchange.osim_document import Element, read_osim
 from pftwin.files.interchange.osim_frames import Frames, OsimFrame
+from pftwin.files.interchange.osim_joints import Tree, read_tree
 from pftwin.files.interchange.osim_ligaments import LeftOut, OsimLigament, ligaments, value
-from pftwin.files.interchange.osim_tree import Tree, read_tree
 
 Floats = NDArray[np.float64]
 SURFACE = "Smith2018ContactMesh"

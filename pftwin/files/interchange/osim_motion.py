@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_joints import Coordinate
+from pftwin.files.interchange.osim_joints import Coordinate, Tree
 from pftwin.files.interchange.osim_knee import OsimKnee
-from pftwin.files.interchange.osim_tree import Tree
 from pftwin.files.mocap.sto import read_sto
 
 Floats = NDArray[np.float64]

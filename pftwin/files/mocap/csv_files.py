@@ -12,8 +12,7 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import check_row_length, numbers, read_lines, write_text
 from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
-from pftwin.files.mocap.naming import quoted, unknown_name
-from pftwin.files.mocap.tables import Table
+from pftwin.files.mocap.tables import Table, quoted, unknown_name
 from pftwin.files.mocap.units import check_spread, length_factor, split_unit, to_si
 
 _COORDINATE = re.compile(r"^(?P<marker>.+?)[_ .:]?(?P<axis>[xyzXYZ])$")

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.markers import MarkerTrajectories
-from pftwin.files.mocap.naming import quoted
 from pftwin.files.mocap.poses import PoseSeries
+from pftwin.files.mocap.tables import quoted
 
 # Below this ratio of width to length a group of points is a line: 0.2 mm of noise on 10 mm of width is 1 deg already.
 _COLLINEAR = 0.02

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.naming import quoted, unknown_name
-from pftwin.files.mocap.timebase import sampling_rate, uniform_times
+from pftwin.files.mocap.tables import quoted, unknown_name
+from pftwin.files.mocap.timebase import frames_between, sampling_rate, uniform_times
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,23 +93,6 @@ class MarkerTrajectories:
         for old in names:
             self._index(old)
         return replace(self, names=tuple(names.get(n, n) for n in self.names))
-
-
-def frames_between(times: NDArray[np.float64], start: float, end: float, *, where: object) -> NDArray[np.bool_]:
-    """Mask (n,) of the times within [start, end], to within a rounding error.
-
-    Raises:
-        InputError: no frame lies in between.
-    """
-    slack = 1e-9 * max(1.0, abs(start), abs(end))
-    keep = (times >= start - slack) & (times <= end + slack)
-    if not keep.any():
-        raise InputError(
-            f"no frame between {start:g} s and {end:g} s",
-            where=where,
-            expected=f"an interval within {times[0]:g} s to {times[-1]:g} s",
-        )
-    return keep
 
 
 def zeros_to_missing(positions: NDArray[np.float64]) -> NDArray[np.float64]:

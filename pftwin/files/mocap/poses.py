@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.csv_files import read_csv
-from pftwin.files.mocap.markers import frames_between
-from pftwin.files.mocap.naming import unknown_name
-from pftwin.files.mocap.timebase import increasing_times, sampling_rate
+from pftwin.files.mocap.tables import unknown_name
+from pftwin.files.mocap.timebase import frames_between, increasing_times, sampling_rate
 
 if TYPE_CHECKING:
     from pftwin.base.spatial import Pose

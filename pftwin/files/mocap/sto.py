@@ -12,8 +12,7 @@ import numpy as np
 
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.text_files import check_row_length, numbers, read_lines
-from pftwin.files.mocap.naming import quoted, unknown_name
-from pftwin.files.mocap.tables import Table
+from pftwin.files.mocap.tables import Table, quoted, unknown_name
 
 # Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states; with a
 # side behind them, as in OpenSim JAM's knee_tx_r, or none.

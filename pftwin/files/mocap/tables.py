@@ -1,17 +1,19 @@
-"""A table of signals over time: forces, lengths, angles."""
+"""A table of signals over time: forces, lengths, angles.
+
+Unknown names: an error that offers the nearest known ones.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.markers import frames_between
-from pftwin.files.mocap.naming import quoted, unknown_name
-from pftwin.files.mocap.timebase import increasing_times, sampling_rate
+from pftwin.files.mocap.timebase import frames_between, increasing_times, sampling_rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,3 +76,21 @@ class Table:
         """The rows with start <= t <= end [s]; none of them is an InputError."""
         keep = frames_between(self.times, start, end, where=self.source)
         return replace(self, times=self.times[keep], values=self.values[keep])
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str], *, where: object) -> InputError:
+    """The error for a `kind` ("marker", "column", "unit") called `name` that is not among `known`."""
+    known = list(known)
+    by_lower = {k.lower(): k for k in reversed(known)}
+    close = [by_lower[c] for c in difflib.get_close_matches(name.lower(), list(by_lower), n=3, cutoff=0.5)]
+    shown = close or known[:12]
+    listed = ", ".join(repr(k) for k in shown) + (", ..." if not close and len(known) > len(shown) else "")
+    lead = "did you mean " + listed + "?" if close else "one of " + (listed or "(none there)")
+    return InputError(f"no {kind} called {name!r}", where=where, expected=lead)
+
+
+def quoted(names: Iterable[object], limit: int = 8) -> str:
+    """A readable list of the first `limit` names."""
+    items = [str(n) for n in names]
+    tail = f" and {len(items) - limit} more" if len(items) > limit else ""
+    return ", ".join(items[:limit]) + tail

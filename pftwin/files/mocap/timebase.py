@@ -71,3 +71,20 @@ def sampling_rate(times: NDArray[np.float64], *, where: object) -> float:
         raise InputError("one frame has no sampling rate", where=where, expected="at least two frames")
     grid = uniform_times(times, where=where)
     return float((grid.size - 1) / (grid[-1] - grid[0]))
+
+
+def frames_between(times: NDArray[np.float64], start: float, end: float, *, where: object) -> NDArray[np.bool_]:
+    """Mask (n,) of the times within [start, end], to within a rounding error.
+
+    Raises:
+        InputError: no frame lies in between.
+    """
+    slack = 1e-9 * max(1.0, abs(start), abs(end))
+    keep = (times >= start - slack) & (times <= end + slack)
+    if not keep.any():
+        raise InputError(
+            f"no frame between {start:g} s and {end:g} s",
+            where=where,
+            expected=f"an interval within {times[0]:g} s to {times[-1]:g} s",
+        )
+    return keep

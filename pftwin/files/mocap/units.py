@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.naming import unknown_name
+from pftwin.files.mocap.tables import unknown_name
 
 # unit as written -> (SI unit, factor to SI)
 _UNITS: dict[str, tuple[str, float]] = {

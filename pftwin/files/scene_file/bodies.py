@@ -10,10 +10,9 @@ from pydantic import Field
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.mocap import PoseSeries
-from pftwin.files.scene_file.host_pose import HostPose
 from pftwin.files.scene_file.section import Point, Positive, Section
 from pftwin.files.scene_file.segments import PoseSection, SegmentRecording, SegmentSection
-from pftwin.files.scene_file.side import Side
+from pftwin.files.scene_file.side import HostPose, Side
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody
 

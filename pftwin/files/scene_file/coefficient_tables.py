@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
-from pftwin.files.scene_file.host_pose import HostPose
 from pftwin.files.scene_file.section import (
     Pair,
     Point,
@@ -21,6 +20,7 @@ from pftwin.files.scene_file.section import (
     problem,
 )
 from pftwin.files.scene_file.setting import Setting
+from pftwin.files.scene_file.side import HostPose
 
 if TYPE_CHECKING:
     from pftwin.geometry.patch.charts import Chart

@@ -1,4 +1,7 @@
-"""[contact]: the button's sphere on the trochlea, and its normal force's law."""
+"""[contact]: the button's sphere on the trochlea, and its normal force's law.
+
+friction = { ... } in [contact] and [mesh_contact].
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,6 @@ from pydantic import Field, model_validator
 
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.effect_tables import EffectSection
-from pftwin.files.scene_file.friction_table import FrictionSection
 from pftwin.files.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
 from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.surface_table import SurfaceSection
@@ -19,6 +21,7 @@ from pftwin.model.effects.sphere_contact import SphereContact
 if TYPE_CHECKING:
     from pftwin.geometry.patch.sphere import SphereFit
     from pftwin.model.effects.base import Effect
+    from pftwin.model.effects.contact import Contact
 
 
 class LawSection(Section):
@@ -119,3 +122,18 @@ class ContactSection(EffectSection):
         place = vector(setting.points("patella", center))
         contact = SphereContact(surface, self.law.build(), place, number(radius), name=self.label)
         return contact if self.friction is None else self.friction.added(contact)
+
+
+class FrictionSection(Section):
+    """Coulomb friction, smooth about rest."""
+
+    coefficient: NotNegative = Field(description="coefficient of friction mu [-]")
+    slip_speed_m_per_s: Positive = Field(
+        default=1e-3, description="speed up to which contacts creep rather than slide [m/s]"
+    )
+
+    def added(self, contact: Contact) -> Contact:
+        """The contact with it."""
+        from pftwin.model.effects.friction import Friction
+
+        return contact.with_friction(Friction(number(self.coefficient), number(self.slip_speed_m_per_s)))

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.effect_tables import EffectSection
-from pftwin.files.scene_file.mesh_checks import check_start, refuse_patch
-from pftwin.files.scene_file.mesh_tables import At, ButtonSection, FemurMeshSection
+from pftwin.files.scene_file.mesh_tables import At, ButtonSection, FemurMeshSection, check_start, refuse_patch
 from pftwin.files.scene_file.section import NotNegative, Positive, Section
 from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.surface_table import SurfaceSection

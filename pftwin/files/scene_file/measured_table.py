@@ -11,10 +11,9 @@ from pydantic import Field
 from pftwin.base.errors import InputError
 from pftwin.files.mocap import PoseSeries, read_csv, singular_spectrum_filter
 from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.host_pose import HostPose
 from pftwin.files.scene_file.section import FileName, Section
 from pftwin.files.scene_file.segments import SegmentRecording, SegmentSection
-from pftwin.files.scene_file.side import Side
+from pftwin.files.scene_file.side import HostPose, Side
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 

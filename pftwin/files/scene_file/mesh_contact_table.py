@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from pftwin.base.leaves import number, vector
-from pftwin.files.scene_file.contact_table import FloresSection, HertzSection, HuntCrossleySection
+from pftwin.files.scene_file.contact_table import FloresSection, FrictionSection, HertzSection, HuntCrossleySection
 from pftwin.files.scene_file.effect_tables import EffectSection
-from pftwin.files.scene_file.friction_table import FrictionSection
-from pftwin.files.scene_file.mesh_checks import check_start, refuse_patch
 from pftwin.files.scene_file.mesh_tables import (
     At,
     ButtonMesh,
@@ -18,6 +16,8 @@ from pftwin.files.scene_file.mesh_tables import (
     ButtonSphere,
     FemurMesh,
     FemurMeshSection,
+    check_start,
+    refuse_patch,
 )
 from pftwin.files.scene_file.section import Positive, problem
 from pftwin.files.scene_file.setting import Setting

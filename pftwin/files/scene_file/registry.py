@@ -21,10 +21,8 @@ from pftwin.files.scene_file.field_tables import DampingSection, GravitySection
 from pftwin.files.scene_file.foundation_table import ElasticFoundationSection
 from pftwin.files.scene_file.mesh_contact_table import MeshContactSection
 from pftwin.files.scene_file.strands_table import StrandsSection
-from pftwin.files.scene_file.tendon_table import TendonSection
+from pftwin.files.scene_file.tendon_table import TendonSection, ToeTendonSection, ViscoelasticTendonSection
 from pftwin.files.scene_file.tension_table import PrescribedTensionSection
-from pftwin.files.scene_file.toe_tendon_table import ToeTendonSection
-from pftwin.files.scene_file.viscoelastic_tendon_table import ViscoelasticTendonSection
 from pftwin.model.effects.base import Effect
 
 EFFECTS: tuple[type[EffectSection], ...] = (

@@ -21,8 +21,8 @@ from pftwin.files.mocap import (
     three_point_frames,
 )
 from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.host_pose import HostPose
 from pftwin.files.scene_file.section import FileName, NotNegative, Point, Positive, Section, UnitQuaternion, problem
+from pftwin.files.scene_file.side import HostPose
 
 
 class PoseSection(Section):

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.host_pose import HostPose
-from pftwin.files.scene_file.side import Side
+from pftwin.files.scene_file.side import HostPose, Side
 from pftwin.model.motion import KneeMotion
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from pftwin.base.json_files import read_json
 from pftwin.base.leaves import number as leaf
 from pftwin.base.leaves import vector
 from pftwin.base.text_files import number, read_lines
-from pftwin.files.mocap.naming import unknown_name
+from pftwin.files.mocap.tables import unknown_name
 from pftwin.files.scene_file.effect_tables import Body, EffectSection
 from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, problem
 from pftwin.files.scene_file.setting import Setting

@@ -19,8 +19,15 @@ from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 from pftwin.results.metrics import validate
 from pftwin.results.result import Result
-from pftwin.studies.accuracy.plan import MESHES, REFERENCE, REFERENCE_ON_MESHES, MeasuredProgram
-from pftwin.studies.accuracy.programs import VARIANTS, Programs, programs
+from pftwin.studies.accuracy.programs import (
+    MESHES,
+    REFERENCE,
+    REFERENCE_ON_MESHES,
+    VARIANTS,
+    MeasuredProgram,
+    Programs,
+    programs,
+)
 from pftwin.studies.runs import Difference, difference, rms, time_in_turn
 
 SceneOf = Callable[[str], Scene]  # from a contact's name, in JAX's present float type

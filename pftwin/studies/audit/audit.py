@@ -15,11 +15,8 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
-from pftwin.studies.audit.ablations import ablations
-from pftwin.studies.audit.additions import additions
-from pftwin.studies.audit.changes import Changes, changes, lost
-from pftwin.studies.audit.runs import VariantRun, run_alone, run_side_by_side
-from pftwin.studies.audit.variant import KINDS, Kind, NotApplicable, Variant
+from pftwin.studies.audit.runs import Changes, VariantRun, changes, lost, run_alone, run_side_by_side
+from pftwin.studies.audit.variants import KINDS, Kind, NotApplicable, Variant, ablations, additions
 from pftwin.studies.runs import Cost, run_each, time_in_turn
 
 

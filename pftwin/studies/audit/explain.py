@@ -16,10 +16,8 @@ from pftwin.dynamics.simulate import settle
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
-from pftwin.studies.audit.account import Account, PartAccount, account
-from pftwin.studies.audit.equations import equations
-from pftwin.studies.audit.parts import EffectPart, parts
-from pftwin.studies.audit.step_cost import through_frames
+from pftwin.studies.audit.account import Account, EffectPart, PartAccount, account, parts
+from pftwin.studies.audit.step import equations, through_frames
 from pftwin.studies.runs import Cost, time_in_turn
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pftwin.results.plots.style import COLOURS, SMALL, WIDE, house_style
 from pftwin.studies.audit.audit import Audit, Worth
-from pftwin.studies.audit.table import columns
+from pftwin.studies.audit.report import columns
 from pftwin.studies.tables import Column
 
 if TYPE_CHECKING:

@@ -14,10 +14,8 @@ from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases.broken_meshes import MESH_MAKERS
 from pftwin.studies.hard_cases.case import RELEASED, Expected, HardCase
 from pftwin.studies.hard_cases.contacts import CONTACTS, MESHES, PATCHES
-from pftwin.studies.hard_cases.grounds import GROUNDS, PLATE
-from pftwin.studies.hard_cases.knee import RADIUS, TROCHLEA, KneeNumbers, TendonNumbers, standing
-from pftwin.studies.hard_cases.motions import MOTIONS
-from pftwin.studies.hard_cases.random_knees import drawn
+from pftwin.studies.hard_cases.ground import GROUNDS, PLATE
+from pftwin.studies.hard_cases.knee import MOTIONS, RADIUS, TROCHLEA, KneeNumbers, TendonNumbers, drawn, standing
 
 _ABSENT = TendonNumbers(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
 _ORIGIN = (0.0, 0.0, 0.0)

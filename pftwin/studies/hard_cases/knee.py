@@ -2,12 +2,16 @@
 
 What a case changes is a number, never the structure: scenes on one kind of contact are stacked into one batch, and a
 tendon that a case does without hangs slack.
+
+The tibial motions of cases, by name: plain, noisy, jumping, with quaternions of either sign, and broken.
+
+Knees of numbers at random: coefficients, tendons and law drawn around the small knee's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +20,14 @@ from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Pose, Quaternion
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.patch.polynomial import exponents
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.contact_law import Flores
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.tendon import Tendon
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody, Scene
-from pftwin.studies.hard_cases.ground import TiltedGround, mesh_on
+from pftwin.studies.hard_cases.ground import TROCHLEA, TiltedGround, mesh_on
 
 Triple = tuple[float, float, float]
 Floats = NDArray[np.float64]
@@ -94,14 +99,6 @@ QUADRICEPS = TendonNumbers(156, 0.1432, (0.02, 0, -0.008), (0.22, 0.012, 0.035))
 PATELLAR_TENDON = TendonNumbers(629, 0.0714, (-0.02, 0, -0.008), (-0.07, 0.01, 0.045))
 
 
-def _trochlea(u: Floats, v: Floats) -> Floats:
-    """A groove around the distal femur, about a trochlear radius of 26 mm."""
-    return np.sqrt(0.026**2 - (0.85 * u) ** 2) - 0.026 + np.sqrt(v**2 + 0.006**2) * np.tan(np.radians(18))
-
-
-TROCHLEA = TiltedGround(_trochlea, tilt=float(np.radians(40)), above=0.026)
-
-
 @dataclass(frozen=True)
 class KneeNumbers:
     """All numbers of a scene."""
@@ -138,3 +135,78 @@ class KneeNumbers:
         body = PatellaBody(number(self.mass), vector(inertia), vector(self.center_of_mass))
         motion = KneeMotion.from_poses(None, self.tibia())
         return Scene(body, effects, motion, Pose(vector(self.start), turn), name, synthetic=True)
+
+
+_NOISE = (0.5e-3, 0.3)  # of positions [m] and of flexion [deg], standard deviations
+_LONG = 60.0  # [s]
+
+
+def _jumping() -> PoseSeries:
+    """One frame is 20 mm and 15 deg off, as where two markers change places."""
+    angles, positions = flexion(FRAMES), np.zeros((FRAMES, 3))
+    angles[25] += 15
+    positions[25] = (0.0, 0.02, 0.0)
+    return flexed(angles, positions)
+
+
+def _noisy() -> PoseSeries:
+    random = np.random.default_rng(7)
+    positions = random.normal(0, _NOISE[0], (FRAMES, 3))
+    return flexed(flexion(FRAMES) + random.normal(0, _NOISE[1], FRAMES), positions)
+
+
+def _with(**changes: Callable[[Floats], Floats]) -> Callable[[], PoseSeries]:
+    """The plain motion with times, positions or quaternions changed."""
+
+    def made() -> PoseSeries:
+        plain, same = swinging(), lambda a: a
+        arrays = (changes.get(n, same)(getattr(plain, n)) for n in ("times", "positions", "quaternions"))
+        return PoseSeries(*arrays, source="tibia")
+
+    return made
+
+
+_frame = np.arange(FRAMES)
+MOTIONS: Mapping[str, Callable[[], PoseSeries]] = {
+    "standing": standing,
+    "swinging": swinging,
+    "jumping": _jumping,
+    "noisy": _noisy,
+    "signs_flip": _with(quaternions=lambda q: np.where(_frame % 3 == 1, -1.0, 1.0)[:, None] * q),
+    "all_negative": _with(quaternions=lambda q: -q),
+    "ten_times_faster": lambda: swinging(speed=10.0),
+    "long": lambda: swinging(round(_LONG * RATE) + 1),
+    "three_frames": lambda: flexed(np.full(3, 45.0)),
+    "uneven": _with(times=lambda t: np.where(_frame < 20, t, t + 0.02)),
+    "not_finite": _with(positions=lambda x: np.where(_frame[:, None] == 3, np.nan, x)),
+    "not_unit": _with(quaternions=lambda q: 1.1 * q),
+}
+
+
+DEGREE, BUMPS = 5, 4e-4  # of the bumps that are added to the trochlea, and their coefficients' size [m]
+
+
+def bumpy(coefficients: np.ndarray) -> TiltedGround:
+    """The trochlea with a polynomial of `DEGREE` added to its height, in coordinates from -1 to 1 [m]."""
+    half, powers = TROCHLEA.half, exponents(DEGREE)
+
+    def height(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        a, b = u / half[0], v / half[1]
+        return TROCHLEA.height(u, v) + sum(c * a**i * b**j for c, (i, j) in zip(coefficients, powers, strict=True))
+
+    return replace(TROCHLEA, height=height)
+
+
+def drawn(seed: int) -> KneeNumbers:
+    """A knee at random: every number is within what the rest of the catalogue has."""
+    random = np.random.default_rng(seed)
+    quadriceps, tendon = (
+        replace(
+            s, stiffness=s.stiffness * random.uniform(0.5, 2.0), slack_length=s.slack_length * random.uniform(0.9, 1.02)
+        )
+        for s in (QUADRICEPS, PATELLAR_TENDON)
+    )
+    law = Law(10 ** random.uniform(7.5, 9.5), random.uniform(1.3, 1.7), random.uniform(0.1, 1.0))
+    ground = bumpy(random.normal(0, BUMPS, len(exponents(DEGREE))))
+    mass = float(10 ** random.uniform(-1.5, -0.5))
+    return KneeNumbers(ground=ground, law=law, mass=mass, quadriceps=quadriceps, patellar_tendon=tendon)

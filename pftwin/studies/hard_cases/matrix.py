@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.studies.hard_cases import derivatives
-from pftwin.studies.hard_cases.batch import CaseBatch, batches, member, part, short_enough, steps_of
-from pftwin.studies.hard_cases.batch_independence import batch_mates
-from pftwin.studies.hard_cases.case import HardCase
+from pftwin.studies.hard_cases.batch import CaseBatch, batch_mates, batches, member, part, short_enough, steps_of
+from pftwin.studies.hard_cases.case import INTEGRATORS, CaseIntegrator, HardCase, limit_of
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
-from pftwin.studies.hard_cases.integrators import INTEGRATORS, CaseIntegrator
 from pftwin.studies.hard_cases.knee import RATE
-from pftwin.studies.hard_cases.limits import limit_of
 from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, compiled, depths, poses, run, slopes
 from pftwin.studies.hard_cases.starts import Starts, starts_of, starts_part
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict

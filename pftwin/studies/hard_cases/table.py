@@ -1,15 +1,32 @@
-"""The matrix as tables: for the terminal and for docs/hard_cases.md."""
+"""The matrix as tables: for the terminal and for docs/hard_cases.md.
+
+Pieces of the matrix, run at different times: kept as JSON, and put together for one page.
+
+Cases run as results, to be looked at: positions, forces, energies and flags of their frames.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
+
+from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.studies.hard_cases.case import HardCase
-from pftwin.studies.hard_cases.pieces import KeptPiece, runs
+from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.results.result import Result
+from pftwin.studies.hard_cases.batch import batches, built, member, steps_of
+from pftwin.studies.hard_cases.case import HardCase, method_named
+from pftwin.studies.hard_cases.knee import RATE
+from pftwin.studies.hard_cases.programs import PARAMETERS, compiled, run
+from pftwin.studies.hard_cases.starts import starts_of
 from pftwin.studies.hard_cases.verdict import Cell
+from pftwin.studies.tables import read_rows
 
 OUTCOMES = ("pass", "fail", "refused")
 LONGEST_REASON = 160  # characters
@@ -102,3 +119,109 @@ def _list(cases: Iterable[HardCase]) -> str:
 
 def _short(text: str) -> str:
     return text if len(text) <= LONGEST_REASON else text[: LONGEST_REASON - 3].rstrip() + "..."
+
+
+_EXPECTED = "what pftwin hard-cases --json has written"
+
+
+class KeptPiece(NamedTuple):
+    """Cells that were run in one go."""
+
+    rows: tuple[Cell, ...]
+    seconds: float  # compiling included
+    machine: dict[str, Any]  # as `pftwin.base.machine.describe` has it, date included
+    quick: bool  # neither derivatives nor batches side by side
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {**self._asdict(), "rows": [c._asdict() for c in self.rows]}
+
+
+def read_piece(path: Path) -> KeptPiece:
+    """A piece that `pftwin hard-cases --json` has written.
+
+    Raises:
+        InputError: no such file, or another one's content.
+    """
+    found, rows = read_rows(path, Cell, _EXPECTED)
+    try:
+        return KeptPiece(tuple(rows), float(found["seconds"]), dict(found["machine"]), bool(found["quick"]))
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"no piece of the matrix: {error}", where=path, expected=_EXPECTED) from error
+
+
+def read_pieces(path: Path) -> list[KeptPiece]:
+    """A piece, or all that lie in a folder as *.json, from the oldest to the newest.
+
+    Raises:
+        InputError: no such file, another one's content, or a folder without a piece.
+    """
+    if not path.is_dir():
+        return [read_piece(path)]
+    found = [read_piece(one) for one in sorted(path.glob("*.json"))]
+    if not found:
+        raise InputError("no piece in it", where=str(path), expected=_EXPECTED)
+    return sorted(found, key=lambda piece: str(piece.machine["date"]))
+
+
+def merged(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
+    """All cells, each once: of the last piece that has it.
+
+    Args:
+        pieces: from the oldest to the newest.
+        order: names of cases, contacts, integrators and float types, each in the order in which they are to be shown.
+    """
+    kept = {cell[:4]: cell for piece in pieces for cell in piece.rows}
+    ranks = [{name: k for k, name in enumerate(names)} for names in order]
+
+    def rank(cell: Cell) -> tuple[int, ...]:
+        case, contact, integrator, dtype = (r.get(x, len(r)) for r, x in zip(ranks, cell[:4], strict=True))
+        return contact, integrator, dtype, case
+
+    return sorted(kept.values(), key=rank)
+
+
+def runs(pieces: Sequence[KeptPiece]) -> Sheet:
+    """Rows of what each piece ran and when."""
+    rows = []
+    for piece in pieces:
+        names = (
+            ", ".join(dict.fromkeys(getattr(c, n) for c in piece.rows)) for n in ("contact", "integrator", "dtype")
+        )
+        cases = str(len({c.case for c in piece.rows}))
+        looked = "the run alone" if piece.quick else "everything"
+        rows.append((str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}", *names, cases, looked))
+    headings = ("date", "minutes", "contacts", "integrators", "float types", "cases", "looked at")
+    return Sheet("what was run", headings, tuple(rows))
+
+
+def results(
+    cases: Sequence[HardCase], contact: str = "P5", integrator: str = "linear_implicit"
+) -> dict[str, Result | InputError]:
+    """What comes out of each case that there is with a kind of contact, in float64: a result, or what refused it.
+
+    Unlike `pftwin.simulate` it lets go, where a case says so, of a patella that is not in equilibrium. The programs and
+    the steps are those of `run_matrix`; of several cases at once they are compiled once.
+    """
+    method, found = method_named(integrator), {}
+    with jax.enable_x64(True):
+        stacks, refused = batches(cases, contact)
+        for batch in stacks:
+            starts = starts_of(batch, "float64").chosen
+            substeps = [steps_of(c, method) for c in batch.cases]
+            forward = compiled(run, True, integrator=integrator_from_text(integrator))
+            nothing = jnp.zeros((len(substeps), len(PARAMETERS)))
+            ran = jax.device_get(forward(batch.scenes, starts, jnp.asarray(substeps), nothing))
+            for k, case in enumerate(batch.cases):
+                one = member(ran, k)
+                found[case.name] = Result.build(
+                    built(case, contact),
+                    member(starts, k),
+                    one.seen,
+                    one.ledger,
+                    relaxed=False,
+                    settings={"integrator": integrator, "dt_s": 1 / RATE / substeps[k], "substeps": substeps[k]},
+                    timing={},
+                )
+    found.update(refused)
+    return {c.name: found[c.name] for c in cases if c.name in found}

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import derivatives
-from pftwin.studies.hard_cases.case import UNKNOWN, HardCase
-from pftwin.studies.hard_cases.integrators import CaseIntegrator
+from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator, HardCase, limit_of
 from pftwin.studies.hard_cases.invariants import CHECKS
-from pftwin.studies.hard_cases.limits import limit_of
 from pftwin.studies.hard_cases.look import TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import CaseRun
 

@@ -32,8 +32,8 @@ from pftwin.base.spatial import Vec3
 from pftwin.dynamics.frame_states import first_guide
 from pftwin.files.mocap import PoseSeries, write_trc
 from pftwin.files.scene_file import load_scene, load_scene_file
-from pftwin.files.scene_file.host_pose import HostPose
 from pftwin.files.scene_file.section import Section
+from pftwin.files.scene_file.side import HostPose
 from pftwin.geometry.mesh.mesh import SurfaceMesh, save_mesh
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.model.effects.base import Patella

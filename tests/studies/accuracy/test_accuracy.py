@@ -17,7 +17,7 @@ from pftwin.cli.program import app
 from pftwin.files.result_files import load_dataset
 from pftwin.results.metrics import validate
 from pftwin.studies.accuracy.measure import AccuracyRow, compiling_anew, converged, float_type, rows
-from pftwin.studies.accuracy.plan import COMMON, FLOATS, MESHES, SMOOTH, MeasuredProgram, chosen, everything
+from pftwin.studies.accuracy.programs import COMMON, FLOATS, MESHES, SMOOTH, MeasuredProgram, chosen, everything
 from pftwin.studies.accuracy.run import AccuracyMeasured, report, write
 from pftwin.studies.accuracy.table import advice, columns, front, read_csv, recommended
 from pftwin.studies.tables import to_csv

@@ -23,12 +23,10 @@ from pftwin.dynamics.status import Status
 from pftwin.model.scene import Scene
 from pftwin.results.result import Result
 from pftwin.studies.audit.audit import Audit, _outcome, _verdict, audit
-from pftwin.studies.audit.changes import changes, lost
 from pftwin.studies.audit.figure import audit_figure
-from pftwin.studies.audit.report import audit_sheet
-from pftwin.studies.audit.runs import run_alone, run_side_by_side
-from pftwin.studies.audit.table import columns, dataset
-from pftwin.studies.audit.variant import Variant
+from pftwin.studies.audit.report import audit_sheet, columns, dataset
+from pftwin.studies.audit.runs import changes, lost, run_alone, run_side_by_side
+from pftwin.studies.audit.variants import Variant
 
 FRAMES, SUBSTEPS = 11, 2
 

@@ -20,8 +20,8 @@ from pftwin.model.effects.strands import StrandGroup
 from pftwin.model.effects.toe_tendon import ToeTendon
 from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
 from pftwin.model.scene import Scene
-from pftwin.studies.audit.equations import count, equations
-from pftwin.studies.audit.parts import parts
+from pftwin.studies.audit.account import parts
+from pftwin.studies.audit.step import count, equations
 
 
 @cache

@@ -15,9 +15,9 @@ from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
 from pftwin.studies.audit import explain as module
 from pftwin.studies.audit.account import account
-from pftwin.studies.audit.equations import equations
 from pftwin.studies.audit.explain import Explanation, explain
 from pftwin.studies.audit.report import explanation_sheet
+from pftwin.studies.audit.step import equations
 from pftwin.studies.audit.stiffness import rates
 from pftwin.studies.runs import Cost, time_in_turn
 

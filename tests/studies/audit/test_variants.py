@@ -17,10 +17,7 @@ from pftwin.model.effects.base import Change, Effect, Load
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.strands import StrandGroup
 from pftwin.model.scene import PatellaBody, Scene
-from pftwin.studies.audit.ablations import ablations
-from pftwin.studies.audit.additions import additions
-from pftwin.studies.audit.femur_inertia import without_femur_inertia
-from pftwin.studies.audit.variant import NotApplicable, Variant
+from pftwin.studies.audit.variants import NotApplicable, Variant, ablations, additions, without_femur_inertia
 
 SLACK, END = 0.05, 0.1
 

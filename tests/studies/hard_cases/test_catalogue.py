@@ -27,8 +27,7 @@ from pftwin.studies.hard_cases.batch import batches, built
 from pftwin.studies.hard_cases.case import Expected, HardCase
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.knee import KneeNumbers
-from pftwin.studies.hard_cases.pieces import KeptPiece
-from pftwin.studies.hard_cases.table import by_case, counts, markdown, reasons, summary
+from pftwin.studies.hard_cases.table import KeptPiece, by_case, counts, markdown, reasons, summary
 from pftwin.studies.hard_cases.verdict import Cell
 
 

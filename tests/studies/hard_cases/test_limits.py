@@ -15,12 +15,10 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrators import Newmark, QuasiStatic
 from pftwin.dynamics.status import Status
-from pftwin.studies.audit.additions import additions
-from pftwin.studies.audit.variant import NotApplicable
+from pftwin.studies.audit.variants import NotApplicable, additions
 from pftwin.studies.hard_cases import CONTACTS, case_named
 from pftwin.studies.hard_cases.batch import batches
-from pftwin.studies.hard_cases.integrators import method_named
-from pftwin.studies.hard_cases.limits import LIMITS, limit_of
+from pftwin.studies.hard_cases.case import LIMITS, limit_of, method_named
 from pftwin.studies.hard_cases.matrix import EVERYTHING, run_matrix
 from pftwin.studies.hard_cases.verdict import _at_limit
 

@@ -6,7 +6,7 @@ import pytest
 from scenes import vec
 
 from pftwin.studies.hard_cases.contacts import contact_on
-from pftwin.studies.hard_cases.grounds import PLATE
+from pftwin.studies.hard_cases.ground import PLATE
 from pftwin.studies.hard_cases.knee import RADIUS, KneeNumbers
 from pftwin.studies.hard_cases.nearest import depth_everywhere
 

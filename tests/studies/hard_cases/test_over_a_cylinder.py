@@ -11,8 +11,7 @@ from scenes import vec
 from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.studies.hard_cases import Selection, case_named, method_named, run_matrix
 from pftwin.studies.hard_cases.contacts import contact_on
-from pftwin.studies.hard_cases.ground import axis_below, patch_on
-from pftwin.studies.hard_cases.grounds import PLATE
+from pftwin.studies.hard_cases.ground import PLATE, axis_below, patch_on
 from pftwin.studies.hard_cases.knee import RADIUS
 from pftwin.studies.hard_cases.nearest import depth_everywhere
 

@@ -9,7 +9,7 @@ import pytest
 from pftwin.base.errors import InputError
 from pftwin.studies.hard_cases import case_named, method_named
 from pftwin.studies.hard_cases.batch import batches, short_enough
-from pftwin.studies.hard_cases.pieces import KeptPiece, merged, read_piece, read_pieces, runs
+from pftwin.studies.hard_cases.table import KeptPiece, merged, read_piece, read_pieces, runs
 from pftwin.studies.hard_cases.verdict import Cell
 
 MACHINE = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}

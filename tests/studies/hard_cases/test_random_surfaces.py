@@ -16,10 +16,9 @@ from pftwin.geometry.patch.polynomial import exponents
 from pftwin.studies.hard_cases.batch import built, member, stacked
 from pftwin.studies.hard_cases.case import HardCase
 from pftwin.studies.hard_cases.invariants import CHECKS
-from pftwin.studies.hard_cases.knee import KneeNumbers
+from pftwin.studies.hard_cases.knee import BUMPS, DEGREE, KneeNumbers, bumpy
 from pftwin.studies.hard_cases.look import TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import compiled, depths, rest, run
-from pftwin.studies.hard_cases.random_knees import BUMPS, DEGREE, bumpy
 
 COEFFICIENTS = st.lists(
     st.floats(-2 * BUMPS, 2 * BUMPS), min_size=len(exponents(DEGREE)), max_size=len(exponents(DEGREE))

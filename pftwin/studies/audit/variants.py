@@ -1,0 +1,192 @@
+"""The variants that an audit runs: what a scene can do without, what it lacks and could have, other inertia."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number
+from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit, QuasiStatic
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.effects.base import Change
+from pftwin.model.effects.friction import Friction
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.line_elements import TOE
+from pftwin.model.motion import KneeMotion, SegmentMotion
+from pftwin.model.scene import Scene
+from pftwin.studies.audit.account import parts
+
+Kind = Literal["left out", "put in", "changed", "yardstick"]
+KINDS: tuple[Kind, ...] = get_args(Kind)  # in the order of tables
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What is changed, and the scene with the change."""
+
+    name: str
+    kind: Kind
+    sentence: str
+    scene: Scene
+    alike: bool = False  # whether only numbers differ, so that it is run side by side with its like
+    integrator: Integrator | None = None  # in the place of the scene's
+    refine: int = 1  # how many steps there are for each one
+
+
+@dataclass(frozen=True)
+class NotApplicable:
+    """What cannot be left out or put in here, and why."""
+
+    name: str
+    kind: Kind
+    reason: str
+
+
+NAME = "moving-femur inertia"
+
+
+def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
+    """The variant, or why there is none."""
+    femur = scene.motion.femur
+    if femur is None:
+        reason = "the femur stands still in this scene, and nothing in it tells how it moved in the world"
+        return NotApplicable(NAME, "put in", reason)
+    seen = {e.name: e.in_still_femur(femur) for e in scene.effects}
+    if grounded := [name for name, effect in seen.items() if effect is None]:
+        return NotApplicable(NAME, "left out", f"fixed to the ground, which would move then: {', '.join(grounded)}")
+    effects = tuple(e for e in seen.values() if e is not None)
+    motion, start = _seen_from_femur(scene.motion, femur), _start(scene, femur)
+    fixed = dataclasses.replace(scene, effects=effects, motion=motion, start=start)
+    return Variant(NAME, "left out", "the femur's frame taken for an inertial one, weight turning in it", fixed)
+
+
+def _seen_from_femur(motion: KneeMotion, femur: SegmentMotion) -> KneeMotion:
+    tibia = _series(motion.tibia, motion.times).relative_to(_series(femur, motion.times))
+    fixed = KneeMotion.from_poses(None, tibia)
+    return KneeMotion(None, fixed.tibia, motion.start_time, motion.frame_interval, motion.n_frames)
+
+
+def _start(scene: Scene, femur: SegmentMotion) -> Pose:
+    """The patella's start pose in the femur at the first frame."""
+    first = femur.frames(scene.motion.start_time)
+    turn = Quaternion.from_rotation(first.rotation).conjugate()
+    return Pose(turn.rotate(scene.start.position - first.origin), turn * scene.start.orientation)
+
+
+def _series(segment: SegmentMotion, times: np.ndarray) -> PoseSeries:
+    """Poses at the recorded times: the splines go through them."""
+    origins, matrices = jax.device_get(_origins_and_matrices(segment, times))
+    return PoseSeries.from_matrices(times, origins, matrices)
+
+
+@eqx.filter_jit
+def _origins_and_matrices(segment: SegmentMotion, times: np.ndarray) -> tuple[Array, Array]:
+    frames = segment.frames(times)
+    return frames.origin.array(), frames.rotation.array()
+
+
+def ablations(scene: Scene) -> list[Variant | NotApplicable]:
+    """Each effect, what effects can be without, and what the femur's motion adds."""
+    found: list[Variant | NotApplicable] = [
+        Variant(p.name, "left out", f"the scene without {p.name} ({p.kind})", p.without) for p in parts(scene)
+    ]
+    shared = (c for e in scene.effects for c in e.simplifications() if c.memory is None)
+    return [*found, *together(scene, "left out", shared), without_femur_inertia(scene)]
+
+
+def together(scene: Scene, kind: Kind, changes: Iterable[Change]) -> list[Variant]:
+    """A variant for each label, with all effects changed that have a change of that label."""
+    groups: dict[str, list[Change]] = {}
+    for change in changes:
+        groups.setdefault(change.label, []).append(change)
+    found = []
+    for label, group in groups.items():
+        changed = scene
+        for c in group:
+            changed = changed.with_effect(c.effect)
+        sentence = f"{', '.join(c.effect.name for c in group)}: {group[0].how}"
+        alike = jax.tree.structure(changed) == jax.tree.structure(scene)
+        found.append(Variant(label, kind, sentence, changed, alike))
+    return found
+
+
+# UHMWPE on CoCr, wet: 0.04 to 0.10 at 3 to 9 MPa in three studies compared by BioMed Res Int 2015:185142, Table 5.
+FRICTION = 0.05
+SLIP_SPEED = 1e-3  # [m/s]
+WEIGHT = 9.81  # [m/s^2]
+
+
+def additions(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicable]:
+    """Friction, weight, a toe region, and inertia more, less or none; and steps half as long, as a yardstick."""
+    found = [_friction(scene), _gravity(scene), *_elaborated(scene), *_inertia(scene, integrator)]
+    half = Variant("steps half as long", "yardstick", "what the step itself is worth", scene, refine=2)
+    return [*(v for v in found if v is not None), half]
+
+
+def _friction(scene: Scene) -> Variant | NotApplicable | None:
+    if any(c.label == "friction" for e in scene.effects for c in e.simplifications()):
+        return None
+    if scene.contact is None:
+        return NotApplicable("friction", "put in", "nothing touches")
+    try:
+        rough = scene.contact.with_friction(Friction(number(FRICTION), number(SLIP_SPEED)))
+    except InputError as error:
+        return NotApplicable("friction", "put in", str(error))
+    sentence = f"Coulomb, coefficient {FRICTION:g}, slip speed {1e3 * SLIP_SPEED:g} mm/s, in {scene.contact.name}"
+    return Variant("friction", "put in", sentence, scene.with_effect(rough))
+
+
+def _gravity(scene: Scene) -> Variant | None:
+    if any(isinstance(e, Gravity) for e in scene.effects):
+        return None
+    femur = scene.motion.femur
+    axes = Rotation.from_array(number([[1, 0, 0], [0, 1, 0], [0, 0, 1]]))
+    if femur is not None:
+        axes = femur.frames(scene.motion.start_time).rotation
+    down = axes.apply(Vec3(number(-WEIGHT), number(0.0), number(0.0)))
+    sentence = f"{WEIGHT:g} m/s2 towards the femur's distal end at the first frame: a thigh held upright"
+    return Variant("gravity", "put in", sentence, scene.with_effect(Gravity(scene.patella.mass, down)))
+
+
+def _elaborated(scene: Scene) -> list[Variant | NotApplicable]:
+    """What effects say that they lack: toe regions of linear tendons, where no line of force has one already."""
+    lacking = [c for e in scene.effects for c in e.elaborations()]
+    labels = [c.label for e in scene.effects for c in (*lacking, *e.simplifications())]
+    if any(label.startswith(TOE) for label in labels):
+        return [*together(scene, "put in", lacking)]
+    return [*together(scene, "put in", lacking), NotApplicable(TOE, "put in", "no tendon is linear")]
+
+
+def _inertia(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicable]:
+    def times(factor: float) -> Scene:
+        body = scene.patella
+        heavier = factor * body.mass, factor * body.inertia
+        return eqx.tree_at(lambda s: (s.patella.mass, s.patella.inertia), scene, heavier)
+
+    if not integrator.inertia:
+        sentence = "mass and moments of inertia, by linear_implicit"
+        return [Variant("patella inertia", "put in", sentence, scene, integrator=LinearImplicit())]
+    return [
+        _no_inertia(scene),
+        Variant("patella inertia x 2", "changed", "mass and moments doubled, weight as it is", times(2.0), alike=True),
+        Variant("patella inertia x 1/2", "changed", "mass and moments halved, weight as it is", times(0.5), alike=True),
+    ]
+
+
+def _no_inertia(scene: Scene) -> Variant | NotApplicable:
+    try:
+        QuasiStatic().refuse_unfit(scene.effects)
+    except InputError as error:
+        return NotApplicable("patella inertia", "left out", str(error))
+    sentence = "no inertia: quasi_static, weight as it is"
+    return Variant("patella inertia", "left out", sentence, scene, integrator=QuasiStatic())

@@ -17,8 +17,7 @@ from dm_knee import build
 import pftwin
 from pftwin.base.errors import PftwinError
 from pftwin.base.text_files import write_text
-from pftwin.cli.explain import show
-from pftwin.cli.terminal import out
+from pftwin.cli.terminal import show
 from pftwin.files.result_files import save_dataset
 from pftwin.results.plots import save_figure
 from pftwin.studies.audit.audit import audit
@@ -41,9 +40,9 @@ def main(arguments: list[str] | None = None) -> int:
     pftwin.configure(cache_dir=os.environ.get("PFTWIN_CACHE"))
     try:
         scene = build(given.folder, contact=given.contact).scene
-        show(explanation_sheet(explain(scene, dt=given.dt)), out(), given.markdown)
+        show(explanation_sheet(explain(scene, dt=given.dt)), markdown=given.markdown)
         found = audit(scene, tolerance=1e-3 * given.tolerance, dt=given.dt)
-        show(audit_sheet(found), out(), given.markdown)
+        show(audit_sheet(found), markdown=given.markdown)
         if given.out:
             given.out.mkdir(parents=True, exist_ok=True)
             write_text(given.out / "audit.csv", to_csv(table(found)))

@@ -1,17 +1,17 @@
-"""Amounts of treatments as options: the same names and units for every command that takes them."""
+"""Amounts of treatments as options, the same for every command that takes them."""
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import Option
 
 from fitting.prediction.ranges import numbers, values
 from pftwin.base.errors import InputError
+from pftwin.cli.plugins import with_options
 
 if TYPE_CHECKING:
     from pftwin.model.scene import Scene
@@ -58,7 +58,7 @@ Given = list[tuple[Amount, str]]  # what the user wrote, in the order of `AMOUNT
 def with_amounts(
     metavar: str, more: str = "", *, argument: str = "amounts", made: Callable[[Given], Any] = lambda given: given
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Gives a command, one of whose arguments takes what the user wrote, an option for every amount.
+    """Gives a command an option for every amount in the place of one of its arguments.
 
     Args:
         metavar: form of the options' values.
@@ -66,34 +66,20 @@ def with_amounts(
         argument: the command's name of it.
         made: what the command gets, from what the user wrote.
     """
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        options = [
-            inspect.Parameter(
-                a.parameter,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=None,
-                annotation=Annotated[
-                    str | None, typer.Option(a.flag, metavar=metavar, help=f"{a.words} [{a.unit}]{more}.")
-                ],
-            )
-            for a in AMOUNTS
-        ]
-
-        @functools.wraps(command)
-        def run(**given: Any) -> None:
-            written = [(a, given.pop(a.parameter)) for a in AMOUNTS]
-            command(**given, **{argument: made([(a, text) for a, text in written if text is not None])})
-
-        signature = inspect.signature(command, eval_str=True)
-        own = list(signature.parameters.values())
-        place = next(i for i, p in enumerate(own) if p.name == argument)
-        run.__signature__ = signature.replace(  # pyright: ignore[reportAttributeAccessIssue]
-            parameters=[*own[:place], *options, *own[place + 1 :]]
+    options = [
+        inspect.Parameter(
+            a.parameter,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[str | None, Option(a.flag, metavar=metavar, help=f"{a.words} [{a.unit}]{more}.")],
         )
-        return run
+        for a in AMOUNTS
+    ]
 
-    return decorate
+    def written(values: dict[str, str | None]) -> Any:
+        return made([(a, text) for a in AMOUNTS if (text := values[a.parameter]) is not None])
+
+    return lambda command: with_options(command, argument, options, written)
 
 
 def with_treatment(command: Callable[..., None]) -> Callable[..., None]:
@@ -102,11 +88,7 @@ def with_treatment(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def limits(text: str, option: str) -> tuple[float, float]:
-    """The least and the most from "0:20".
-
-    Raises:
-        InputError: anything else.
-    """
+    """The least and the most from "0:20"; InputError for anything else."""
     parts = numbers(text.split(":"))
     if len(parts) != 2 or not parts[0] < parts[1]:
         raise InputError(f"found {text!r}", where=option, expected="FROM:TO, such as 0:20")
@@ -114,22 +96,14 @@ def limits(text: str, option: str) -> tuple[float, float]:
 
 
 def by_kind(given: Given) -> dict[str, list[tuple[Amount, str]]]:
-    """Treatments in the order of `AMOUNTS`, each with its amounts.
-
-    Raises:
-        InputError: none was given.
-    """
+    """Treatments in the order of `AMOUNTS`, each with its amounts; InputError if there is none."""
     if not given:
         raise InputError("no treatment given", expected="at least one amount", remedy="--medialise 0:20")
     return {k: [(a, t) for a, t in given if a.kind == k] for k in dict.fromkeys(a.kind for a, _ in given)}
 
 
 def treated(scene: Scene, given: Given) -> Scene:
-    """The scene after a treatment with one value for each amount, which its name then tells.
-
-    Raises:
-        InputError: several values, or a part that the scene lacks.
-    """
+    """The scene after a treatment, which its name then tells; InputError for several values of one amount."""
     if not given:
         return scene
     from fitting.treatments import KINDS, Treatment

@@ -1,86 +1,83 @@
-"""`pftwin fit`."""
+"""`pftwin fit` and `pftwin plan-experiment`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
-from fitting.cli.posterior import check_posterior, with_posterior
-from pftwin.base.errors import InputError, OutputError
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, keeping
-from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
-from pftwin.cli.terminal import JsonOption, check_outputs, err, out, working, write_json
+from pftwin.cli.scenes import SceneOptions, on_scene
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, working, written
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from fitting.estimate import Estimate
     from fitting.fit import Progress
+    from fitting.posterior.sampling import Posterior
 
-FreeOption = Annotated[
-    str, typer.Option("--free", metavar="NAMES", help='Parameters, with commas: "K1,L1,contact.radius".')
-]
+FreeOption = Annotated[str, Option("--free", metavar="NAMES", help='Parameters, with commas: "K1,L1,contact.radius".')]
 BoundsOption = Annotated[
-    float, typer.Option("--bounds", metavar="SHARE", help="To either side, as a share of the nominal value.")
+    float, Option("--bounds", metavar="SHARE", help="To either side, as a share of the nominal value.")
 ]
 UseOption = Annotated[
     str,
-    typer.Option("--use", metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all."),
+    Option("--use", metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all."),
 ]
 NoiseOption = Annotated[
     list[str] | None,
-    typer.Option("--noise", metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated."),
+    Option("--noise", metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated."),
 ]
 
 
+@on_scene
 def fit(
-    scene: SceneArgument = None,
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FIT.json", help="The estimate.")],
-    case: CaseOption = None,
-    contact: ContactOption = None,
+    output: Annotated[Path, Option("-o", "--output", metavar="FIT.json", help="The estimate.")],
+    knee: SceneOptions,
     method: Annotated[
         str,
-        typer.Option(metavar="NAME", help="least_squares, gradient, genetic, cma_es or differential_evolution."),
+        Option(metavar="NAME", help="least_squares, gradient, genetic, cma_es or differential_evolution."),
     ] = "least_squares",
-    objective: Annotated[str, typer.Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
+    objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
     free: FreeOption = "K1,L1,K2,L2",
     bounds: BoundsOption = 0.3,
     use: UseOption = "position",
     noise: NoiseOption = None,
-    loss: Annotated[str, typer.Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
-    seed: Annotated[int, typer.Option(min=0, help="Of all random choices.")] = 0,
-    starts: Annotated[int | None, typer.Option(min=1, help="Starting points (least squares, gradient).")] = None,
-    checkpoint: Annotated[Path | None, typer.Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
+    loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
+    seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
+    starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
+    checkpoint: Annotated[Path | None, Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Go on from the checkpoint.")] = False,
     posterior: Annotated[
         int | None,
-        typer.Option(min=8, metavar="N", help="Check the intervals by N draws from the posterior in each of 4 chains."),
+        Option(min=8, metavar="N", help="Check the intervals by N draws from the posterior in each of 4 chains."),
     ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Figures beside the output.")] = True,
+    figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
     json: JsonOption = None,
 ) -> None:
     """Fit the tendons to motion capture, and say how sure the answer is.
 
     Example: `pftwin fit --case 2 -o fit.json`
     """
-    if output.suffix.lower() != ".json":
-        raise OutputError(f"{output}: estimates are JSON; try: {output.with_suffix('.json')}")
+    check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
     levels = noise_levels(noise)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
     if chosen.measured is None:
-        raise InputError("nothing to compare with", where=scene, expected="a table [measured] in the scene file")
+        raise InputError("nothing to compare with", where=knee.scene, expected="a table [measured] in the scene file")
     from fitting.fit import fit_tendons
 
     if posterior is not None:
-        check_posterior(objective)
+        _check_posterior(objective)
     options: dict[str, Any] = {} if starts is None else {"starts": starts}
-    with keeping(checkpoint), _shown(method) as progress:
+    with keeping(checkpoint), progress(f"{method}: compiling") as shown:
+
+        def tell(p: Progress) -> None:
+            shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
+
         estimate = fit_tendons(
             chosen.scene,
             chosen.measured,
@@ -92,7 +89,7 @@ def fit(
             use="all" if use.strip() == "all" else names_in(use),
             noise=levels,
             loss=loss,
-            progress=progress,
+            progress=tell,
             checkpoint=checkpoint,
             resume=resume,
             **options,
@@ -106,25 +103,90 @@ def fit(
 
 
 def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:
-    """Writes the estimate, its figures and, where it is wanted, its posterior; says what was found."""
-    written = [str(estimate.save(output))]
-    if figures:
-        with working("drawing"):
-            written += [str(p) for p in estimate.plot.save(output.with_suffix(""))]
-    facts, said = estimate.to_dict(), []
-    if posterior is not None:  # the estimate is on disk already
-        found = with_posterior(estimate, posterior, estimate.seed, output)
-        facts["posterior"] = found.to_dict()
-        said = ["", found.summary()]
+    """Writes the estimate, its figures and, if asked for, its posterior; says what was found."""
+
+    facts, said, files = estimate.to_dict(), [], [str(estimate.save(output))]
+
+    def draw(found: Estimate | Posterior) -> None:
         if figures:
             with working("drawing"):
-                written += [str(p) for p in found.plot.save(output.with_suffix(""))]
-    write_json({**facts, "files": written}, json)
-    console = out(json)
-    console.print(_table(estimate))
-    for line in (estimate.sentence(), *estimate.remarks(), f"stopped: {estimate.reason}", *said):
-        console.print(line, markup=False, highlight=False)
-    console.print(f"written: {', '.join(written)}", markup=False, highlight=False)
+                files.extend(str(p) for p in found.plot.save(output.with_suffix("")))
+
+    draw(estimate)
+    if posterior is not None:  # the estimate is on disk already
+        found = _sampled(estimate, posterior, output)
+        facts["posterior"] = found.to_dict()
+        said = [found.summary()]
+        draw(found)
+    e, against = estimate, "SYNTHETIC measurements" if estimate.synthetic else "measurements"
+    rows = tuple(
+        (name, f"{value:.6g}", f"{sd:.2g}", f"{low:.6g} to {high:.6g}", f"{nominal:.6g}", unit)
+        for name, value, sd, (low, high), nominal, unit in zip(
+            e.names, e.values, e.standard_deviations, e.intervals, e.nominal, e.units, strict=True
+        )
+    )
+    sheet = Sheet(
+        f"{e.scene_name}, fitted to {against} ({e.method}, {e.objective})",
+        ("", "estimate", "standard deviation", "95 % interval", "nominal", "unit"),
+        rows,
+        words=(0, 5),
+    )
+    lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *said, written(files)]
+    present({**facts, "files": files}, sheet, *lines, json=json)
+
+
+def _check_posterior(objective: str) -> None:
+    """Refuses before a fit what could not be sampled after it: no likelihood, or no blackjax."""
+    from fitting.posterior.sampling import accepting
+
+    if objective == "paper":
+        raise InputError("the paper's objective is no likelihood", where="--posterior", remedy="--objective likelihood")
+    accepting()
+
+
+def _sampled(estimate: Estimate, draws: int, output: Path) -> Posterior:
+    """Samples with progress on stderr, and adds the posterior to the estimate's file."""
+    import json
+
+    from fitting.posterior.sampling import sample_posterior
+    from pftwin.base.text_files import write_text
+
+    with progress("sampling the posterior") as shown:
+        found = sample_posterior(estimate, draws=draws, seed=estimate.seed, progress=shown)
+    write_text(output, json.dumps({**estimate.to_dict(), "posterior": found.to_dict()}, indent=2) + "\n")
+    return found
+
+
+@on_scene
+def plan_experiment(
+    *,
+    knee: SceneOptions,
+    free: FreeOption = "K1,L1,K2,L2",
+    use: UseOption = "position",
+    noise: NoiseOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Say what an experiment can tell at best, before it is made, and what to measure besides.
+
+    Example: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`
+    """
+    check_outputs(json)
+    levels = noise_levels(noise)
+    chosen = knee.load()
+    from fitting.identifiability import plan_experiment as plan
+    from fitting.programs import channels_of
+
+    channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
+    with working("linearising the motion"):
+        found = plan(chosen.scene, free=names_in(free), use=channels, noise=levels)
+    deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
+    sheet = Sheet(
+        f"{chosen.scene.name}: smallest possible standard deviations [%]",
+        ("measured", *found.names),
+        tuple((words, *(f"{100 * v:.3g}" for v in values)) for words, values in deviations.items()),
+        words=(0,),
+    )
+    present({"scene": chosen.scene.name, **found.to_dict()}, sheet, found.sentence(), json=json)
 
 
 def names_in(text: str) -> tuple[str, ...]:
@@ -133,11 +195,7 @@ def names_in(text: str) -> tuple[str, ...]:
 
 
 def noise_levels(given: list[str] | None) -> dict[str, float] | None:
-    """From "channel=sd".
-
-    Raises:
-        InputError: anything else.
-    """
+    """Standard deviations from "channel=sd"; InputError for anything else."""
     levels = {}
     for text in given or []:
         channel, _, value = text.partition("=")
@@ -146,45 +204,3 @@ def noise_levels(given: list[str] | None) -> dict[str, float] | None:
         except ValueError:
             raise InputError(f"found {text!r}", where="--noise", expected='such as "position=2e-4"') from None
     return levels or None
-
-
-@contextmanager
-def _shown(method: str) -> Iterator[Callable[[Progress], None]]:
-    """Iteration, best, spread and time left on stderr."""
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeRemainingColumn())
-    with Bar(*columns, console=err(), transient=True) as bar:
-        task = bar.add_task(f"{method}: compiling", total=None, now="")
-
-        def show(p: Progress) -> None:
-            now = f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}"
-            bar.update(task, description=method, total=p.of, completed=p.iteration, now=now)
-
-        yield show
-
-
-def _table(estimate: Estimate) -> Table:
-    """Value, standard deviation and interval of every parameter."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    against = "SYNTHETIC measurements" if estimate.synthetic else "measurements"
-    table = Table(title=escape(f"{estimate.scene_name}, fitted to {against} ({estimate.method}, {estimate.objective})"))
-    table.add_column("", no_wrap=True)
-    for name in ("estimate", "standard deviation", "95 % interval", "nominal"):
-        table.add_column(name, justify="right")
-    table.add_column("unit")
-    rows = zip(
-        estimate.names,
-        estimate.values,
-        estimate.standard_deviations,
-        estimate.intervals,
-        estimate.nominal,
-        estimate.units,
-        strict=True,
-    )
-    for name, value, sd, (low, high), nominal, unit in rows:
-        table.add_row(escape(name), f"{value:.6g}", f"{sd:.2g}", f"{low:.6g} to {high:.6g}", f"{nominal:.6g}", unit)
-    return table

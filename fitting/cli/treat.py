@@ -1,20 +1,22 @@
-"""`pftwin treat`."""
+"""`pftwin treat` and `pftwin optimise`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
-from fitting.cli.amounts import Given, by_kind, values, with_amounts
-from pftwin.base.errors import InputError, OutputError
+from fitting.cli.amounts import Given, by_kind, limits, with_amounts
+from fitting.prediction.ranges import values
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
+from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, flagged
-from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
-from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
+from pftwin.cli.scenes import SceneOptions, on_scene
+from pftwin.model.measured import SYNTHETIC
 
 if TYPE_CHECKING:
-    from rich.table import Table
     from xarray import Dataset
 
     from fitting.estimate import Estimate
@@ -26,63 +28,146 @@ _MOST_VARIANTS = 1_000_000
 _BLOCK = 4096  # members that are simulated in one go: what Ctrl-C can lose
 
 EstimateOption = Annotated[
-    Path | None, typer.Option("--estimate", metavar="FIT.json", help="Parameters that `pftwin fit` found.")
+    Path | None, Option("--estimate", metavar="FIT.json", help="Parameters that `pftwin fit` found.")
 ]
+StepOption = Annotated[float, Option("--dt", metavar="SECONDS", help="Longest time step [s].")]
+SeedOption = Annotated[int, Option("--seed", min=0, help="Of the draws.")]
 
 
 @with_amounts("FROM:TO:STEP", "; or values: 0,5,10")
+@on_scene
 def treat(
-    scene: SceneArgument = None,
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.nc", help="The outcomes as NetCDF.")],
-    case: CaseOption = None,
-    contact: ContactOption = None,
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The outcomes as NetCDF.")],
+    knee: SceneOptions,
     estimate: EstimateOption = None,
     amounts: Given,
-    samples: Annotated[
-        int, typer.Option("--samples", min=0, help="Draws from the estimate's uncertainty, for bands.")
-    ] = 50,
-    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 0,
-    dt: Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s].")] = 2.5e-3,
-    figure: Annotated[bool, typer.Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
-    json: JsonOption = None,
+    samples: Annotated[int, Option("--samples", min=0, help="Draws from the estimate's uncertainty, for bands.")] = 50,
+    seed: SeedOption = 0,
+    dt: StepOption = 2.5e-3,
+    figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Predict what treatments would do: all combinations of the amounts given, with bands from a fit's uncertainty.
 
     Example: `pftwin treat --case 2 --estimate fit.json --medialise 0:20:1 -o variants.nc`
     """
     wanted = by_kind(amounts)
-    if output.suffix.lower() != ".nc":
-        raise OutputError(f"{output}: results are NetCDF; try: {output.with_suffix('.nc')}")
+    terminal.check_suffix(output, [".nc"], "results are NetCDF")
     numbers = {k: {a.name: values(text, a.flag) for a, text in v} for k, v in wanted.items()}
     pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
-    check_outputs(output, *pictures, json)
-    start_computing(batches=True)
+    terminal.check_outputs(output, *pictures, json)
+    terminal.start_computing(batches=True)
     variants = _variants(numbers)
-    found = None if estimate is None else loaded_estimate(estimate)
-    chosen = chosen_scene(scene, case, contact)
+    found = _loaded(estimate)
+    chosen = knee.load()
+    from fitting.prediction.plots import facts, finding, outcome_figure
     from pftwin.files.result_files import save_dataset
+    from pftwin.results.plots import save_figure
 
     draws = samples if found is not None else 0
     data, whole = _predicted(chosen.scene, variants, found, samples=draws, seed=seed, dt=dt)
-    with working("writing"):
+    with terminal.working("writing"):
         save_dataset(data, output)
         if not whole:
             raise Interrupted(output)
-        written = [output, *(_draw(data, output, chosen.scene.name) if figure and data.sizes["variant"] > 1 else [])]
-    write_json({**_facts(data), "finding": _finding(data), "files": [str(p) for p in written]}, json)
-    console = out(json)
-    console.print(_table(data))
-    for line in (_finding(data), data.attrs.get("note", ""), f"written: {', '.join(str(p) for p in written)}"):
-        if line:
-            console.print(line, markup=False, highlight=False)
+        files = [output]
+        if figure and data.sizes["variant"] > 1:
+            drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
+            files += save_figure(drawn, output.with_suffix(""))
+    said = finding(data)
+    told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
+    terminal.present(told, _sheet(data), said, data.attrs.get("note", ""), terminal.written(files), json=json)
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
     if failed := int(own.sum()):
         flagged(f"{failed} of {data.sizes['variant']} variants could not be simulated")
 
 
+@with_amounts("FROM:TO", ", within these limits")
+@on_scene
+def optimise(
+    *,
+    limit: Annotated[
+        list[str],
+        Option("--limit", metavar="LIMIT", help='To be met: "dislocation_margin>=3 mm"; may be repeated.'),
+    ],
+    output: Annotated[Path | None, Option("-o", "--output", metavar="PLAN.json", help="The plan.")] = None,
+    knee: SceneOptions,
+    estimate: EstimateOption = None,
+    amounts: Given,
+    samples: Annotated[
+        int | None,
+        Option("--samples", min=0, help="Draws from the estimate's uncertainty; 50 where there is one."),
+    ] = None,
+    confidence: Annotated[
+        float, Option("--confidence", metavar="SHARE", help="Share of the draws in which all limits must hold.")
+    ] = 0.9,
+    seed: SeedOption = 0,
+    dt: StepOption = 2.5e-3,
+    json: terminal.JsonOption = None,
+) -> None:
+    """Find the smallest treatment that meets stated limits, and say how surely it does.
+
+    Example: `pftwin optimise --case 2 --estimate fit.json --limit "dislocation_margin>=3 mm" --medialise 0:20 -o
+    plan.json`
+    """
+    pairs = {k: {a.name: limits(text, a.flag) for a, text in given} for k, given in by_kind(amounts).items()}
+    terminal.check_outputs(output, json)
+    terminal.start_computing(batches=True)
+    from fitting.treatments.limits import Limit, in_units
+    from fitting.treatments.optimise import optimise_treatment
+
+    stated = [Limit.parsed(text) for text in limit]
+    found = _loaded(estimate)
+    chosen = knee.load()
+    treatment, ranges = _treatment(pairs)
+    with terminal.working("searching"):
+        plan = optimise_treatment(
+            chosen.scene,
+            stated,
+            ranges,
+            treatment,
+            found,
+            samples=(0 if found is None else 50) if samples is None else samples,
+            confidence=confidence,
+            seed=seed,
+            dt=dt,
+        )
+    notes = [SYNTHETIC] if chosen.scene.synthetic else []
+    if found is not None and found.synthetic:
+        notes.append("the parameters were estimated from synthetic measurements")
+    facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
+    files = [] if output is None else [output]
+    for path in files:
+        terminal.write_json(facts, str(path))
+    reached = [(lim, plan.outcomes[lim.outcome]) for lim in plan.limits]
+    sheet = Sheet(
+        f"{chosen.scene.name}: {plan.treatment.describe()}",
+        ("limit", "value", "holds"),
+        tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
+    )
+    terminal.present(facts, sheet, plan.describe(), *notes, terminal.written(files), json=json)
+    if not plan.met:
+        flagged("no amount within the range meets the limits")
+
+
+def _treatment(
+    pairs: dict[str, dict[str, tuple[float, float]]],
+) -> tuple[Treatment, dict[str, tuple[float, float]]]:
+    """A treatment that has these amounts, by kind and name, and their ranges in SI units."""
+    from fitting.treatments import KINDS, Treatment
+
+    whole, ranges = Treatment(), {}
+    for kind, amounts in pairs.items():
+        whole = whole.then(Treatment.of(kind, dict.fromkeys(amounts, 0.0)))
+        for name, pair in amounts.items():
+            low, high = KINDS[kind].amounts[name].from_shown(pair)
+            ranges[f"{kind}.{name}"] = (float(low), float(high))
+    return whole, ranges
+
+
 def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **options: Any) -> tuple[Dataset, bool]:
-    """Outcomes, block by block of variants, and whether they are all there: after Ctrl-C, those of the blocks done."""
+    """Outcomes, in blocks of variants, and whether they are complete: Ctrl-C keeps the blocks that are done."""
     from fitting.prediction.predicting import predict
     from fitting.prediction.variants import amounts_of
 
@@ -90,13 +175,13 @@ def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **o
     draws = 1 + options["samples"]
     size, count = max(1, _BLOCK // draws), len(amounts)
     blocks: list[Dataset] = []
-    with err().status("compiling and simulating ...") as spinner:
+    with terminal.progress("compiling and simulating") as shown:
         try:
             for first in range(0, count, size):
                 rows = variants.with_values(amounts[first : first + size].T)
 
                 def told(done: int, _: int, before: int = first * draws) -> None:
-                    spinner.update(f"simulated {before + done} of {count * draws} variants and draws ...")
+                    shown(before + done, count * draws, f"{before + done} of {count * draws} variants and draws")
 
                 blocks.append(predict(scene, rows, estimate, progress=told, **options))
         except KeyboardInterrupt:
@@ -106,7 +191,7 @@ def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **o
 
 
 def _together(blocks: list[Dataset], count: int) -> Dataset:
-    """One dataset of blocks of variants; says so where some are missing."""
+    """Blocks of variants as one dataset, whose title says if some are missing."""
     import numpy as np
     import xarray
 
@@ -135,44 +220,17 @@ def _variants(numbers: dict[str, dict[str, list[float]]]) -> Treatment:
     return combinations(numbers)
 
 
-def loaded_estimate(path: Path) -> Estimate:
-    """An estimate that `pftwin fit` wrote."""
-    from fitting.estimate import Estimate
-
-    return Estimate.load(path)
-
-
-def _draw(data: Dataset, output: Path, name: str) -> list[Path]:
-    from fitting.prediction.plots import outcome_figure
-    from pftwin.results.plots import save_figure
-
-    return list(save_figure(outcome_figure(data, f"{name}: predicted outcomes"), output.with_suffix("")))
-
-
-def _finding(data: Dataset) -> str:
-    from fitting.prediction.plots import finding
-
-    return finding(data)
-
-
-def _facts(data: Dataset) -> dict[str, Any]:
-    from fitting.prediction.plots import facts
-
-    return facts(data)
-
-
-def _table(data: Dataset) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
+def _sheet(data: Dataset) -> Sheet:
     from fitting.prediction.plots import rows
 
     headings, lines = rows(data)
-    left_out = len(lines) - _MOST_ROWS
-    title = data.attrs["title"] + (f" ({left_out} of {len(lines)} variants not shown)" if left_out > 0 else "")
-    table = Table(title=escape(title))
-    for heading in headings:
-        table.add_column(escape(heading), justify="right")
-    for line in lines[:_MOST_ROWS]:
-        table.add_row(*(escape(cell) for cell in line))
-    return table
+    hidden = len(lines) - _MOST_ROWS
+    title = data.attrs["title"] + (f" ({hidden} of {len(lines)} variants not shown)" if hidden > 0 else "")
+    return Sheet(title, tuple(headings), tuple(map(tuple, lines[:_MOST_ROWS])), words=())
+
+
+def _loaded(path: Path | None) -> Estimate | None:
+    """An estimate that `pftwin fit` wrote."""
+    from fitting.estimate import Estimate
+
+    return None if path is None else Estimate.load(path)

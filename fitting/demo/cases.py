@@ -4,13 +4,13 @@ rig's (synthetic) measurements.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
+from pftwin.base.sheet import Sheet
 
+if TYPE_CHECKING:
     from pftwin.results.metrics import Validation, ValidationRow
     from pftwin.results.result import Result
 
@@ -20,19 +20,18 @@ FURTHER = ("CM", "FM", "spline")  # the paper's two meshes, and what replaces th
 STEP = 1e-3  # the paper's [s]
 
 
-def run_demo(folder: Path, console: Console, *, full: bool = False) -> dict[str, Any]:
-    """Simulates, compares, draws and saves; returns what it printed as plain values.
+def run_demo(
+    folder: Path, progress: Callable[..., None], *, full: bool = False
+) -> tuple[dict[str, Any], list[Sheet | str]]:
+    """Simulates, compares, draws and saves; returns the outcome as plain values, and as tables and lines.
 
     Args:
         folder: what is written goes there.
-        console: what is printed goes there.
+        progress: is told how many simulations are done, of how many, and what comes (`what=`).
         full: the paper's whole Table 1, its meshes included, and the spline.
 
     Writes to `folder`: case1_P5.nc and its like, case1.png and .svg, table1.csv.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from pftwin import rig
     from pftwin.dynamics.simulate import simulate
     from pftwin.results.metrics import mean_of, validate
@@ -43,29 +42,27 @@ def run_demo(folder: Path, console: Console, *, full: bool = False) -> dict[str,
     results: dict[int, dict[str, Result]] = {n: {} for n in CASES}
     contacts = (*FURTHER, *CONTACTS) if full else CONTACTS
     validations: dict[str, list[Validation]] = {c: [] for c in contacts}
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("simulating", total=len(CASES) * len(contacts))
-        for contact in contacts:
-            for n in CASES:
-                progress.update(task, description=f"case {n}, {contact}")
-                result = simulate(rig.case(n, contact), dt=STEP)
-                results[n][contact] = result
-                validations[contact].append(validate(result, rig.measured(n)))
-                result.save(folder / f"case{n}_{contact}.nc")
-                progress.advance(task)
+    runs = [(contact, n) for contact in contacts for n in CASES]
+    for done, (contact, n) in enumerate(runs):
+        progress(done, len(runs), what=f"case {n}, {contact}")
+        result = simulate(rig.case(n, contact), dt=STEP)
+        results[n][contact] = result
+        validations[contact].append(validate(result, rig.measured(n)))
+        result.save(folder / f"case{n}_{contact}.nc")
     means = {c: mean_of(v) for c, v in validations.items()}
-    for some in (FURTHER, CONTACTS) if full else (CONTACTS,):
-        console.print(_table({c: means[c] for c in some}))
     outcomes = _outcomes(results)
-    console.print(_outcome_table(outcomes))
     pictures = []
     for n in CASES:
         drawn = case_figure(results[n], rig.measured(n), f"Case {n} of the virtual rig")
         pictures += [str(p) for p in save_figure(drawn, folder / f"case{n}")]
     fits = {c: contact_fit(c) for c in (*CONTACTS, "spline")}
+    parts: list[Sheet | str] = [
+        *(_table({c: means[c] for c in some}) for some in ((FURTHER, CONTACTS) if full else (CONTACTS,))),
+        _outcome_table(outcomes),
+        f"results, figures and table1.csv are in {folder}",
+    ]
     _write_csv(means, folder / "table1.csv")
-    console.print(f"results, figures and table1.csv are in {folder}", markup=False, highlight=False)
-    return {
+    facts = {
         "label": rig.measured(1).source,
         "synthetic": True,
         "settings": {"integrator": "linear_implicit", "dt_s": STEP},
@@ -77,35 +74,28 @@ def run_demo(folder: Path, console: Console, *, full: bool = False) -> dict[str,
         "outcomes": outcomes,
         "figures": pictures,
     }
+    return facts, parts
 
 
-def narrow_table(title: str) -> Table:
-    """An empty table that has room for many columns in a terminal 80 wide."""
-    from rich import box
-    from rich.table import Table
-
-    return Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-
-
-def _table(means: dict[str, Validation]) -> Table:
+def _table(means: dict[str, Validation]) -> Sheet:
     """The paper's Table 1, ours and theirs side by side where they have it."""
     from pftwin.results.metrics import PAPER_TABLE_1
 
-    table = narrow_table(
+    title = (
         "Means over the four cases: pftwin against the virtual rig's SYNTHETIC measurements,\n"
         "beside Table 1 of Michaud et al. 2024 (their rig, their measurements)"
     )
-    table.add_column("", no_wrap=True)
-    for contact in means:
-        table.add_column(f"pftwin\n{contact}", justify="right", no_wrap=True)
-        if contact in PAPER_TABLE_1:
-            table.add_column(f"paper\n{contact}", justify="right", style="dim", no_wrap=True)
+    sources = {c: ("pftwin", "paper") if c in PAPER_TABLE_1 else ("pftwin",) for c in means}
+    headings = ("", *(f"{source}\n{contact}" for contact, found in sources.items() for source in found))
+    lines = []
     for rows in _rows(means):
-        cells = []
-        for contact, row in zip(means, rows, strict=True):
-            cells += [_number(row.value), *([_number(row.paper)] if contact in PAPER_TABLE_1 else [])]
-        table.add_row(f"{rows[0].label}, {rows[0].unit}", *cells)
-    return table
+        cells = [
+            _number(value)
+            for found, row in zip(sources.values(), rows, strict=True)
+            for value in (row.value, row.paper)[: len(found)]
+        ]
+        lines.append((f"{rows[0].label}, {rows[0].unit}", *cells))
+    return Sheet(title, headings, tuple(lines), words=(0,), narrow=True)
 
 
 def _rows(means: dict[str, Validation]) -> list[tuple[ValidationRow, ...]]:
@@ -134,15 +124,10 @@ def _outcomes(results: dict[int, dict[str, Result]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _outcome_table(outcomes: list[dict[str, Any]]) -> Table:
-    table = narrow_table(
-        "Tracking (the paper: 1 and 4 track; 2 and 3 dislocate, but not with P2;\n2 does not re-engage)"
-    )
-    for name in ("case", "contact", "outcome"):
-        table.add_column(name)
-    for row in outcomes:
-        table.add_row(str(row["case"]), row["contact"], row["text"])
-    return table
+def _outcome_table(outcomes: list[dict[str, Any]]) -> Sheet:
+    title = "Tracking (the paper: 1 and 4 track; 2 and 3 dislocate, but not with P2;\n2 does not re-engage)"
+    rows = tuple((str(row["case"]), row["contact"], row["text"]) for row in outcomes)
+    return Sheet(title, ("case", "contact", "outcome"), rows, narrow=True)
 
 
 def _write_csv(means: dict[str, Validation], path: Path) -> None:

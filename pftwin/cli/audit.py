@@ -1,4 +1,4 @@
-"""`pftwin audit`."""
+"""`pftwin explain` and `pftwin audit`."""
 
 from __future__ import annotations
 
@@ -6,39 +6,45 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.exit_codes import Interrupted, keeping
-from pftwin.cli.explain import MarkdownOption, show
-from pftwin.cli.scenes import (
-    CaseOption,
-    ContactOption,
-    IntegratorOption,
-    SceneArgument,
-    StepOption,
-    chosen_scene,
-    integrator_of,
-)
-from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, out, working, write_json
+from pftwin.cli.scenes import RunOptions, on_scene
+from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present, show, working, written
 
 if TYPE_CHECKING:
     from pftwin.studies.audit.audit import Audit
 
+MarkdownOption = Annotated[bool, Option("--markdown", help="Print the table as Markdown.")]
 
+
+@on_scene
+def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: JsonOption = None) -> None:
+    """Say what each effect of a scene adds: equations, time, stiffness, and the energy it moved over the run.
+
+    Example: `pftwin explain --case 2`
+    """
+    check_outputs(json)
+    chosen = knee.load()
+    from pftwin.base.runtime import describe
+    from pftwin.studies.audit.explain import explain as look
+    from pftwin.studies.audit.report import explanation_sheet
+
+    with working(f"running {chosen.scene.name} with and without each effect"):
+        found = look(chosen.scene, integrator=knee.method, dt=knee.dt or 1e-3)
+    facts = {"contact": chosen.contact, **found.to_dict(), "machine": describe()}
+    present(facts, explanation_sheet(found), json=json, markdown=markdown)
+
+
+@on_scene
 def audit(
-    scene: SceneArgument = None,
     *,
-    case: CaseOption = None,
-    contact: ContactOption = None,
-    out_dir: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")
-    ] = None,
+    knee: RunOptions,
+    out_dir: Annotated[Path | None, Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")] = None,
     tolerance: Annotated[
-        float, typer.Option("--tolerance", metavar="MM", help="What the path may be off by before it matters [mm].")
+        float, Option("--tolerance", metavar="MM", help="What the path may be off by before it matters [mm].")
     ] = 0.1,
-    integrator: IntegratorOption = None,
-    dt: StepOption = None,
     markdown: MarkdownOption = False,
     json: JsonOption = None,
 ) -> None:
@@ -50,51 +56,39 @@ def audit(
     """
     if not (math.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"found {tolerance!r}", where="--tolerance", expected="a positive number of millimetres")
-    files = _files(out_dir)
+    if out_dir is not None:
+        check_folder(out_dir)
     check_outputs(json)
-    chosen = chosen_scene(scene, case, contact)
+    chosen = knee.load()
+    from pftwin.base.runtime import describe
     from pftwin.studies.audit.audit import audit as weigh
     from pftwin.studies.audit.report import audit_sheet
 
     with working(f"running {chosen.scene.name} with every effect left out in turn"):
-        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=integrator_of(integrator), dt=dt or 1e-3)
-    written = []
-    if files:
-        with keeping(*files.values()):
-            written = _write(found, files)
-    from pftwin.base.runtime import describe
-
-    about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in written]}
-    write_json({**found.to_dict(), **about}, json)
-    console = out(json)
-    show(audit_sheet(found), console, markdown)
+        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=knee.method, dt=knee.dt or 1e-3)
+    files = [] if out_dir is None else _write(found, out_dir)
+    about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in files]}
+    present({**found.to_dict(), **about}, audit_sheet(found), json=json, markdown=markdown)
     if found.interrupted:
-        raise Interrupted(*written, *([Path(json)] if json not in (None, "-") else []))
-    if written:
-        console.print(f"written: {', '.join(str(p) for p in written)}", markup=False, highlight=False)
+        raise Interrupted(*files, *([Path(json)] if json not in (None, "-") else []))
+    show(written(files), json=json)
 
 
-def _files(folder: Path | None) -> dict[str, Path]:
-    """What is written, by kind; the folder is made later."""
-    if folder is None:
-        return {}
-    check_folder(folder)
-    return {kind: folder / f"audit.{kind}" for kind in ("csv", "nc", "png", "svg")}
-
-
-def _write(found: Audit, files: dict[str, Path]) -> list[Path]:
-    """What was written: after an interrupt the tables alone, for someone is waiting."""
+def _write(found: Audit, folder: Path) -> list[Path]:
+    """Writes tables and figure, and returns their paths; after an interrupt the tables only, because the user waits."""
     from pftwin.base.text_files import write_text
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
     from pftwin.studies.audit.report import audit_figure, dataset, table
     from pftwin.studies.tables import to_csv
 
-    files["csv"].parent.mkdir(parents=True, exist_ok=True)
-    write_text(files["csv"], to_csv(table(found)))
-    save_dataset(dataset(found), files["nc"])
-    if found.interrupted:
-        return [files["csv"], files["nc"]]
-    title = f"{found.scene}{' (synthetic motion)' if found.synthetic else ''}: what each effect is worth"
-    save_figure(audit_figure(found, title), files["png"].with_suffix(""))
-    return list(files.values())
+    csv, netcdf, *figures = files = [folder / f"audit.{kind}" for kind in ("csv", "nc", "png", "svg")]
+    with keeping(*files):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(csv, to_csv(table(found)))
+        save_dataset(dataset(found), netcdf)
+        if found.interrupted:
+            return [csv, netcdf]
+        title = f"{found.scene}{' (synthetic motion)' if found.synthetic else ''}: what each effect is worth"
+        save_figure(audit_figure(found, title), figures[0].with_suffix(""))
+    return files

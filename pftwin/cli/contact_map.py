@@ -5,46 +5,44 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
-from pftwin.base.errors import InputError, OutputError
+from pftwin.base.errors import InputError
+from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, flagged, keeping
-from pftwin.cli.terminal import JsonOption, check_outputs, err, out, start_computing, working, write_json
 
 if TYPE_CHECKING:
     from pftwin.files.mocap.poses import PoseSeries
     from pftwin.model.effects.foundation_law import FoundationLaw
     from pftwin.studies.contact_map.mapping import ContactMap
 
-_FIGURES = (".png", ".svg", ".pdf")
-
 
 def contact_map(
     *,
-    femur: Annotated[Path, typer.Option("--femur", metavar="MESH", help="STL, OBJ or PLY file.")],
-    patella: Annotated[Path, typer.Option("--patella", metavar="MESH", help="The button's or the cartilage's mesh.")],
-    poses: Annotated[Path, typer.Option("--poses", metavar="CSV", help="time_s, BODY_px_m ... BODY_qz.")],
-    units: Annotated[str, typer.Option("--units", metavar="m|mm", help="Unit of the meshes' coordinates.")],
+    femur: Annotated[Path, Option("--femur", metavar="MESH", help="STL, OBJ or PLY file.")],
+    patella: Annotated[Path, Option("--patella", metavar="MESH", help="The button's or the cartilage's mesh.")],
+    poses: Annotated[Path, Option("--poses", metavar="CSV", help="time_s, BODY_px_m ... BODY_qz.")],
+    units: Annotated[str, Option("--units", metavar="m|mm", help="Unit of the meshes' coordinates.")],
     patella_units: Annotated[
-        str | None, typer.Option("--patella-units", metavar="m|mm", help="If the patella's mesh has another.")
+        str | None, Option("--patella-units", metavar="m|mm", help="If the patella's mesh has another.")
     ] = None,
     bodies: Annotated[
-        str, typer.Option("--bodies", metavar="FEMUR,PATELLA", help="Names in the poses' file.")
+        str, Option("--bodies", metavar="FEMUR,PATELLA", help="Names in the poses' file.")
     ] = "femur,patella",
-    law: Annotated[str, typer.Option("--law", metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
-    modulus: Annotated[str, typer.Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
-    poisson: Annotated[str, typer.Option("--poisson", help="Poisson ratio, or femur's,patella's.")] = "0.46",
-    thickness: Annotated[str, typer.Option("--thickness-mm", help="Of the layer, or femur's,patella's.")] = "5",
-    start: Annotated[float | None, typer.Option("--from", help="First time [s].")] = None,
-    end: Annotated[float | None, typer.Option("--to", help="Last time [s].")] = None,
-    proximity: Annotated[float, typer.Option("--proximity-mm", help="How far off gaps are still told [mm].")] = 1.0,
+    law: Annotated[str, Option("--law", metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
+    modulus: Annotated[str, Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
+    poisson: Annotated[str, Option("--poisson", help="Poisson ratio, or femur's,patella's.")] = "0.46",
+    thickness: Annotated[str, Option("--thickness-mm", help="Of the layer, or femur's,patella's.")] = "5",
+    start: Annotated[float | None, Option("--from", help="First time [s].")] = None,
+    end: Annotated[float | None, Option("--to", help="Last time [s].")] = None,
+    proximity: Annotated[float, Option("--proximity-mm", help="Largest gap that is reported [mm].")] = 1.0,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
+        Path | None, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="OUT.png", help="Pressure maps, path and courses.")
+        Path | None, Option("--figure", metavar="OUT.png", help="Pressure maps, path and courses.")
     ] = None,
-    json: JsonOption = None,
+    json: terminal.JsonOption = None,
 ) -> None:
     """Contact at recorded poses: force, moment, area, pressures, centre of pressure and proximity in every frame.
 
@@ -52,24 +50,26 @@ def contact_map(
 
     Example: `pftwin contact-map --femur femur.stl --patella button.stl --units m --poses poses.csv -o contact.nc`
     """
-    if figure is not None and figure.suffix.lower() not in _FIGURES:
-        raise OutputError(f"{figure}: unknown kind of figure; expected: {', '.join(_FIGURES)}")
-    check_outputs(output, figure, json)
+    terminal.check_figure(figure)
+    terminal.check_outputs(output, figure, json)
     if not 0 <= proximity <= 10:
         raise InputError(f"{proximity:g} mm", where="--proximity-mm", expected="0 to 10")
-    start_computing()
+    terminal.start_computing()
     rule = _law(law, modulus, poisson, thickness)
+    from pftwin import __version__
+    from pftwin.files.result_files import save_dataset
     from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
+    from pftwin.studies.contact_map.figures import compressed, dataset, map_figure
     from pftwin.studies.contact_map.mapping import check_outcome, check_sides, load_pair, map_contact
 
-    with working("reading"):
+    with terminal.working("reading"):
         thigh, button = load_pair(femur, patella, units=units, patella_units=patella_units)
         relative = _poses(poses, bodies, start, end)
         check_sides(thigh, button, relative)
         surfaces = pressed_surface(thigh), pressing_surface(button)
-    with _progress(relative.times.size) as progress:
+    with terminal.progress("frames") as done:
         found = map_contact(
-            *surfaces, rule, relative, triangles=len(button.faces), band=1e-3 * proximity, progress=progress
+            *surfaces, rule, relative, triangles=len(button.faces), band=1e-3 * proximity, progress=done
         )
     missing = relative.times.size - found.times.size
     if not missing:
@@ -87,19 +87,22 @@ def contact_map(
         settings["title"] = f"contact at given poses (interrupted: {found.times.size} of {relative.times.size} frames)"
     with keeping(output, figure):
         if output is not None:
-            with working("writing"):
-                _write(output, found, button, settings)
+            data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
+            with terminal.working("writing"):
+                save_dataset(data, output, encoding=compressed(data))
         if missing:
             raise Interrupted(*([] if output is None else [output]))
         if figure is not None:
-            with working("drawing"):
-                _draw(figure, found, thigh, button, f"{patella.name} on {femur.name}, {law} foundation")
-    write_json({**settings, **_facts(found)}, json)
-    console = out(json)
-    console.print(_words(found), markup=False, highlight=False)
-    for path in (output, figure):
-        if path is not None:
-            console.print(f"written: {path}", markup=False, highlight=False)
+            with terminal.working("drawing"):
+                title = f"{patella.name} on {femur.name}, {law} foundation"
+                terminal.save_picture(map_figure(found, thigh, button, title), figure)
+    f = _facts(found)
+    summary = (
+        f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
+        f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
+    )
+    files = [path for path in (output, figure) if path is not None]
+    terminal.present({**settings, **f}, summary, terminal.written(files), json=json)
     if deep := int(found.too_deep.sum()):
         flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
 
@@ -119,7 +122,7 @@ def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw
 
 
 def _two(option: str, text: str, factor: float) -> list[float]:
-    """One number for both layers, or the femur's and the patella's; in SI units."""
+    """One number for both layers, or one each for femur and patella, in SI units."""
     try:
         values = [factor * float(part) for part in text.split(",")]
     except ValueError:
@@ -130,7 +133,7 @@ def _two(option: str, text: str, factor: float) -> list[float]:
 
 
 def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> PoseSeries:
-    """Of the patella in the femur's frame, within the times asked for."""
+    """Poses of the patella in the femur within the times asked for."""
     from pftwin.files.mocap import read_poses_csv
 
     names = bodies.split(",")
@@ -140,40 +143,6 @@ def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> P
     relative = found[names[1]].relative_to(found[names[0]])
     first, last = float(relative.times[0]), float(relative.times[-1])
     return relative.between(first if start is None else start, last if end is None else end)
-
-
-def _progress(frames: int) -> Any:
-    """A context whose value takes how many frames are done, and of how many; silent where stderr is no terminal."""
-    from contextlib import contextmanager
-
-    from rich.progress import Progress
-
-    @contextmanager
-    def bar() -> Any:
-        console = err()
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as shown:
-            task = shown.add_task("frames", total=frames)
-            yield lambda done, of: shown.update(task, completed=done, total=of)
-
-    return bar()
-
-
-def _write(path: Path, found: ContactMap, button: Any, settings: dict[str, Any]) -> None:
-    from pftwin import __version__
-    from pftwin.files.result_files import save_dataset
-    from pftwin.studies.contact_map.figures import compressed, dataset
-
-    data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
-    save_dataset(data, path, encoding=compressed(data))
-
-
-def _draw(path: Path, found: ContactMap, femur: Any, button: Any, title: str) -> None:
-    from pftwin.base.output import written_whole
-    from pftwin.studies.contact_map.figures import map_figure
-
-    figure = map_figure(found, femur, button, title)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=150)
 
 
 def _facts(found: ContactMap) -> dict[str, Any]:
@@ -188,11 +157,3 @@ def _facts(found: ContactMap) -> dict[str, Any]:
         "largest_area_mm2": float(1e6 * found.area.max()),
         "largest_depth_mm": float(1e3 * found.largest_depth.max()),
     }
-
-
-def _words(found: ContactMap) -> str:
-    f = _facts(found)
-    return (
-        f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
-        f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
-    )

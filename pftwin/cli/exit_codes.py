@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 import typer
 
 from pftwin.base.errors import InputError, MissingExtraError, OutputError, PftwinError
-from pftwin.cli.terminal import err
+from pftwin.cli.terminal import tell
 
 if TYPE_CHECKING:
     from pftwin.results.result import Result
@@ -23,9 +23,9 @@ class ExitCode(enum.IntEnum):
     """How a command ended. docs/command_line.md holds the same table."""
 
     DONE = 0
-    UNEXPECTED = 1  # a mistake of pftwin's own: the traceback is shown
-    BAD_INPUT = 2  # wrong options or files, a place that cannot be written to, a package that is not there
-    FLAGGED = 3  # the command ran; its outcome is not to be relied on, or is that there is none
+    UNEXPECTED = 1  # a bug in pftwin: the traceback is shown
+    BAD_INPUT = 2  # wrong options or files, an output that cannot be written, a missing package
+    FLAGGED = 3  # the command ran, but there is no outcome or it cannot be relied on
     INTERRUPTED = 130  # by Ctrl-C
 
 
@@ -33,21 +33,21 @@ _REFUSALS = (InputError, OutputError, MissingExtraError)
 
 
 def code_of(error: PftwinError) -> ExitCode:
-    """Of an error that is meant for the user."""
+    """The exit code of an error that is meant for the user."""
     return ExitCode.BAD_INPUT if isinstance(error, _REFUSALS) else ExitCode.FLAGGED
 
 
 def flagged(why: str) -> NoReturn:
-    """Ends a command whose outcome has been written and shown, but is not to be relied on; says why on stderr."""
-    err().print(f"flagged: {why}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+    """Ends a command whose outcome is written and shown but cannot be relied on; says why on stderr."""
+    tell(f"flagged: {why}", "yellow")
     raise typer.Exit(ExitCode.FLAGGED)
 
 
 def check_trust(result: Result) -> None:
-    """Ends with `FLAGGED` where frames of a simulation are not to be trusted as numbers.
+    """Ends with `FLAGGED` where the numbers of some frames cannot be trusted.
 
-    Frames without contact, beyond the edge of a fitted patch or after a snap are what happened to the patella: the
-    summary tells of them, and they do not count here.
+    Frames without contact, beyond the edge of a fitted patch or after a snap do not count: they are true of the
+    motion, and the summary reports them.
     """
     from pftwin.dynamics.status import Status
 
@@ -57,7 +57,7 @@ def check_trust(result: Result) -> None:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, with the files that hold what there was by then."""
+    """Ctrl-C, with the files that hold what was computed before it."""
 
     def __init__(self, *kept: Path) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class Interrupted(KeyboardInterrupt):
 
 @contextmanager
 def keeping(*files: Path | None) -> Iterator[None]:
-    """Says after Ctrl-C which of these files, written by the work inside, hold what there is so far."""
+    """After Ctrl-C, reports which of these files the work inside has written."""
     present = [f for f in files if f is not None]
     before = {f: _version(f) for f in present}
     try:
@@ -81,19 +81,19 @@ def after_interrupt(error: KeyboardInterrupt) -> NoReturn:
     """Says what is saved, and ends with `INTERRUPTED`."""
     kept = error.kept if isinstance(error, Interrupted) else ()
     words = f"saved so far: {', '.join(str(p) for p in kept)}" if kept else "nothing was saved"
-    err().print(f"interrupted; {words}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+    tell(f"interrupted; {words}", "yellow")
     raise typer.Exit(ExitCode.INTERRUPTED)
 
 
 def leave_at_once(code: ExitCode) -> NoReturn:
-    """Ends the process without taking Python down: compiled code may still run in threads that would crash with it."""
+    """Ends the process without Python's own shutdown, which crashes if compiled code still runs in threads."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     os._exit(code)
 
 
 def _version(file: Path) -> tuple[int, int] | None:
-    """Changes when a file is written anew; None where there is none."""
+    """Changes when a file is rewritten; None if it does not exist."""
     try:
         found = file.stat()
     except OSError:

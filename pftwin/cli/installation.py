@@ -1,4 +1,4 @@
-"""What is installed where pftwin runs: Python, packages and extras as pftwin's own metadata demand them, the cache."""
+"""What is installed where pftwin runs: Python, packages and extras as pftwin's own metadata require them, the cache."""
 
 from __future__ import annotations
 
@@ -7,20 +7,29 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pftwin.cli.self_test import SelfTestFinding
+from pftwin.cli.terminal import may_write, nearest
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
 
 PROGRAM = "pftwin"
-DEVELOPERS = ("benchmarks", "dev", "docs", "test")  # extras of those who work on pftwin: not looked at
+DEVELOPERS = ("benchmarks", "dev", "docs", "test")  # extras for work on pftwin itself: not checked
+
+
+class Finding(NamedTuple):
+    """One thing that was checked."""
+
+    name: str
+    found: str
+    sound: bool
+    remedy: str = ""
 
 
 class Extra(NamedTuple):
     """An optional part, and which of its packages are missing."""
 
     name: str
-    packages: dict[str, str | None]  # versions; None: not there, or too old
+    packages: dict[str, str | None]  # versions; None: missing, or too old
 
     @property
     def present(self) -> bool:
@@ -33,82 +42,68 @@ class Extra(NamedTuple):
         return f"python -m pip install '{PROGRAM}[{self.name}]'"
 
 
-def python() -> SelfTestFinding:
-    """The interpreter, against what pftwin's metadata demand."""
+def python() -> Finding:
+    """The interpreter, against what pftwin's metadata require."""
     from packaging.specifiers import SpecifierSet
 
     wanted = metadata.metadata(PROGRAM)["Requires-Python"]
     version = platform.python_version()
     sound = SpecifierSet(wanted).contains(version, prereleases=True)
-    found = f"{version} ({platform.system()} {platform.machine()})"
-    return SelfTestFinding("python", found, sound, f"Python {wanted}")
+    return Finding("python", f"{version} ({platform.system()} {platform.machine()})", sound, f"Python {wanted}")
 
 
-def packages() -> list[SelfTestFinding]:
+def packages() -> list[Finding]:
     """Every package that pftwin needs, with its version."""
-    found = []
-    for wanted in _requirements(None):
-        version = _version(wanted)
-        there = _installed(wanted.name) or "not installed"
-        remedy = f"python -m pip install '{wanted.name}{wanted.specifier}'"
-        found.append(SelfTestFinding(wanted.name, there, version is not None, remedy))
-    return found
+    return [
+        Finding(
+            wanted.name,
+            _installed(wanted.name) or "not installed",
+            _version(wanted) is not None,
+            f"python -m pip install '{wanted.name}{wanted.specifier}'",
+        )
+        for wanted in _requirements(PROGRAM)
+    ]
 
 
 def extras() -> list[Extra]:
     """The optional parts that users may want."""
     names = metadata.metadata(PROGRAM).get_all("Provides-Extra") or []
     return [
-        Extra(name, {w.name: _version(w) for w in _requirements(name)})
+        Extra(name, {w.name: _version(w) for w in _requirements(PROGRAM, name)})
         for name in sorted(names)
         if name not in DEVELOPERS
     ]
 
 
-def cache(folder: Path) -> SelfTestFinding:
+def cache(folder: Path) -> Finding:
     """The folder of compiled programs: how large, and whether it can be written to."""
-    import os
-
-    files = [f for f in folder.rglob("*") if f.is_file()] if folder.is_dir() else []
-    size = sum(f.stat().st_size for f in files)
-    there = folder
-    while not there.exists():
-        there = there.parent
-    sound = there.is_dir() and os.access(there, os.W_OK | os.X_OK)
-    words = f"{folder}: {len(files)} files, {size / 1e6:.1f} MB"
-    return SelfTestFinding("cache", words, sound, "set PFTWIN_CACHE to a folder that can be written to")
+    sizes = [f.stat().st_size for f in folder.rglob("*") if f.is_file()] if folder.is_dir() else []
+    words = f"{folder}: {len(sizes)} files, {sum(sizes) / 1e6:.1f} MB"
+    return Finding("cache", words, may_write(nearest(folder)), "set PFTWIN_CACHE to a folder that can be written to")
 
 
-def _requirements(extra: str | None) -> list[Requirement]:
-    """What pftwin's metadata demand here; for an extra, what it adds."""
+def _requirements(package: str, extra: str | None = None) -> list[Requirement]:
+    """What a package's metadata require on this machine; for an extra, what it adds."""
     from packaging.requirements import Requirement
 
-    listed = [Requirement(text) for text in metadata.requires(PROGRAM) or []]
+    listed = [Requirement(text) for text in metadata.requires(package) or []]
     own = [r for r in listed if r.marker is None or r.marker.evaluate({"extra": ""})]
     if extra is None:
         return own
-    named = {(r.name, *r.extras) for r in own}
-    return [
-        r
-        for r in listed
-        if (r.name, *r.extras) not in named and r.marker is not None and r.marker.evaluate({"extra": extra})
-    ]
+    known = {(r.name, *r.extras) for r in own}
+    added = (r for r in listed if r.marker is not None and r.marker.evaluate({"extra": extra}))
+    return [r for r in added if (r.name, *r.extras) not in known]
 
 
 def _version(wanted: Requirement) -> str | None:
-    """The version, with those of the package's own extras that are asked for; None where something is not there."""
+    """The installed version; None where it, or a package of the extras that are asked for, is missing or too old."""
     version = _installed(wanted.name)
     if version is None or not wanted.specifier.contains(version, prereleases=True):
         return None
-    from packaging.requirements import Requirement
-
-    for text in metadata.requires(wanted.name) or []:
-        inner = Requirement(text)
-        asked = [e for e in wanted.extras if inner.marker is not None and inner.marker.evaluate({"extra": e})]
-        if asked and inner.marker is not None and not inner.marker.evaluate({"extra": ""}):
-            there = _installed(inner.name)
-            if there is None or not inner.specifier.contains(there, prereleases=True):
-                return None
+    for part in (r for extra in wanted.extras for r in _requirements(wanted.name, extra)):
+        found = _installed(part.name)
+        if found is None or not part.specifier.contains(found, prereleases=True):
+            return None
     return version
 
 

@@ -7,13 +7,14 @@ import warnings
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 from typer.core import TyperGroup
 
 from pftwin.base.errors import PftwinError, PftwinWarning
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
 from pftwin.cli.plugins import installed_commands
 from pftwin.cli.scenes import allow_outside
-from pftwin.cli.terminal import err
+from pftwin.cli.terminal import tell
 
 
 class _Commands(TyperGroup):
@@ -25,7 +26,7 @@ class _Commands(TyperGroup):
             try:
                 return super().invoke(ctx)
             except PftwinError as error:
-                err().print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+                tell(f"error: {error}", "red")
                 raise typer.Exit(code_of(error)) from None
             except KeyboardInterrupt as error:
                 after_interrupt(error)
@@ -36,7 +37,7 @@ _show_elsewhere = warnings.showwarning
 
 def _show_warning(message: Any, category: Any, *rest: Any, **options: Any) -> None:
     if isinstance(message, PftwinWarning):
-        err().print(f"warning: {message}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+        tell(f"warning: {message}", "yellow")
     else:
         _show_elsewhere(message, category, *rest, **options)
 
@@ -62,10 +63,10 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and end.")
+        bool, Option("--version", callback=_version, is_eager=True, help="Show the version and end.")
     ] = False,
     outside: Annotated[
-        bool, typer.Option("--allow-outside", help="Let a scene file name files outside its folder: one you trust.")
+        bool, Option("--allow-outside", help="Let a scene file name files outside its folder: one you trust.")
     ] = False,
 ) -> None:
     """Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."""

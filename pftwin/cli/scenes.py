@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_type_hints
 
-import typer
+from typer import Argument, Option
 
 from pftwin.base.errors import InputError
-from pftwin.cli.terminal import err, start_computing, working
+from pftwin.cli.plugins import with_options
+from pftwin.cli.terminal import start_computing, tell, working
 
 if TYPE_CHECKING:
     from pftwin.dynamics.integrator import Integrator
@@ -20,10 +23,10 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 SceneArgument = Annotated[
-    Path | None, typer.Argument(metavar="[SCENE.toml]", help="Scene file; `pftwin init` writes an example.")
+    Path | None, Argument(metavar="[SCENE.toml]", help="Scene file; `pftwin init` writes an example.")
 ]
 CaseOption = Annotated[
-    int | None, typer.Option("--case", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
+    int | None, Option("--case", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
 ]
 # Whether scene files may name files outside their folders: --allow-outside, set before each command by the program.
 allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
@@ -31,13 +34,13 @@ _CONTACTS = "P2|P4|P5|spline|CM|FM|volume"
 
 
 def _offered(incomplete: str) -> list[str]:
-    """Contacts, for a shell that completes."""
+    """Contacts that complete what was typed, for the shell."""
     return [name for name in _CONTACTS.split("|") if name.lower().startswith(incomplete.lower())]
 
 
 ContactOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--contact",
         metavar=_CONTACTS,
         autocompletion=_offered,
@@ -46,7 +49,7 @@ ContactOption = Annotated[
 ]
 IntegratorOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--integrator",
         metavar="NAME",
         help="linear_implicit (with --tolerance linear_implicit_bdf2), linear_implicit_bdf2, newmark, quasi_static,"
@@ -54,11 +57,11 @@ IntegratorOption = Annotated[
     ),
 ]
 StepOption = Annotated[
-    float | None, typer.Option("--dt", metavar="SECONDS", help="Longest time step [s]: 0.001 if left out.")
+    float | None, Option("--dt", metavar="SECONDS", help="Longest time step [s]: 0.001 if left out.")
 ]
 ToleranceOption = Annotated[
     str | None,
-    typer.Option("--tolerance", metavar='"0.05 mm"', help="Instead of --dt: the longest step with an error below."),
+    Option("--tolerance", metavar='"0.05 mm"', help="Instead of --dt: the longest step with an error below."),
 ]
 
 
@@ -77,16 +80,7 @@ class Chosen:
 
 
 def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> Chosen:
-    """Loads the scene.
-
-    Args:
-        scene: the scene file.
-        case: or the rig's case.
-        contact: patch in place of the scene's own.
-
-    Raises:
-        InputError: none or both of scene and case; what the scene's files have against them.
-    """
+    """Loads the scene file or the rig's case, with another contact if one is named; InputError where it cannot."""
     if (scene is None) == (case is None):
         found = "both a scene file and --case" if scene is not None else "neither a scene file nor --case"
         raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")
@@ -108,7 +102,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
         with working(f"reading {scene}"):
             loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get())
         for note in loaded.notes:
-            err().print(note, style="dim", markup=False, highlight=False, soft_wrap=True)
+            tell(note, "dim")
         return Chosen(loaded.scene, contact or _contact(loaded.scene), loaded.button)
     from pftwin import rig
 
@@ -118,37 +112,60 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
         return Chosen(rig.case(case, contact=name), name)
 
 
-def integrator_of(text: str | None) -> Integrator | None:
-    """The integrator that was asked for on the command line; None where none was.
+@dataclass(frozen=True)
+class SceneOptions:
+    """The options that say which scene a command works on; see `on_scene`."""
 
-    Raises:
-        InputError: no such integrator or option.
-    """
-    from pftwin.dynamics.integrators import integrator_from_text
+    scene: SceneArgument = None
+    case: CaseOption = None
+    contact: ContactOption = None
 
-    return None if text is None else integrator_from_text(text)
+    def load(self) -> Chosen:
+        """Loads the scene; InputError where it cannot."""
+        return chosen_scene(self.scene, self.case, self.contact)
 
 
-def simulated(
-    chosen: Chosen, integrator: str | None, dt: float | None, tolerance: str | None = None
-) -> tuple[Result, float]:
-    """The result with the timing of a warm run, and how long the first run took, compilation included [s].
+@dataclass(frozen=True)
+class RunOptions(SceneOptions):
+    """Also those that say how it is simulated."""
 
-    Warns where contact leaves the part of a fitted button that is a sphere.
+    integrator: IntegratorOption = None
+    dt: StepOption = None
 
-    Raises:
-        InputError: an unknown integrator or an impossible step.
+    @property
+    def method(self) -> Integrator | None:
+        """The integrator, None if none is named; InputError for an unknown one."""
+        from pftwin.dynamics.integrators import integrator_from_text
+
+        return None if self.integrator is None else integrator_from_text(self.integrator)
+
+
+def on_scene(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives a command whose argument `knee` is a `SceneOptions` or `RunOptions` the options of that class."""
+    kind = inspect.signature(command, eval_str=True).parameters["knee"].annotation
+    hints = get_type_hints(kind, include_extras=True)
+    options = [
+        inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
+        for f in fields(kind)
+    ]
+    return with_options(command, "knee", options, lambda values: kind(**values))
+
+
+def simulated(chosen: Chosen, knee: RunOptions, tolerance: str | None = None) -> tuple[Result, float]:
+    """The result with the timing of a warm run, and the time of the first run with its compilation [s].
+
+    Warns where contact leaves the spherical part of a fitted button.
     """
     import time
 
     from pftwin.dynamics.simulate import simulate
 
-    scene, began, method = chosen.scene, time.perf_counter(), integrator_of(integrator)
+    scene, began, method = chosen.scene, time.perf_counter(), knee.method
     with working(f"compiling and simulating {scene.name}"):
-        result = simulate(scene, integrator=method, dt=dt, tolerance=tolerance)
+        result = simulate(scene, integrator=method, dt=knee.dt, tolerance=tolerance)
         first = time.perf_counter() - began
         if tolerance is None:  # the run that was chosen for a tolerance is a warm one
-            result = simulate(scene, integrator=method, dt=dt)
+            result = simulate(scene, integrator=method, dt=knee.dt)
     if chosen.button is not None:
         from pftwin.results.button_cap import check_cap
 
@@ -157,7 +174,7 @@ def simulated(
 
 
 def _contact(scene: Scene) -> str | None:
-    """What the button touches by: the patch's name, or the method of meshes."""
+    """The name of the contact: the patch's, or the method of meshes."""
     from pftwin.geometry.patch.spline_or_polynomial import name_of
 
     method = "" if scene.contact is None else scene.contact.method

@@ -1,4 +1,4 @@
-"""`pftwin simulate`."""
+"""`pftwin simulate`, `pftwin equilibrium` and `pftwin validate`."""
 
 from __future__ import annotations
 
@@ -7,74 +7,120 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Option
 
-from pftwin.base.errors import OutputError
-from pftwin.cli.exit_codes import check_trust, keeping
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
+from pftwin.cli.exit_codes import check_trust, flagged, keeping
 from pftwin.cli.plugins import with_scene_changes
-from pftwin.cli.scenes import (
-    CaseOption,
-    ContactOption,
-    IntegratorOption,
-    SceneArgument,
-    StepOption,
-    ToleranceOption,
-    chosen_scene,
-    simulated,
-)
-from pftwin.cli.terminal import JsonOption, check_outputs, out, working, write_json
+from pftwin.cli.scenes import RunOptions, SceneOptions, ToleranceOption, on_scene, simulated
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, working, written
 
 
 @with_scene_changes
+@on_scene
 def simulate(
-    scene: SceneArgument = None,
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.nc", help="The result as NetCDF.")],
-    case: CaseOption = None,
-    contact: ContactOption = None,
-    integrator: IntegratorOption = None,
-    dt: StepOption = None,
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The result as NetCDF.")],
+    knee: RunOptions,
     tolerance: ToleranceOption = None,
     change: Callable[[Any], Any] | None = None,
-    csv: Annotated[bool, typer.Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
-    sto: Annotated[bool, typer.Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
+    csv: Annotated[bool, Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
+    sto: Annotated[bool, Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Simulate the patella through the recorded motion, as it is or after a treatment.
 
     Example: `pftwin simulate --case 2 --medialise 16 -o after.nc`
     """
-    if output.suffix.lower() != ".nc":
-        raise OutputError(f"{output}: results are NetCDF; try: {output.with_suffix('.nc')}")
-    table, storage = (output.with_suffix(".csv") if csv else None), (output.with_suffix(".sto") if sto else None)
-    check_outputs(output, table, storage, json)
-    chosen = chosen_scene(scene, case, contact)
+    check_suffix(output, [".nc"], "results are NetCDF")
+    files = [output, *(output.with_suffix(s) for s, wanted in ((".csv", csv), (".sto", sto)) if wanted)]
+    check_outputs(*files, json)
+    chosen = knee.load()
     chosen = chosen if change is None else replace(chosen, scene=change(chosen.scene))
-    result, first = simulated(chosen, integrator, dt, tolerance)
-    with keeping(output, table, storage), working("writing"):
-        result.save(output)
-        if table is not None:
-            result.to_csv(table)
-        if storage is not None:
-            result.to_sto(storage)
-    written = [str(p) for p in (output, table, storage) if p is not None]
-    write_json(
-        {
-            "scene": result.scene_name,
-            "contact": chosen.contact,
-            "frames": result.times.size,
-            "duration_s": result.duration,
-            "settings": result.settings,
-            "timing": {**result.timing, "first_run_s": first},
-            "real_time_factor": result.real_time_factor,
-            "status": result.status.describe(),
-            "largest_indentation_m": result.largest_indentation,
-            "equilibrium": result.equilibrium.to_dict(),
-            "dtype": result.dtype,
-            "files": written,
-        },
-        json,
-    )
-    out(json).print(result.summary(), markup=False, highlight=False)
-    out(json).print(f"written: {', '.join(written)}", markup=False, highlight=False)
+    result, first = simulated(chosen, knee, tolerance)
+    with keeping(*files), working("writing"):
+        for path in files:
+            {".nc": result.save, ".csv": result.to_csv, ".sto": result.to_sto}[path.suffix.lower()](path)
+    facts = {
+        "scene": result.scene_name,
+        "contact": chosen.contact,
+        "frames": result.times.size,
+        "duration_s": result.duration,
+        "settings": result.settings,
+        "timing": {**result.timing, "first_run_s": first},
+        "real_time_factor": result.real_time_factor,
+        "status": result.status.describe(),
+        "largest_indentation_m": result.largest_indentation,
+        "equilibrium": result.equilibrium.to_dict(),
+        "dtype": result.dtype,
+        "files": [str(p) for p in files],
+    }
+    present(facts, result.summary(), written(files), json=json)
     check_trust(result)
+
+
+@on_scene
+def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
+    """Find the static equilibrium at the first frame of the motion.
+
+    Example: `pftwin equilibrium --case 2 --contact P4`
+    """
+    check_outputs(json)
+    chosen = knee.load()
+    from pftwin.dynamics.simulate import equilibrium as solve
+
+    name = chosen.scene.name
+    with working(f"solving for the equilibrium of {name}"):
+        report = solve(chosen.scene)
+    reported = [(f"{e} {key}", v) for e, seen in report.effects.items() for key, v in seen.items() if v.ndim == 0]
+    rows = (
+        ("patella in the femur [mm]", "  ".join(f"{1e3 * v:.3f}" for v in report.position)),
+        ("quaternion (w, x, y, z)", "  ".join(f"{v:.6f}" for v in report.quaternion)),
+        ("residual [N]", f"{report.residual:.1e} after {report.iterations} iterations"),
+        *((words.replace("_", " "), f"{float(value):.6g}") for words, value in reported),
+    )
+    sheet = Sheet("", ("quantity", "value"), rows)
+    facts = {"scene": name, "contact": chosen.contact, **report.to_dict()}
+    present(facts, f"{name}: {report.description}", sheet, json=json)
+    if not report.converged:
+        flagged(f"{name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
+
+
+@on_scene
+def validate(*, knee: RunOptions, tolerance: ToleranceOption = None, json: JsonOption = None) -> None:
+    """Simulate, and compare with the measurements: the rows of Table 1 of Michaud et al. 2024.
+
+    Example: `pftwin validate --case 1 --contact P5`
+    """
+    check_outputs(json)
+    chosen = knee.load()
+    measured = chosen.measured
+    if measured is None:
+        raise InputError("nothing to compare with", where=knee.scene, expected="a table [measured] in the scene file")
+    from pftwin.results.metrics import PAPER_TABLE_1
+    from pftwin.results.metrics import validate as compare
+
+    result, first = simulated(chosen, knee, tolerance)
+    names = {e.name for e in chosen.scene.effects}
+    springs: dict[str, Any] = {}
+    if measured.tibial_spring_force is None and "patellar_tendon" not in names:
+        springs["tibial"] = None
+    if measured.femoral_spring_force is None and "quadriceps" not in names:
+        springs["femoral"] = None
+    found = compare(result, measured, **springs)
+    paper = chosen.contact if chosen.contact in PAPER_TABLE_1 else None
+    rows = found.to_rows(paper)
+    beside = [] if paper is None else [f"paper, {paper}"]  # the paper's means over its four cases
+    cells = [(r.label, *(_number(v) for v in (r.value, r.paper)[: 1 + len(beside)]), r.unit) for r in rows]
+    against = "synthetic measurements" if found.synthetic else "measurements"
+    headings = ("", "this", *beside, "unit")
+    sheet = Sheet(f"{found.scene} against {against}", headings, tuple(cells), words=(0, len(headings) - 1))
+    shown = [row._asdict() for row in rows]
+    facts = {"contact": chosen.contact, **found.to_dict(), "first_run_s": first, "rows": shown}
+    present(facts, sheet, json=json)
+    check_trust(result)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

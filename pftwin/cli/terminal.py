@@ -1,4 +1,4 @@
-"""What commands share at the terminal: consoles, spinners, JSON output, and checks of output paths before long work."""
+"""What commands share at the terminal: one renderer for their outcomes, progress, and checks of output paths."""
 
 from __future__ import annotations
 
@@ -7,22 +7,26 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from pftwin.base.errors import InputError, OutputError
+from pftwin.base.sheet import Sheet
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
+
 
 JsonOption = Annotated[
     str | None,
-    typer.Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -."),
+    Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -."),
 ]
+FIGURES = (".png", ".svg", ".pdf")
 
 
 def err() -> Console:
@@ -32,11 +36,40 @@ def err() -> Console:
     return Console(stderr=True)
 
 
-def out(json_to: str | None = None) -> Console:
-    """For tables and text: stdout, or stderr where stdout is taken by JSON."""
+def tell(text: str, style: str | None = None) -> None:
+    """Writes a line on stderr."""
+    err().print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def show(*parts: Sheet | str, json: str | None = None, markdown: bool = False) -> None:
+    """Prints tables, each with its notes, and lines; on stdout, or on stderr where JSON takes stdout ("-").
+
+    Empty lines are left out. With `markdown` tables are Markdown.
+    """
     from rich.console import Console
 
-    return Console(stderr=json_to == "-", soft_wrap=True)
+    console = Console(stderr=json == "-", soft_wrap=True)
+    for part in parts:
+        if isinstance(part, str):
+            lines = [part] if part else []
+        elif markdown:
+            lines = [part.markdown()]
+        else:
+            console.print(part.table())
+            lines = part.notes
+        for line in lines:
+            console.print(line, markup=False, highlight=False)
+
+
+def present(facts: Any, *parts: Sheet | str, json: str | None, markdown: bool = False) -> None:
+    """Gives the user the outcome of a command: its facts as JSON where asked for, and tables and lines."""
+    write_json(facts, json)
+    show(*parts, json=json, markdown=markdown)
+
+
+def written(paths: Sequence[Path | str]) -> str:
+    """The line that names the files of a command; empty if there are none."""
+    return f"written: {', '.join(map(str, paths))}" if paths else ""
 
 
 @contextmanager
@@ -46,16 +79,26 @@ def working(what: str) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def progress(what: str) -> Iterator[Callable[..., None]]:
+    """A bar on stderr, silent where that is no terminal; yields `show(done, of, now="", what=None)`."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = err()
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None, now="")
+
+        def show(done: float, of: float, now: str = "", what: str | None = None) -> None:
+            bar.update(task, completed=done, total=of, now=now, description=what)
+
+        yield show
+
+
 def start_computing(*, batches: bool = False) -> None:
-    """Double precision, fast CPU code and the folder of compiled programs; for batches, a device for each core.
+    """Sets double precision, fast CPU code and the folder of compiled programs, unless the process has done so already.
 
-    A process that has made these settings already keeps its own.
-
-    Args:
-        batches: whether batches are run: $PFTWIN_DEVICES says on how many CPU devices, by default one for each core.
-
-    Raises:
-        InputError: $PFTWIN_DEVICES is no number.
+    For batches every core becomes a device, or as many as $PFTWIN_DEVICES says.
     """
     devices = _cpu_devices() if batches else None
     if "jax" in sys.modules:
@@ -76,12 +119,28 @@ def _cpu_devices() -> int | str:
     raise InputError(f"found {given!r}", where="PFTWIN_DEVICES", expected='"all", or a whole number, at least 1')
 
 
-def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
-    """Refuses places that cannot be written to, before any work is done; None and "-" are passed over.
+def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
+    """Refuses an output of another suffix; `what` says why ("results are NetCDF"), and the first suffix is proposed."""
+    if path.suffix.lower() not in suffixes:
+        raise OutputError(f"{path}: {what}; try: {path.with_suffix(suffixes[0])}")
 
-    Raises:
-        OutputError: a folder that is missing or read-only, a path that is a folder, two outputs to one file.
-    """
+
+def check_figure(path: Path | None) -> None:
+    """Refuses a figure of a kind that is not offered."""
+    if path is not None and path.suffix.lower() not in FIGURES:
+        raise OutputError(f"{path}: unknown kind of figure; expected: {', '.join(FIGURES)}")
+
+
+def save_picture(figure: Figure, path: Path) -> None:
+    """Writes a figure, whole or not at all."""
+    from pftwin.base.output import written_whole
+
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
+    """Refuses places that cannot be written to, and two outputs to one file, before any work; skips None and "-"."""
     from pftwin.base.output import check_place
 
     seen: set[Path] = set()
@@ -100,26 +159,26 @@ def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuses a folder that is not there and cannot be made, or cannot be written to; makes nothing.
-
-    Raises:
-        OutputError: saying why.
-    """
+    """Refuses a folder that does not exist and cannot be made, or cannot be written to; makes nothing."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; try: another name for the folder")
-    there = folder.absolute()
-    while not there.exists():
-        there = there.parent
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+    if not may_write(there := nearest(folder)):
         raise OutputError(f"{folder}: cannot be made: no permission to write in {there}")
 
 
-def write_json(value: Any, to: str | None) -> None:
-    """Writes JSON to a file or stdout ("-"); None: not at all. Numbers that are not finite become null.
+def nearest(folder: Path) -> Path:
+    """The folder, or the nearest place above it that exists."""
+    there = folder.absolute()
+    return next(place for place in (there, *there.parents) if place.exists())
 
-    Raises:
-        OutputError: the file cannot be written.
-    """
+
+def may_write(place: Path) -> bool:
+    """Whether it is a folder in which this user may make files."""
+    return place.is_dir() and os.access(place, os.W_OK | os.X_OK)
+
+
+def write_json(value: Any, to: str | None) -> None:
+    """Writes JSON to a file or stdout ("-"); None: not at all. Numbers that are not finite become null."""
     if to is None:
         return
     text = json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pftwin.cli import app, installation, self_test
+from pftwin.cli import app, installation
+from pftwin.cli import doctor as command
 from pftwin.cli.exit_codes import ExitCode
 
 
@@ -25,7 +26,7 @@ def rested():
     from pftwin.dynamics.simulate import simulate
 
     scene = rig.case(1)
-    return simulate(dataclasses.replace(scene, motion=dataclasses.replace(scene.motion, n_frames=self_test.FRAMES)))
+    return simulate(dataclasses.replace(scene, motion=dataclasses.replace(scene.motion, n_frames=command.FRAMES)))
 
 
 def test_this_installation_is_sound(rested):
@@ -64,7 +65,7 @@ def test_the_self_test_sees_wrong_mechanics(rested, monkeypatch, broken, finding
     else:
         changed = dataclasses.replace(rested, **broken)
     monkeypatch.setattr("pftwin.dynamics.simulate.simulate", lambda scene: changed)
-    assert [f.name for f in self_test.self_test() if not f.sound] == [finding]
+    assert [f.name for f in command.self_test() if not f.sound] == [finding]
 
 
 def test_a_simulation_that_fails_is_a_finding(monkeypatch):

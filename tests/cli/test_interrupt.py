@@ -1,4 +1,4 @@
-"""Ctrl-C, sent to a real process: what there is is saved and named, exit code 130, no traceback."""
+"""Ctrl-C: what there is is saved and named, exit code 130, no traceback; sent to a real process by some tests."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from plate_and_ball import write_plate_and_ball
 from toy_scene_files import SCENE, write_toy
+from typer.testing import CliRunner
+
+from fitting.prediction.variants import amounts_of
+from pftwin.cli import app
+from pftwin.files.result_files import load_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
 READY = "ready for the signal"
@@ -87,6 +94,7 @@ def test_fit_keeps_the_best_so_far_and_its_checkpoint(toy, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["fit.json", "state.npz"]
 
 
+@pytest.mark.slow
 def test_treat_keeps_the_variants_that_are_done(toy, tmp_path):
     before = (
         "import fitting.cli.treat as t, fitting.prediction.predicting as p\nt._BLOCK = 2\nreal, calls = p.predict, []\n"
@@ -96,8 +104,6 @@ def test_treat_keeps_the_variants_that_are_done(toy, tmp_path):
     run = Run(before, "treat", toy, "-o", "v.nc", "--medialise", "0:5:1", "--dt", "0.005", cwd=tmp_path)
     run.until_ready()
     assert "saved so far: v.nc" in run.interrupted()
-    from pftwin.files.result_files import load_dataset
-
     data = load_dataset(tmp_path / "v.nc")
     assert data["tibial_tuberosity_transfer_medialisation"].values.tolist() == pytest.approx([0, 1e-3, 2e-3, 3e-3])
     assert data["variant"].values.tolist() == [0, 1, 2, 3]
@@ -105,30 +111,68 @@ def test_treat_keeps_the_variants_that_are_done(toy, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["v.nc"]
 
 
-def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path):
-    before = (
-        "import pftwin.studies.hard_cases as h\nfrom pftwin.studies.hard_cases.verdict import Cell\ncalls = []\n"
-        f"def run_matrix(cases, chosen, say):\n    calls.append(1)\n    if len(calls) == 2: {PAUSE}\n"
-        "    return [Cell('hanging', chosen.contacts[0], 'newmark', 'float64', 'pass', '')]\n"
-        "h.run_matrix = run_matrix"
-    )
-    run = Run(before, "hard-cases", "--contact", "P2", "--contact", "P5", "--json", "cells.json", cwd=tmp_path)
-    run.until_ready()
-    assert "saved so far: cells.json" in run.interrupted()
+def interrupted(*arguments: object) -> str:
+    """What a command says on stderr after a Ctrl-C that comes from within, in this process."""
+    done = CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "160", "NO_COLOR": "1"})
+    assert done.exit_code == 130, done.output
+    assert done.stderr.count("interrupted; ") == 1
+    return done.stderr
+
+
+def stopping_at(call: int, real: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that is interrupted at its n-th call."""
+    calls = []
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
+        if len(calls) == call:
+            raise KeyboardInterrupt
+        return real(*arguments, **options)
+
+    return counted
+
+
+def test_treat_keeps_the_blocks_that_are_done(toy, tmp_path, monkeypatch):
+    """With outcomes that are made up: the blocks before the third."""
+    from xarray import Dataset
+
+    def predict(scene: Any, rows: Any, estimate: Any, **options: Any) -> Dataset:
+        values = [1e3 * float(a) for a in amounts_of(rows)[:, 0]]
+        return Dataset({"peak": ("variant", values)}, {"variant": [0, 1]}, {"title": "outcomes"})
+
+    monkeypatch.setattr("fitting.cli.treat._BLOCK", 2)
+    monkeypatch.setattr("fitting.prediction.predicting.predict", stopping_at(3, predict))
+    output = tmp_path / "v.nc"
+    assert f"saved so far: {output}" in interrupted("treat", toy, "-o", output, "--medialise", "0:5:1")
+    data = load_dataset(output)
+    assert data["peak"].values.tolist() == pytest.approx([0, 1, 2, 3])
+    assert data["variant"].values.tolist() == [0, 1, 2, 3]
+    assert data.attrs["title"] == "outcomes (interrupted: 4 of 6 variants)"
+    assert [p.name for p in tmp_path.iterdir()] == ["v.nc"]
+
+
+def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path, monkeypatch):
     from pftwin.studies.hard_cases.table import read_piece
+    from pftwin.studies.hard_cases.verdict import Cell
 
-    assert [c.contact for c in read_piece(tmp_path / "cells.json").rows] == ["P2"]
+    def run_matrix(cases: Any, chosen: Any, say: Any) -> list[Cell]:
+        return [Cell("hanging", chosen.contacts[0], "newmark", "float64", "pass", "")]
+
+    monkeypatch.setattr("pftwin.studies.hard_cases.run_matrix", stopping_at(2, run_matrix))
+    cells = tmp_path / "cells.json"
+    said = interrupted("hard-cases", "--contact", "P2", "--contact", "P5", "--json", cells)
+    assert f"saved so far: {cells}" in said
+    assert [c.contact for c in read_piece(cells).rows] == ["P2"]
 
 
-def test_accuracy_keeps_the_rows_so_far(toy, tmp_path):
-    before = (
-        "import pftwin.studies.accuracy.run as r\n"
-        f"def measure(plan, scene_of, measured, tell, keep):\n    keep([]); {PAUSE}\n"
-        "r.measure_all = measure"
-    )
-    run = Run(before, "accuracy", toy, "--out", "acc", cwd=tmp_path)
-    run.until_ready()
-    assert f"saved so far: {Path('acc') / 'accuracy.csv'}" in run.interrupted()
+def test_accuracy_keeps_the_rows_so_far(toy, tmp_path, monkeypatch):
+    def measure(plan: Any, scene_of: Any, measured: Any, tell: Any, keep: Any) -> None:
+        keep([])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pftwin.studies.accuracy.run.measure_all", measure)
+    said = interrupted("accuracy", toy, "--out", tmp_path / "acc")
+    assert f"saved so far: {tmp_path / 'acc' / 'accuracy.csv'}" in said
 
 
 # Before the second variant that runs alone.
@@ -175,20 +219,17 @@ def test_audit_without_a_place_shows_what_is_done(toy, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_contact_map_keeps_the_frames_that_are_done(tmp_path):
-    write_plate_and_ball(tmp_path, [4e-4, 5e-4, 6e-4])
-    before = (
-        "import pftwin.studies.contact_map.mapping as m\nreal, calls = m._spread, []\n"
-        f"def spread(*given):\n    calls.append(1)\n    if len(calls) == 5: {PAUSE}\n    return real(*given)\n"
-        "m._spread = spread"
-    )
-    parts = ["--femur", "plate.stl", "--patella", "ball.stl", "--poses", "poses.csv", "--units", "m"]
-    run = Run(before, "contact-map", *parts, "-o", "map.nc", "--figure", "map.png", cwd=tmp_path)
-    run.until_ready()
-    assert "saved so far: map.nc" in run.interrupted()
-    assert not (tmp_path / "map.png").exists()
+def test_contact_map_keeps_the_frames_that_are_done(tmp_path, monkeypatch):
     import xarray
 
+    from pftwin.studies.contact_map import mapping
+
+    write_plate_and_ball(tmp_path, [4e-4, 5e-4, 6e-4])
+    monkeypatch.setattr(mapping, "_spread", stopping_at(5, mapping._spread))
+    monkeypatch.chdir(tmp_path)
+    parts = ["--femur", "plate.stl", "--patella", "ball.stl", "--poses", "poses.csv", "--units", "m"]
+    assert "saved so far: map.nc" in interrupted("contact-map", *parts, "-o", "map.nc", "--figure", "map.png")
+    assert not (tmp_path / "map.png").exists()
     with xarray.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as data:
         assert data.sizes["time"] == 2
         assert (data.area > 0).all()
@@ -202,11 +243,22 @@ def test_simulate_names_the_files_that_are_whole(toy, tmp_path):
     run.until_ready()
     assert "saved so far: out.nc" in run.interrupted()
     assert [p.name for p in tmp_path.iterdir()] == ["out.nc"]
-    from pftwin.files.result_files import load_dataset
-
     assert load_dataset(tmp_path / "out.nc").attrs["scene"] == "toy"
 
 
+def test_a_file_that_is_cut_off_is_removed(toy, tmp_path, monkeypatch):
+    whole = Path.write_bytes
+
+    def write_bytes(self: Path, data: bytes) -> None:
+        whole(self, data[:100])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    assert "nothing was saved" in interrupted("simulate", toy, "-o", tmp_path / "out.nc", "--dt", "0.005")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
 def test_simulate_leaves_no_half_of_a_file(toy, tmp_path):
     before = (
         "whole = Path.write_bytes\n"
@@ -231,10 +283,6 @@ def test_where_nothing_is_saved_it_says_so(toy, tmp_path):
 @pytest.mark.slow
 def test_blocks_change_no_outcome(toy, tmp_path, monkeypatch):
     import numpy as np
-    from typer.testing import CliRunner
-
-    from pftwin.cli import app
-    from pftwin.files.result_files import load_dataset
 
     for name, block in (("whole.nc", 4096), ("blocks.nc", 2)):
         monkeypatch.setattr("fitting.cli.treat._BLOCK", block)

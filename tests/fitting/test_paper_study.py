@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from made_estimates import made_estimate
 
+from fitting.cli.demo import _outcomes, _springs, _table_2
 from fitting.demo.paper_study import (
     CASES,
     FITS,
@@ -180,3 +181,13 @@ def test_facts_say_that_the_measurements_are_synthetic(study):
     assert {row["row"]: row["case1_by_paper"] for row in plain["table2"]}["mean distance"] == 10.0
     assert plain["springs"]["paper"][0]["paper_error"] == 8.0
     assert len(plain["outcomes"]) == 8
+
+
+def test_the_commands_tables_have_a_cell_for_every_heading(study):
+    sheets = [_table_2(study), *(_springs(study, fit) for fit in FITS), _outcomes(study)]
+    assert len(sheets[0].rows) == len(list(table_2(study)))
+    for sheet in sheets:
+        assert sheet.rows
+        assert all(len(row) == len(sheet.headings) for row in sheet.rows)
+    assert all("SYNTHETIC" in sheet.title for sheet in sheets[:-1])
+    assert sheets[0].headings[3] == "case 2\n\npaper"

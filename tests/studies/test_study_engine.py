@@ -9,9 +9,10 @@ import pytest
 from small_scene import small_result
 
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.base.spatial import Quaternion
 from pftwin.studies.runs import difference, rms, run_each
-from pftwin.studies.tables import Column, Sheet, read_csv, short, to_csv, to_dataset
+from pftwin.studies.tables import Column, read_csv, short, to_csv, to_dataset
 
 
 def stopping(at: int):

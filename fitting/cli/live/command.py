@@ -7,9 +7,10 @@ import time
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from pftwin.cli.scenes import CaseOption, SceneArgument, chosen_scene
-from pftwin.cli.terminal import err, out, working
+from pftwin.cli.terminal import show, tell, working
 
 if TYPE_CHECKING:
     from pftwin.model.scene import Scene
@@ -21,29 +22,26 @@ def app(
     case: CaseOption = None,
     contact: Annotated[
         str | None,
-        typer.Option("--contact", metavar="NAME", help="Contact to begin with; the page can choose others."),
+        Option("--contact", metavar="NAME", help="Contact to begin with; the page can choose others."),
     ] = None,
     host: Annotated[
-        str, typer.Option("--host", metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
+        str, Option("--host", metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")
+        int, Option("--port", min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")
     ] = 8080,
     origin: Annotated[
         list[str] | None,
-        typer.Option(
-            "--origin", metavar="URL", help="Origin of pages that may use it besides its own; again for more."
-        ),
+        Option("--origin", metavar="URL", help="Origin of pages that may use it besides its own; may be repeated."),
     ] = None,
-    browser: Annotated[bool, typer.Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
 ) -> None:
     """Turn treatments by sliders in the browser: every move simulates the whole motion anew.
 
     Example: `pftwin app --case 2 --open`
     """
     began = time.perf_counter()
-    from fitting.cli.live.address import check_address, loopback
-    from fitting.cli.live.origin import checked_origins
+    from fitting.cli.live.access import check_address, checked_origins, loopback
 
     check_address(host, port)
     origins = checked_origins(origin or ())
@@ -62,13 +60,13 @@ def app(
         engine.prepare(own)
     server = LiveServer(engine, host, port, origins)
     try:
-        _tell(server.address, host, time.perf_counter() - began, safe=loopback(host))
+        _announce(server.address, host, time.perf_counter() - began, safe=loopback(host))
         if browser:
             typer.launch(server.address)
         while True:
             time.sleep(3600)
     except KeyboardInterrupt:
-        out().print("ended", markup=False)
+        show("ended")
     finally:
         server.stop()
 
@@ -87,14 +85,11 @@ def contacts_of(case: int | None, own: str | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys((own, *smooth))) if fitted else (own,)
 
 
-def _tell(address: str, host: str, seconds: float, *, safe: bool) -> None:
-    out().print(f"ready after {seconds:.1f} s: {address}  (Ctrl-C ends it)", markup=False, highlight=False)
+def _announce(address: str, host: str, seconds: float, *, safe: bool) -> None:
+    show(f"ready after {seconds:.1f} s: {address}  (Ctrl-C ends it)")
     if not safe:
-        err().print(
+        tell(
             f"warning: {host} can be reached from other machines, and whoever reaches it can use this page: there is"
             " no password and no encryption. Without --host it is for this machine alone.",
-            style="yellow",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
+            "yellow",
         )

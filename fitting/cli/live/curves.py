@@ -5,18 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fitting.cli.live.answer import ShownMotion
-from pftwin.results.plots import COLOURS
+from fitting.cli.live.motion import Floats, ShownMotion
+from fitting.cli.live.words import AFTER, BEFORE
 
 if TYPE_CHECKING:
     from viser import GuiApi
 
 HEIGHT = 142  # of a chart [pixels]
 ROUND = 5.0  # edges of the charts are multiples of this, in degrees, mm or newtons
-BEFORE, AFTER = COLOURS[:2]
-Floats = NDArray[np.float64]
 
 
 class Curves:
@@ -50,7 +47,7 @@ class Curves:
         """Takes other motions, which are drawn with the next mark."""
         self._before, self._after = before, after
         for name, chart in self._charts.items():
-            if (scales := self._scales(name)) != self._drawn[name]:  # other scales make a page build its chart anew
+            if (scales := self._scales(name)) != self._drawn[name]:  # new scales make a page rebuild its chart
                 chart.scales = self._drawn[name] = scales
 
     def mark(self, k: int) -> None:
@@ -59,9 +56,9 @@ class Curves:
             chart.data = self._data(name, k)
 
     def _scales(self, name: str) -> Any:
-        """Both axes, the values' rounded outwards: it stays as it is while a slider is moved a little.
+        """Both axes, rounded outwards so that they stay while a slider is moved a little.
 
-        They are told because a mark that is in one place alone, and missing (NaN) elsewhere, has no range of its own.
+        uPlot would find no range for a mark that is at one place and missing (NaN) elsewhere.
         """
         values = np.concatenate([getattr(a, name) for a in (self._before, self._after)])
         there = values[np.isfinite(values)]
@@ -78,5 +75,5 @@ class Curves:
 
 
 def _at(times: Floats, own: Floats, values: Floats) -> Floats:
-    """Values at other times, where their own ones are not the same."""
+    """Values at other times, interpolated where they differ."""
     return values if own.shape == times.shape and np.allclose(own, times) else np.interp(times, own, values)

@@ -1,10 +1,10 @@
-"""Meshes on the page: the bones that stay, and a knee's moving parts, set to one frame after the other. Femur, mm."""
+"""Meshes on the page: the bones, and the moving parts of a knee, which are set to a frame. Femur frame, mm."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fitting.cli.live.shown import Shown, ShownTrack
+from fitting.cli.live.motion import Shown
 from pftwin.results.viewer import bones
 from pftwin.results.viewer.knee import BONE, METAL, PLASTIC, darker, paler
 from pftwin.results.viewer.recorded import Recorded
@@ -25,7 +25,7 @@ def rgb(code: str) -> tuple[int, int, int]:
 
 
 def mesh(scene: SceneApi, name: str, shape: Shape, code: str, opacity: float = 1.0) -> Any:
-    """A mesh; one that has the name already goes."""
+    """Adds a mesh, in the place of one of the same name."""
     return scene.add_mesh_simple(
         name,
         shape.vertices,
@@ -39,7 +39,7 @@ def mesh(scene: SceneApi, name: str, shape: Shape, code: str, opacity: float = 1
 
 
 def component_of(recorded: Recorded) -> Shape | None:
-    """The femoral component: its mesh, or its fitted surface with a body."""
+    """The femoral component: its mesh, or its fitted surface made solid."""
     femur, fitted = recorded.mesh("femur"), recorded.mesh("surface")
     if femur is not None:
         return surface(femur)
@@ -47,7 +47,7 @@ def component_of(recorded: Recorded) -> Shape | None:
 
 
 class Bones:
-    """Femur and tibia, which are drawn once, whatever the treatment."""
+    """Femur and tibia, drawn once for all treatments."""
 
     def __init__(self, scene: SceneApi, recorded: Recorded, component: Shape | None) -> None:
         self._scene = scene
@@ -61,12 +61,12 @@ class Bones:
             scene.add_label(f"/{words}", words, position=(0.0, y, 25.0), anchor="center-center")
 
     def set_component(self, component: Shape | None) -> None:
-        """The femoral component of another contact."""
+        """Draws the femoral component of another contact."""
         if component is not None:
             mesh(self._scene, "/component", component, METAL)
 
     def set_beyond(self, beyond: Shape | None) -> None:
-        """The fitted surface beyond its edge, as far as it is touched."""
+        """Draws the fitted surface beyond its edge, as far as it is touched."""
         if beyond is not None:
             self._beyond = mesh(self._scene, "/beyond", beyond, paler(METAL, 0.5), 0.6)
         elif self._beyond is not None:
@@ -74,7 +74,8 @@ class Bones:
 
     def frame(self, shown: Shown, k: int) -> None:
         """Sets the tibia to a frame."""
-        _place(self._tibia, shown.tibia, k)
+        track = shown.tracks["tibia"]
+        self._tibia.position, self._tibia.wxyz = track.position[k], track.wxyz[k]
 
 
 class DrawnKnee:
@@ -83,12 +84,8 @@ class DrawnKnee:
     def __init__(self, scene: SceneApi, root: str, code: str, opacity: float = 1.0) -> None:
         self._scene, self._root, self._code, self._opacity = scene, root, code, opacity
         self._whole = scene.add_frame(root, show_axes=False)
-        self._frames = {part: scene.add_frame(f"{root}/{part}", show_axes=False) for part in ("patella", "tibia")}
-        self._lines: dict[str, Any] = {}
-        self._bumps: dict[str, Any] = {}
-        self._points: dict[str, Any] = {}
-        self._arrows: dict[str, Any] = {}
-        self._paths: dict[str, Any] = {}
+        self._moved = {part: scene.add_frame(f"{root}/{part}", show_axes=False) for part in ("patella", "tibia")}
+        self._others: dict[str, Any] = {}  # tubes, tuberosities and paths
         self._shown: Shown | None = None
 
     def show(self, visible: bool) -> None:
@@ -96,46 +93,42 @@ class DrawnKnee:
         self._whole.visible = visible
 
     def set(self, shown: Shown) -> None:
-        """Draws another motion in the place of the last one."""
+        """Draws another motion in the place of the current one."""
+        others = self._others
         if self._shown is None:
             self._body(shown.recorded)
         self._shown = shown
         for name, (vertices, triangles) in shown.lines.items():
-            if name not in self._lines:
-                self._lines[name] = self._mesh(name, Shape(vertices[0], triangles), paler(self._code, 0.3))
+            if name not in others:
+                others[name] = self._mesh(name, Shape(vertices[0], triangles), paler(self._code, 0.3))
         for name, place in shown.origins.items():
-            if name not in self._bumps:
-                self._bumps[name] = self._mesh(f"tibia/{name}", ellipsoid([0, 0, -6.0], BUMP), self._code)
-            self._bumps[name].position = place
-        for name in shown.points:
-            if name not in self._points:
-                self._points[name] = self._mesh(f"at {name}", ellipsoid([0, 0, 0], [POINT] * 3), self._code)
-        for name in shown.arrows:
-            if name not in self._arrows:
-                self._arrows[name] = self._mesh(f"on {name}", arrow(), darker(self._code, 0.35))
+            if (bump := f"tibia/{name}") not in others:
+                others[bump] = self._mesh(bump, ellipsoid([0, 0, -6.0], BUMP), self._code)
+            others[bump].position = place
+        for name in shown.tracks.keys() - self._moved.keys():
+            if name.startswith("at "):
+                self._moved[name] = self._mesh(name, ellipsoid([0, 0, 0], [POINT] * 3), self._code)
+            else:
+                self._moved[name] = self._mesh(name, arrow(), darker(self._code, 0.35))
+        for name in [n for n in others if n.startswith("way ") and n not in shown.paths]:
+            others[name].visible = False
         for name, way in shown.paths.items():
-            self._paths[name] = self._mesh(f"way {name}", way, self._code)
-        for name in self._paths.keys() - shown.paths.keys():
-            self._paths[name].visible = False
+            others[name] = self._mesh(name, way, self._code)
 
     def frame(self, k: int) -> None:
         """Sets everything to a frame."""
         shown = self._shown
         if shown is None:
             return
-        _place(self._frames["patella"], shown.patella, k)
-        _place(self._frames["tibia"], shown.tibia, k)
         for name, (vertices, _) in shown.lines.items():
-            self._lines[name].vertices = vertices[k]
-        for drawn, tracks in ((self._points, shown.points), (self._arrows, shown.arrows)):
-            for name, node in drawn.items():
-                track = tracks.get(name)
-                if track is None or not track.present[k]:
-                    node.visible = False
-                    continue
-                _place(node, track, k)
-                node.scale = float(track.scale[k])
-                node.visible = True
+            self._others[name].vertices = vertices[k]
+        for name, node in self._moved.items():
+            track = shown.tracks.get(name)
+            node.visible = track is not None and bool(track.present[k])
+            if track is not None and track.present[k]:
+                node.position, node.wxyz = track.position[k], track.wxyz[k]
+                if name.startswith("on "):
+                    node.scale = float(track.scale[k])
 
     def _mesh(self, name: str, shape: Shape, code: str, opacity: float = 1.0) -> Any:
         return mesh(self._scene, f"{self._root}/{name}", shape, code, opacity * self._opacity)
@@ -145,13 +138,9 @@ class DrawnKnee:
         self._mesh("patella/body", schematic, self._code, 0.4)
         button = recorded.mesh("button")
         if button is not None:
-            behind = behind_plane(surface(button), float(schematic.vertices[:, 2].mean()))
-            self._mesh("patella/button", behind, PLASTIC, 0.75)
+            shape = behind_plane(surface(button), float(schematic.vertices[:, 2].mean()))
         elif "button_radius" in recorded.geometry:
-            center = recorded.geometry["button_center"].values
-            self._mesh("patella/button", button_cap(center, float(recorded.geometry["button_radius"])), PLASTIC, 0.75)
-
-
-def _place(node: Any, track: ShownTrack, k: int) -> None:
-    node.position = track.position[k]
-    node.wxyz = track.wxyz[k]
+            shape = button_cap(recorded.geometry["button_center"].values, float(recorded.geometry["button_radius"]))
+        else:
+            return
+        self._mesh("patella/button", shape, PLASTIC, 0.75)

@@ -1,4 +1,4 @@
-"""From values of the knobs to a motion: simulated whole, by a program that is compiled once for each contact."""
+"""From values of the knobs to the whole motion, by a program that is compiled once for each contact."""
 
 from __future__ import annotations
 
@@ -6,15 +6,27 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fitting.cli.live.answer import ShownMotion
+import jax.numpy as jnp
+import numpy as np
+
 from fitting.cli.live.knobs import neutral, turned, usable
-from fitting.cli.live.still import Still
+from fitting.cli.live.motion import Floats, ShownMotion
 from pftwin.base.errors import InputError
+from pftwin.base.spatial import Vec3
 from pftwin.dynamics.simulate import prepare_relaxation, simulate
 from pftwin.model.scene import Scene
+from pftwin.results.scene_geometry import MARGIN, continuation, geometry, has_rectangle
+from pftwin.results.viewer.shapes import MM, Shape
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 UNTREATED, TREATED = "untreated", "treated"
+FAR = 0.045  # beyond the edges of a fitted surface that its continuation is made [m]
+HEIGHT = 0.02  # over the chart of the points that only say how far the continuation goes [m]
+MOST_ANGLE = 2.8  # of a cylinder's chart, which closes at pi [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +37,7 @@ class LiveModel:
     scene: Scene
     still: Still
     before: ShownMotion  # untreated
-    preparation: float  # that it took to compile, or to load what was compiled before [s]
+    preparation: float  # time to compile, or to load a kept program [s]
 
 
 class Engine:
@@ -35,15 +47,7 @@ class Engine:
     """
 
     def __init__(self, load: Callable[[str], Scene], contacts: tuple[str, ...]) -> None:
-        """For scenes of these contacts; the first one's is loaded now.
-
-        Args:
-            load: the scene with the contact of that name; raises InputError where there is none.
-            contacts: the names.
-
-        Raises:
-            InputError: what the first scene has against it.
-        """
+        """For scenes of these contacts, loaded by name; loads the first one, and raises InputError if that fails."""
         self._load, self.contacts = load, contacts
         self._models: dict[str, LiveModel] = {}
         self._preparing = threading.Lock()  # two threads cannot trace at once
@@ -51,19 +55,15 @@ class Engine:
         self.knobs, self.missing = usable(self._first)
 
     def ready(self, contact: str) -> bool:
-        """Whether nothing has to be compiled for this contact any more."""
+        """Whether this contact is compiled."""
         return contact in self._models
 
     def model(self, contact: str) -> LiveModel:
-        """What was prepared."""
+        """The model of a contact that is ready."""
         return self._models[contact]
 
     def prepare(self, contact: str) -> LiveModel:
-        """Compiles for a contact, unless that was done; takes seconds.
-
-        Raises:
-            InputError: no such contact, or what the scene has against it, also that it cannot be simulated untreated.
-        """
+        """Compiles for a contact, unless that is done; takes seconds. InputError if its scene cannot be simulated."""
         with self._preparing:
             if contact in self._models:
                 return self._models[contact]
@@ -73,7 +73,7 @@ class Engine:
             began = time.perf_counter()
             scene = self._first if contact == self.contacts[0] else self._load(contact)
             rest, still = turned(scene, self.knobs, neutral(self.knobs)), Still(scene)
-            _simulated(rest, UNTREATED, still)  # compiles, the small programs of what is shown too
+            _simulated(rest, UNTREATED, still)  # compiles this, and the small programs of what is shown
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still)
             before.refuse_if_lost()
@@ -83,9 +83,7 @@ class Engine:
     def run(self, contact: str, values: Mapping[str, float]) -> ShownMotion:
         """The whole motion with these values of the knobs and a contact that is ready.
 
-        Raises:
-            InputError: a value that is none, a treated scene that is none (a slack length below zero), or a motion that
-                is not to be shown: without an equilibrium to start from, or lost.
+        Raises InputError for values that are not allowed, and for a motion without an equilibrium or with lost frames.
         """
         model = self._models[contact]
         answer = _simulated(turned(model.scene, self.knobs, values), TREATED, model.still)
@@ -94,7 +92,68 @@ class Engine:
 
 
 def _simulated(scene: Scene, name: str, still: Still) -> ShownMotion:
-    """With the integrator and the step that every command has if it is not told others."""
+    """Simulates with the default integrator and step of every command."""
     began = time.perf_counter()
     answer = ShownMotion.of(simulate(scene), name, still.geometry(scene))
     return replace(answer, seconds=time.perf_counter() - began)
+
+
+class Still:
+    """What is drawn of a scene and not changed by any knob: meshes and surfaces are made once."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._bodies = geometry(scene)
+        self._beyond = _beyond(scene)
+
+    def geometry(self, scene: Scene) -> Dataset:
+        """The dataset of a treated scene: the still parts, and its own lines of force."""
+        contact = scene.contact
+        lines = geometry(scene if contact is None else scene.without(contact.name))
+        return self._bodies.assign(lines.data_vars)
+
+    def continued(self, points: Floats) -> Shape | None:
+        """The surface beyond its fitted rectangle, as far as contact points (k, 3) [m] reach; None where they do not.
+
+        Missing points are NaN, so that arrays of one size need one program.
+        """
+        beyond = self._beyond
+        if beyond is None or not len(points):
+            return None
+        at = _along(beyond.chart, points)
+        ends = [(np.nanmin(c), np.nanmax(c)) if np.isfinite(c).any() else (0.0, 0.0) for c in at]
+        if all(low >= edge[0] and high <= edge[1] for (low, high), edge in zip(ends, beyond.edges, strict=True)):
+            return None
+        near = np.ones(len(beyond.shape.triangles), dtype=bool)
+        for (low, high), edge, c in zip(ends, beyond.edges, beyond.middles, strict=True):
+            near &= (c > min(low - MARGIN, edge[0])) & (c < max(high + MARGIN, edge[1]))
+        return Shape(beyond.shape.vertices, beyond.shape.triangles[near])
+
+
+class _Beyond(NamedTuple):
+    """The continuation of a fitted surface, as far as it is ever drawn."""
+
+    chart: Any
+    edges: list[tuple[float, float]]  # of the rectangle that was fitted [m]
+    shape: Shape
+    middles: tuple[Floats, Floats]  # of its triangles, along the chart (m,) each [m]
+
+
+def _along(chart: Any, points: Floats) -> tuple[Floats, Floats]:
+    at = chart.coordinates(Vec3(*(jnp.asarray(c, float) for c in points.T)))
+    return np.asarray(at.x, dtype=np.float64), np.asarray(at.y, dtype=np.float64)
+
+
+def _beyond(scene: Scene) -> _Beyond | None:
+    surface: Any = scene.surface
+    contact = scene.contact
+    if surface is None or contact is None or contact.femur_triangles() is not None or not has_rectangle(surface):
+        return None
+    edges = [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
+    most = MOST_ANGLE * float(getattr(surface.chart, "radius", np.inf))  # as far as a cylinder's chart goes
+    along = [max(edges[0][0] - FAR, -most), min(edges[0][1] + FAR, most)]
+    corners = [surface.chart.point(u, v, HEIGHT) for u in along for v in (edges[1][0] - FAR, edges[1][1] + FAR)]
+    made = continuation(surface, np.array([[float(c.x), float(c.y), float(c.z)] for c in corners]))
+    if made is None:
+        return None
+    shape = Shape((MM * made[0]).astype(np.float32), made[1].astype(np.uint32))
+    return _Beyond(surface.chart, edges, shape, _along(surface.chart, made[0][made[1]].mean(axis=1)))

@@ -1,4 +1,4 @@
-"""What can be turned on the page: amounts of treatments and properties of tendons, each a change of the scene."""
+"""The sliders of the page: amounts of treatments and properties of tendons, each a change of the scene."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
 
-QUADRICEPS, PATELLAR_TENDON = "quadriceps", "patellar_tendon"
 _ROUNDING = 1e-9  # of a value that a browser sends
 
 
@@ -31,11 +30,7 @@ class Knob:
     change: Callable[[Scene, float], Scene]  # from a value in `unit`
 
     def checked(self, value: Any) -> float:
-        """The value as a number within the knob's range.
-
-        Raises:
-            InputError: no number, not finite, or out of range.
-        """
+        """The value as a number; InputError if it is none, not finite, or out of range."""
         expected = f"{self.least:g} to {self.most:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"found {_short(value)}", where=self.label, expected=expected)
@@ -49,18 +44,10 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def _transferred(amount: str, scene: Scene, value: float) -> Scene:
-    from fitting.treatments import tibial_tuberosity_transfer
+def _treated(kind: str, amount: str, scene: Scene, value: float) -> Scene:
+    from fitting.treatments import KINDS, Treatment
 
-    amounts = {amount: 1e-3 * value}
-    return tibial_tuberosity_transfer(scene, **amounts)  # type: ignore[arg-type]
-
-
-def _lengthened(tendon: str, scene: Scene, value: float) -> Scene:
-    from fitting.treatments import patellar_tendon_length_change, quadriceps_lengthening
-
-    change = quadriceps_lengthening if tendon == QUADRICEPS else patellar_tendon_length_change
-    return change(scene, 1e-3 * value)
+    return Treatment.of(kind, {amount: KINDS[kind].amounts[amount].from_shown(value)})(scene)
 
 
 def _stiffened(tendon: str, scene: Scene, value: float) -> Scene:
@@ -73,32 +60,18 @@ def _stiffened(tendon: str, scene: Scene, value: float) -> Scene:
 
 
 def _transfer(name: str, least: float, most: float, hint: str) -> Knob:
-    label = f"{name} [mm]"
-    return Knob(name, label, "Tibial tuberosity", "mm", least, most, 0.5, 0.0, hint, partial(_transferred, name))
+    change = partial(_treated, "tibial_tuberosity_transfer", name)
+    return Knob(name, f"{name} [mm]", "Tibial tuberosity", "mm", least, most, 0.5, 0.0, hint, change)
 
 
-def _tendon(tendon: str, words: str, length: float) -> tuple[Knob, Knob]:
+def _tendon(tendon: str, words: str, kind: str) -> tuple[Knob, Knob]:
+    group = words.capitalize()
     stiff = f"Stiffness of the {words}, of what the scene has; its damping stays."
     long = f"Slack length of the {words}, against that in the scene; negative: shorter."
+    soften, lengthen = partial(_stiffened, tendon), partial(_treated, kind, "lengthening")
     return (
-        Knob(
-            f"{tendon}_stiffness",
-            "stiffness [%]",
-            words.capitalize(),
-            "%",
-            *(10.0, 400.0, 5.0, 100.0),
-            stiff,
-            partial(_stiffened, tendon),
-        ),
-        Knob(
-            f"{tendon}_length",
-            "longer by [mm]",
-            words.capitalize(),
-            "mm",
-            *(-length, length, 0.5, 0.0),
-            long,
-            partial(_lengthened, tendon),
-        ),
+        Knob(f"{tendon}_stiffness", "stiffness [%]", group, "%", 10.0, 400.0, 5.0, 100.0, stiff, soften),
+        Knob(f"{tendon}_length", "longer by [mm]", group, "mm", -60.0, 60.0, 0.5, 0.0, long, lengthen),
     )
 
 
@@ -106,8 +79,8 @@ KNOBS = (
     _transfer("medialisation", -20.0, 30.0, "Towards the midline; negative: laterally."),
     _transfer("anteriorisation", -20.0, 30.0, "Towards the front; negative: backwards."),
     _transfer("distalisation", -30.0, 30.0, "Towards the foot; negative: proximally."),
-    *_tendon(QUADRICEPS, "quadriceps tendon", 60.0),
-    *_tendon(PATELLAR_TENDON, "patellar tendon", 60.0),
+    *_tendon("quadriceps", "quadriceps tendon", "quadriceps_lengthening"),
+    *_tendon("patellar_tendon", "patellar tendon", "patellar_tendon_length_change"),
 )
 
 
@@ -117,7 +90,7 @@ def neutral(knobs: tuple[Knob, ...] = KNOBS) -> dict[str, float]:
 
 
 def usable(scene: Scene) -> tuple[tuple[Knob, ...], dict[str, str]]:
-    """The knobs that a scene has the parts for, and of the others, by group, why not."""
+    """The knobs for which a scene has the parts, and by group why it lacks the others."""
     found, reasons = [], {}
     for knob in KNOBS:
         try:
@@ -130,11 +103,7 @@ def usable(scene: Scene) -> tuple[tuple[Knob, ...], dict[str, str]]:
 
 
 def turned(scene: Scene, knobs: tuple[Knob, ...], values: Mapping[str, float]) -> Scene:
-    """The scene with every knob applied, neutral ones too: its leaves are then of one kind, and so is its program.
-
-    Raises:
-        InputError: a value that is no number within its knob's range, or one that is missing.
-    """
+    """The scene with every knob applied, neutral ones too, so that all values share one compiled program."""
     for knob in knobs:
         scene = knob.change(scene, knob.checked(values.get(knob.name)))
     return scene

@@ -1,4 +1,4 @@
-"""The page: sliders, buttons, curves, words and the drawing of one client; what is moved is told to its session."""
+"""The page of one client: sliders, buttons, curves, words and the drawing; events go to its session."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.live import words
-from fitting.cli.live.answer import ShownMotion
-from fitting.cli.live.clock import Clock
-from fitting.cli.live.curves import AFTER, BEFORE, Curves
+from fitting.cli.live.curves import Curves
 from fitting.cli.live.drawing import Bones, DrawnKnee, component_of
 from fitting.cli.live.engine import TREATED, Engine, LiveModel
 from fitting.cli.live.knobs import Knob
-from fitting.cli.live.shown import Shown
+from fitting.cli.live.motion import Shown, ShownMotion
+from fitting.cli.live.words import AFTER, BEFORE, Clock
 from pftwin.results.viewer.assembly import per_centimetre, views
 from pftwin.results.viewer.page import legend, notes, readout
 
@@ -27,7 +26,7 @@ GHOST = 0.45  # how opaque the untreated knee is beside the treated one
 
 
 class Page:
-    """What a client sees."""
+    """What a client sees; the session sets `state`, `pace`, `knobs`, `contacts`, `time`, `play` and `untreated`."""
 
     def __init__(self, client: ClientHandle, engine: Engine, model: LiveModel, session: Session) -> None:
         self._client, self._gui, self._session = client, client.gui, session
@@ -37,13 +36,13 @@ class Page:
         self._after = self._before = model.before
         self._bones = Bones(client.scene, model.before.recorded, None)
         self._treated = DrawnKnee(client.scene, "/treated", AFTER)
-        self._untreated = DrawnKnee(client.scene, "/untreated", BEFORE, GHOST)
+        self.untreated = DrawnKnee(client.scene, "/untreated", BEFORE, GHOST)
         self._gui.main_panel.dock_right()
         self._gui.set_panel_label("Treatment")
-        self._state = self._gui.add_html("")
-        self._knobs = self._sliders(engine)
+        self.state = self._gui.add_html("")
+        self.knobs = self._sliders(engine)
         self._model(engine)
-        self._pace = self._gui.add_html(words.pace(Clock(), Clock(), 0.0))
+        self.pace = self._gui.add_html(words.pace(Clock(), Clock(), 0.0))
         self._views(model)
         self._gui.add_html(words.boxed(self._legend(model)))
         panel = self._gui.add_panel()
@@ -56,18 +55,18 @@ class Page:
         panel.set_width(400)
 
     def tell(self, model: LiveModel, after: ShownMotion) -> None:
-        """Another motion: the table, and the curves, which its next numbers bring."""
+        """Takes another motion into the table and the curves, which are redrawn with the next numbers."""
         self._before, self._after = model.before, after
         self._curves.set(model.before, after)
         self._whole.content = words.comparison(model.before, after)
 
     def draw(self, model: LiveModel, shown: Shown) -> None:
-        """Another motion: the knee and its continued surface."""
+        """Draws another motion: the knee and its continued surface."""
         if self._contact != model.contact:
             self._contact = model.contact
             self._bones.set_component(component_of(model.before.recorded))
             self._ghost = Shown(model.before.recorded, self.newtons)
-            self._untreated.set(self._ghost)
+            self.untreated.set(self._ghost)
         self._shown = shown
         self._treated.set(shown)
         self._bones.set_beyond(model.still.continued(shown.touched))
@@ -77,41 +76,13 @@ class Page:
         self._bones.frame(self._shown, k)
         self._treated.frame(k)
         if self._compared.value:
-            self._untreated.frame(k)
+            self.untreated.frame(k)
 
     def number(self, k: int, at: float) -> None:
         """Writes the numbers of a time, and marks it in the curves."""
         both = [self._before.recorded, self._after.recorded]
         self._numbers.content = words.boxed(readout(both, [BEFORE, AFTER], at))
         self._curves.mark(k)
-
-    def say(self, text: str) -> None:
-        """How it stands."""
-        self._state.content = text
-
-    def say_pace(self, text: str) -> None:
-        """How long it took."""
-        self._pace.content = text
-
-    def set_knob(self, knob: Knob, value: float) -> None:
-        """Moves a slider."""
-        self._knobs[knob.name].value = value
-
-    def set_contact(self, contact: str) -> None:
-        """Chooses a contact."""
-        self._contacts.value = contact
-
-    def set_time(self, at: float) -> None:
-        """Moves the time slider."""
-        self._time.value = at
-
-    def set_playing(self, playing: bool) -> None:
-        """What the button says."""
-        self._play.label = "Pause" if playing else "Play"
-
-    def set_ghost(self, visible: bool) -> None:
-        """Shows or hides the untreated knee."""
-        self._untreated.show(visible)
 
     def _legend(self, model: LiveModel) -> str:
         one = model.before.recorded
@@ -142,15 +113,15 @@ class Page:
 
     def _model(self, engine: Engine) -> None:
         with self._gui.add_folder("Model"):
-            self._contacts = self._gui.add_dropdown("contact", engine.contacts, initial_value=engine.contacts[0])
+            self.contacts = self._gui.add_dropdown("contact", engine.contacts, initial_value=engine.contacts[0])
             self._compared = self._gui.add_checkbox("compare with untreated", False)
             reset = self._gui.add_button("Reset")
-        self._untreated.show(False)
+        self.untreated.show(False)
 
-        @self._contacts.on_update
+        @self.contacts.on_update
         async def _(event: Any) -> None:
             if event.client is not None:
-                self._session.choose(self._contacts.value)
+                self._session.choose(self.contacts.value)
 
         @self._compared.on_update
         async def _(event: Any) -> None:
@@ -164,15 +135,15 @@ class Page:
     def _playing(self, model: LiveModel) -> None:
         times = model.before.times
         begin, end = float(times[0]), float(times[-1])
-        self._time = self._gui.add_slider("time [s]", begin, end, round(float(np.diff(times).min()), 4), begin)
-        self._play = self._gui.add_button("Play")
+        self.time = self._gui.add_slider("time [s]", begin, end, round(float(np.diff(times).min()), 4), begin)
+        self.play = self._gui.add_button("Play")
 
-        @self._time.on_update
+        @self.time.on_update
         async def _(event: Any) -> None:
             if event.client is not None:
-                self._session.seek(self._time.value)
+                self._session.seek(self.time.value)
 
-        @self._play.on_click
+        @self.play.on_click
         async def _(_: Any) -> None:
             self._session.play_or_pause()
 

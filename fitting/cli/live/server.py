@@ -1,4 +1,4 @@
-"""The web server: who may reach it, what it does with messages that are nonsense, and how it ends."""
+"""The web server: who may reach it, how it answers messages that make no sense, and how it ends."""
 
 from __future__ import annotations
 
@@ -12,21 +12,16 @@ import warnings
 from collections.abc import Collection, Iterator
 from typing import Any
 
-from fitting.cli.live.address import check_address
+from fitting.cli.live.access import check_address, guarded, own_pages
 from fitting.cli.live.engine import Engine
-from fitting.cli.live.origin import guarded, own_pages
 from fitting.cli.live.session import Session
-from fitting.cli.live.worker import Worker
+from fitting.cli.live.threads import Worker
 from pftwin.base.errors import MissingExtraError
 from pftwin.results.viewer.assembly import views
 
 
 def viser() -> Any:
-    """The package.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """The package; MissingExtraError if it is not installed."""
     try:
         import viser as package
     except ImportError as error:
@@ -44,12 +39,8 @@ class LiveServer:
 
         Args:
             engine: what simulates.
-            host, port: where; a port that is taken is passed over.
-            origins: whose pages may connect, besides the server's own; see `fitting.cli.live.origin`.
-
-        Raises:
-            InputError: no such address.
-            MissingExtraError: the extra `app` is not installed.
+            host, port: where; a port in use is skipped. InputError if this machine has no such address.
+            origins: whose pages may connect, besides the server's own; see `fitting.cli.live.access`.
         """
         package = viser()
         check_address(host, port)
@@ -83,12 +74,12 @@ class LiveServer:
 
     @property
     def sessions(self) -> tuple[Session, ...]:
-        """Those of the clients that are there."""
+        """Sessions of the connected clients."""
         with self._lock:
             return tuple(self._sessions.values())
 
     def stop(self) -> None:
-        """Ends: pages are told, threads end."""
+        """Closes the pages, the server and the threads."""
         for session in self.sessions:
             session.close()
         with _silent():
@@ -110,7 +101,7 @@ class LiveServer:
         session = Session(client, self._engine, self._simulating, self._preparing)
         with self._lock:
             self._sessions[client.client_id] = session
-        if client.client_id not in self._server.get_clients():  # left while its page was made
+        if client.client_id not in self._server.get_clients():  # it left while its page was made
             self._left(client)
 
     def _left(self, client: Any) -> None:
@@ -120,7 +111,7 @@ class LiveServer:
             session.close()
 
     def _nonsense(self, loop: Any, context: dict[str, Any]) -> None:
-        """A message of a page that made no sense: one line here, words on its page, and everything goes on."""
+        """Reports a message that makes no sense in one line here and on its page; everything goes on."""
         error = context.get("exception")
         if error is None:
             loop.default_exception_handler(context)
@@ -136,13 +127,13 @@ def _line(error: BaseException) -> str:
 
 
 def _client_of(error: BaseException) -> Any:
-    """The client whose message was handled where the error arose; viser's handlers have its number."""
+    """The number of the client whose message caused an error, from the frames of viser's handlers."""
     numbers = [f.f_locals.get("client_id") for f, _ in traceback.walk_tb(error.__traceback__)]
     return next((n for n in reversed(numbers) if n is not None), None)
 
 
 class _OneLine(logging.Formatter):
-    """Without the traceback: a message that cannot be read is the page's mistake, not the program's."""
+    """One line without a traceback: a message that cannot be read is no bug in the program."""
 
     def format(self, record: logging.LogRecord) -> str:
         error = record.exc_info[1] if record.exc_info else None
@@ -151,7 +142,7 @@ class _OneLine(logging.Formatter):
 
 
 def _quiet_about_broken_messages() -> None:
-    """Connections that break, or send no message at all, are told in one line each; one that ends, not at all."""
+    """Reports broken connections and unreadable messages in one line each; closed connections not at all."""
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
     logger = logging.getLogger("websockets.server")
     if not logger.handlers:
@@ -163,6 +154,6 @@ def _quiet_about_broken_messages() -> None:
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Without the box that viser prints: the command says where the page is."""
+    """Suppresses the box that viser prints: the command says where the page is."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

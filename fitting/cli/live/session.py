@@ -1,4 +1,4 @@
-"""One page: its sliders' values, its motion, its drawing. Nothing of it is shared with other pages."""
+"""The state of one page: the values of its sliders, its motion and its drawing. Pages share none of it."""
 
 from __future__ import annotations
 
@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.live import words
-from fitting.cli.live.answer import ShownMotion
-from fitting.cli.live.clock import Clock
 from fitting.cli.live.engine import TREATED, Engine, LiveModel
 from fitting.cli.live.knobs import Knob, neutral
+from fitting.cli.live.motion import Shown, ShownMotion
 from fitting.cli.live.page import Page
-from fitting.cli.live.player import Player
-from fitting.cli.live.shown import Shown
-from fitting.cli.live.worker import Worker
+from fitting.cli.live.threads import Player, Worker
+from fitting.cli.live.words import Clock
 from pftwin.base.errors import InputError
 
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-_NUMBERS_EVERY = 0.1  # while it plays, numbers and marks in the curves are written so seldom [s]
+_NUMBERS_EVERY = 0.1  # between numbers, and marks in the curves, while it plays [s]
 
 
 class Session:
@@ -49,30 +47,30 @@ class Session:
             self._drawn(model, Shown(model.before.recorded, self._page.newtons).drawn_now())
 
     def turn(self, knob: Knob, value: Any) -> None:
-        """A slider was moved."""
+        """Takes the value of a slider that was moved."""
         began = time.perf_counter()
         try:
             self._values[knob.name] = knob.checked(value)
         except InputError as error:
             self.refuse(str(error))
-            self._page.set_knob(knob, self._values[knob.name])
+            self._page.knobs[knob.name].value = self._values[knob.name]
             return
         self._ask(began)
 
     def reset(self) -> None:
-        """All sliders back to where the scene is untreated."""
+        """Sets all sliders back to the untreated scene."""
         began = time.perf_counter()
         self._values = neutral(self._engine.knobs)
         for knob in self._engine.knobs:
-            self._page.set_knob(knob, knob.neutral)
+            self._page.knobs[knob.name].value = knob.neutral
         self._ask(began)
 
     def choose(self, contact: Any) -> None:
-        """Another contact; where it has to be compiled first, everything goes on with the one before."""
+        """Chooses another contact; until it is compiled, everything goes on with the one before."""
         began = time.perf_counter()
         if contact not in self._engine.contacts:
             self.refuse(f"no contact {str(contact)[:40]!r}")
-            self._page.set_contact(self._wanted)
+            self._page.contacts.value = self._wanted
             return
         self._wanted = contact
         if self._engine.ready(contact):
@@ -82,40 +80,40 @@ class Session:
         self._preparing.submit(self, lambda: self._prepare(contact))
 
     def seek(self, at: Any) -> None:
-        """The time slider was moved."""
+        """Goes to the time of the slider that was moved."""
         self.pause()
         begin, end = self._after.times[[0, -1]]
         if isinstance(at, int | float) and begin - 1e-3 <= at <= end + 1e-3:
             self._frame(float(at), numbers=True)
         else:
             self.refuse(f"no time {str(at)[:40]} in the motion, which goes from {begin:g} to {end:g} s")
-            self._page.set_time(self._now)
+            self._page.time.value = self._now
 
     def play_or_pause(self) -> None:
-        """The button."""
+        """Plays, or pauses what plays."""
         if self._player.playing:
             self.pause()
         else:
             self._player.play(self._now)
-            self._page.set_playing(True)
+            self._page.play.label = "Pause"
 
     def pause(self) -> None:
-        """Stops where it is."""
+        """Stops at the current frame."""
         self._player.pause()
-        self._page.set_playing(False)
+        self._page.play.label = "Play"
         self._frame(self._now, numbers=True)
 
     def compare(self, visible: bool) -> None:
         """Shows or hides the untreated knee."""
-        self._page.set_ghost(visible)
+        self._page.untreated.show(visible)
         self._frame(self._now, numbers=False)
 
     def refuse(self, why: str) -> None:
-        """Says in words why nothing new is drawn."""
+        """Says why nothing new is drawn."""
         self._say(words.refused(why))
 
     def close(self) -> None:
-        """The client has left: frees what was its own."""
+        """Frees what belongs to the client, who has left."""
         with self._lock:
             self._closed = True
         self._player.pause()
@@ -123,13 +121,13 @@ class Session:
         self._preparing.forget(self)
 
     def _prepare(self, contact: str) -> None:
-        """In the preparing worker's thread."""
+        """Compiles for a contact, in the preparing worker's thread."""
         try:
             self._engine.prepare(contact)
         except Exception as error:
             if self._wanted == contact:
                 self._wanted = self._contact
-                self._page.set_contact(self._contact)
+                self._page.contacts.value = self._contact
                 self._failed(error)
             if not isinstance(error, InputError):
                 raise
@@ -138,11 +136,11 @@ class Session:
                 self._ask(time.perf_counter())
 
     def _ask(self, began: float) -> None:
-        """For a motion of the values that there are when its turn comes: never of older ones."""
+        """Asks for a motion of the values at the time when its turn comes."""
         self._simulating.submit(self, lambda: self._answer(began))
 
     def _answer(self, began: float) -> None:
-        """In the worker's thread: simulates and draws, what is quickly said first."""
+        """In the worker's thread: simulates, then sends the words and numbers, then the drawing, which takes longer."""
         contact = self._wanted if self._engine.ready(self._wanted) else self._contact
         try:
             model = self._engine.model(contact)
@@ -165,14 +163,14 @@ class Session:
             self._client.flush()
             self.motions.add(moved - began)
             self.drawings.add(time.perf_counter() - began)
-            self._page.say_pace(words.pace(self.motions, self.drawings, after.seconds))
+            self._page.pace.content = words.pace(self.motions, self.drawings, after.seconds)
             if self._wanted != contact:
-                self._page.say(words.waiting(self._wanted, contact))
+                self._page.state.content = words.waiting(self._wanted, contact)
 
     def _told(self, model: LiveModel, after: ShownMotion) -> None:
         self._contact, self._after = model.contact, after
         self._page.tell(model, after)
-        self._page.say(words.outcome(after))
+        self._page.state.content = words.outcome(after)
         self._numbered = time.perf_counter()
         self._page.number(self._nearest(self._now), self._now)
 
@@ -196,18 +194,18 @@ class Session:
                     self._numbered = time.perf_counter()
                     self._page.number(k, at)
                 if slider and numbers:
-                    self._page.set_time(at)
+                    self._page.time.value = at
 
     def _nearest(self, at: float) -> int:
         """The frame of a time."""
         return int(np.argmin(np.abs(self._after.times - at)))
 
     def _failed(self, error: Exception) -> None:
-        """Says why; of a mistake in the program itself, where to read more."""
+        """Says why; of a bug in the program, where to read more."""
         own = isinstance(error, InputError)
         self.refuse(str(error) if own else f"an error in the program, {type(error).__name__}: see the terminal")
 
     def _say(self, text: str) -> None:
         with self._lock:
             if not self._closed:
-                self._page.say(text)
+                self._page.state.content = text

@@ -1,39 +1,71 @@
-"""What is written on the page: how it stands, what came out, how long it took. HTML, everything foreign escaped."""
+"""What is written on the page: its state, the outcome of a motion, and how long it took to compute. HTML."""
 
 from __future__ import annotations
 
-from html import escape
+from collections import deque
+from statistics import median
+from typing import Any
 
 import numpy as np
 
-from fitting.cli.live.answer import ShownMotion
-from fitting.cli.live.clock import Clock
-from fitting.cli.live.curves import AFTER, BEFORE
+from fitting.cli.live.motion import ShownMotion
+from fitting.cli.pages import sentence, template
+from pftwin.results.plots import COLOURS
 
-_FONT = "font:13px/1.4 system-ui,'Segoe UI',Helvetica,Arial,sans-serif"
-_TONES = {"good": "#1B7F4B", "bad": "#B3261E", "wait": "#1F5FA8", "doubt": "#9A6700"}
+BEFORE, AFTER = COLOURS[:2]
+KEPT = 50  # times whose median and worst are shown
 NOT_FOR_PATIENTS = "Research software: no treatment should be decided by it alone."
 
 
+class Clock:
+    """The last times that the page took to answer, in seconds."""
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque(maxlen=KEPT)
+
+    def add(self, seconds: float) -> None:
+        """Keeps a time [s]."""
+        self._times.append(seconds)
+
+    @property
+    def count(self) -> int:
+        """How many are kept."""
+        return len(self._times)
+
+    def milliseconds(self) -> tuple[float, float, float]:
+        """The last, the median and the worst [ms]; NaN before the first."""
+        if not self._times:
+            return float("nan"), float("nan"), float("nan")
+        return 1e3 * self._times[-1], 1e3 * median(self._times), 1e3 * max(self._times)
+
+    def words(self) -> str:
+        """In words."""
+        if not self._times:
+            return "none yet"
+        last, middle, worst = self.milliseconds()
+        return f"{last:.0f} ms (of the last {self.count}: median {middle:.0f}, worst {worst:.0f} ms)"
+
+
+def _written(macro: str, *content: Any) -> str:
+    return str(getattr(template("live.html").module, macro)(*content))
+
+
 def state(tone: str, head: str, more: str = "") -> str:
-    """How it stands: a coloured line, and what is to be added to it."""
-    small = f"<div style='font-size:11.5px;color:#555'>{escape(more)}</div>" if more else ""
-    lead = f"<b style='color:{_TONES[tone]}'>{escape(head)}</b>"
-    return f'<div style="{_FONT};padding:4px 12px;border-left:4px solid {_TONES[tone]}">{lead}{small}</div>'
+    """A line in the colour of its tone ("good", "bad", "wait" or "doubt"), and a smaller one below it."""
+    return _written("state", tone, head, more)
 
 
 def outcome(answer: ShownMotion) -> str:
-    """Of a motion that is drawn: does the patella dislocate, and when; reservations."""
+    """Whether the patella dislocates and when, and how far to trust that."""
     doubts = "" if answer.status == "ok" else f"Reservations in some frames: {answer.status}."
     if answer.dislocates is None:
         return state("doubt", f"Dislocation: not assessed, {answer.tracking}", doubts)
-    if answer.dislocates:
-        return state("bad", "Dislocation: yes", f"{_capital(answer.tracking)} {doubts}")
-    return state("good", "Dislocation: no", f"{_capital(answer.tracking)} {doubts}")
+    tone, word = ("bad", "yes") if answer.dislocates else ("good", "no")
+    return state(tone, f"Dislocation: {word}", f"{sentence(answer.tracking)} {doubts}")
 
 
 def refused(why: str) -> str:
-    """Of values that gave no motion to draw."""
+    """Why values gave no motion to draw."""
     return state("bad", f"Not drawn: {why}", "The drawing and the curves are those of the last values that worked.")
 
 
@@ -44,32 +76,22 @@ def waiting(contact: str, shown: str) -> str:
 
 def comparison(before: ShownMotion, after: ShownMotion) -> str:
     """Extremes of both motions in a table."""
-    head = "".join(
-        f"<td style='{_CELL};color:#555'>{h}</td>" for h in ("tilt [°]", "shift [mm]", "force", "dislocated")
-    )
     rows = []
-    for answer, code in ((before, BEFORE), (after, AFTER)):
+    for answer, colour in ((before, BEFORE), (after, AFTER)):
         out = {None: "—", True: "yes", False: "no"}[answer.dislocates]
-        cells = (_range(answer.tilt), _range(answer.shift), _most(answer.highest_force), out)
-        rows.append(
-            f"<tr><td style='color:{code};font-weight:600'>{escape(answer.recorded.name)}</td>"
-            + "".join(f"<td style='{_CELL}'>{c}</td>" for c in cells)
-            + "</tr>"
-        )
-    table = f"<table style='border-spacing:0;font:inherit;width:100%'><tr><td></td>{head}</tr>{''.join(rows)}</table>"
-    title = "<b>Whole motion</b> <span style='color:#555'>(range; highest force)</span>"
-    return f'<div style="{_FONT};padding:4px 12px;font-variant-numeric:tabular-nums">{title}{table}</div>'
+        force = f"{answer.highest_force:.0f} N" if np.isfinite(answer.highest_force) else "—"
+        rows.append((answer.recorded.name, colour, (_range(answer.tilt), _range(answer.shift), force, out)))
+    return _written("comparison", rows)
 
 
 def pace(motions: Clock, drawings: Clock, seconds: float) -> str:
     """How long the page takes."""
-    rows = (
-        ("slider to new motion", motions.words()),
-        ("slider to drawing sent", drawings.words()),
-        ("simulation and its numbers alone", "none yet" if not seconds else f"{1e3 * seconds:.0f} ms"),
-    )
-    lines = "".join(f"<div>{escape(a)}: <b>{escape(b)}</b></div>" for a, b in rows)
-    return f'<div style="{_FONT};font-size:11.5px;color:#333;padding:2px 12px">{lines}</div>'
+    rows = {
+        "slider to new motion": motions.words(),
+        "slider to drawing sent": drawings.words(),
+        "simulation and its numbers alone": "none yet" if not seconds else f"{1e3 * seconds:.0f} ms",
+    }
+    return _written("pace", rows)
 
 
 def boxed(content: str) -> str:
@@ -77,18 +99,7 @@ def boxed(content: str) -> str:
     return f"<div style='padding:2px 12px'>{content}</div>"
 
 
-_CELL = "text-align:right;padding-left:8px;white-space:nowrap"
-
-
 def _range(values: np.ndarray) -> str:
     there = values[np.isfinite(values)]
     text = f"{there.min():.0f} to {there.max():.0f}" if there.size else "—"
     return text.replace("-", "−")
-
-
-def _most(force: float) -> str:
-    return f"{force:.0f} N" if np.isfinite(force) else "—"
-
-
-def _capital(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."

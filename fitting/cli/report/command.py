@@ -3,62 +3,97 @@
 from __future__ import annotations
 
 import shlex
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
+from typer import Argument, Option
 
-from pftwin.base.errors import OutputError
+from fitting.cli.pages import template
+from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.cli.scenes import CaseOption, ContactOption
-from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing, working, write_json
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, start_computing, working
+
+if TYPE_CHECKING:
+    from fitting.cli.report.material import Material
+
+MOST_BYTES = 12_000_000  # of a page
+
+
+class ReportPage(NamedTuple):
+    """The page, and whether the knee in three dimensions is in it."""
+
+    page: str
+    viewer: bool
 
 
 def report(
-    source: Annotated[
-        Path, typer.Argument(metavar="FIT.json|DEMO|RESULT.nc", help="A fit, the demo's folder, or a result.")
-    ],
+    source: Annotated[Path, Argument(metavar="FIT.json|DEMO|RESULT.nc", help="A fit, the demo's folder, or a result.")],
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT.html", help="The page.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="REPORT.html", help="The page.")],
     treatment: Annotated[
-        Path | None, typer.Option("--treatment", metavar="VARIANTS.nc", help="A prediction of `pftwin treat`.")
+        Path | None, Option("--treatment", metavar="VARIANTS.nc", help="A prediction of `pftwin treat`.")
     ] = None,
     scene: Annotated[
-        Path | None, typer.Option("--scene", metavar="SCENE.toml", help="The scene that was fitted or simulated.")
+        Path | None, Option("--scene", metavar="SCENE.toml", help="The scene that was fitted or simulated.")
     ] = None,
     case: CaseOption = None,
     contact: ContactOption = None,
-    browser: Annotated[bool, typer.Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Tell a fit or a result on one page that opens offline: scene, data quality, fit, treatment, figures, the knee.
 
     Example: `pftwin report fit.json --treatment variants.nc -o report.html`
     """
-    if output.suffix.lower() not in (".html", ".htm"):
-        raise OutputError(f"{output}: the page is HTML; try: {output.with_suffix('.html')}")
+    check_suffix(output, [".html", ".htm"], "the page is HTML")
     check_outputs(output, json)
     start_computing()
-    from fitting.cli.report.contents import report as told
     from fitting.cli.report.material import gathered
     from pftwin.base.text_files import write_text
 
     material = gathered(source, treatment=treatment, scene=scene, case=case, contact=contact)
-    asked = ["pftwin", "report", str(source), *_given(treatment, scene, case, contact), "-o", output.name]
+    given = {"--treatment": treatment, "--scene": scene, "--case": case, "--contact": contact}
+    options = [part for name, value in given.items() if value is not None for part in (name, str(value))]
     with working("drawing"):
-        page, viewer = told(material, shlex.join(asked))
+        page, viewer = report_page(material, shlex.join(["pftwin", "report", str(source), *options, "-o", output.name]))
         write_text(output, page)
     size = output.stat().st_size
     facts = {"source": str(source), "file": str(output), "bytes": size, "viewer": viewer}
-    write_json({**facts, "synthetic": material.synthetic()}, json)
-    console = out(json)
-    if not viewer:
-        console.print("the knee in three dimensions is not in the page, which says why", markup=False, highlight=False)
-    console.print(f"written: {output} ({size / 1e6:.1f} MB)", markup=False, highlight=False)
+    left_out = "" if viewer else "the knee in three dimensions is not in the page, which says why"
+    told = f"written: {output} ({size / 1e6:.1f} MB)"
+    present({**facts, "synthetic": material.synthetic()}, left_out, told, json=json)
     if browser:
         typer.launch(output.resolve().as_uri())
 
 
-def _given(treatment: Path | None, scene: Path | None, case: int | None, contact: str | None) -> list[str]:
-    """Options as they were given."""
-    options = {"--treatment": treatment, "--scene": scene, "--case": case, "--contact": contact}
-    return [part for name, value in options.items() if value is not None for part in (name, str(value))]
+def report_page(material: Material, command: str) -> ReportPage:
+    """The page of a report.
+
+    Args:
+        material: what there is to tell.
+        command: what the report was asked for with, for its settings.
+    """
+    from fitting.cli.report import figures, tables
+    from fitting.prediction.plots import finding
+
+    now = tables.stamp(datetime.now(UTC))
+
+    def page(view: str, no_view: str = "") -> str:
+        about = {"m": material, "t": tables, "f": figures, "finding": finding, "command": command, "now": now}
+        return template("report.html").render(**about, view=view, no_view=no_view)
+
+    try:
+        view = figures.viewer(material)
+    except (MissingExtraError, InputError) as error:
+        return ReportPage(page("", f"Not drawn: {error}"), False)
+    text = page(view)
+    size = len(text.encode("utf-8"))
+    if size <= MOST_BYTES:
+        return ReportPage(text, True)
+    why = (
+        f"Left out: with it this page would have {size / 1e6:.0f} MB, more than the {MOST_BYTES / 1e6:.0f} MB that "
+        "mail lets through. `pftwin view` draws it as a page of its own."
+    )
+    return ReportPage(page("", why), False)

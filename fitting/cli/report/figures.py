@@ -1,77 +1,158 @@
-"""Figures of the runs, drawn anew from what their files hold; and the knee in three dimensions."""
+"""Figures of a report, drawn from what its files hold, and the knee in three dimensions."""
 
 from __future__ import annotations
 
-from fitting.cli.report.html import PageSection, drawn, frame, paragraph
+import base64
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fitting.cli.pages import sentence
 from fitting.cli.report.material import Material
-from pftwin.base.errors import InputError, MissingExtraError
+from pftwin.base.errors import InputError
+from pftwin.base.text_files import read_bytes
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from fitting.estimate import Estimate
+
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def section(material: Material) -> PageSection:
-    """Path, tilt and force; courses against knee flexion; the path over the trochlea; the way of the fit."""
-    parts = [_case(material), _against_flexion(material), _over_the_trochlea(material)]
-    for name, estimate in material.estimates.items():
-        if len({h["evaluations"] for h in estimate.history}) > 1:
-            words = f"Best objective against evaluations, {name}."
-            parts.append(drawn(estimate.plot.history(), f"{words} It ends at {estimate.objective_value:.6g}.", words))
-    return PageSection("figures", "Figures", "".join(parts))
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A figure of matplotlib, or the bytes of a PNG file; what it shows in words, and its caption."""
+
+    figure: Any
+    alternative: str
+    caption: str
+
+    @property
+    def source(self) -> str:
+        """The picture as the address of an image: as an image even an SVG runs no scripts."""
+        kind, data = "png", self.figure
+        if not isinstance(data, bytes):
+            from pftwin.results.plots import house_style
+
+            kind, target = "svg+xml", io.BytesIO()
+            with house_style():
+                self.figure.savefig(target, format="svg", metadata={"Date": None})
+            data = target.getvalue()
+        return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
-def view(material: Material) -> PageSection:
-    """The page of the viewer within the page; without its extra, how to install it."""
-    title = "In three dimensions"
-    try:
-        from pftwin.results.viewer import view as draw
-        from pftwin.results.viewer.page import page
-
-        inside = page(draw([(r.name, r.source) for r in material.runs]))
-    except (MissingExtraError, InputError) as error:
-        return PageSection("view", title, paragraph(f"Not drawn: {error}", "missing"))
-    names = " and ".join(r.name for r in material.runs)
-    words = "Drag to turn, wheel to zoom; play and the slider move the knee. Bones are schematic."
-    return PageSection(
-        "view", title, paragraph(words, "on-screen") + frame(inside, f"The moving knee in three dimensions: {names}")
-    )
-
-
-def _case(material: Material) -> str:
+def case(material: Material) -> Picture:
+    """Path, tilt and force of all runs."""
     from pftwin.results.plots import case_figure
     from pftwin.results.plots.quantities import provenance
 
-    measured = None if material.demo is not None or material.chosen is None else material.chosen.measured
-    names = " and ".join(r.name for r in material.runs)
+    measured = None if material.demo is not None else material.measured
     said = provenance(*(r.result for r in material.runs))
-    title = names if said is None else f"{names}\n{said}"
+    title = material.names if said is None else f"{material.names}\n{said}"
     figure = case_figure({r.name: r.result for r in material.runs}, measured, title)
-    what = names if measured is None else f"{names}, with {measured.label}"
+    what = material.names if measured is None else f"{material.names}, with {measured.label}"
     becomes = " ".join(f"{r.name}: {r.tracking}." for r in material.runs)
     alternative = (
         f"{what}: path of the button's centre in the coronal and the sagittal plane, patellar tilt and normal contact "
         f"force over time. {becomes}"
     )
-    return drawn(figure, alternative, f"Path, tilt and contact force: {what}.")
+    return Picture(figure, alternative, f"Path, tilt and contact force: {what}.")
 
 
-def _against_flexion(material: Material) -> str:
+def courses(material: Material) -> Picture | str:
+    """Tilt, shift, rotation and force against knee flexion; of a knee that does not bend, why not."""
     from pftwin.results.plots import against_flexion
 
-    names = " and ".join(r.name for r in material.runs)
+    names = material.names
     try:
         figure = against_flexion({r.name: r.result for r in material.runs}, title=names)
-    except InputError as error:  # a knee that does not bend
-        return paragraph(f"No courses against knee flexion: {error}", "missing")
+    except InputError as error:
+        return f"No courses against knee flexion: {error}"
     alternative = f"Tilt, shift, rotation and contact force against knee flexion: {names}. Ranges are under Scene."
-    return drawn(figure, alternative, f"Against knee flexion: {names}. Bending solid, straightening dashed.")
+    return Picture(figure, alternative, f"Against knee flexion: {names}. Bending solid, straightening dashed.")
 
 
-def _over_the_trochlea(material: Material) -> str:
-    """Of the last run that is in memory: files do not keep the surface as a function."""
+def over_the_trochlea(material: Material) -> list[Picture]:
+    """The path of the last run in memory; none for a run from a file, which does not keep the surface as a function."""
     from pftwin.results.result import Result
 
     here = [r for r in material.runs if isinstance(r.source, Result) and r.source.surface is not None]
     if not here:
-        return ""
-    run = here[-1]
-    measured = None if material.chosen is None else material.chosen.measured
-    words = f"Path of the button and of the contact points over the trochlea's contours: {run.name}."
-    return drawn(run.result.plot.trajectory(measured=measured), words, words)
+        return []
+    words = f"Path of the button and of the contact points over the trochlea's contours: {here[-1].name}."
+    return [Picture(here[-1].result.plot.trajectory(measured=material.measured), words, words)]
+
+
+def histories(material: Material) -> list[Picture]:
+    """The best objective against evaluations of every fit that took several steps."""
+    found = []
+    for name, estimate in material.estimates.items():
+        if len({h["evaluations"] for h in estimate.history}) > 1:
+            words = f"Best objective against evaluations, {name}."
+            alternative = f"{words} It ends at {estimate.objective_value:.6g}."
+            found.append(Picture(estimate.plot.history(), alternative, words))
+    return found
+
+
+def correlation(e: Estimate) -> Picture:
+    """The correlation of a fit's errors, and its estimates beside the nominal values."""
+    strongest = ""
+    if len(e.names) > 1:
+        off = np.abs(e.correlation - np.eye(len(e.names)))
+        i, j = np.unravel_index(int(np.argmax(off)), off.shape)
+        strongest = f" The strongest: {e.names[i]} and {e.names[j]}, {e.correlation[i, j]:.2f}."
+    alternative = (
+        f"Left: correlation of the errors of {', '.join(e.names)}.{strongest} Right: estimates with 95 % intervals "
+        "in percent of the nominal values; the numbers are in the table above."
+    )
+    caption = "Correlation of the errors (left); estimates against nominal values (right)."
+    return Picture(e.plot.correlation(), alternative, caption)
+
+
+def outcomes(data: Dataset) -> list[Picture]:
+    """Outcomes of a prediction against the amount of the treatment; none where no amount varies."""
+    from fitting.prediction.plots import amount_names, finding, outcome_figure
+
+    names = amount_names(data)
+    if not names or np.ptp(data[names[0]].values) == 0:
+        return []
+    what = names[0].replace("_", " ")
+    alternative = (
+        "Four outcomes (largest offset from the groove, peak contact force, mean tilt, share of force on the "
+        f"medial facet) against {what}. {sentence(finding(data))} The numbers are in the table above."
+    )
+    return [Picture(outcome_figure(data), alternative, f"Predicted outcomes against {what}.")]
+
+
+def of_demo(folder: Path) -> list[Picture]:
+    """The figures of the treatment in the demo's folder; InputError for a file that is no PNG picture."""
+    captions = {
+        "pathology_fitted": "Case 2, the pathology: measured (synthetic) and simulated with fitted springs",
+        "treatment_predicted": "Case 1, the treatment: predicted with the springs fitted to case 2",
+    }
+    found = []
+    for stem, words in captions.items():
+        file = folder / f"{stem}.png"
+        if file.is_file():
+            data = read_bytes(file)
+            if not data.startswith(_PNG):
+                raise InputError("is no PNG picture", where=file, expected="the folder as `pftwin demo` wrote it")
+            alternative = f"{words}: path of the button in two planes, tilt and contact force over time."
+            found.append(Picture(data, alternative, f"{words}."))
+    return found
+
+
+def viewer(material: Material) -> str:
+    """The viewer's page, to be put into the report; MissingExtraError without k3d, InputError if nothing can be drawn.
+
+    Its base is no address: k3d's style sheet names fonts beside the page, which browsers would look for there.
+    """
+    from pftwin.results.viewer import view
+    from pftwin.results.viewer.page import page
+
+    inside = page(view([(r.name, r.source) for r in material.runs]))
+    return inside.replace("<head>", '<head><base href="about:invalid">', 1)

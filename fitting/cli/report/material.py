@@ -1,4 +1,4 @@
-"""What a report is made of, and where it comes from: a fit, a result's file, or the demo's folder."""
+"""What a report is made of, read from a fit, from a result's file, or from the demo's folder."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from fitting.cli.report.run import ReportedRun
 from pftwin.base.errors import InputError
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from fitting.estimate import Estimate
+    from pftwin.model.measured import Measured
+    from pftwin.model.scene import Scene
 
 _RIG = re.compile(r"rig case ([1-4]), (\w+)")
 _WHICH = "fit.json of `pftwin fit`, the folder of `pftwin demo`, or the NetCDF file of `pftwin simulate`"
@@ -25,15 +29,14 @@ DEMO_FIT = "fit.json"
 
 @dataclass(eq=False)
 class Material:
-    """What there is to tell."""
+    """Everything that a report shows."""
 
     source: Path
     title: str
-    estimates: dict[str, Estimate] = field(default_factory=dict)  # by what they are called
+    estimates: dict[str, Estimate] = field(default_factory=dict)  # by name
     chosen: Chosen | None = None  # the scene, and its measurements
     runs: list[ReportedRun] = field(default_factory=list)
     treatment: Dataset | None = None
-    treatment_file: Path | None = None
     demo: Path | None = None  # the folder, where it is one
     files: list[Path] = field(default_factory=list)  # that were read
 
@@ -42,8 +45,48 @@ class Material:
         """The first of the estimates."""
         return next(iter(self.estimates.values()), None)
 
+    @property
+    def scene(self) -> Scene | None:
+        """The scene, where it is known."""
+        return None if self.chosen is None else self.chosen.scene
+
+    @property
+    def measured(self) -> Measured | None:
+        """The scene's measurements."""
+        return None if self.chosen is None else self.chosen.measured
+
+    @property
+    def names(self) -> str:
+        """Names of the runs."""
+        return " and ".join(r.name for r in self.runs)
+
+    def changed_since(self, e: Estimate) -> list[str]:
+        """Parameters whose values in the scene are not those that the fit began from: it may be another scene."""
+        if self.scene is None:
+            return []
+        here = [self.scene.get(name) for name in e.names]
+        return [n for n, x, began in zip(e.names, here, e.nominal, strict=True) if abs(x - began) > 1e-6 * abs(began)]
+
+    def doubts(self) -> list[str]:
+        """Where the prediction is not of the knee that the rest of the report is about."""
+        data, estimate, out = self.treatment, self.estimate, []
+        if data is None:
+            return out
+        own = {str(run.about.get("scene", run.name)) for run in self.runs}
+        if others := sorted(set(map(str, data["scene"].values)) - own):
+            out.append(f"The prediction is of {', '.join(others)}; this report is of {', '.join(sorted(own))}.")
+        if estimate is None:
+            return out
+        if "parameters" not in data:
+            return [*out, "The prediction was made with the scene's own parameters, not with the fitted ones."]
+        used = data["parameters"].values.reshape(-1, data.sizes["parameter"])[0]
+        names = tuple(map(str, data["parameter"].values))
+        if names != estimate.names or not np.allclose(used, estimate.values, rtol=1e-9, atol=0):
+            out.append("The prediction was made with other parameters than those under Fit.")
+        return out
+
     def synthetic(self) -> list[str]:
-        """What has to be said of synthetic data, each once."""
+        """Every remark about synthetic data, once."""
         from pftwin.model.measured import SYNTHETIC
 
         said = [r.note for r in self.runs if "synthetic" in r.note]
@@ -88,18 +131,18 @@ def gathered(
         found = _of_estimate(source, given)
     elif source.suffix.lower() == ".nc":
         run = ReportedRun.of_file(source)
-        _check_same(str(run.data.attrs.get("scene", "")), given, source)
+        _check_same(str(run.about.get("scene", "")), given, source)
         found = Material(source, f"Simulated knee: {run.name}", chosen=given, runs=[run], files=[source])
     else:
         raise InputError("not a file that a report is made of", where=source, expected=_WHICH)
-    found.treatment, found.treatment_file = predicted, treatment
+    found.treatment = predicted
     if treatment is not None:
         found.files.append(treatment)
     return found
 
 
 def _of_estimate(path: Path, given: Chosen | None) -> Material:
-    """An estimate, its scene, and both as they move: nominal and fitted."""
+    """An estimate, its scene, and the nominal and the fitted motion."""
     from fitting.estimate import Estimate
     from pftwin.dynamics.simulate import simulate
 
@@ -160,7 +203,7 @@ def _scene_of(estimate: Estimate, given: Chosen | None, path: Path) -> Chosen:
 def _case_of(estimate: Estimate) -> tuple[int, str] | None:
     """Number and contact of the rig's case that was fitted to its own measurements; None of any other estimate.
 
-    A name alone would not do: a user's scene may have any.
+    The name is not enough: a user's scene may have any.
     """
     from pftwin.rig.recording import source_of
 
@@ -171,7 +214,7 @@ def _case_of(estimate: Estimate) -> tuple[int, str] | None:
 
 
 def _check_same(name: str, given: Chosen | None, path: Path) -> None:
-    """Refuses a scene that the file is not of: its numbers would stand beside those of another knee."""
+    """Refuses a scene other than the file's, which would mix the numbers of two knees."""
     if given is not None and given.scene.name != name:
         raise InputError(
             f"is of the scene {name!r}, and the scene that was named is {given.scene.name!r}",
@@ -182,11 +225,7 @@ def _check_same(name: str, given: Chosen | None, path: Path) -> None:
 
 
 def _prediction(path: Path) -> Dataset:
-    """What `pftwin treat` wrote.
-
-    Raises:
-        InputError: something else.
-    """
+    """What `pftwin treat` wrote; InputError for any other file."""
     from pftwin.files.result_files import load_dataset
 
     data = load_dataset(path)

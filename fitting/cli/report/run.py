@@ -1,4 +1,4 @@
-"""A simulation that a report shows, from its file or from memory: one dataset, and what figures ask of a result."""
+"""A simulation that a report shows, from its file or from memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ANGLES = ("flexion", "rotation", "tilt")
 
 
 class Mark(NamedTuple):
-    """What frames are flagged with."""
+    """A flag, and the number of frames that have it."""
 
     name: str
     frames: int
@@ -30,7 +30,7 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReportedRun:
-    """One simulation."""
+    """One simulation of a report."""
 
     name: str
     data: Dataset
@@ -38,11 +38,7 @@ class ReportedRun:
 
     @classmethod
     def of_file(cls, path: Path, name: str | None = None) -> ReportedRun:
-        """From what `Result.save` wrote.
-
-        Raises:
-            InputError: no such file, not NetCDF, or not a result.
-        """
+        """From what `Result.save` wrote; InputError for any other file."""
         from pftwin.files.result_files import load_dataset
 
         data = load_dataset(path)
@@ -65,22 +61,32 @@ class ReportedRun:
 
     @classmethod
     def of_result(cls, result: Result, name: str) -> ReportedRun:
-        """From memory."""
+        """From a result in memory."""
         return cls(name, result.to_dataset(), result)
 
     @property
+    def about(self) -> dict[str, Any]:
+        """The attributes of the file."""
+        return self.data.attrs
+
+    @property
+    def frames(self) -> int:
+        """The number of frames."""
+        return self.data.sizes["time"]
+
+    @property
     def note(self) -> str:
-        """What has to be said of its motion: that it is synthetic."""
-        return str(self.data.attrs.get("note", ""))
+        """A remark about its motion, such as that it is synthetic."""
+        return str(self.about.get("note", ""))
 
     @property
     def tracking(self) -> str:
         """What becomes of the patella, in words."""
-        return str(self.data.attrs.get("tracking", "not in the file"))
+        return str(self.about.get("tracking", "not in the file"))
 
     @property
     def contact(self) -> str | None:
-        """Of the effect that is the button's contact; None where there is none."""
+        """Name of the effect that is the button's contact; None where there is none."""
         names = [str(n).removesuffix("_force_medial") for n in self.data.data_vars if str(n).endswith("_force_medial")]
         return next((n for n in names if f"{n}_force" in self.data), None)
 
@@ -96,7 +102,7 @@ class ReportedRun:
 
     @cached_property
     def result(self) -> Any:
-        """As the figures of `pftwin.plots` see a result."""
+        """The result, or what the figures read of one, made from the file."""
         if not isinstance(self.source, Path):
             return self.source
         data = self.data

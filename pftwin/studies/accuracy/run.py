@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pftwin.base.output import written_whole
+from pftwin.base.sheet import Sheet
 from pftwin.files.result_files import save_dataset
 from pftwin.model.measured import Measured
 from pftwin.results.metrics import PAPER_TABLE_1, Validation, validate
@@ -16,7 +17,7 @@ from pftwin.studies.accuracy.measure import AccuracyRow, Converged, SceneOf, com
 from pftwin.studies.accuracy.programs import MeasuredProgram
 from pftwin.studies.accuracy.table import advice, columns, everything, work_precision
 from pftwin.studies.runs import run_each
-from pftwin.studies.tables import Sheet, to_csv, to_dataset
+from pftwin.studies.tables import to_csv, to_dataset
 
 
 @dataclass(frozen=True)

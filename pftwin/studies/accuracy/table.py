@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.results.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
 from pftwin.studies import tables
 from pftwin.studies.accuracy.measure import AccuracyRow
-from pftwin.studies.tables import Column, Sheet, short
+from pftwin.studies.tables import Column, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

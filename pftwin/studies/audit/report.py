@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pftwin.base.sheet import Sheet
 from pftwin.model.measured import SYNTHETIC
 from pftwin.results.plots.style import COLOURS, SMALL, WIDE, house_style
 from pftwin.studies.audit.audit import Audit, Worth
 from pftwin.studies.audit.explain import Explanation, PartCost
-from pftwin.studies.tables import Column, Sheet, short, to_dataset
+from pftwin.studies.tables import Column, short, to_dataset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.results.result import Result
 from pftwin.studies.hard_cases.batch import batches, built, member, starts_of, steps_of
@@ -19,7 +20,7 @@ from pftwin.studies.hard_cases.case import HardCase, method_named
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import PARAMETERS, compiled, run
 from pftwin.studies.hard_cases.verdict import Cell
-from pftwin.studies.tables import Sheet, read_rows
+from pftwin.studies.tables import read_rows
 
 OUTCOMES = ("pass", "fail", "refused")
 LONGEST_REASON = 160  # characters

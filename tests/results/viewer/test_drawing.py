@@ -272,7 +272,7 @@ def test_without_k3d_the_extra_is_named(result, monkeypatch):
 
 def test_importing_the_viewer_does_not_import_k3d():
     code = (
-        "import sys, pftwin.results.viewer, pftwin.cli.view; "
+        "import sys, pftwin.results.viewer, pftwin.cli.exchange; "
         "print([m for m in ('k3d', 'jax', 'trimesh') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)

@@ -152,7 +152,7 @@ def test_the_command_refuses(tmp_path):
     assert "one of them" in both.stderr
     file = tmp_path / "file"
     file.write_text("")
-    assert "file of that name" in CliRunner().invoke(app, ["accuracy", "--case", "1", "--out", str(file)]).stderr
+    assert "is a file; try: " in CliRunner().invoke(app, ["accuracy", "--case", "1", "--out", str(file)]).stderr
     full = CliRunner().invoke(app, ["accuracy", "--full", "--contact", "P5", "--out", str(tmp_path / "a")])
     assert "leave --full out" in full.stderr
 

@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from fitting.cli.live.address import check_address, loopback
+from fitting.cli.live.access import check_address, loopback
 from pftwin.base.errors import InputError
 
 

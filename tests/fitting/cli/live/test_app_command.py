@@ -51,7 +51,7 @@ def test_contacts_that_are_offered():
 
 @pytest.mark.parametrize(("host", "warns"), [("127.0.0.1", False), ("0.0.0.0", True)])
 def test_warns_where_others_can_reach_it(host, warns, capsys):
-    command._tell("http://x:1", host, 1.25, safe=not warns)
+    command._announce("http://x:1", host, 1.25, safe=not warns)
     said = capsys.readouterr()
     assert said.out == "ready after 1.2 s: http://x:1  (Ctrl-C ends it)\n"
     assert ("warning: 0.0.0.0 can be reached from other machines" in said.err) is warns

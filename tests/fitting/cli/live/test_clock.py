@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fitting.cli.live.clock import KEPT, Clock
+from fitting.cli.live.words import KEPT, Clock
 
 
 def test_tells_the_last_the_median_and_the_worst_of_the_last_fifty():

@@ -13,7 +13,7 @@ from small_scene import small_scene
 import pftwin
 from fitting.cli.live.engine import Engine
 from fitting.cli.live.knobs import KNOBS, neutral, turned
-from fitting.cli.live.shown import Shown
+from fitting.cli.live.motion import Shown
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.shapes import of_poses
 
@@ -98,12 +98,13 @@ def test_frames_are_those_of_the_result(engine):
     shown = Shown(answer.recorded, 10.0).drawn_now()
     data = answer.recorded.data
     matrices = of_poses(data["patella_position"].values, data["patella_quaternion"].values)
-    np.testing.assert_allclose(shown.patella.position, matrices[:, :3, 3], atol=1e-4)
-    turns = np.abs(np.sum(shown.patella.wxyz * data["patella_quaternion"].values, axis=1))
+    patella = shown.tracks["patella"]
+    np.testing.assert_allclose(patella.position, matrices[:, :3, 3], atol=1e-4)
+    turns = np.abs(np.sum(patella.wxyz * data["patella_quaternion"].values, axis=1))
     np.testing.assert_allclose(turns, 1, atol=1e-6)
-    np.testing.assert_allclose(shown.patella.scale, 1, atol=1e-6)
+    np.testing.assert_allclose(patella.scale, 1, atol=1e-6)
     force = data["contact_force_lateral"].values
-    arrow = shown.arrows["contact, lateral"]
+    arrow = shown.tracks["on contact, lateral"]
     here = arrow.present
     np.testing.assert_array_equal(here, force > 0)
     np.testing.assert_allclose(arrow.scale[here], force[here], rtol=1e-5)  # 10 mm for 10 N

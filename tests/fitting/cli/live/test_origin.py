@@ -7,7 +7,7 @@ import types
 
 import pytest
 
-from fitting.cli.live.origin import checked_origins, guarded, own_pages
+from fitting.cli.live.access import checked_origins, guarded, own_pages
 from pftwin.base.errors import InputError, PftwinError
 
 HERE = "localhost:8080"

@@ -15,8 +15,8 @@ from live_engine import live_engine
 from small_scene import small_scene
 
 import pftwin
-from fitting.cli.live.clock import KEPT
 from fitting.cli.live.knobs import KNOBS, neutral, turned
+from fitting.cli.live.words import KEPT
 from pftwin.base.errors import MissingExtraError
 
 pytest.importorskip("viser")

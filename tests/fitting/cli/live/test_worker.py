@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from fitting.cli.live.worker import Worker
+from fitting.cli.live.threads import Worker
 
 
 @pytest.fixture

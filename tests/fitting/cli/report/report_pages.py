@@ -5,14 +5,18 @@ from __future__ import annotations
 import dataclasses
 from html.parser import HTMLParser
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from made_estimates import made_estimate
 from small_scene import small_result, small_scene
 
+from fitting.cli.report import figures
+from fitting.cli.report.command import report_page
 from fitting.cli.report.material import Material
 from fitting.cli.report.run import ReportedRun
 from fitting.estimate import Estimate
+from pftwin.base.errors import InputError
 from pftwin.cli.scenes import Chosen
 from pftwin.model.measured import Measured
 
@@ -51,6 +55,13 @@ class Seen(HTMLParser):
 
     def all(self, tag: str) -> list[dict[str, str]]:
         return [attributes for name, attributes in self.tags if name == tag]
+
+
+def words_of(material: Material, command: str = "") -> Seen:
+    """A report whose pictures and viewer, which take most of the time, are left out."""
+    no_viewer = mock.patch.object(figures, "viewer", side_effect=InputError("left out"))
+    with no_viewer, mock.patch.object(figures.Picture, "source", "data:image/png;base64,"):
+        return Seen(report_page(material, command).page)
 
 
 def estimate(**more) -> Estimate:

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "results" / "viewer"))
 from report_pages import fitted, prediction
 from viewer_pages import chromium
 
-from fitting.cli.report.contents import report
+from fitting.cli.report.command import report_page as report
 
 pytest.importorskip("k3d")
 PRINTED = (210 - 2 * 14, 297 - 2 * 18)  # A4 between the margins [mm]

@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from report_pages import VALUES, Seen, estimate, fitted, prediction
+from report_pages import VALUES, Seen, estimate, fitted, prediction, words_of
 from small_scene import small_result
 
-from fitting.cli.report import contents
-from fitting.cli.report.contents import report
+from fitting.cli.report import command
+from fitting.cli.report.command import report_page as report
 from fitting.cli.report.material import Material
 from fitting.cli.report.run import ReportedRun
 from pftwin.model.measured import SYNTHETIC
@@ -92,7 +92,7 @@ def test_flagged_frames_are_counted(file):
     material = Material(file, "flagged", runs=[run], files=[file])
     (mark,) = run.marks
     assert mark.frames == 3
-    assert f"3 of 41 frames: {mark.words}" in Seen(report(material, "").page).text
+    assert f"3 of 41 frames: {mark.words}" in words_of(material).text
 
 
 def test_the_fit_with_its_intervals_and_sentence(fit_seen):
@@ -138,7 +138,7 @@ def test_labels(page, fit_page, tmp_path):
         assert "synthetic" not in Seen(text).text.lower()
     made_up = fitted(tmp_path, synthetic=True)
     made_up.treatment = prediction(synthetic=1)
-    text = Seen(report(made_up, "").page).text
+    text = words_of(made_up).text
     assert "Synthetic data: the measurements are synthetic" in text
     assert "estimated from synthetic measurements" in text
 
@@ -146,7 +146,7 @@ def test_labels(page, fit_page, tmp_path):
 def test_a_synthetic_motion_is_labelled_from_its_file(file):
     run = ReportedRun.of_file(file)
     run.data.attrs["note"] = SYNTHETIC
-    seen = Seen(report(Material(file, "made up", runs=[run], files=[file]), "").page)
+    seen = words_of(Material(file, "made up", runs=[run], files=[file]))
     assert f"Synthetic data: {SYNTHETIC}." in seen.text
 
 
@@ -157,7 +157,7 @@ def test_names_do_not_break_out(file, tmp_path):
     material = fitted(tmp_path, source=evil, reason=evil, notes=[evil])
     material.title, material.treatment = evil, prediction(title=evil, parameters=evil)
     material.runs = [run]
-    seen = Seen(report(material, evil).page)
+    seen = words_of(material, evil)
     assert len(seen.all("script")) == 0
     assert len(seen.all("style")) == 1
     assert all(i["src"].startswith("data:image/") and "onerror" not in i for i in seen.all("img"))
@@ -186,8 +186,8 @@ def test_without_k3d_the_page_says_how_to_get_it(file, monkeypatch):
 
 
 def test_a_page_too_large_goes_without_the_drawing(file, page, monkeypatch):
-    assert len(page.encode()) < contents.MOST_BYTES == 12_000_000
-    monkeypatch.setattr(contents, "MOST_BYTES", 1_000_000)
+    assert len(page.encode()) < command.MOST_BYTES == 12_000_000
+    monkeypatch.setattr(command, "MOST_BYTES", 1_000_000)
     made = report(of_file(file), "")
     assert not made.viewer
     assert len(made.page.encode()) < 1_000_000

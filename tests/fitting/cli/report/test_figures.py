@@ -7,18 +7,9 @@ import pytest
 from report_pages import estimate, fitted, measured
 from small_scene import small_result
 
-from fitting.cli.report import figures, fit
+from fitting.cli.report import figures
 from fitting.cli.report.material import Material
 from fitting.cli.report.run import ReportedRun
-
-
-@pytest.fixture
-def shown(monkeypatch):
-    """Figures as they go onto the page, with their alternative texts and captions."""
-    found = []
-    for module in (figures, fit):
-        monkeypatch.setattr(module, "drawn", lambda *what: found.append(what) or "")
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +30,9 @@ def has(axes, x, y):
     return False
 
 
-def test_the_case_figure_has_the_runs_and_the_measurements_numbers(shown, material):
-    figures.section(material)
-    figure, alternative, caption = shown[0]
-    coronal, sagittal, tilt, force = figure.axes
+def test_the_case_figure_has_the_runs_and_the_measurements_numbers(material):
+    drawn = figures.case(material)
+    coronal, sagittal, tilt, force = drawn.figure.axes
     result, data = small_result(), measured()
     for center in (result.center, data.center):
         assert has(coronal, 1e3 * center[:, 1], 1e3 * center[:, 0])
@@ -53,13 +43,12 @@ def test_the_case_figure_has_the_runs_and_the_measurements_numbers(shown, materi
     assert "[mm]" in sagittal.get_ylabel()
     assert "[deg]" in tilt.get_ylabel()
     assert "[N]" in force.get_ylabel()
-    assert result.dislocations().describe() in alternative
-    assert caption == "Path, tilt and contact force: fitted, with measured."
+    assert result.dislocations().describe() in drawn.alternative
+    assert drawn.caption == "Path, tilt and contact force: fitted, with measured."
 
 
-def test_courses_against_flexion_are_the_runs(shown, material):
-    figures.section(material)
-    figure, alternative, _ = shown[1]
+def test_courses_against_flexion_are_the_runs(material):
+    drawn = figures.courses(material)
     result = small_result()
     knee = np.degrees(result.knee.flexion)
     top = int(np.argmax(knee))
@@ -69,34 +58,29 @@ def test_courses_against_flexion_are_the_runs(shown, material):
         "rotation": np.degrees(result.angles.rotation),
         "force": result.effects["contact"]["force"],
     }
-    assert len(figure.axes) == 4
-    for axes in figure.axes:
+    assert len(drawn.figure.axes) == 4
+    for axes in drawn.figure.axes:
         (name,) = (n for n in values if n in axes.get_ylabel())
         x, y = points(axes)[0]
         known = np.isfinite(y)
         assert known.sum() > 50
         np.testing.assert_allclose(y[known], np.interp(x[known], knee[: top + 1], values[name][: top + 1]), rtol=1e-6)
-    assert "fitted" in alternative
+    assert "fitted" in drawn.alternative
 
 
-def test_the_fits_way_and_its_correlations_are_the_estimates(shown, material):
-    figures.section(material)
-    figure, alternative, _ = shown[-1]
-    assert has(figure.axes[0], [10, 20, 30], [7, 6, 5])
-    assert alternative.endswith("It ends at 5.")
-    shown.clear()
-    fit.section(material)
-    (found,) = shown
-    picture = found[0].axes[0].get_images()[0].get_array()
+def test_the_fits_way_and_its_correlations_are_the_estimates(material):
+    (drawn,) = figures.histories(material)
+    assert has(drawn.figure.axes[0], [10, 20, 30], [7, 6, 5])
+    assert drawn.alternative.endswith("It ends at 5.")
+    picture = figures.correlation(material.estimate).figure.axes[0].get_images()[0].get_array()
     np.testing.assert_allclose(picture, estimate().correlation)
 
 
-def test_of_two_runs_each_is_drawn_under_its_own_name(shown, material):
+def test_of_two_runs_each_is_drawn_under_its_own_name(material):
     import dataclasses
 
     other = dataclasses.replace(small_result(), scene=small_result().scene)
     two = dataclasses.replace(material, runs=[*material.runs, ReportedRun.of_result(other, "treated")])
-    figures.section(two)
-    figure, alternative, _ = shown[0]
-    assert {"fitted", "treated"} <= {t.get_text() for legend in figure.legends for t in legend.get_texts()}
-    assert "fitted and treated" in alternative
+    drawn = figures.case(two)
+    assert {"fitted", "treated"} <= {t.get_text() for legend in drawn.figure.legends for t in legend.get_texts()}
+    assert "fitted and treated" in drawn.alternative

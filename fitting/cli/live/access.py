@@ -1,4 +1,4 @@
-"""Which pages may speak to the server: its own alone.
+"""Where the page is served, and which pages may speak to its server: the server's own.
 
 A browser lets every page that it shows, of whatever site, open a websocket to every address, this machine's own among
 them, and says in `Origin` whose page it is. A site can also give its name this machine's address (DNS rebinding): then
@@ -7,6 +7,7 @@ them, and says in `Origin` whose page it is. A site can also give its name this 
 
 from __future__ import annotations
 
+import errno
 import inspect
 import ipaddress
 import socket
@@ -17,18 +18,47 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
 
-from fitting.cli.live.address import loopback
 from pftwin.base.errors import InputError, PftwinError
 
 Allowed = Callable[[list[str], str], bool]
 
 
-def checked_origins(given: Collection[str]) -> frozenset[str]:
-    """Origins as browsers send them.
+def loopback(host: str) -> bool:
+    """Whether an address can be reached from this machine alone."""
+    address = _ip(host)
+    return host == "localhost" or (address is not None and address.is_loopback)
 
-    Raises:
-        InputError: something else.
-    """
+
+def _ip(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """The address that a name spells out; None for other names."""
+    try:
+        return ipaddress.ip_address(name)
+    except ValueError:
+        return None
+
+
+def check_address(host: str, port: int) -> None:
+    """Refuses an address of another machine and a forbidden port; for a port in use the server takes the next one."""
+    unknown = InputError(
+        f"{host!r} is no address of this machine", where="--host", expected="127.0.0.1, or 0.0.0.0 for all of them"
+    )
+    try:
+        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError):
+        raise unknown from None
+    with socket.socket(family, kind, protocol) as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind(place)
+        except PermissionError:
+            raise InputError(f"port {port} is not allowed", where="--port", expected="1024 or more") from None
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise unknown from None
+
+
+def checked_origins(given: Collection[str]) -> frozenset[str]:
+    """Origins as browsers send them; InputError for anything else."""
     for text in given:
         parts = urlsplit(text)
         if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
@@ -61,17 +91,16 @@ def own_pages(host: str, also: Collection[str] = ()) -> Allowed:
             return False
         if parts.scheme not in ("http", "https") or parts.netloc != asked.lower():
             return False
-        return loopback(name) if loopback(host) else name in names or _number(name)
+        return loopback(name) if loopback(host) else name in names or _ip(name) is not None
 
     return allowed
 
 
 @contextmanager
 def guarded(allowed: Allowed) -> Iterator[None]:
-    """Servers that viser starts inside let in whom `allowed` lets in. viser has no setting for it.
+    """Servers that viser starts inside this context admit only allowed connections; viser has no setting for it.
 
-    Raises:
-        PftwinError: none was started by the way that is guarded.
+    Raises PftwinError if viser started none in the way that is guarded.
     """
     import websockets.asyncio.server as module
 
@@ -98,14 +127,6 @@ def guarded(allowed: Allowed) -> Iterator[None]:
         module.serve = real
     if not started:
         raise PftwinError("this version of viser starts its server in a way that pftwin cannot guard; try: viser 1.1.1")
-
-
-def _number(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
 
 
 def _refusal(origins: list[str]) -> str:

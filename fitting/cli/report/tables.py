@@ -1,0 +1,293 @@
+"""Tables of a report: what its files hold, in the units in which people read it."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import platform
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fitting.cli.pages import number
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
+from pftwin.base.text_files import read_lines
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from fitting.cli.report.run import ReportedRun
+    from fitting.estimate import Estimate
+    from pftwin.model.effects.base import Effect
+    from pftwin.model.measured import Measured
+    from pftwin.model.scene import Scene
+
+# What a number of a unit is multiplied by for people, and the unit then.
+_PARAMETERS = {"m": (1e3, "mm"), "kg": (1e3, "g"), "m/s": (1e3, "mm/s"), "Pa": (1e-6, "MPa"), "m/s^2": (1.0, "m/s²")}
+_FORCES = {"m": (1e3, "mm"), "1": (1.0, "")}
+_RESIDUALS = {"orientation": (180 / np.pi, "deg"), "position": (1e3, "mm"), **dict.fromkeys("XYZ", (1e3, "mm"))}
+_CHANNELS = {
+    "position of the button's centre": "center",
+    "orientation of the patella": "quaternion",
+    "contact force": "contact_force",
+    "tibial spring force": "tibial_spring_force",
+    "femoral spring force": "femoral_spring_force",
+}
+_CHECKS = (  # words, attribute of the file, factor, digits, unit
+    ("force left over at the start", "equilibrium_residual_N", 1.0, 2, "N"),
+    ("largest indentation", "largest_indentation_m", 1e3, 3, "mm"),
+    ("largest constraint drift", "largest_constraint_drift_m", 1e3, 2, "mm"),
+)
+SIMULATED = {
+    "integrator": "integrator",
+    "dt_s": "longest time step [s]",
+    "substeps": "steps between frames",
+    "tolerance_m": "tolerance [m]",
+    "error_estimate_m": "estimated error [m]",
+    "dtype": "numbers",
+    "pftwin_version": "pftwin",
+    "jax_version": "JAX",
+}
+PREDICTED = {"source": "made by", "jax_version": "JAX", "dt": "longest time step [s]", "seed": "seed of the draws"}
+_MOST_ROWS = 60  # of a prediction
+
+
+def parameters(scene: Scene) -> Sheet:
+    """Every number that the effects of a scene declare."""
+    rows = [("patella", "mass", number(1e3 * float(scene.patella.mass)), "g")]
+    rows += [(_words(effect.name), *row) for effect in scene.effects for row in _declared(effect)]
+    return Sheet("Parameters of the scene", ("effect", "quantity", "value", "unit"), tuple(rows))
+
+
+def _declared(effect: Effect) -> Iterator[tuple[str, str, str]]:
+    """Quantity, value and unit of every number that an effect declares; of a surface, what it is in a word."""
+    from pftwin.base.quantities import declarations
+    from pftwin.geometry.patch.spline_or_polynomial import name_of
+
+    surface = None
+    if (contact := effect.contact_role()) is not None:
+        surface, fitted = contact.groove_surface(), contact.fitted_surface()
+        yield ("surface of the trochlea", "mesh" if fitted is None else f"fitted patch {name_of(fitted) or ''}", "")
+    line = effect.line_element()
+    points: dict[tuple[str, ...], list[Any]] = {}
+    for path, leaf, declared in declarations(effect):
+        if declared is None or (surface is not None and getattr(effect, path[0]) is surface):
+            continue
+        scale, unit = _PARAMETERS.get(declared.unit, (1.0, declared.unit))
+        if not declared.frame:
+            yield (declared.words or _words(", ".join(path)), _value(leaf, scale), unit)
+            continue
+        point = points.setdefault(path[:-1], [])
+        point.append(leaf)
+        if len(point) == 3:
+            frame = line.line_ends[1] if declared.frame == "body" and line is not None else declared.frame
+            words = f"{declared.words or _words(', '.join(path[:-1]))} ({frame}; x, y, z)"
+            yield (words, ", ".join(_value(c, scale) for c in point), unit)
+
+
+def _value(leaf: Any, scale: float) -> str:
+    """One number; the range of many."""
+    values = scale * np.asarray(leaf, dtype=np.float64).ravel()
+    if values.size == 1 or np.ptp(values) == 0:
+        return number(values[0])
+    return f"{number(values.min())} to {number(values.max())}"
+
+
+def forces(run: ReportedRun) -> Sheet:
+    """Smallest, mean and largest force of the run's tendons and contacts, and its angles."""
+    rows = []
+    for name, variable in run.data.data_vars.items():
+        unit = str(variable.attrs.get("units", ""))
+        shown = unit == "N" and not str(name).endswith(("_x", "_y", "_z"))
+        shown = shown or str(name) in ("knee_flexion", "patella_flexion", "patella_tilt", "groove_offset")
+        if not shown or "time" not in variable.dims:
+            continue
+        values = np.asarray(variable.values, dtype=np.float64)
+        values = values[np.isfinite(values)]
+        scale, unit = _FORCES.get(unit, (1.0, unit))
+        three = [number(scale * v) for v in (values.min(), values.mean(), values.max())] if values.size else ["–"] * 3
+        rows.append((str(variable.attrs.get("long_name", name)), *three, unit))
+    headings = ("quantity", "smallest", "mean", "largest", "unit")
+    return Sheet(f"Over the motion: {run.name}", headings, tuple(rows))
+
+
+def measurements(measured: Measured) -> Sheet:
+    """Frames without a value, and the longest gap, of every channel."""
+    rows = []
+    for words, name in _CHANNELS.items():
+        values = getattr(measured, name)
+        if values is None:
+            rows.append((words, "not measured", "–", "–"))
+            continue
+        absent = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        gaps = "".join("x" if gone else " " for gone in absent).split()
+        rows.append((words, str(len(values)), str(int(absent.sum())), str(max(map(len, gaps), default=0))))
+    headings = ("channel", "frames", "missing", "longest gap, frames")
+    return Sheet(f"Measurements: {measured.source}", headings, tuple(rows))
+
+
+def residuals(name: str, e: Estimate) -> Sheet:
+    """What a fit left, by channel."""
+    rows = []
+    for channel in dict.fromkeys([*e.rmse, *e.noise]):
+        scale, unit = _RESIDUALS.get(channel, (1.0, "N"))
+        cells = [number(scale * values[channel]) if channel in values else "–" for values in (e.rmse, e.noise)]
+        rows.append((channel, *cells, unit))
+    where = "given" if e.noise_known else "estimated from the residuals"
+    headings = ("channel", "root mean square residual", f"noise, {where}", "unit")
+    return Sheet(f"Residuals of {name}", headings, tuple(rows))
+
+
+def checks(run: ReportedRun) -> Sheet:
+    """Equilibrium, indentation and energy of a simulation, where its file has them."""
+    rows = [
+        (words, number(factor * float(run.about[key]), digits), unit)
+        for words, key, factor, digits, unit in _CHECKS
+        if key in run.about
+    ]
+    if "energy_budget_error" in run.data:
+        names = {"energy_budget_error": "largest energy that no effect accounts for", "work": "work put in, largest"}
+        rows += [(w, number(1e3 * np.nanmax(np.abs(run.data[n].values)), 3), "mJ") for n, w in names.items()]
+    return Sheet(f"Simulation: {run.name}", ("check", "value", "unit"), tuple(rows))
+
+
+def fitted(e: Estimate, scene: Scene | None) -> Sheet:
+    """Estimates with their intervals."""
+    from pftwin.results.plots.quantities import as_read
+
+    rows = []
+    for i, name in enumerate(e.names):
+        scale, unit = as_read(e.units[i])
+        value, sd, nominal = (scale * float(a[i]) for a in (e.values, e.standard_deviations, e.nominal))
+        low, high = scale * e.intervals[i]
+        interval = f"{number(low)} to {number(high)}"
+        rows.append((name, meaning(scene, name), number(value), interval, number(sd, 3), number(nominal), unit))
+    against = "synthetic measurements" if e.synthetic else "measurements"
+    headings = ("parameter", "what it is", "estimate", "95 % interval", "standard deviation", "nominal", "unit")
+    return Sheet(f"Fitted to {against}", headings, tuple(rows))
+
+
+def meaning(scene: Scene | None, name: str) -> str:
+    """A parameter in words; its name where the scene is not known."""
+    if scene is None:
+        return name
+    from pftwin.model.scene_parameters import find
+
+    return find(scene, name)[0].name.replace("_", " ").replace(".", ", ", 1)
+
+
+def predicted(data: Dataset) -> Sheet:
+    """A row for each variant of a prediction, at most `_MOST_ROWS`."""
+    from fitting.prediction.plots import rows
+
+    headings, lines = rows(data)
+    title = str(data.attrs.get("title", "Treatment prediction"))
+    return Sheet(title, tuple(headings), tuple(map(tuple, lines[:_MOST_ROWS])))
+
+
+def reservations(data: Dataset) -> list[str]:
+    """What a reader of a prediction's table has to know."""
+    own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
+    said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
+    if "sample" in data.dims:
+        said.append(f"In brackets: 95 % of {data.sizes['sample'] - 1} draws from the fit's uncertainty.")
+    if failed := int(own.sum()):
+        said.append(f"{failed} of {own.size} variants could not be simulated: their rows are empty.")
+    if left := data.attrs.get("variants_missing"):
+        said.append(f"The prediction was interrupted: {int(left)} variants are missing.")
+    if (hidden := data.sizes["variant"] - _MOST_ROWS) > 0:
+        said.append(f"{hidden} of {data.sizes['variant']} variants are not shown in the table.")
+    return said
+
+
+def tracking(runs: Sequence[ReportedRun]) -> Sheet:
+    """What becomes of the patella in every run."""
+    title = "What becomes of the patella, with nominal springs"
+    return Sheet(title, ("case", "simulated"), tuple((run.name, run.tracking) for run in runs))
+
+
+def errors(path: Path) -> Sheet:
+    """Table 2 of the study in the demo's folder; InputError for another table."""
+    lines = [line for line in csv.reader(read_lines(path)[0]) if line]
+    if not lines or lines[0][:2] != ["row", "unit"] or any(len(line) != len(lines[0]) for line in lines):
+        raise InputError("is not the demo's table", where=path, expected="the folder as `pftwin demo` wrote it")
+    parts = (heading.partition("_") for heading in lines[0][2:])
+    headings = (f"{case.replace('case', 'case ')}, {rest.replace('_', ' ')}" for case, _, rest in parts)
+    caption = (
+        "Errors of the fitted (case 2) and of the predicted motion (case 1) against the virtual rig's synthetic "
+        "measurements; published: Table 2 of Michaud et al. 2024, on their rig"
+    )
+    rows = tuple((line[0], line[1], *map(_cell, line[2:])) for line in lines[1:])
+    return Sheet(caption, ("", "unit", *headings), rows)
+
+
+def _cell(text: str) -> str:
+    try:
+        return number(float(text), 3) if text else "–"
+    except ValueError:
+        return text
+
+
+def versions(command: str, now: str) -> Sheet:
+    """What made this report; `command` is what it was asked for with."""
+    from importlib.metadata import version
+
+    import jax
+
+    from pftwin import __version__
+
+    python = f"{platform.python_version()} ({platform.system()} {platform.machine()})"
+    made = {"date": now, "command": command, "pftwin": __version__, "JAX": jax.__version__}
+    made |= {"NumPy": version("numpy"), "Python": python}
+    return Sheet("This report", ("made with", "value"), tuple(made.items()))
+
+
+def settings(title: str, about: dict[str, Any], words: dict[str, str]) -> Sheet:
+    """Settings of a simulation or prediction: the attributes of its file that are named in words."""
+    found = ((shown, about[key]) for key, shown in words.items() if key in about)
+    rows = tuple((shown, value if isinstance(value, str) else f"{value:g}") for shown, value in found)
+    return Sheet(title, ("setting", "value"), rows)
+
+
+def fit(name: str, e: Estimate) -> Sheet:
+    """Settings of a fit."""
+    bounds = zip(e.names, e.lower, e.upper, e.units, strict=True)
+    rows = (
+        ("method", e.method),
+        ("objective", f"{e.objective}, {number(e.objective_value, 6)} {e.objective_unit}"),
+        ("channels", ", ".join(e.channels)),
+        ("seed", str(e.seed)),
+        ("starts", str(e.starts)),
+        ("iterations", str(e.iterations)),
+        ("evaluations", str(e.evaluations)),
+        ("bounds", "; ".join(f"{n} {number(low)} to {number(high)} {unit}".rstrip() for n, low, high, unit in bounds)),
+        ("versions", "not in the estimate's file"),
+    )
+    return Sheet(f"Fit: {name}", ("setting", "value"), rows)
+
+
+def files(paths: Sequence[Path]) -> Sheet:
+    """The files that a report was made from, with checksums."""
+    rows = tuple(
+        (
+            path.name,
+            f"{path.stat().st_size:,}",
+            hashlib.sha256(path.read_bytes()).hexdigest()[:16],
+            stamp(datetime.fromtimestamp(path.stat().st_mtime, UTC)),
+        )
+        for path in paths
+    )
+    return Sheet("Files that this report was made from", ("file", "bytes", "SHA-256", "last changed"), rows)
+
+
+def stamp(moment: datetime) -> str:
+    """Date and time to the minute."""
+    return moment.strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -1,0 +1,173 @@
+"""`pftwin init`, `pftwin import`, `pftwin export` and `pftwin view`: files in and out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Argument, Option
+
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
+from pftwin.cli import terminal
+from pftwin.cli.exit_codes import flagged
+
+if TYPE_CHECKING:
+    from pftwin.files.interchange.osim_scene import Imported
+
+_MOST_NAMES = 60  # letters of names in a cell of the table; the file not_imported.md has all
+
+
+def init(
+    folder: Annotated[Path, Argument(metavar="DIR", help="Folder for the example; made if it is not there.")],
+    *,
+    case: Annotated[int, Option("--case", min=1, max=4, help="Case of the virtual rig.")] = 1,
+    json: terminal.JsonOption = None,
+) -> None:
+    """Write a commented example: a scene file with the files of a laboratory (markers, forces, mesh).
+
+    Example: `pftwin init knee`, then `pftwin simulate knee/scene.toml -o knee.nc`
+    """
+    terminal.check_folder(folder)
+    terminal.check_outputs(json)
+    from pftwin.rig.scene_template import write_example
+
+    terminal.start_computing()
+    with terminal.working(f"writing the example to {folder}"):
+        files = write_example(folder, case)
+    following = f"next: pftwin simulate {folder / 'scene.toml'} -o knee.nc"
+    terminal.present({"files": [str(p) for p in files]}, *(f"written: {p}" for p in files), following, json=json)
+
+
+def export(
+    result: Annotated[Path, Argument(metavar="RESULT.nc", help="A result of `pftwin simulate`.")],
+    *,
+    output: Annotated[
+        list[Path],
+        Option(
+            "-o", "--output", metavar="OUT.(mot|sto|glb|csv)", help="The suffix chooses the format; may be repeated."
+        ),
+    ],
+    json: terminal.JsonOption = None,
+) -> None:
+    """Write a result for other programs.
+
+    .mot: joint coordinates for OpenSim, in degrees. .sto: everything, for OpenSim. .glb: the moving knee, glTF 2.0.
+    .csv: everything, as a table.
+
+    Example: `pftwin export case2.nc -o case2.mot -o case2.glb`
+    """
+    from pftwin.files.interchange.exporting import check_format
+    from pftwin.files.interchange.exporting import export as write
+
+    for path in output:
+        check_format(path)
+    terminal.check_outputs(*output, json)
+    for path in output:
+        with terminal.working(f"writing {path}"):
+            write(result, path)
+    sizes = {str(p): p.stat().st_size for p in output}
+    lines = (f"written: {path} ({size / 1e6:.2f} MB)" for path, size in sizes.items())
+    terminal.present({"result": str(result), "files": sizes}, *lines, json=json)
+
+
+def view(
+    results: Annotated[
+        list[Path], Argument(metavar="RESULT.nc ...", help="Results of `pftwin simulate`; several are overlaid.")
+    ],
+    *,
+    output: Annotated[
+        Path | None,
+        Option("-o", "--output", metavar="VIEW.html", help="The page; beside the first result if left out."),
+    ] = None,
+    names: Annotated[
+        list[str] | None,
+        Option("--name", metavar="NAME", help="What a result is called in the legend; once for each, in order."),
+    ] = None,
+    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
+    json: terminal.JsonOption = None,
+) -> None:
+    """Draw the knee in three dimensions: one HTML file that opens offline, with play and a time slider.
+
+    Example: `pftwin view before.nc after.nc -o view.html`
+    """
+    page = output or results[0].with_suffix(".html")
+    terminal.check_suffix(page, [".html", ".htm"], "the page is HTML")
+    if names and len(names) != len(results):
+        raise InputError(f"{len(names)} names for {len(results)} results", where="--name", expected="one for each")
+    terminal.check_outputs(page, json)
+    from pftwin.results.viewer import view as draw
+
+    with terminal.working("drawing"):
+        draw(list(zip(names, results, strict=True)) if names else results, html=page)
+    size = page.stat().st_size
+    facts = {"results": [str(p) for p in results], "file": str(page), "bytes": size}
+    terminal.present(facts, f"written: {page} ({size / 1e6:.1f} MB)", json=json)
+    if browser:
+        typer.launch(page.resolve().as_uri())
+
+
+def import_model(
+    model: Annotated[Path, Argument(metavar="MODEL.osim", help="A model of OpenSim 4.")],
+    *,
+    folder: Annotated[Path, Option("-o", "--output", metavar="DIR", help="Folder of the scene.")],
+    motion: Annotated[
+        Path | None,
+        Option("--motion", metavar="COORDINATES.mot", help="Coordinates over time; the knee is bent if left out."),
+    ] = None,
+    bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="The one to bend by.")] = None,
+    side: Annotated[str | None, Option("--side", metavar="right|left", help="Where the model has both.")] = None,
+    femur: Annotated[str | None, Option("--femur", metavar="BODY", help="If its name does not tell.")] = None,
+    tibia: Annotated[str | None, Option("--tibia", metavar="BODY", help="If its name does not tell.")] = None,
+    patella: Annotated[str | None, Option("--patella", metavar="BODY", help="If its name does not tell.")] = None,
+    geometry: Annotated[
+        list[Path] | None, Option("--geometry", metavar="DIR", help="A further folder of meshes; may be repeated.")
+    ] = None,
+    json: terminal.JsonOption = None,
+) -> None:
+    """Write a scene folder from an OpenSim model: patella, ligaments, contact meshes, motion by coordinates.
+
+    Says what was left out and why; not_imported.md in the folder has the whole list. Ends with exit code 3 where the
+    scene has been written and needs something more before it can be simulated.
+
+    Example: `pftwin import lenhart2015.osim -o knee`
+    """
+    terminal.check_folder(folder)
+    terminal.check_outputs(json)
+    from pftwin.files.interchange.osim_scene import import_osim
+    from pftwin.files.interchange.osim_toml import rows
+
+    bodies = {"femur": femur, "tibia": tibia, "patella": patella}
+    with terminal.working(f"reading {model}"):
+        found = import_osim(model, folder, motion=motion, bend=bend, side=side, **bodies, geometry=geometry or ())
+    trouble = _trouble(found)
+    facts = {
+        "files": [str(p) for p in found.files],
+        "notes": found.notes,
+        "not_imported": [part._asdict() for part in found.left_out],
+        "trouble": trouble,
+    }
+    cells = tuple((kind, _shortened(names), why) for kind, names, why in rows(found.left_out))
+    sheet = Sheet("not imported", ("what", "names", "why"), cells)
+    terminal.present(facts, *found.notes, sheet, terminal.written(found.files), json=json)
+    if trouble is not None:
+        flagged(trouble)
+    terminal.show(f"next: pftwin simulate {found.scene} -o knee.nc", json=json)
+
+
+def _shortened(names: str) -> str:
+    return names if len(names) <= _MOST_NAMES else f"{names[:_MOST_NAMES]} ... ({names.count(',') + 1})"
+
+
+def _trouble(found: Imported) -> str | None:
+    """Why the scene cannot be loaded as it is; None where it can."""
+    terminal.start_computing()
+    from pftwin.files.scene_file import load_scene_file
+
+    with terminal.working("loading the scene"):
+        try:
+            scene = load_scene_file(found.scene).scene
+        except InputError as error:
+            return str(error)
+    return None if scene.contact is not None else f"{found.scene}: a scene without contact"

@@ -1,0 +1,212 @@
+"""`pftwin doctor-mesh` and `pftwin fit-surface`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Option
+
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
+from pftwin.cli import terminal
+from pftwin.cli.exit_codes import flagged
+
+if TYPE_CHECKING:
+    from pftwin.geometry.mesh.doctor import Diagnosis
+    from pftwin.geometry.patch.polynomial_fit import PatchFit
+
+_SEVERITIES = {"safe": "can be repaired", "left": "stays as it is", "fatal": "makes it unusable"}
+_MOST_PARTS = 5  # of a mesh that are described
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+def doctor_mesh(
+    mesh: Annotated[Path, Argument(metavar="FILE", help="STL, OBJ or PLY file.")],
+    *,
+    units: Annotated[
+        str | None, Option("--units", metavar="m|mm", help="Unit of the coordinates; guessed if not given.")
+    ] = None,
+    repair: Annotated[
+        Path | None, Option("--repair", metavar="OUT", help="Write the mesh with what is safe repaired.")
+    ] = None,
+    json: terminal.JsonOption = None,
+) -> None:
+    """Say what is wrong with a mesh: doubled and empty triangles, winding, holes, non-manifold edges, parts, scale.
+
+    Repairs what leaves the surface as it is, in the file's own unit, and refuses what would change the answer.
+
+    Example: `pftwin doctor-mesh femur.stl --units mm --repair femur_repaired.stl`
+    """
+    from pftwin.geometry.mesh.doctor import examine_file
+    from pftwin.geometry.mesh.files import check_format
+
+    if repair is not None:
+        check_format(repair)
+    terminal.check_outputs(repair, json)
+    with terminal.working(f"examining {mesh}"):
+        found = examine_file(mesh, units=units)
+    facts, parts = found.facts(), list[Sheet | str](_description(found, units))
+    if found.findings:
+        first = (", ".join(f"{x:.4g}" for x in f.places[0]) if f.places else "" for f in found.findings)
+        rows = tuple(
+            (f.kind, _SEVERITIES[f.severity], f.words, at) for f, at in zip(found.findings, first, strict=True)
+        )
+        parts.append(Sheet(found.source, ("finding", "", "what", "where (first)"), rows))
+    parts.append(f"verdict: {found.verdict}")
+    if repair is not None:
+        from pftwin.geometry.mesh.mesh import save_mesh
+        from pftwin.geometry.mesh.repair import repaired_file
+
+        with terminal.working("repairing"):
+            healed, after = repaired_file(mesh, units=units)
+        save_mesh(healed, repair)  # numbers as they are: the unit stays the file's
+        facts["repaired"] = {**after.facts(), "file": str(repair)}
+        parts.append(f"written: {repair}, {after.n_faces} triangles: {after.verdict}")
+    terminal.present(facts, *parts, json=json)
+    if found.of("fatal"):
+        flagged(f"{mesh}: {found.verdict}")
+
+
+def _description(found: Diagnosis, units: str | None) -> Iterator[str]:
+    guess = f"stated: {units}" if units else f"likely unit: {' or '.join(found.units) or 'none'}"
+    yield f"{found.n_faces} triangles on {found.n_vertices} vertices, longest side {found.longest_side:.4g} ({guess})"
+    for k, part in enumerate(found.parts[:_MOST_PARTS], start=1):
+        rims = sum(not loop.is_hole for loop in part.loops)
+        kind = "closed" if not part.loops else f"open: {rims} rims, {len(part.loops) - rims} holes"
+        yield f"part {k}: {len(part.faces)} triangles, area {part.area:.4g}, {kind}"
+    if (more := len(found.parts) - _MOST_PARTS) > 0:
+        yield f"and {more} smaller parts"
+
+
+def fit_surface(
+    mesh: Annotated[Path, Argument(metavar="MESH", help="STL, OBJ or PLY file of a femoral component.")],
+    *,
+    units: Annotated[str, Option("--units", metavar="m|mm", help="Unit of the mesh's coordinates.")],
+    kind: Annotated[
+        str, Option("--kind", metavar="polynomial|spline", help="Polynomials, or a bicubic spline.")
+    ] = "polynomial",
+    degree: Annotated[
+        str | None, Option("--degree", metavar="LIST", help="Polynomials to fit; P2,P4,P5 if left out.")
+    ] = None,
+    tolerance: Annotated[
+        float | None, Option("--tolerance-mm", help="Rms that a spline is to reach; 0.02 if left out [mm].")
+    ] = None,
+    chart: Annotated[str, Option("--chart", metavar="plane|cylinder", help="Heights over what.")] = "plane",
+    anterior: Annotated[str, Option("--anterior", help="Anterior direction in the mesh's frame.")] = "+z",
+    proximal: Annotated[str, Option("--proximal", help="Proximal direction in the mesh's frame.")] = "+x",
+    half_width: Annotated[float, Option("--half-width-mm", help="Half width of the region [mm].")] = 20.0,
+    angles: Annotated[
+        tuple[float, float], Option("--angles-deg", help="Region's limits about the trochlear axis [deg].")
+    ] = (-60.0, 60.0),
+    output: Annotated[Path | None, Option("-o", "--output", metavar="FIGURE.png", help="Figure of the region.")] = None,
+    json: terminal.JsonOption = None,
+) -> None:
+    """Find the trochlea on a mesh and fit patches to it: table of R^2 and errors, and a figure of the region.
+
+    Example: `pftwin fit-surface femur.stl --units mm --anterior=-x --proximal=+y -o region.png`
+    """
+    terminal.check_figure(output)
+    terminal.check_outputs(output, json)
+    names, asked = _patches(kind, degree, tolerance)
+    directions = {"anterior": _direction(anterior, "anterior"), "proximal": _direction(proximal, "proximal")}
+    if chart not in ("plane", "cylinder"):
+        raise InputError(f"no chart {chart!r}", where="--chart", expected="plane or cylinder")
+    terminal.start_computing()
+    import numpy as np
+
+    from pftwin.geometry.mesh.mesh import load_mesh
+    from pftwin.geometry.patch.region import trochlear_region
+    from pftwin.geometry.patch.spline_or_polynomial import fit_named
+
+    with terminal.working(f"reading {mesh}"):
+        surface = load_mesh(mesh, units=units)
+    with terminal.working("looking for the trochlea"):
+        limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
+        region = trochlear_region(surface, **directions, half_width=1e-3 * half_width, angles=limits)
+    with terminal.working("fitting"):
+        fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
+    if output is not None:
+        from pftwin.results.plots.region import plot_region
+
+        with terminal.working("drawing"):
+            terminal.save_picture(plot_region(region, surface), output)
+    facts = {
+        "mesh": str(mesh),
+        "chart": chart,
+        "region_vertices": region.n_vertices,
+        "region_angles_rad": list(region.angles),
+        "region_half_width_m": region.half_width,
+        "fits": [_fit_facts(f) for f in fits],
+    }
+    sheet = Sheet(
+        f"{mesh.name}, heights over a {chart}, {fits[0].n_vertices} vertices",
+        ("patch", "R^2 [%]", "rms [mm]", "max [mm]", "rms along normal [mm]"),
+        tuple(
+            (f.name, f"{100 * f.r_squared:.2f}", *(f"{1e3 * v:.3f}" for v in (f.rms, f.max_error, f.rms_normal)))
+            for f in fits
+        ),
+        words=(),
+    )
+    terminal.present(facts, sheet, terminal.written([] if output is None else [output]), json=json)
+
+
+def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:
+    """The patches' names, and what else is asked of them."""
+    from pftwin.geometry.patch.spline_or_polynomial import SPLINE, parse_name
+
+    if kind not in ("polynomial", SPLINE):
+        raise InputError(f"no patch {kind!r}", where="--kind", expected=f"polynomial or {SPLINE}")
+    if kind == SPLINE:
+        if degree is not None:
+            raise InputError("a spline has no degree to choose", where="--degree", remedy="leave it out")
+        return [SPLINE], {} if tolerance is None else {"tolerance": 1e-3 * tolerance}
+    if tolerance is not None:
+        raise InputError("polynomials reach what they reach", where="--tolerance-mm", remedy="--kind spline")
+    return [parse_name(name) for name in (degree or "P2,P4,P5").split(",")], {}
+
+
+def _direction(text: str, name: str) -> tuple[float, ...]:
+    """A signed axis ("-x") or three numbers ("0,1,0")."""
+    axis = text.strip().lower().removeprefix("+")
+    if axis.removeprefix("-") in _AXES:
+        sign = -1.0 if axis.startswith("-") else 1.0
+        return tuple(sign * v for v in _AXES[axis.removeprefix("-")])
+    try:
+        values = tuple(float(v) for v in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 3:
+        raise InputError(f"found {text!r}", where=f"--{name}", expected="an axis as in -x, or three numbers: 0,1,0")
+    return values
+
+
+def _fit_facts(f: PatchFit) -> dict[str, Any]:
+    """A fit for JSON; chart and coefficients as a scene file has them."""
+    import numpy as np
+
+    from pftwin.base.spatial import Quaternion
+
+    spline, chart = f.name == "spline", f.patch.chart
+    radius = getattr(chart, "radius", None)
+    return {
+        "name": f.name,
+        **({} if spline else {"polynomial": f.name}),
+        "r_squared": f.r_squared,
+        "rms_m": f.rms,
+        "max_error_m": f.max_error,
+        "rms_normal_m": f.rms_normal,
+        "max_error_normal_m": f.max_error_normal,
+        "vertices": f.n_vertices,
+        "coverage": f.coverage,
+        "spline_coefficients_m" if spline else "coefficients_m": np.asarray(f.patch.coefficients).tolist(),
+        "chart": {
+            "type": "plane" if radius is None else "cylinder",
+            "origin_m": [float(getattr(chart.origin, k)) for k in "xyz"],
+            "quaternion_wxyz": [float(getattr(Quaternion.from_rotation(chart.axes), k)) for k in "wxyz"],
+            **({} if radius is None else {"radius_m": float(radius)}),
+        },
+        "center_m": [float(v) for v in f.patch.center],
+        "half_size_m": [float(v) for v in f.patch.half_size],
+    }

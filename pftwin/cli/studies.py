@@ -1,0 +1,228 @@
+"""`pftwin accuracy` and `pftwin hard-cases`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from typer import Option
+
+from pftwin.base.errors import InputError
+from pftwin.cli import terminal
+from pftwin.cli.exit_codes import Interrupted, flagged, keeping
+from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside
+
+if TYPE_CHECKING:
+    from pftwin.model.measured import Measured
+    from pftwin.model.scene import Scene
+    from pftwin.studies.accuracy.measure import AccuracyRow, SceneOf
+    from pftwin.studies.hard_cases import HardCase
+    from pftwin.studies.hard_cases import Selection as Selected
+    from pftwin.studies.hard_cases.table import KeptPiece
+    from pftwin.studies.hard_cases.verdict import Cell
+
+OWN = "as it is"  # a scene file's contact
+
+
+def accuracy(
+    scene: SceneArgument = None,
+    *,
+    case: CaseOption = None,
+    contact: Annotated[
+        list[str] | None,
+        Option("--contact", metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; may be repeated."),
+    ] = None,
+    integrator: Annotated[
+        list[str] | None, Option("--integrator", metavar="NAME", help="May be repeated; the common four if left out.")
+    ] = None,
+    dtype: Annotated[
+        list[str] | None, Option("--dtype", metavar="float64|float32", help="May be repeated; float64 if left out.")
+    ] = None,
+    full: Annotated[bool, Option("--full", help="Everything; takes half an hour.")] = False,
+    folder: Annotated[Path, Option("--out", metavar="DIR", help="For tables and figures.")] = Path("accuracy"),
+    json: terminal.JsonOption = None,
+) -> None:
+    """Measure what accuracy costs in time: contact models, integrators, steps and float types, with the best settings.
+
+    Example: `pftwin accuracy --case 1 --contact P5 --out accuracy`
+    """
+    if scene is not None and case is not None:
+        raise InputError("both a scene file and --case given", expected="one of them")
+    terminal.check_folder(folder)
+    terminal.check_outputs(json)
+    terminal.start_computing()
+    from pftwin.base.runtime import describe
+    from pftwin.studies.accuracy.programs import COMMON, FLOATS, chosen, everything
+    from pftwin.studies.accuracy.run import measure_all, write
+    from pftwin.studies.accuracy.table import advice, overview
+
+    if full and (contact or integrator or dtype):
+        raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
+    source = _source(scene, case)
+    plan = everything() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
+    with keeping(folder / "accuracy.csv"), terminal.working("measuring"):
+        found = measure_all(plan, source.scene_of, source.measured, _tell, lambda rows: _keep(rows, folder))
+    synthetic = source.measured is not None and source.measured.synthetic
+    about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}
+    paths = write(found, folder, source.title, about)
+    facts = {"about": about, "rows": [asdict(r) for r in found.rows], "files": [str(p) for p in paths]}
+    terminal.present(facts, overview(found.rows), advice(found.rows), terminal.written(paths), json=json)
+
+
+def _tell(line: str) -> None:
+    terminal.tell(line, "dim")
+
+
+def _keep(rows: list[AccuracyRow], folder: Path) -> None:
+    """Saves the rows so far, in case the rest fails."""
+    from pftwin.base.output import written_whole
+    from pftwin.studies.accuracy.table import columns
+    from pftwin.studies.tables import to_csv
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with written_whole(folder / "accuracy.csv") as temporary:
+        temporary.write_text(to_csv(columns(rows)), encoding="utf-8")
+
+
+class _Source(NamedTuple):
+    """The scenes to measure, and what to compare them with."""
+
+    scene_of: SceneOf  # by the contact's name
+    own: str  # the contact's name if none is asked for
+    measured: Measured | None
+    title: str
+
+
+def _source(scene: Path | None, case: int | None) -> _Source:
+    if scene is not None:
+        from pftwin.files.scene_file import load_scene_file
+
+        allowed = allow_outside.get()
+
+        def of_the_file(name: str) -> Scene:
+            return load_scene_file(scene, contact=None if name == OWN else name, allow_outside=allowed).scene
+
+        loaded = load_scene_file(scene, allow_outside=allowed)
+        return _Source(of_the_file, OWN, loaded.measured, loaded.scene.name)
+    from pftwin import rig
+    from pftwin.studies.accuracy.programs import CYLINDER
+
+    n = 1 if case is None else case
+
+    def of_the_rig(name: str) -> Scene:
+        if name.endswith(CYLINDER):
+            return rig.case(n, contact=name.removesuffix(CYLINDER), chart="cylinder")
+        return rig.case(n, contact=name)
+
+    return _Source(of_the_rig, "P5", rig.measured(n), f"case {n} of the virtual rig")
+
+
+def hard_cases(
+    *,
+    case: Annotated[
+        list[str] | None, Option("--case", metavar="NAME", help="A case, may be repeated; all if left out.")
+    ] = None,
+    contact: Annotated[
+        list[str] | None,
+        Option("--contact", metavar="NAME", help="A kind of contact, may be repeated; all if left out."),
+    ] = None,
+    integrator: Annotated[
+        list[str] | None,
+        Option("--integrator", metavar="NAME", help="An integrator, may be repeated; all if left out."),
+    ] = None,
+    dtype: Annotated[
+        list[str] | None, Option("--dtype", metavar="float64|float32", help="A float type; both if left out.")
+    ] = None,
+    list_: Annotated[
+        bool, Option("--list", help="Name the cases and say what is hard about them; run nothing.")
+    ] = False,
+    quick: Annotated[
+        bool, Option("--quick", help="Neither derivatives nor batches side by side: a third of the time.")
+    ] = False,
+    from_: Annotated[
+        list[Path] | None,
+        Option(
+            "--from",
+            metavar="PATH",
+            help="Run nothing; show cells kept by --json: a file, or a folder's. May be repeated, newest last.",
+        ),
+    ] = None,
+    json: terminal.JsonOption = None,
+    markdown: Annotated[Path | None, Option("--markdown", metavar="FILE", help="Write the page of the docs.")] = None,
+) -> None:
+    """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
+
+    Everything takes hours of one core, most of it compiling; one contact with one integrator minutes. Pieces that were
+    run one by one, with --json, make one page: --from FOLDER --markdown FILE.
+
+    Example: `pftwin hard-cases --contact P5 --integrator linear_implicit --dtype float64`
+    """
+    terminal.check_outputs(json, markdown)
+    terminal.start_computing()
+    from pftwin.dynamics.integrators import integrator_from_text
+    from pftwin.studies.hard_cases import (
+        CONTACTS,
+        DTYPES,
+        INTEGRATORS,
+        Selection,
+        case_named,
+        catalogue,
+        method_named,
+        table,
+    )
+
+    cases = tuple(case_named(n) for n in case) if case else catalogue()
+    if list_:
+        terminal.show(table.named(cases), json=json)
+        return
+    for name in integrator or ():
+        integrator_from_text(name)
+    chosen = Selection(
+        _known(contact, CONTACTS, "--contact"),
+        tuple(method_named(n) for n in integrator) if integrator else INTEGRATORS,
+        _known(dtype, DTYPES, "--dtype"),
+        derivatives=not quick,
+        mates=not quick,
+    )
+    found = [piece for path in from_ for piece in table.read_pieces(path)] if from_ else [_run(cases, chosen, json)]
+    order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
+    cells = table.merged(found, order)
+    if markdown is not None:
+        from pftwin.base.text_files import write_text
+
+        write_text(markdown, table.markdown(cells, cases, found))
+    terminal.show(table.summary(cells), json=json)
+    if failed := table.counts(cells)["fail"]:
+        terminal.show(table.reasons(cells, "fail"), json=json)
+        flagged(f"{failed} of {len(cells)} cells fail")
+
+
+def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> KeptPiece:
+    """Runs what was chosen, contact by contact, with progress on stderr; Ctrl-C keeps the contacts that are done."""
+    from pftwin.base.runtime import describe
+    from pftwin.studies.hard_cases import run_matrix
+    from pftwin.studies.hard_cases.table import KeptPiece
+    from pftwin.studies.runs import run_each
+
+    began = time.perf_counter()
+
+    def one(contact: str) -> list[Cell]:
+        return run_matrix(cases, chosen._replace(contacts=(contact,)), _tell)
+
+    found = run_each(chosen.contacts, one)
+    cells = tuple(cell for of_contact in found for cell in of_contact)
+    piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives)
+    terminal.write_json(piece.as_dict(), json)
+    if len(found) < len(chosen.contacts):
+        raise Interrupted(*([Path(json)] if json not in (None, "-") else []))
+    return piece
+
+
+def _known(wanted: list[str] | None, known: tuple[str, ...], option: str) -> tuple[str, ...]:
+    """The names asked for, or all; raises InputError for a name that is not known."""
+    for name in wanted or ():
+        if name not in known:
+            raise InputError(f"found {name!r}", where=option, expected=f"one of: {', '.join(known)}")
+    return tuple(wanted) if wanted else known

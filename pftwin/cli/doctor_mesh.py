@@ -47,8 +47,8 @@ def doctor_mesh(
     facts = found.facts()
     _show(console, found, units)
     if repair is not None:
+        from pftwin.geometry.mesh.doctor import repaired_file
         from pftwin.geometry.mesh.mesh import save_mesh
-        from pftwin.geometry.mesh.repair import repaired_file
 
         with working("repairing"):
             healed, after = repaired_file(mesh, units=units)

@@ -13,7 +13,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, out, start_computing,
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pftwin.geometry.patch.polynomial_fit import PatchFit
+    from pftwin.geometry.patch.fit import PatchFit
 
 _SIGNS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _FIGURES = (".png", ".svg", ".pdf")
@@ -59,8 +59,8 @@ def fit_surface(
     import numpy as np
 
     from pftwin.geometry.mesh.mesh import load_mesh
+    from pftwin.geometry.patch.fit import fit_named
     from pftwin.geometry.patch.region import trochlear_region
-    from pftwin.geometry.patch.spline_or_polynomial import fit_named
 
     with working(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
@@ -81,7 +81,7 @@ def fit_surface(
 
 def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:
     """The patches' names, and what else is asked of them."""
-    from pftwin.geometry.patch.spline_or_polynomial import SPLINE, parse_name
+    from pftwin.geometry.patch.fit import SPLINE, parse_name
 
     if kind not in ("polynomial", SPLINE):
         raise InputError(f"no patch {kind!r}", where="--kind", expected=f"polynomial or {SPLINE}")

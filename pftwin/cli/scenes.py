@@ -158,7 +158,7 @@ def simulated(
 
 def _contact(scene: Scene) -> str | None:
     """What the button touches by: the patch's name, or the method of meshes."""
-    from pftwin.geometry.patch.spline_or_polynomial import name_of
+    from pftwin.geometry.patch.fit import name_of
 
     method = "" if scene.contact is None else scene.contact.method
     return method or (None if scene.surface is None else name_of(scene.surface))

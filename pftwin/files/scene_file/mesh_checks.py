@@ -27,9 +27,9 @@ def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting, at: At) 
     Raises:
         InputError: most of the button behind the femur's surface, or all of it far away.
     """
+    from pftwin.geometry.contact.behind import mutual_place
     from pftwin.geometry.contact.depths import DEEPEST
-    from pftwin.geometry.contact.mutual_place import mutual_place
-    from pftwin.geometry.mesh.units import PLAUSIBLE
+    from pftwin.geometry.mesh.mesh import PLAUSIBLE
 
     start = setting.start @ HostPose(button.origin, np.eye(3))
     found = mutual_place(femur.mesh, button.mesh, start.position, start.matrix)

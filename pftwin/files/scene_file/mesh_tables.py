@@ -44,7 +44,7 @@ class MeshFileSection(Section):
 
     def read(self, setting: Setting, at: At) -> SurfaceMesh:
         """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
-        from pftwin.geometry.mesh.checked import checked_mesh
+        from pftwin.geometry.mesh.doctor import checked_mesh
         from pftwin.geometry.mesh.mesh import SurfaceMesh
 
         with setting.document.naming(*at, "mesh"):

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.geometry.mesh.parts import MeshPart, edges_of
-from pftwin.geometry.mesh.winding import agreement
+from pftwin.geometry.mesh.topology import MeshPart, agreement, edges_of
 
 FEW = 0.25  # share of a part's triangles up to which those that disagree are the ones to turn
 INWARD = -0.3  # mean cosine between normals and the way out from the middle, below which they seem to point inward

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.contact.behind import MutualPlace, mutual_place
 from pftwin.geometry.contact.depths import DEEPEST
-from pftwin.geometry.contact.mutual_place import MutualPlace, mutual_place
-from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
-from pftwin.geometry.mesh.units import PLAUSIBLE, UNITS, plausible_units
+from pftwin.geometry.mesh.mesh import PLAUSIBLE, UNITS, SurfaceMesh, load_mesh, plausible_units
 from pftwin.studies.contact_map.mapping import ContactMap
 
 _LOOKS = 5  # frames that are looked at before anything is computed

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.geometry.mesh.doctor import repaired
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.geometry.mesh.repair import repaired
 from pftwin.studies.hard_cases.ground import TiltedGround, mesh_on
 
 _PLACE = (0.004, 0.006)  # below the button, inside of a triangle [m]

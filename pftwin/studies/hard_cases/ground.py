@@ -14,10 +14,9 @@ from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Rotation
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.charts import Chart, CylindricalChart, PlaneChart
+from pftwin.geometry.patch.fit import parse_degree
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
-from pftwin.geometry.patch.polynomial_fit import parse_degree
-from pftwin.geometry.patch.spline import SplinePatch
-from pftwin.geometry.patch.spline_basis import cell_of, cubic_basis
+from pftwin.geometry.patch.spline import SplinePatch, cell_of, cubic_basis
 
 Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats], Floats]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -61,7 +62,7 @@ def closest_on_triangle(t: Triangle, p: Vec3) -> OnTriangle:
     for edge, (start, way, arm) in enumerate(((t.a, ab, ap), (t.b, bc, bp), (t.c, ca, cp))):
         at, s, corner = _on_edge(start, way, arm, p, edge)
         nearer = ~inside & (stop_gradient(s) < stop_gradient(square))
-        best = Vec3(*(jnp.where(nearer, n, o) for n, o in zip(_parts(at), _parts(best), strict=True)))
+        best = _either(nearer, at, best)
         square, feature = jnp.where(nearer, s, square), jnp.where(nearer, corner, feature)
     return OnTriangle(best, square, feature)
 
@@ -75,10 +76,6 @@ def _on_edge(start: Vec3, way: Vec3, arm: Vec3, p: Vec3, edge: int) -> tuple[Vec
     at = start + share * way
     corner = jnp.where(before, 4 + edge, jnp.where(beyond, 4 + (edge + 1) % 3, 1 + edge))
     return at, (p - at).squared_norm(), corner.astype(jnp.int32)
-
-
-def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return v.x, v.y, v.z
 
 
 def half_extent(corners: Array) -> Scalar:
@@ -146,7 +143,7 @@ def _cut(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array
         return jnp.where(lone_a, pick[0], jnp.where(lone_b, pick[1], pick[2]))
 
     h = [rolled(heights, k) for k in range(3)]
-    p = [Vec3(*(rolled([getattr(c, axis) for c in corners], k) for axis in "xyz")) for k in range(3)]
+    p = [jax.tree.map(lambda *x, k=k: rolled(list(x), k), *corners) for k in range(3)]
     ones = jnp.ones_like(h[0])
     points = []
     for k in (1, 2):
@@ -158,7 +155,7 @@ def _cut(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array
 
 
 def _either(first: Array, p: Vec3, q: Vec3) -> Vec3:
-    return Vec3(jnp.where(first, p.x, q.x), jnp.where(first, p.y, q.y), jnp.where(first, p.z, q.z))
+    return jax.tree.map(lambda x, y: jnp.where(first, x, y), p, q)
 
 
 def _sorted(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from pftwin.geometry.bvh.loops import written_where
-from pftwin.geometry.bvh.tree import ROUNDING, depth_for, fit_discs, median_order
+from pftwin.geometry.bvh.tree import ROUNDING, depth_for, tree_arrays
 
 FAN = 16  # children of a node
 T = TypeVar("T")
@@ -95,7 +95,7 @@ class Fans(NamedTuple):
 
     bounds: NDArray[np.float32]  # (nodes with children, 8, 16) of the children: discs, or balls (4 numbers)
     first: NDArray[np.int32]  # (nodes with children,) the first child's number
-    places: NDArray[np.int64]  # (leaves, lanes) which triangle; in an empty lane, which holds a copy, -1 - its original
+    places: NDArray[np.int32]  # (leaves, lanes) which triangle; -1 - the original in an empty lane, which holds a copy
 
 
 def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
@@ -106,25 +106,14 @@ def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
         lanes: most triangles in a leaf; as many lanes are used as the fullest needs.
         balls: bounds are balls about the triangles' centroids: middle and radius; else discs about their corners.
     """
-    n = len(corners)
-    depth = depth_for(n, lanes)
-    middles = corners.mean(axis=1)
-    placed = median_order(middles, lanes, depth).reshape(2**depth, lanes)
-    used = int((placed >= 0).sum(axis=1).max())
-    placed = placed[:, :used]
-    filled = np.where(placed >= 0, placed, placed[:, :1])
+    depth = depth_for(len(corners), lanes)
+    used = -(-len(corners) // 2**depth)  # in the fullest leaf: splits halve to within one
+    triangles, index, discs = tree_arrays(corners, used, depth)
     first_level = depth if depth < STRIDE else depth % STRIDE or STRIDE
     levels = list(range(first_level, depth + 1, STRIDE))
     margin = ROUNDING * float(np.abs(corners).max())
-    flat = filled.ravel()
-    vectors = 0.5 * np.cross(corners[flat, 1] - corners[flat, 0], corners[flat, 2] - corners[flat, 0])
-    tables = []
-    for level in levels:
-        if balls:
-            tables.append(_balls(middles[flat].reshape(2**level, -1, 3), margin))
-        else:
-            points = corners[flat].reshape(2**level, -1, 3)
-            tables.append(fit_discs(points, vectors.reshape(2**level, -1, 3), margin))
+    middles = triangles.reshape(-1, 3, 3).mean(axis=1)
+    tables = [_balls(middles.reshape(2**k, -1, 3), margin) if balls else discs[k] for k in levels]
     root = np.zeros((FAN, tables[0].shape[1]), dtype=np.float32)
     root[:, 0] = FAR
     root[: len(tables[0])] = tables[0]
@@ -133,8 +122,9 @@ def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
     parents = [1, *(2**level for level in levels[:-1])]
     begins = np.cumsum([1, *(2**level for level in levels)])[: len(levels)]  # each level's first number
     steps = [np.arange(k) * FAN + b for k, b in zip(parents, begins, strict=True)]
-    index = np.where(placed >= 0, placed, -1 - filled)
-    return Fans(np.ascontiguousarray(bounds.swapaxes(1, 2)), np.concatenate(steps).astype(np.int32), index)
+    return Fans(
+        np.ascontiguousarray(bounds.swapaxes(1, 2)), np.concatenate(steps).astype(np.int32), index.reshape(-1, used)
+    )
 
 
 def rows_of(fans: Fans) -> NDArray[np.float32]:

@@ -164,7 +164,7 @@ def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDistances:
 
 def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
     """The places nearest to points that lie together, one for each lane."""
-    low, high = (Vec3(*(f(a) for a in (points.x, points.y, points.z))) for f in (jnp.min, jnp.max))
+    low, high = (jax.tree.map(f, points) for f in (jnp.min, jnp.max))
     middle = 0.5 * (low + high)
 
     def at_leaf(known: NearestDistances, number: Array) -> NearestDistances:
@@ -179,8 +179,8 @@ def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
     lanes = points.x.shape
     same = jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), _one(femur, guess))
     start = NearestDistances(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
-    at, around = _single(middle), (points - Vec3(*(jnp.broadcast_to(a, lanes) for a in _parts(middle)))).squared_norm()
-    spread = jnp.sqrt(jnp.max(around))
+    at, around = _single(middle), points - jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), middle)
+    spread = jnp.sqrt(jnp.max(around.squared_norm()))
     return walk(
         femur.bounds,
         femur.rows,
@@ -213,8 +213,4 @@ def _as_lanes(p: Vec3, femur: PressedSurface) -> Vec3:
 
 
 def _single(p: Vec3) -> Array:
-    return jnp.stack([a.astype(jnp.float32) for a in _parts(p)])
-
-
-def _parts(p: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return p.x, p.y, p.z
+    return p.array().astype(jnp.float32)

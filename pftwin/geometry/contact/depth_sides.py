@@ -134,7 +134,7 @@ def _pressed(
     return fans_of(vertices[faces], FEMUR_LANES, False), features.outward.reshape(-1, 3), features.rim.ravel()
 
 
-def _placed(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _placed(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Corners (leaves, lanes, 9), and the index of each place."""
     source = np.where(fans.places < 0, -1 - fans.places, fans.places)
     return mesh.vertices[mesh.faces][source].reshape(*source.shape, 9), fans.places

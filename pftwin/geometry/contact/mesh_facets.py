@@ -66,7 +66,7 @@ class MeshFacets(eqx.Module):
         sign = jnp.where(inside, -1.0, 1.0)
         touching = length > 0
         over = sign / jnp.where(touching, length, 1.0)
-        normal = Vec3(*(jnp.where(touching, over * a, o) for a, o in zip(_parts(away), _parts(out), strict=True)))
+        normal = jax.tree.map(lambda a, o: jnp.where(touching, over * a, o), away, out)
         face = Vec3.from_array(jax.lax.convert_element_type(self.outward[near.place, 0], length.dtype))
         beside = away - away.dot(face) * face
         return FacetPoint(
@@ -104,7 +104,3 @@ def lateral_of_groove(mesh: SurfaceMesh, region: TrochlearRegion) -> NDArray[np.
     angles, along = (np.arctan2(p[:, 0], p[:, 2]) for p in (middles, line))
     order = np.argsort(along)
     return middles[:, 1] > np.interp(angles, along[order], line[order, 1])
-
-
-def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return v.x, v.y, v.z

@@ -21,12 +21,11 @@ from pftwin.geometry.mesh.files import read_triangles
 from pftwin.geometry.mesh.findings import (
     MeshFinding,
     crowded_edges,
-    flat_triangles,
     holes,
     isolated_parts,
-    repeated_triangles,
     scale,
     sides,
+    superfluous_triangles,
 )
 from pftwin.geometry.mesh.mesh import (
     PLAUSIBLE,
@@ -98,7 +97,7 @@ def examine_file(path: str | os.PathLike[str], *, units: str | None = None) -> D
     """Examine a mesh file; see `examine`.
 
     Raises:
-        InputError: unknown units, or a file that cannot be read at all (see `mesh_files.read_triangles`).
+        InputError: unknown units, or a file that cannot be read at all (see `files.read_triangles`).
     """
     if units is not None and units not in UNITS:
         raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
@@ -126,7 +125,7 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
     copies, opposed = repeated(joined, ~flat)
     kept = np.flatnonzero(~(flat | copies))
     drop = flat | copies
-    findings = [*flat_triangles(points, joined, flat), *repeated_triangles(points, joined, copies, opposed)]
+    findings = superfluous_triangles(points, joined, flat, copies, opposed)
     if not kept.size:
         nothing = MeshFinding("no_surface", "fatal", n, f"all {n} triangles have no area: export the mesh again")
         return Diagnosis(source, len(points), n, float(np.ptp(p, axis=0).max()), [], [], [nothing], none, drop)

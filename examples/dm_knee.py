@@ -40,7 +40,7 @@ from pftwin.files.mocap import (
 )
 from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
-from pftwin.geometry.patch.polynomial_fit import PatchFit, fit_patch
+from pftwin.geometry.patch.fit import PatchFit, fit_patch
 from pftwin.geometry.patch.region import trochlear_region
 from pftwin.geometry.patch.sphere import SphereFit, fit_sphere
 from pftwin.model.effects.base import Patella

@@ -47,7 +47,7 @@ from pftwin.base.runtime import default_cache_dir
 from pftwin.files.mocap import cluster_poses, find_gaps, read_trc
 from pftwin.files.scene_file import load_scene_file
 from pftwin.geometry.mesh.mesh import load_mesh
-from pftwin.geometry.patch.polynomial_fit import fit_patch
+from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.region import trochlear_region
 from pftwin.results.plots import COLOURS, STYLE
 from pftwin.results.plots.region import plot_region

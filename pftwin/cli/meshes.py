@@ -15,7 +15,7 @@ from pftwin.cli.exit_codes import flagged
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.doctor import Diagnosis
-    from pftwin.geometry.patch.polynomial_fit import PatchFit
+    from pftwin.geometry.patch.fit import PatchFit
 
 _SEVERITIES = {"safe": "can be repaired", "left": "stays as it is", "fatal": "makes it unusable"}
 _MOST_PARTS = 5  # of a mesh that are described
@@ -56,8 +56,8 @@ def doctor_mesh(
         parts.append(Sheet(found.source, ("finding", "", "what", "where (first)"), rows))
     parts.append(f"verdict: {found.verdict}")
     if repair is not None:
+        from pftwin.geometry.mesh.doctor import repaired_file
         from pftwin.geometry.mesh.mesh import save_mesh
-        from pftwin.geometry.mesh.repair import repaired_file
 
         with terminal.working("repairing"):
             healed, after = repaired_file(mesh, units=units)
@@ -117,8 +117,8 @@ def fit_surface(
     import numpy as np
 
     from pftwin.geometry.mesh.mesh import load_mesh
+    from pftwin.geometry.patch.fit import fit_named
     from pftwin.geometry.patch.region import trochlear_region
-    from pftwin.geometry.patch.spline_or_polynomial import fit_named
 
     with terminal.working(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
@@ -154,7 +154,7 @@ def fit_surface(
 
 def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:
     """The patches' names, and what else is asked of them."""
-    from pftwin.geometry.patch.spline_or_polynomial import SPLINE, parse_name
+    from pftwin.geometry.patch.fit import SPLINE, parse_name
 
     if kind not in ("polynomial", SPLINE):
         raise InputError(f"no patch {kind!r}", where="--kind", expected=f"polynomial or {SPLINE}")

@@ -175,7 +175,7 @@ def simulated(chosen: Chosen, knee: RunOptions, tolerance: str | None = None) ->
 
 def _contact(scene: Scene) -> str | None:
     """The name of the contact: the patch's, or the method of meshes."""
-    from pftwin.geometry.patch.spline_or_polynomial import name_of
+    from pftwin.geometry.patch.fit import name_of
 
     method = "" if scene.contact is None else scene.contact.method
     return method or (None if scene.surface is None else name_of(scene.surface))

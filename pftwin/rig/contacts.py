@@ -23,9 +23,8 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.program_cache import cached
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
-from pftwin.geometry.patch.fit_quality import PatchFit
+from pftwin.geometry.patch.fit import SPLINE, PatchFit, fit_named, parse_name
 from pftwin.geometry.patch.implant import rig_implant, rig_region
-from pftwin.geometry.patch.spline_or_polynomial import SPLINE, fit_named, parse_name
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.contact_law import ContactLaw, Flores
 from pftwin.model.effects.sphere_contact import SphereContact
@@ -149,7 +148,7 @@ def gap_radius() -> float:
 
 
 def _measured_gap_radius() -> float:
-    from pftwin.geometry.contact.effective_radius import beside_groove, effective_radius
+    from pftwin.geometry.contact.overlap import beside_groove, effective_radius
     from pftwin.geometry.contact.patch_mesh import patch_mesh
 
     with jax.enable_x64(True):

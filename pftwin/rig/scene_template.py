@@ -95,7 +95,7 @@ def write_example(folder: Path, case: int = 1) -> list[Path]:
 def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
     """The scene file of one of the rig's cases, with comments."""
     from pftwin.geometry.patch.charts import CylindricalChart
-    from pftwin.geometry.patch.spline_or_polynomial import SPLINE, name_of
+    from pftwin.geometry.patch.fit import SPLINE, name_of
 
     contact: Any = scene.contact
     law, surface = contact.law, contact.fitted_surface()

@@ -9,10 +9,9 @@ import numpy as np
 from mesh_samples import corners_of, point, random_poses
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.geometry.bvh.nearest_wide import nearest_wide
 from pftwin.geometry.bvh.tree import build_tree
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-from pftwin.geometry.bvh.wide import wide_tree
+from pftwin.geometry.bvh.wide import nearest_wide, wide_tree
 from pftwin.geometry.contact import contour
 from pftwin.geometry.contact.mesh_facets import lateral_of_groove
 from pftwin.geometry.mesh.mesh import SurfaceMesh

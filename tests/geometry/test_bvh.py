@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+import brute_force
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,14 +14,11 @@ from mesh_samples import corners_of, point, soup
 
 from pftwin.base import cache_folder
 from pftwin.base.errors import InputError
-from pftwin.geometry.bvh import brute_force, tree
-from pftwin.geometry.bvh.nearest_wide import NearestTriangle, nearest_wide
+from pftwin.geometry.bvh import tree
 from pftwin.geometry.bvh.tree import MeshTree, build_tree, joined, tree_arrays
-from pftwin.geometry.bvh.wide import wide_tree
+from pftwin.geometry.bvh.wide import NearestTriangle, nearest_wide, wide_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.rig.cases import implant_mesh
-
-KINDS = ["disc", "box"]
 
 
 def searched(t: MeshTree, points: np.ndarray, width: int | None = None, half: int | None = None) -> NearestTriangle:
@@ -32,19 +30,15 @@ def _searched(wide, triangles, points, half, width):
     return jax.vmap(lambda p: nearest_wide(wide, triangles, point(p), half, width=width))(points)
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("n", [1, 3, 4, 5, 63, 300])
-def test_every_triangle_has_one_place_and_every_node_holds_its_own(kind, n):
+def test_every_triangle_has_one_place_and_every_node_holds_its_own(n):
     mesh = soup(n, n)
-    t = build_tree(mesh, kind=kind)
+    t = build_tree(mesh)
     index, corners = np.asarray(t.index), corners_of(mesh)
     assert sorted(index[index >= 0]) == list(range(n))
     np.testing.assert_array_equal(np.asarray(t.triangles).reshape(-1, 3, 3), corners[np.asarray(t.source_index())])
     for level, rows in enumerate(np.asarray(x, dtype=float) for x in t.levels):
         p = np.asarray(t.triangles).reshape(2**level, -1, 3) - rows[:, None, :3]
-        if kind == "box":
-            assert (np.abs(p) <= rows[:, None, 3:]).all()
-            continue
         height = np.einsum("nki,ni->nk", p, rows[:, 3:6])
         beside = np.linalg.norm(p - height[:, :, None] * rows[:, None, 3:6], axis=2)
         assert (np.abs(height) <= rows[:, 7:]).all()
@@ -92,7 +86,7 @@ def test_a_tree_is_built_in_no_time_and_found_again(tmp_path, monkeypatch):
     spent = []
     for _ in range(3):
         start = time.process_time()
-        tree_arrays(corners, "disc", 4, 13)
+        tree_arrays(corners, 4, 13)
         spent.append(time.process_time() - start)
     assert min(spent) < 0.5
     calls = []
@@ -111,7 +105,7 @@ def test_a_tree_is_built_in_no_time_and_found_again(tmp_path, monkeypatch):
         first = build_tree(mesh)
         assert len(list((tmp_path / "values").iterdir())) == 1
         again = build_tree(mesh)
-        build_tree(mesh, kind="box")
+        build_tree(mesh, leaf=8)
         assert len(list((tmp_path / "values").iterdir())) == 2
     finally:
         cache_folder.use(before)
@@ -122,7 +116,6 @@ def test_a_tree_is_built_in_no_time_and_found_again(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"kind": "ball"}, "no bounding volume 'ball'"),
         ({"leaf": 0}, "leaves of 0 triangles"),
         ({"depth": 2}, "a depth of 2; expected: 4 or more"),
     ],

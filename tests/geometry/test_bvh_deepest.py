@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import brute_force
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,10 +14,8 @@ from mesh_contacts import RADIUS, lateral, member, on_the_groove
 from mesh_samples import corners_of, random_poses, soup
 
 from pftwin.base.spatial import Pose, Vec3
-from pftwin.geometry.bvh import brute_force
-from pftwin.geometry.bvh.corners import corner_tree
+from pftwin.geometry.bvh.corners import corner_tree, ray_depth
 from pftwin.geometry.bvh.deepest import DepthSearch, depth_search
-from pftwin.geometry.bvh.rays import ray_depth
 from pftwin.geometry.bvh.triangle import Triangle
 from pftwin.geometry.contact.contact_mesh import ContactMesh, contact_mesh
 from pftwin.geometry.mesh.icosphere import icosphere

@@ -11,7 +11,7 @@ import pytest
 from jax.extend.core import jaxprs_in_params
 from jaxtyping import Array
 
-from pftwin.geometry.bvh.members import member_by_member
+from pftwin.geometry.bvh.loops import member_by_member
 
 cpu_only = pytest.mark.skipif(jax.default_backend() != "cpu", reason="elsewhere batches are worked on at once")
 

@@ -11,8 +11,7 @@ from height_meshes import grid, plate
 from mesh_contacts import RADIUS, at, lateral, member, mesh_pair, on_the_groove
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.geometry.bvh.triangle import Triangle
-from pftwin.geometry.bvh.triangle_pairs import crossing, meet
+from pftwin.geometry.bvh.triangle import Triangle, crossing, meet
 from pftwin.geometry.contact.contact_mesh import contact_mesh
 from pftwin.geometry.contact.contour import Contacts, MeshPair
 from pftwin.geometry.mesh.icosphere import icosphere

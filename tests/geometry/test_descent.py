@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pftwin.geometry.patch.descent import FLATTEST, PUSH, DescentStep, Slope, descend
+from pftwin.geometry.patch.closest import FLATTEST, PUSH, DescentStep, Slope, descend
 
 GRAM = (1.3, 1.1)
 CASES = {  # gradient, Hessian (uu, uv, vv), longest steps

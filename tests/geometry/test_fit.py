@@ -10,7 +10,7 @@ from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.spatial import Rotation, Vec3
 from pftwin.geometry.mesh.mesh import check_mesh
 from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
-from pftwin.geometry.patch.polynomial_fit import fit_patch, parse_degree
+from pftwin.geometry.patch.fit import fit_patch, parse_degree
 
 _TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 _ORIGIN = np.array([0.1, -0.2, 0.3])

@@ -12,8 +12,8 @@ import pytest
 
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.implant import FemoralComponent, rig_implant, rig_region
-from pftwin.geometry.patch.polynomial_fit import fit_patch
 
 _DEG = np.pi / 180
 _PAPER = {"P2": 91.54, "P4": 99.36, "P5": 99.71}  # R^2 in %, Michaud et al. 2024, section 2.4.2

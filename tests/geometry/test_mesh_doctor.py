@@ -11,9 +11,8 @@ from typer.testing import CliRunner
 from pftwin.base.errors import InputError
 from pftwin.cli import app
 from pftwin.geometry.mesh import files
-from pftwin.geometry.mesh.doctor import Diagnosis, examine, examine_file
+from pftwin.geometry.mesh.doctor import Diagnosis, examine, examine_file, repaired
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh, save_mesh
-from pftwin.geometry.mesh.repair import repaired
 
 
 def ball(radius: float = 0.025) -> tuple[np.ndarray, np.ndarray]:

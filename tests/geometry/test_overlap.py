@@ -10,7 +10,7 @@ import pytest
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.contact.ball_cut import BallCut
 from pftwin.geometry.contact.overlap import overlap
-from pftwin.geometry.contact.seam import SeamDepth
+from pftwin.geometry.contact.patch_mesh import SeamDepth
 from pftwin.geometry.contact.sphere_patch import Patch, PatchSums
 
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation as ScipyRotation
 
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh
+from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.groove import fit_axis_direction, fit_circle
 from pftwin.geometry.patch.implant import FemoralComponent, rig_implant
-from pftwin.geometry.patch.polynomial_fit import fit_patch
 from pftwin.geometry.patch.region import trochlear_region
 from pftwin.results.plots.region import plot_region
 

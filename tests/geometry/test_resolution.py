@@ -9,7 +9,7 @@ from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.icosphere import icosphere, icosphere_deviation
 from pftwin.geometry.mesh.mesh import check_mesh
 from pftwin.geometry.mesh.resolution import Resolution, button_mesh, button_of_like_size, implant_mesh, resolution
-from pftwin.geometry.mesh.winding import adjacent
+from pftwin.geometry.mesh.topology import adjacent
 
 R = 0.025
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import brute_force
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,14 +17,10 @@ from scenes import OPTIMISED
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
-from pftwin.geometry.bvh import brute_force
-from pftwin.geometry.bvh.ball import BallListLengths
-from pftwin.geometry.bvh.nearest_wide import nearest_wide
 from pftwin.geometry.bvh.tree import build_tree
 from pftwin.geometry.bvh.triangle import Triangle
-from pftwin.geometry.bvh.wide import wide_tree
-from pftwin.geometry.contact.angle import angle
-from pftwin.geometry.contact.ball_cut import ball_cut
+from pftwin.geometry.bvh.wide import BallListLengths, nearest_wide, wide_tree
+from pftwin.geometry.contact.ball_cut import angle, ball_cut
 from pftwin.geometry.contact.patch_mesh import PatchMesh, patch_mesh
 from pftwin.geometry.contact.sphere_patch import sphere_patch
 from pftwin.geometry.mesh.icosphere import icosphere

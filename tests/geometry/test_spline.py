@@ -12,9 +12,8 @@ from scenes import RADIUS, contact, look, plane_chart, vec
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.contact.facets import follow_facets
 from pftwin.geometry.patch.closest import Surface
-from pftwin.geometry.patch.spline import SplinePatch
-from pftwin.geometry.patch.spline_basis import cubic_basis
-from pftwin.geometry.patch.spline_fit import fit_spline
+from pftwin.geometry.patch.fit import fit_spline
+from pftwin.geometry.patch.spline import SplinePatch, cubic_basis
 from pftwin.model.effects.contact_law import Hertz
 
 J = jnp.asarray

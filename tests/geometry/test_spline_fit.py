@@ -13,12 +13,10 @@ from scenes import plane_chart
 
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.geometry.mesh.mesh import load_mesh
+from pftwin.geometry.patch.fit import TOLERANCE, fit_named, fit_patch, fit_spline, name_of, parse_name
 from pftwin.geometry.patch.implant import rig_implant, rig_region
-from pftwin.geometry.patch.polynomial_fit import fit_patch
 from pftwin.geometry.patch.region import trochlear_region
 from pftwin.geometry.patch.spline import SplinePatch
-from pftwin.geometry.patch.spline_fit import TOLERANCE, fit_spline
-from pftwin.geometry.patch.spline_or_polynomial import fit_named, name_of, parse_name
 from pftwin.rig.cases import contact_fit, implant_mesh
 
 J = jnp.asarray

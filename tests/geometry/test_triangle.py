@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import brute_force
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pftwin.base.spatial import Vec3
-from pftwin.geometry.bvh import brute_force
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 
 CORNERS = np.array([[0.0, 0, 0], [0.03, 0, 0], [0.01, 0.02, 0]])

@@ -73,7 +73,7 @@ def app(
 
 def contacts_of(case: int | None, own: str | None) -> tuple[str, ...]:
     """Names of the contacts that the page offers, the scene's own first."""
-    from pftwin.geometry.patch.spline_or_polynomial import SPLINE
+    from pftwin.geometry.patch.fit import SPLINE
     from pftwin.rig.contacts import ON_MESHES
 
     smooth = ("P2", "P4", "P5", SPLINE)

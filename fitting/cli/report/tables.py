@@ -66,7 +66,7 @@ def parameters(scene: Scene) -> Sheet:
 def _declared(effect: Effect) -> Iterator[tuple[str, str, str]]:
     """Quantity, value and unit of every number that an effect declares; of a surface, what it is in a word."""
     from pftwin.base.quantities import declarations
-    from pftwin.geometry.patch.spline_or_polynomial import name_of
+    from pftwin.geometry.patch.fit import name_of
 
     surface = None
     if (contact := effect.contact_role()) is not None:

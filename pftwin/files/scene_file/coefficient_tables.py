@@ -75,8 +75,8 @@ class PatchSurfaceSection(Section):
 
     def build(self, setting: Setting, at: At) -> Surface:
         """The patch."""
+        from pftwin.geometry.patch.fit import parse_degree
         from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
-        from pftwin.geometry.patch.polynomial_fit import parse_degree
 
         document = setting.document
         with document.naming(*at, "degree"):
@@ -117,8 +117,8 @@ class SplineSurfaceSection(Section):
 
     def build(self, setting: Setting, at: At) -> Surface:
         """The patch."""
+        from pftwin.geometry.patch.fit import SPLINE
         from pftwin.geometry.patch.spline import SplinePatch
-        from pftwin.geometry.patch.spline_or_polynomial import SPLINE
 
         with setting.document.naming(*at):
             refuse_other(setting, SPLINE)
@@ -131,7 +131,7 @@ class SplineSurfaceSection(Section):
 
 def refuse_other(setting: Setting, name: str | None) -> None:
     """A patch asked for on the command line can only be had where there is a mesh to fit it to."""
-    from pftwin.geometry.patch.spline_or_polynomial import parse_name
+    from pftwin.geometry.patch.fit import parse_name
 
     if setting.contact is not None and parse_name(setting.contact) != name:
         raise InputError(

@@ -108,7 +108,7 @@ class MeshContactSection(EffectSection):
 
 def _measured_radius(femur: FemurMesh, made: PatchMesh, radius: float) -> float:
     """Beside the groove, where the mesh has one [m]."""
-    from pftwin.geometry.contact.effective_radius import beside_groove, effective_radius
+    from pftwin.geometry.contact.overlap import beside_groove, effective_radius
 
     near = None if femur.region is None else beside_groove(femur.mesh, femur.region, 0.5 * radius)
     return effective_radius(femur.mesh, made, radius, near)

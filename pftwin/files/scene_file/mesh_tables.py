@@ -49,7 +49,7 @@ class MeshFileSection(Section):
 
     def read(self, setting: Setting, at: At) -> SurfaceMesh:
         """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
-        from pftwin.geometry.mesh.checked import checked_mesh
+        from pftwin.geometry.mesh.doctor import checked_mesh
         from pftwin.geometry.mesh.mesh import SurfaceMesh
 
         with setting.document.naming(*at, "mesh"):
@@ -196,9 +196,9 @@ def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting, at: At) 
     Raises:
         InputError: most of the button behind the femur's surface, or all of it far away.
     """
+    from pftwin.geometry.contact.behind import mutual_place
     from pftwin.geometry.contact.depths import DEEPEST
-    from pftwin.geometry.contact.mutual_place import mutual_place
-    from pftwin.geometry.mesh.units import PLAUSIBLE
+    from pftwin.geometry.mesh.mesh import PLAUSIBLE
 
     start = setting.start @ HostPose(button.origin, np.eye(3))
     found = mutual_place(femur.mesh, button.mesh, start.position, start.matrix)

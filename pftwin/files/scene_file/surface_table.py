@@ -121,7 +121,7 @@ class MeshSurfaceSection(Section):
     def build(self, setting: Setting, at: At) -> Surface:
         """The patch; a note says how well it fits."""
         from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
-        from pftwin.geometry.patch.spline_or_polynomial import SPLINE, fit_named, parse_name
+        from pftwin.geometry.patch.fit import SPLINE, fit_named, parse_name
 
         document = setting.document
         with document.naming(*at, "mesh"):

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.geometry.bvh.queue import LANES, Queue, pushed_where, queue_of
+from pftwin.geometry.bvh.loops import LANES, Queue, pushed_where, queue_of
 
 Blocks = Array  # (parents, components, children): the volumes of nodes' descendants, a component a row
 Test = Callable[[Array, Array], Array]  # both nodes' descendants (components, m, n) -> (m, n) bool

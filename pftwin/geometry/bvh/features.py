@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.geometry.mesh.parts import edges_of
+from pftwin.geometry.mesh.topology import Edges, edges_of
 
 
 class Features(NamedTuple):
@@ -36,11 +36,7 @@ def features_of(mesh: SurfaceMesh, label: NDArray[np.int64]) -> Features:
     at_corners = _sums(faces, (angles[:, :, None] * normals[:, None]).reshape(-1, 3), n)
     outward = np.concatenate([normals[:, None], at_edges[edges.of_face], at_corners[faces]], axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-300)
-    # Triangles of two facets meet at an edge where the labels around it are not all alike.
-    lowest, highest = np.full(len(edges.corners), label.max()), np.full(len(edges.corners), label.min())
-    np.minimum.at(lowest, edges.of_face.ravel(), np.repeat(label, 3))
-    np.maximum.at(highest, edges.of_face.ravel(), np.repeat(label, 3))
-    between = lowest < highest
+    between = _bordering(edges, label)
     return Features(outward, *(_marked(faces, edges.of_face, edges.corners, m, n) for m in (edges.count == 1, between)))
 
 
@@ -54,3 +50,23 @@ def _marked(faces: NDArray, of_face: NDArray, corners: NDArray, marked: NDArray,
     ends = np.zeros(n, dtype=bool)
     ends[corners[marked]] = True
     return np.concatenate([np.zeros((len(faces), 1), bool), marked[of_face], ends[faces]], axis=1)
+
+
+def _bordering(edges: Edges, label: NDArray) -> NDArray[np.bool_]:
+    """Of which edges the triangles, which bear labels (m,), are not all of one label."""
+    lowest, highest = np.full(len(edges.corners), label.max()), np.full(len(edges.corners), label.min())
+    np.minimum.at(lowest, edges.of_face.ravel(), np.repeat(label, 3))
+    np.maximum.at(highest, edges.of_face.ravel(), np.repeat(label, 3))
+    return lowest < highest
+
+
+def edges_between(mesh: SurfaceMesh, label: NDArray) -> NDArray[np.float64]:
+    """The edges (k, 6) where triangles of different labels (m,) meet."""
+    edges = edges_of(mesh.faces)
+    return mesh.vertices[edges.corners[_bordering(edges, label)]].reshape(-1, 6)
+
+
+def rim_edges(mesh: SurfaceMesh) -> NDArray[np.float64]:
+    """The edges (k, 6) of an open mesh's boundary; none of a closed one's."""
+    edges = edges_of(mesh.faces)
+    return mesh.vertices[edges.corners[edges.count == 1]].reshape(-1, 6)

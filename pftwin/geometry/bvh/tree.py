@@ -1,15 +1,16 @@
-"""A triangle mesh with its bounding volume hierarchy, as a pytree; and how it is built.
+"""A triangle mesh with its tree of discs, as a pytree; and how it is built.
 
 The tree is complete: level l has 2^l nodes, the children of node i are 2 i and 2 i + 1 of the next level, and the
-triangles of the leaf i are in the places from i * leaf on. Bounding volumes are single precision and hold their
-triangles with room for its rounding; triangles are in JAX's default float type.
+triangles of the leaf i are in the places from i * leaf on. Every split halves a node's triangles, to within one, along
+the axis in which their middles reach farthest, so a node's triangles and its descendants at any level are neighbours in
+memory. Discs are single precision and hold their triangles with room for its rounding; triangles are in JAX's default
+float type.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from types import ModuleType
-from typing import Literal
 
 import equinox as eqx
 import jax
@@ -22,26 +23,18 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.base.text_files import MESH_TRIANGLES
-from pftwin.geometry.bvh import boxes, discs
-from pftwin.geometry.bvh.order import depth_for, median_order
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-Kind = Literal["disc", "box"]
-VOLUMES: dict[str, ModuleType] = {"disc": discs, "box": boxes}
-ROUNDING = 32 * float(
-    np.finfo(np.float32).eps
-)  # of the largest coordinate: what queries in single precision may be off
+ROUNDING = 32 * float(np.finfo(np.float32).eps)  # of the largest coordinate: what single precision may be off
+CANCELLED = 1e-6  # what single precision may lose where a square is taken from one as large, and room
 
 
 class MeshTree(eqx.Module):
     """A mesh and its tree. Arrays are leaves: a moved or another mesh of the same size re-uses the compiled program."""
 
     triangles: Array  # (places, 9) corners a, b, c [m]
-    index: (
-        Array  # (places,) int32: which triangle of the mesh; in an empty place, which holds a copy, -1 - its original
-    )
-    levels: tuple[Array, ...]  # (2^l, width) float32 bounding volumes, the root first
-    kind: Kind = eqx.field(static=True, default="disc")
+    index: Array  # (places,) int32: which triangle; in an empty place, which holds a copy, -1 - its original
+    levels: tuple[Array, ...]  # (2^l, 8) float32 discs, the root first
 
     @property
     def depth(self) -> int:
@@ -53,62 +46,58 @@ class MeshTree(eqx.Module):
         """Places in a leaf."""
         return self.index.shape[-1] >> self.depth
 
-    @property
-    def volumes(self) -> ModuleType:
-        """The kind of bounding volume: `boxes` or `discs`."""
-        return VOLUMES[self.kind]
-
     def source_index(self) -> Array:
         """Which triangle of the mesh is in each place, copies included, (places,)."""
         return jnp.where(self.index < 0, -1 - self.index, self.index)
 
 
-def build_tree(mesh: SurfaceMesh, *, kind: Kind = "disc", leaf: int = 4, depth: int | None = None) -> MeshTree:
-    """The tree of a mesh; found again, not built, where values are kept and one of the same content was built before.
+def build_tree(mesh: SurfaceMesh, *, leaf: int = 4, depth: int | None = None) -> MeshTree:
+    """The tree of a mesh, from the cache where one of the same content was built before.
 
     Args:
         mesh: open or closed [m].
-        kind: "disc", or "box" as the paper has them.
         leaf: most triangles in a leaf.
         depth: levels below the root, if more than the mesh needs.
 
     Raises:
-        InputError: an unknown kind; a leaf of no triangles; a mesh with none, with too many, or not finite.
+        InputError: a leaf of no triangles; a depth too small; a mesh with no triangles, too many, or not finite.
     """
-    if kind not in VOLUMES:
-        raise InputError(f"no bounding volume {kind!r}", where="kind", expected='"disc" or "box"')
     if not 1 <= leaf <= 64:
         raise InputError(f"leaves of {leaf} triangles", where="leaf", expected="1 to 64")
-    if not 0 < len(mesh.faces) <= MESH_TRIANGLES:
-        raise InputError(f"{len(mesh.faces)} triangles", where=mesh.source, expected=f"1 to {MESH_TRIANGLES}")
-    if not np.isfinite(mesh.vertices).all():
-        raise InputError("vertices that are not finite", where=mesh.source, remedy="pftwin doctor-mesh")
+    check_searchable(mesh)
     deep = depth_for(len(mesh.faces), leaf)
     if depth is not None and depth < deep:
         raise InputError(f"a depth of {depth}", where="depth", expected=f"{deep} or more for this mesh")
     corners = np.ascontiguousarray(mesh.vertices[mesh.faces])
-    triangles, index, levels = cached(tree_arrays, corners, kind, leaf, deep if depth is None else depth, files=())
+    triangles, index, levels = cached(tree_arrays, corners, leaf, deep if depth is None else depth, files=())
     own = triangles.astype(canonicalize_dtype(float))
-    return MeshTree(jax.device_put(own), jax.device_put(index), tuple(jax.device_put(a) for a in levels), kind)
+    return MeshTree(jax.device_put(own), jax.device_put(index), tuple(jax.device_put(a) for a in levels))
+
+
+def check_searchable(mesh: SurfaceMesh) -> None:
+    """Refuse a mesh of no triangles, of too many, or with coordinates that are not finite."""
+    if not 0 < len(mesh.faces) <= MESH_TRIANGLES:
+        raise InputError(f"{len(mesh.faces)} triangles", where=mesh.source, expected=f"1 to {MESH_TRIANGLES}")
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError("vertices that are not finite", where=mesh.source, remedy="pftwin doctor-mesh")
 
 
 def joined(trees: Sequence[MeshTree]) -> MeshTree:
-    """One tree with two of the same depth, kind and leaf below its root; or the only one as it is.
+    """One tree with two of the same depth and leaf below its root; or the only one as it is.
 
     The triangles of the second tree come after those of the first; `index` stays each tree's own.
     """
     if len(trees) == 1:
         return trees[0]
-    first, second = trees
-    below = [np.concatenate([a, b]) for a, b in zip(first.levels, second.levels, strict=True)]
-    triangles, index = (np.concatenate([getattr(t, n) for t in trees]) for n in ("triangles", "index"))
-    root = _volumes(triangles.astype(np.float64).reshape(-1, 3, 3), first.kind, 0)
+    below = [np.concatenate(pair) for pair in zip(*(t.levels for t in trees), strict=True)]
+    triangles, index = (np.concatenate(x) for x in zip(*((t.triangles, t.index) for t in trees), strict=True))
+    root = _discs(triangles.astype(np.float64).reshape(-1, 3, 3), 0)
     levels = tuple(jax.device_put(a) for a in (root, *below))
-    return MeshTree(jax.device_put(triangles), jax.device_put(index), levels, first.kind)
+    return MeshTree(jax.device_put(triangles), jax.device_put(index), levels)
 
 
 def tree_arrays(
-    corners: NDArray[np.float64], kind: str, leaf: int, depth: int
+    corners: NDArray[np.float64], leaf: int, depth: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], tuple[NDArray[np.float32], ...]]:
     """A tree's triangles, index and levels from corners (n, 3, 3)."""
     index = median_order(corners.mean(axis=1), leaf, depth)
@@ -118,16 +107,123 @@ def tree_arrays(
     places = np.where(placed >= 0, placed, placed[full, :1])
     triangles = corners[places.ravel()]
     index = np.where(placed >= 0, placed, -1 - places).ravel()
-    return triangles.reshape(-1, 9), index.astype(np.int32), volume_levels(triangles, kind, depth)
+    levels = tuple(_discs(triangles, level) for level in range(depth + 1))
+    return triangles.reshape(-1, 9), index.astype(np.int32), levels
 
 
-def volume_levels(triangles: NDArray[np.float64], kind: str, depth: int) -> tuple[NDArray[np.float32], ...]:
-    """The bounding volumes of every level of a tree, (2^l, width), around its triangles (places, 3, 3)."""
-    return tuple(_volumes(triangles, kind, level) for level in range(depth + 1))
-
-
-def _volumes(triangles: NDArray[np.float64], kind: str, level: int) -> NDArray[np.float32]:
-    """The bounding volumes (2^level, width) of a tree's triangles (places, 3, 3)."""
+def _discs(triangles: NDArray[np.float64], level: int) -> NDArray[np.float32]:
+    """The discs (2^level, 8) of a tree's triangles (places, 3, 3)."""
     margin = ROUNDING * float(np.abs(triangles).max())
     vectors = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    return VOLUMES[kind].fit(triangles.reshape(2**level, -1, 3), vectors.reshape(2**level, -1, 3), margin)
+    return fit_discs(triangles.reshape(2**level, -1, 3), vectors.reshape(2**level, -1, 3), margin)
+
+
+def depth_for(n: int, leaf: int) -> int:
+    """Levels below the root of a complete tree whose leaves hold at most `leaf` of n triangles."""
+    return max(0, math.ceil(math.log2(n / leaf)))
+
+
+def median_order(middles: NDArray[np.float64], leaf: int, depth: int) -> NDArray[np.int64]:
+    """Which triangle is in which place, -1 in the empty ones: (2^depth * leaf,).
+
+    Args:
+        middles: (n, 3) of the triangles.
+        leaf: places in a leaf.
+        depth: of the tree, at least `depth_for` the triangles.
+    """
+    n = len(middles)
+    rows, counts = np.arange(n)[None], np.array([n])
+    for _ in range(depth):
+        rows, counts = _split(middles, rows, counts)
+    places = np.full((2**depth, leaf), -1)
+    places[:, : rows.shape[1]] = rows
+    places[np.arange(leaf) >= counts[:, None]] = -1
+    return places.ravel()
+
+
+def _split(middles: NDArray, rows: NDArray, counts: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Every row's triangles in two rows; beyond its count a row holds copies of its first."""
+    n_rows, width = rows.shape
+    p = middles[rows]
+    axis = np.argmax(np.ptp(p, axis=1), axis=1)
+    key = np.take_along_axis(p, axis[:, None, None], axis=2)[:, :, 0]
+    key = np.where(np.arange(width) < counts[:, None], key, np.inf)
+    rows = np.take_along_axis(rows, np.argsort(key, axis=1, kind="stable"), axis=1)
+    left, right = (counts + 1) // 2, counts // 2
+    half = (width + 1) // 2
+    place = np.arange(half)
+    first = np.where(place < left[:, None], place, 0)
+    second = np.minimum(left[:, None] + np.where(place < right[:, None], place, 0), width - 1)
+    halves = np.stack([np.take_along_axis(rows, k, axis=1) for k in (first, second)], axis=1)
+    return halves.reshape(2 * n_rows, half), np.stack([left, right], axis=1).ravel()
+
+
+# A disc is a flat round slab along the surface: middle, unit normal, radius, half thickness (8). It turns with the
+# surface, and so tells apart facets that face and nearly follow each other, where boxes along fixed axes overlap.
+
+
+def fit_discs(corners: NDArray[np.float64], vectors: NDArray[np.float64], margin: float) -> NDArray[np.float32]:
+    """The discs (nodes, 8) of the points (nodes, k, 3), across the mean of area vectors (nodes, m, 3)."""
+    normal = vectors.sum(axis=1)
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.where(size > 0, normal / np.where(size > 0, size, 1), np.array([0.0, 0.0, 1.0]))
+    normal = normal.astype(np.float32).astype(np.float64)  # as it is stored
+    least = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    u = np.cross(normal, least)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    axes = np.stack([u, np.cross(normal, u), normal], axis=1)
+    local = corners @ np.swapaxes(axes, 1, 2)
+    low, high = local.min(axis=1), local.max(axis=1)
+    middle = 0.5 * (low + high)
+    in_plane = local[:, :, :2] - middle[:, None, :2]
+    radius = np.sqrt((in_plane**2).sum(axis=2).max(axis=1))
+    center = np.einsum("nij,ni->nj", axes, middle)
+    sizes = np.stack([radius, 0.5 * (high - low)[:, 2]], axis=1) + margin
+    return np.concatenate([center, normal, sizes], axis=1).astype(np.float32)
+
+
+def disc_distances(rows: Array, point: Array) -> tuple[Array, Array]:
+    """Bounds (...) on the distance from a point (3,) to the surface in discs (..., 8): at least, and at most."""
+    away = [point[i] - rows[..., i] for i in range(3)]
+    height = jnp.abs(_dot(away, [rows[..., 3 + i] for i in range(3)]))
+    beside = jnp.sqrt(jnp.maximum(_dot(away, away) - height * height, 0))
+    radius, thickness = rows[..., 6], rows[..., 7]
+    over, beyond = jnp.maximum(height - thickness, 0), jnp.maximum(beside - radius, 0)
+    far_over, far_beyond = height + thickness, beside + radius
+    return jnp.sqrt(over * over + beyond * beyond), jnp.sqrt(far_over * far_over + far_beyond * far_beyond)
+
+
+def discs_overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Array:
+    """Whether discs a (8, ...) and b (8, ...), a component a row, may touch.
+
+    They do not where a direction separates them: either's normal, or the line between their middles. b's frame in a's
+    is given by rotation (3, 3) and translation (3,).
+    """
+    middle = [_dot(list(rotation[i]), list(b[:3])) + translation[i] for i in range(3)]
+    n = [_dot(list(rotation[i]), list(b[3:6])) for i in range(3)]
+    m = list(a[3:6])
+    away = [middle[i] - a[i] for i in range(3)]
+    (ra, ta), (rb, tb) = ((rows[6], rows[7]) for rows in (a, b))
+    along = _dot(m, n)
+    tilted = jnp.abs(1 - along * along) + CANCELLED  # square of the sine of the angle between them
+    along = jnp.abs(along)
+    over_a, over_b = jnp.abs(_dot(away, m)), jnp.abs(_dot(away, n))
+    square = _dot(away, away)
+    # Radii stand with roots, so squares are compared: x > r sqrt(s) where x > 0 and x^2 > r^2 s.
+    beyond_a, beyond_b = over_a - ta - tb * along, over_b - tb - ta * along
+    apart = _longer(beyond_a, rb * rb * tilted) | _longer(beyond_b, ra * ra * tilted)
+    # Along the middles' line, times its length, discs reach r sqrt(s) each; (ra sqrt(s_a) + rb sqrt(s_b))^2 is at most
+    # (ra + rb) (ra s_a + rb s_b), and hardly less where both discs lie alike.
+    lost = CANCELLED * square
+    aside_a, aside_b = (jnp.abs(square - over * over) + lost for over in (over_a, over_b))
+    between = square - ta * over_a - tb * over_b
+    return ~(apart | _longer(between, (ra + rb) * (ra * aside_a + rb * aside_b)))
+
+
+def _longer(length: Array, square: Array) -> Array:
+    """Whether a length, which may be negative, is more than the root of a square."""
+    return (length > 0) & (length * length > square)
+
+
+def _dot(a: list[Array], b: list[Array]) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -61,7 +62,7 @@ def closest_on_triangle(t: Triangle, p: Vec3) -> OnTriangle:
     for edge, (start, way, arm) in enumerate(((t.a, ab, ap), (t.b, bc, bp), (t.c, ca, cp))):
         at, s, corner = _on_edge(start, way, arm, p, edge)
         nearer = ~inside & (stop_gradient(s) < stop_gradient(square))
-        best = Vec3(*(jnp.where(nearer, n, o) for n, o in zip(_parts(at), _parts(best), strict=True)))
+        best = _either(nearer, at, best)
         square, feature = jnp.where(nearer, s, square), jnp.where(nearer, corner, feature)
     return OnTriangle(best, square, feature)
 
@@ -77,11 +78,108 @@ def _on_edge(start: Vec3, way: Vec3, arm: Vec3, p: Vec3, edge: int) -> tuple[Vec
     return at, (p - at).squared_norm(), corner.astype(jnp.int32)
 
 
-def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return v.x, v.y, v.z
-
-
 def half_extent(corners: Array) -> Scalar:
     """Half the largest extent along an axis of triangles given by their corners (n, 9) [m]."""
     points = corners.reshape(-1, 3)
     return 0.5 * jnp.max(jnp.max(points, axis=0) - jnp.min(points, axis=0))
+
+
+class Segment(NamedTuple):
+    """Where two triangles cross, from `start` to `end` along the cross product of their normals."""
+
+    start: Vec3
+    end: Vec3
+    edges: tuple[Array, Array]  # int32 bits: the edges (1, 2, 4: ab, bc, ca) of the first triangle, and of the second,
+    # that the ends are on; each end is on an edge of one of them
+    crossing: Array  # bool
+
+
+def meet(s: Triangle, t: Triangle) -> Array:
+    """Whether two triangles cross: an edge of one pierces the other. Triangles in one plane do not count.
+
+    With signed volumes of tetrahedra alone, no division; for batches of one shape. An edge passes all of a triangle's
+    edges on the same side, or it misses; the nine volumes of two edges each serve both triangles.
+    """
+    turns = [_volumes(p, q, t) for p, q in _edges(s)]
+    hit = jnp.zeros_like(s.a.x, dtype=bool)
+    for k, crosses in enumerate(_edges_through(s, t)):
+        hit = hit | (crosses & _alike(turns[k]))
+    for k, crosses in enumerate(_edges_through(t, s)):
+        hit = hit | (crosses & _alike([row[k] for row in turns]))
+    return hit
+
+
+def crossing(s: Triangle, t: Triangle) -> Segment:
+    """The segment in which two triangles cross; for batches of one shape. Differentiable wherever they do."""
+    along = s.area_vector().cross(t.area_vector())
+    ends = []
+    for own, other in ((s, t), (t, s)):
+        (p, q), bits, cuts = _cut(own, other)
+        ahead = stop_gradient(p.dot(along) <= q.dot(along))
+        ends.append((_either(ahead, p, q), _either(ahead, q, p), *_sorted(ahead, bits), cuts))
+    (s0, s1, s_bit0, s_bit1, s_cuts), (t0, t1, t_bit0, t_bit1, t_cuts) = ends
+    from_s = stop_gradient(s0.dot(along) >= t0.dot(along))
+    to_s = stop_gradient(s1.dot(along) <= t1.dot(along))
+    start, end = _either(from_s, s0, t0), _either(to_s, s1, t1)
+    zero = jnp.zeros_like(s_bit0)
+    of_s = jnp.where(from_s, s_bit0, zero) | jnp.where(to_s, s_bit1, zero)
+    of_t = jnp.where(from_s, zero, t_bit0) | jnp.where(to_s, zero, t_bit1)
+    return Segment(start, end, (of_s, of_t), s_cuts & t_cuts & (stop_gradient((end - start).dot(along)) > 0))
+
+
+def _cut(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array, Array], Array]:
+    """Where a triangle's edges pass the other's plane: two points, their edges' bits, and whether it does."""
+    normal = other.area_vector()
+    corners = own.a, own.b, own.c
+    heights = [(p - other.a).dot(normal) for p in corners]
+    above = [stop_gradient(h > 0) for h in heights]
+    # The corner that is alone on its side; both edges from it pass through the plane.
+    lone_a = (above[0] != above[1]) & (above[0] != above[2])
+    lone_b = (above[1] != above[0]) & (above[1] != above[2])
+    cuts = (above[0] != above[1]) | (above[1] != above[2])
+
+    def rolled(x: list, k: int):
+        pick = [x[(i + k) % 3] for i in range(3)]
+        return jnp.where(lone_a, pick[0], jnp.where(lone_b, pick[1], pick[2]))
+
+    h = [rolled(heights, k) for k in range(3)]
+    p = [jax.tree.map(lambda *x, k=k: rolled(list(x), k), *corners) for k in range(3)]
+    ones = jnp.ones_like(h[0])
+    points = []
+    for k in (1, 2):
+        share = h[0] / jnp.where(cuts, h[0] - h[k], ones)
+        points.append(p[0] + share * (p[k] - p[0]))
+    # From corner a the edges are ab and ca, from b bc and ab, from c ca and bc.
+    bits = [rolled([jnp.full_like(h[0], b, jnp.int32) for b in row], 0) for row in ((1, 2, 4), (4, 1, 2))]
+    return (points[0], points[1]), (bits[0], bits[1]), cuts
+
+
+def _either(first: Array, p: Vec3, q: Vec3) -> Vec3:
+    return jax.tree.map(lambda x, y: jnp.where(first, x, y), p, q)
+
+
+def _sorted(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:
+    return jnp.where(in_order, bits[0], bits[1]), jnp.where(in_order, bits[1], bits[0])
+
+
+def _edges(t: Triangle) -> tuple[tuple[Vec3, Vec3], ...]:
+    return (t.a, t.b), (t.b, t.c), (t.c, t.a)
+
+
+def _volumes(start: Vec3, end: Vec3, t: Triangle) -> list[Scalar]:
+    """Of an edge with each of a triangle's edges, six times, signed."""
+    way, a, b, c = end - start, t.a - start, t.b - start, t.c - start
+    return [way.dot(p.cross(q)) for p, q in ((a, b), (b, c), (c, a))]
+
+
+def _edges_through(edges: Triangle, face: Triangle) -> list[Array]:
+    """Which of a triangle's edges have ends on both sides of another's plane."""
+    normal = face.area_vector()
+    above = [(p - face.a).dot(normal) > 0 for p in (edges.a, edges.b, edges.c)]
+    return [above[k] != above[(k + 1) % 3] for k in range(3)]
+
+
+def _alike(x: list[Scalar]) -> Array:
+    """Whether no two of three numbers have opposite signs."""
+    up = (x[0] >= 0) & (x[1] >= 0) & (x[2] >= 0)
+    return up | ((x[0] <= 0) & (x[1] <= 0) & (x[2] <= 0))

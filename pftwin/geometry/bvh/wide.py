@@ -6,6 +6,9 @@ many lanes, tests a disc in a few nanoseconds. In a batch the members take turns
 
 from __future__ import annotations
 
+from functools import partial
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,8 +17,10 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.geometry.bvh.discs import CANCELLED
-from pftwin.geometry.bvh.tree import MeshTree
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.bvh.loops import member_by_member, written_where
+from pftwin.geometry.bvh.tree import CANCELLED, MeshTree
+from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 
 FAN = 16  # descendants looked at together, four levels of the binary tree below
 SLACK = 1e-5  # share of a distance by which single precision may be off
@@ -60,10 +65,10 @@ def wide_tree(tree: MeshTree) -> WideTree:
     """The blocks of a tree. The copies that fill its empty places are found by no search.
 
     Raises:
-        InputError: a tree of boxes, or with more than one triangle in a leaf.
+        InputError: a tree with more than one triangle in a leaf.
     """
-    if tree.kind != "disc" or tree.leaf != 1:
-        raise InputError(f"{tree.kind}s with {tree.leaf} triangles a leaf", where="tree", expected="discs with one")
+    if tree.leaf != 1:
+        raise InputError(f"{tree.leaf} triangles a leaf", where="tree", expected="one")
     top = tree.depth % 4 or min(4, tree.depth)
     levels = [np.array(tree.levels[k]) for k in range(top, tree.depth + 1, 4)]
     nowhere = np.array([_NOWHERE] * 3 + [0, 0, 1, 0, 0], np.float32)
@@ -85,3 +90,147 @@ def squares(block: Array, point: Array) -> tuple[Array, Array]:
     farthest = jnp.sqrt(jnp.maximum(beside, 0) + lost) + block[6]
     low, high = jnp.maximum(height - block[7], 0), height + block[7]
     return nearest * nearest + low * low, farthest * farthest + high * high
+
+
+# The nearest triangle, level after level: of a node's sixteen descendants those stay whose least distance is not above
+# the smallest of all largest ones met so far. Of the triangles that are left the nearest is taken, in full precision.
+
+
+WIDTH = 1024  # nodes and triangles that may stay in the race: some ten times what an implant asks for
+LAST = 16  # triangles compared in full precision at a time
+
+
+class NearestTriangle(NamedTuple):
+    """The nearest triangle."""
+
+    place: Array  # () int32, in the tree
+    overflow: Array  # () bool: more were in the race than there was room for; the answer may be wrong
+
+
+def nearest_wide(
+    tree: WideTree, triangles: Array, point: Vec3, half: int | None = None, *, width: int | None = None
+) -> NearestTriangle:
+    """The triangle nearest to a point of the mesh's frame. Nothing here is differentiated.
+
+    Args:
+        tree: of the mesh.
+        triangles: (places, 9) in the tree's order [m].
+        point: in the mesh's frame [m].
+        half: 0 or 1: of all triangles those in the first or the second half of the places.
+        width: room for nodes and triangles; None: `WIDTH`.
+    """
+    room = WIDTH if width is None else width
+    return member_by_member(partial(_search_nearest, half, room))(
+        tree, triangles, jnp.stack([point.x, point.y, point.z])
+    )
+
+
+def _search_nearest(half: int | None, room: int, tree: WideTree, rows: Array, point: Array) -> NearestTriangle:
+    p = jax.lax.convert_element_type(point, jnp.float32)
+    lanes = jnp.arange(FAN, dtype=jnp.int32)
+    taken = (lanes >= tree.first // 2) == bool(half)
+
+    def look(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        head, nodes, end, bound = state
+        node = jax.lax.dynamic_index_in_dim(nodes, head, keepdims=False)
+        block, first = tree.below(node)
+        least, most = squares(block, p)
+        if half is not None:
+            out = (node < 0) & ~taken
+            least, most = jnp.where(out, jnp.inf, least), jnp.where(out, jnp.inf, most)
+        bound = jnp.minimum(bound, jnp.min(most) * jnp.float32(1 + 4 * SLACK))
+        nodes, end = written_where(nodes, end, room, least <= bound, lambda lane: first + lane)
+        return head + 1, nodes, end, bound
+
+    def more(state: tuple[Array, ...]) -> Array:
+        head, nodes, end, _ = state
+        node = jax.lax.dynamic_index_in_dim(nodes, head, keepdims=False)
+        return (head < jnp.minimum(end, room)) & (node < tree.n_inner)
+
+    zero = jnp.zeros((), jnp.int32)
+    start = (zero, jnp.full(room + FAN, -1, jnp.int32), zero + 1, jnp.asarray(jnp.inf, jnp.float32))
+    head, nodes, end, _ = jax.lax.while_loop(more, look, start)
+    last = jnp.minimum(end, room)
+    place, _ = _among(rows, point, nodes - tree.n_inner, head, last)
+    return NearestTriangle(place, (end > room) | (head >= last))
+
+
+def _among(rows: Array, point: Array, places: Array, first: Array, end: Array) -> tuple[Array, Array]:
+    """The place of the nearest triangle of a stretch of a list, and the square of its distance."""
+
+    def compare(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        i, best, square = state
+        some = jnp.maximum(jax.lax.dynamic_slice_in_dim(places, i, LAST), 0)
+        p = Vec3(*(jnp.broadcast_to(point[k], (LAST,)) for k in range(3)))
+        found = closest_on_triangle(Triangle.of_rows(rows[some]), p).square
+        found = jnp.where(i + jnp.arange(LAST, dtype=jnp.int32) < end, found, jnp.inf)
+        k = jnp.argmin(found)
+        nearer = found[k] < square
+        return i + LAST, jnp.where(nearer, some[k], best), jnp.where(nearer, found[k], square)
+
+    start = (first, jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, point.dtype))
+    return jax.lax.while_loop(lambda s: s[0] < end, compare, start)[1:]
+
+
+# What is inside a ball: a node that lies wholly in it counts as one, with its sums, and only triangles along the ball's
+# rim are looked at one by one. So the price grows with the length of a contact's outline, not with its area.
+
+
+class BallListLengths(NamedTuple):
+    """How long the lists are."""
+
+    cut: int  # triangles that the ball's surface may cut
+    inside: int  # nodes wholly inside
+
+
+class InBall(NamedTuple):
+    """Lists of fixed length; entries past the counts mean nothing."""
+
+    cut: Array  # (room.cut,) int32: places of the triangles that the ball's surface may cut
+    n_cut: Array  # () int32, may be more than the list holds
+    inside: Array  # (room.inside,) int32: numbers of the nodes wholly inside
+    n_inside: Array  # () int32
+
+    def overflow(self) -> Array:
+        """Whether some were lost."""
+        return (self.n_cut > self.cut.shape[0]) | (self.n_inside > self.inside.shape[0])
+
+
+def in_ball(tree: WideTree, center: Vec3, radius: Scalar, room: BallListLengths) -> InBall:
+    """What is inside a ball about a point of the mesh's frame [m]. Nothing here is differentiated."""
+    ball = jnp.stack([jnp.asarray(a, jnp.float32) for a in (center.x, center.y, center.z, radius)])
+    return member_by_member(partial(_search_ball, room))(tree, ball)
+
+
+def _search_ball(room: BallListLengths, tree: WideTree, ball: Array) -> InBall:
+    # One array for both lists, nodes inside behind those to look at: XLA copies a second one in every round.
+    shelf = 2 * room.cut + 2 * FAN  # half of it for inner nodes on the way
+    size = shelf + room.inside + FAN
+    reach = ball[3] * ball[3]
+
+    def look(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        head, lists, end, inside_end = state
+        block, first = tree.below(jax.lax.dynamic_index_in_dim(lists, head, keepdims=False))
+        least, most = squares(block, ball[:3])
+        inside = most <= jnp.float32(1 - 2 * SLACK) * reach
+        touched = least <= jnp.float32(1 + 2 * SLACK) * reach
+        lists, end = written_where(lists, end, shelf - FAN, touched & ~inside, lambda lane: first + lane)
+        lists, inside_end = written_where(lists, inside_end, size - FAN, inside, lambda lane: first + lane)
+        return head + 1, lists, end, inside_end
+
+    def more(state: tuple[Array, ...]) -> Array:
+        head, lists, end, _ = state
+        node = jax.lax.dynamic_index_in_dim(lists, head, keepdims=False)
+        return (head < jnp.minimum(end, shelf - FAN)) & (node < tree.n_inner)
+
+    zero = jnp.zeros((), jnp.int32)
+    start = (zero, jnp.full(size, -1, jnp.int32), zero + 1, zero + shelf)
+    head, lists, end, inside_end = jax.lax.while_loop(more, look, start)
+    cut = jax.lax.dynamic_slice_in_dim(lists, head, room.cut) - tree.n_inner
+    # Where inner nodes took all the room on the way, the triangles that came in first are not all there are.
+    n_cut = jnp.where(end > shelf - FAN, room.cut + 1, end - head)
+    kept = jnp.arange(room.cut, dtype=jnp.int32) < n_cut
+    n_inside = inside_end - shelf
+    listed = jnp.arange(room.inside, dtype=jnp.int32) < n_inside
+    inside = jnp.where(listed, lists[shelf : shelf + room.inside], 0)
+    return InBall(jnp.where(kept, cut, 0), n_cut, inside, n_inside)

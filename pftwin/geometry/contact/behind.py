@@ -14,11 +14,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
+from numpy.typing import NDArray
 
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.bvh.members import member_by_member
+from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.triangle import FACE, Triangle, closest_on_triangle
+from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 SHARE = 0.25  # of all directions: half of what is seen from close behind a plane
 SEEN = 1e-3  # of all directions: less is rounding, or too far away to matter
@@ -79,3 +82,30 @@ def _back(corners: Array, triangle: Array, p: Vec3) -> Scalar:
 
 def _everywhere(p: Vec3, corners: Array) -> Vec3:
     return Vec3(*(jnp.broadcast_to(x, corners.shape[:1]) for x in (p.x, p.y, p.z)))
+
+
+class MutualPlace(NamedTuple):
+    """To the accuracy of a mesh's vertices."""
+
+    gap: float  # least distance of their vertices [m]
+    behind: float  # share of the second's area that is behind the first's surface
+    deepest: float  # of its vertices below the plane at the nearest vertex there; 0 where none is [m]
+
+
+def mutual_place(
+    mesh: SurfaceMesh, other: SurfaceMesh, position: NDArray[np.float64], matrix: NDArray[np.float64]
+) -> MutualPlace:
+    """Look at two meshes.
+
+    Args:
+        mesh: whose surface has a back.
+        other: looked at, vertex by vertex.
+        position, matrix: of the other's frame in the mesh's, (3,) [m] and (3, 3).
+    """
+    from scipy.spatial import cKDTree
+
+    points = other.vertices @ matrix.T + position
+    away, near = cKDTree(mesh.vertices).query(points)
+    height = np.einsum("ij,ij->i", points - mesh.vertices[near], mesh.vertex_normals[near])
+    share = float(np.average(height < 0, weights=other.vertex_areas))
+    return MutualPlace(float(np.min(away)), share, max(0.0, -float(np.min(height))))

@@ -6,6 +6,8 @@ can be read from its place.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,12 +16,10 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.program_cache import cached
 from pftwin.geometry.bvh.corners import CornerTree, corner_tree
 from pftwin.geometry.bvh.features import Features, features_of
-from pftwin.geometry.bvh.order import depth_for
 from pftwin.geometry.bvh.pairs import LEAF
-from pftwin.geometry.bvh.tree import Kind, MeshTree, build_tree, joined, volume_levels
+from pftwin.geometry.bvh.tree import MeshTree, build_tree, depth_for, joined
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 
@@ -28,7 +28,6 @@ class ContactMesh(eqx.Module):
 
     tree: MeshTree
     source: Array  # (places,) int32: which triangle of the mesh is in each place of the tree
-    discs: tuple[Array, ...]  # (2^l, 8) float32: discs around a node's triangles
     corners: CornerTree  # the vertices
     seam: Array  # (places,) int8: bits 1, 2, 4 for an edge ab, bc, ca on the border of two facets
     rim: Array  # (places,) int8: the same for an edge of one triangle alone, on the rim of an open mesh
@@ -41,14 +40,37 @@ class ContactMesh(eqx.Module):
         return place // (LEAF << (self.tree.depth - 1))
 
 
-def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None, *, kind: Kind = "disc") -> ContactMesh:
+def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> ContactMesh:
     """A mesh ready to touch another.
 
     Args:
         mesh: in its body's frame, normals outward [m].
         lateral: which triangles are on the lateral facet, (m,) bool (see `mesh_facets.lateral_of_groove`);
             None: all is one facet.
-        kind: of the bounding volumes that pairs are searched by.
+
+    Raises:
+        InputError: labels that do not suit the mesh, or leave one facet without triangles.
+    """
+    tree, source, features, facets = facet_tree(mesh, lateral, leaf=LEAF, least_depth=2)
+    marked = (features.seam, features.rim)
+    seam, rim = ((x[source][:, 1:4] * np.array([1, 2, 4])).sum(axis=1).astype(np.int8) for x in marked)
+    corners = corner_tree(mesh.vertices, _corner_normals(mesh, features))
+    return ContactMesh(
+        tree, jax.device_put(source.astype(np.int32)), corners, jax.device_put(seam), jax.device_put(rim), facets
+    )
+
+
+class FacetTree(NamedTuple):
+    """A mesh's tree, with one facet below each child of the root where there are two."""
+
+    tree: MeshTree
+    source: NDArray[np.int64]  # (places,) which triangle of the mesh is in each place
+    features: Features
+    count: int
+
+
+def facet_tree(mesh: SurfaceMesh, lateral: ArrayLike | None, *, leaf: int, least_depth: int) -> FacetTree:
+    """The tree of a mesh whose triangles are medial, or lateral as (m,) bool says; None: all is one facet.
 
     Raises:
         InputError: labels that do not suit the mesh, or leave one facet without triangles.
@@ -61,23 +83,11 @@ def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None, *, kind: K
     if not all(g.size for g in groups):
         side = "medial" if not groups[0].size else "lateral"
         raise InputError(f"no triangle is {side}", where=mesh.source, remedy="check the groove line against the mesh")
-    depth = max(2, *(depth_for(len(g), LEAF) for g in groups))
+    depth = max(least_depth, *(depth_for(len(g), leaf) for g in groups))
     parts = [SurfaceMesh(mesh.vertices, mesh.faces[g], mesh.source) for g in groups]
-    trees = [build_tree(part, kind=kind, leaf=LEAF, depth=depth) for part in parts]
-    tree = joined(trees)
+    trees = [build_tree(part, leaf=leaf, depth=depth) for part in parts]
     source = np.concatenate([g[np.asarray(t.source_index())] for g, t in zip(groups, trees, strict=True)])
-    features = features_of(mesh, label)
-    marked = (features.seam, features.rim)
-    seam, rim = ((x[source][:, 1:4] * np.array([1, 2, 4])).sum(axis=1).astype(np.int8) for x in marked)
-    return ContactMesh(
-        tree,
-        jax.device_put(source.astype(np.int32)),
-        _discs(tree),
-        corner_tree(mesh.vertices, _corner_normals(mesh, features)),
-        jax.device_put(seam),
-        jax.device_put(rim),
-        len(groups),
-    )
+    return FacetTree(joined(trees), source, features_of(mesh, label), len(groups))
 
 
 def _corner_normals(mesh: SurfaceMesh, features: Features) -> NDArray[np.float64]:
@@ -85,11 +95,3 @@ def _corner_normals(mesh: SurfaceMesh, features: Features) -> NDArray[np.float64
     normals = np.zeros_like(mesh.vertices)
     normals[mesh.faces] = features.outward[:, 4:]
     return normals
-
-
-def _discs(tree: MeshTree) -> tuple[Array, ...]:
-    """Discs of a tree's nodes, whatever its own bounding volumes are."""
-    if tree.kind == "disc":
-        return tree.levels
-    corners = np.asarray(tree.triangles, dtype=np.float64).reshape(-1, 3, 3)
-    return tuple(jax.device_put(x) for x in cached(volume_levels, corners, "disc", tree.depth, files=()))

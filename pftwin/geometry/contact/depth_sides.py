@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.base.spatial import Vec3
-from pftwin.base.text_files import MESH_TRIANGLES
-from pftwin.geometry.bvh.fans import Fans, fans_of, rows_of
 from pftwin.geometry.bvh.features import features_of
+from pftwin.geometry.bvh.tree import check_searchable
 from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.bvh.walk import Fans, fans_of, rows_of
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 FEMUR_LANES = 8  # most triangles in a leaf
@@ -85,7 +85,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
     Raises:
         InputError: no triangles, too many, or coordinates that are not finite; labels that do not fit.
     """
-    _check(mesh)
+    check_searchable(mesh)
     facets = None
     if labels is not None:
         facets = np.asarray(labels)
@@ -118,7 +118,7 @@ def pressing_surface(mesh: SurfaceMesh) -> PressingSurface:
     Raises:
         InputError: no triangles, too many, or coordinates that are not finite.
     """
-    _check(mesh)
+    check_searchable(mesh)
     fans = cached(fans_of, mesh.vertices[mesh.faces], BUTTON_LANES, True, files=())
     corners, index = _placed(mesh, fans)
     own = canonicalize_dtype(float)
@@ -134,14 +134,7 @@ def _pressed(
     return fans_of(vertices[faces], FEMUR_LANES, False), features.outward.reshape(-1, 3), features.rim.ravel()
 
 
-def _placed(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _placed(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Corners (leaves, lanes, 9), and the index of each place."""
     source = np.where(fans.places < 0, -1 - fans.places, fans.places)
     return mesh.vertices[mesh.faces][source].reshape(*source.shape, 9), fans.places
-
-
-def _check(mesh: SurfaceMesh) -> None:
-    if not 0 < len(mesh.faces) <= MESH_TRIANGLES:
-        raise InputError(f"{len(mesh.faces)} triangles", where=mesh.source, expected=f"1 to {MESH_TRIANGLES}")
-    if not np.isfinite(mesh.vertices).all():
-        raise InputError("vertices that are not finite", where=mesh.source, remedy="pftwin doctor-mesh")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
 from jax.lax import optimization_barrier, stop_gradient
 from jaxtyping import Array
@@ -121,8 +122,7 @@ def depth_below(femur: PressedSurface, place: Array, point: Vec3) -> tuple[Scala
     apart = stop_gradient(size) > ON_SURFACE
     sign = jnp.where(stop_gradient(away.dot(outward)) < 0, -1.0, 1.0)
     scale = sign / jnp.where(apart, size, 1.0)
-    parts = ((away.x, outward.x), (away.y, outward.y), (away.z, outward.z))
-    normal = Vec3(*(jnp.where(apart, scale * a, n) for a, n in parts))
+    normal = jax.tree.map(lambda a, n: jnp.where(apart, scale * a, n), away, outward)
     return -normal.dot(away), normal, femur.rim[feature]
 
 

@@ -17,14 +17,10 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
-from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.bvh.features import features_of
-from pftwin.geometry.bvh.nearest_wide import NearestTriangle, nearest_wide
-from pftwin.geometry.bvh.order import depth_for
-from pftwin.geometry.bvh.tree import build_tree, joined
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-from pftwin.geometry.bvh.wide import WideTree, wide_tree
+from pftwin.geometry.bvh.wide import NearestTriangle, WideTree, nearest_wide, wide_tree
+from pftwin.geometry.contact.contact_mesh import facet_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 if TYPE_CHECKING:
@@ -70,7 +66,7 @@ class MeshFacets(eqx.Module):
         sign = jnp.where(inside, -1.0, 1.0)
         touching = length > 0
         over = sign / jnp.where(touching, length, 1.0)
-        normal = Vec3(*(jnp.where(touching, over * a, o) for a, o in zip(_parts(away), _parts(out), strict=True)))
+        normal = jax.tree.map(lambda a, o: jnp.where(touching, over * a, o), away, out)
         face = Vec3.from_array(jax.lax.convert_element_type(self.outward[near.place, 0], length.dtype))
         beside = away - away.dot(face) * face
         return FacetPoint(
@@ -93,25 +89,12 @@ def mesh_facets(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> MeshFace
     Raises:
         InputError: labels that do not suit the mesh, or leave one facet without triangles.
     """
-    m = len(mesh.faces)
-    label = np.zeros(m, dtype=np.int64) if lateral is None else np.asarray(lateral).astype(np.int64)
-    if label.shape != (m,):
-        raise InputError(f"labels of shape {label.shape}", where="lateral", expected=f"one for each triangle, ({m},)")
-    groups = [np.flatnonzero(label == k) for k in range(1 if lateral is None else 2)]
-    if not all(g.size for g in groups):
-        side = "medial" if not groups[0].size else "lateral"
-        raise InputError(f"no triangle is {side}", where=mesh.source, remedy="check the groove line against the mesh")
-    features = features_of(mesh, label)
-    depth = max(1, *(depth_for(len(g), 1) for g in groups))
-    parts = [SurfaceMesh(mesh.vertices, mesh.faces[g], mesh.source) for g in groups]
-    trees = [build_tree(part, leaf=1, depth=depth) for part in parts]
-    which = np.concatenate([g[np.asarray(t.source_index())] for g, t in zip(groups, trees, strict=True)])
+    tree, which, features, count = facet_tree(mesh, lateral, leaf=1, least_depth=1)
     marks = (_RIM * features.rim[which] + _SEAM * features.seam[which]).astype(np.int8)
     outward = features.outward[which].astype(np.float32)
-    tree = joined(trees)
     empty = np.asarray(tree.index) < 0
     triangles, out, marked = jax.device_put(tree.triangles), jax.device_put(outward), jax.device_put(marks)
-    return MeshFacets(triangles, jax.device_put(empty), wide_tree(tree), out, marked, len(groups))
+    return MeshFacets(triangles, jax.device_put(empty), wide_tree(tree), out, marked, count)
 
 
 def lateral_of_groove(mesh: SurfaceMesh, region: TrochlearRegion) -> NDArray[np.bool_]:
@@ -121,7 +104,3 @@ def lateral_of_groove(mesh: SurfaceMesh, region: TrochlearRegion) -> NDArray[np.
     angles, along = (np.arctan2(p[:, 0], p[:, 2]) for p in (middles, line))
     order = np.argsort(along)
     return middles[:, 1] > np.interp(angles, along[order], line[order, 1])
-
-
-def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return v.x, v.y, v.z

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +12,15 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike
 
 from pftwin.base.errors import InputError
-from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.bvh.ball import BallListLengths
+from pftwin.base.spatial import Scalar, Vec3, safe_sqrt
+from pftwin.geometry.bvh.features import edges_between, rim_edges
 from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.bvh.wide import BallListLengths
 from pftwin.geometry.contact.mesh_facets import MeshFacets, mesh_facets
-from pftwin.geometry.contact.seam import edges_between, rim_edges, seam_depth
 from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+if TYPE_CHECKING:
+    pass
 
 CHUNK = 64  # triangles cut at a time
 DEEPEST = 0.05  # of the radius: indentation up to which there is room on two facets at once
@@ -87,3 +93,43 @@ def _sums_of(rows: Array) -> Array:
     square = sum((p.squared_norm() for p in (t.a, t.b, t.c)), start=middle.squared_norm())
     m = (area / 3) * middle
     return jnp.stack([area, m.x, m.y, m.z, (area / 12) * square, n.x, n.y, n.z, n.dot(t.a)], axis=1)
+
+
+# How deep the border between two facets is inside a ball tells whether two contacts have become one. Of a parabola of
+# height d over a chord, which the depth is where one contact lies across the border, the integral of the square over
+# that of the depth is 4/5 d, whatever the chord's length, and smooth where the chord appears.
+
+
+# Gauss-Legendre on three points: exact for the polynomials here, which are of degree four at most.
+_NODES = ((-math.sqrt(0.6), 5 / 18), (0.0, 8 / 18), (math.sqrt(0.6), 5 / 18))
+
+
+class SeamDepth(NamedTuple):
+    """Integrals along the part of a chain of edges inside a ball, and their slopes with respect to its centre."""
+
+    length: Scalar  # [m]
+    depth: Scalar  # of the depth [m^2]
+    square: Scalar  # of its square [m^3]
+    depth_slope: Vec3  # [m]
+    square_slope: Vec3  # [m^2]
+
+
+def seam_depth(edges: Array, center: Vec3, radius: Scalar) -> SeamDepth:
+    """Of edges (n, 6), each its start and its end, and a ball, all in one frame [m]."""
+    q = Vec3(*(edges[:, i] - c for i, c in enumerate((center.x, center.y, center.z))))
+    way = Vec3(*(edges[:, 3 + i] - edges[:, i] for i in range(3)))
+    length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius
+    over = 1 / jnp.where(length > 0, length, 1.0)
+    root = half * half - length * excess
+    spread = safe_sqrt(jnp.where(root > 0, root, 0.0))
+    enter, leave = (jnp.clip((sign * spread - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
+    size = (leave - enter) * safe_sqrt(length)
+    depth, square = jnp.zeros_like(size), jnp.zeros_like(size)
+    depth_slope = square_slope = Vec3(*[jnp.zeros_like(size)] * 3)
+    for node, share in _NODES:
+        p = q + (0.5 * (enter + leave + node * (leave - enter))) * way
+        d, weight = (radius * radius - p.squared_norm()) * (0.5 / radius), share * size
+        depth, square = depth + weight * d, square + weight * d * d
+        depth_slope = depth_slope + (weight / radius) * p
+        square_slope = square_slope + (2 * weight * d / radius) * p
+    return SeamDepth(size.sum(), depth.sum(), square.sum(), depth_slope.sum(), square_slope.sum())

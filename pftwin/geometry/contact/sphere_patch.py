@@ -2,7 +2,7 @@
 
 The sums over a patch are exact for the flat triangles that the mesh is of (`pftwin.geometry.contact.ball_cut`). Parts
 of the surface wholly inside are summed by the nodes of a tree, whose sums over area, first and second moments are known
-beforehand; only along the patch's outline is every triangle cut (`pftwin.geometry.bvh.ball`).
+beforehand; only along the patch's outline is every triangle cut (`pftwin.geometry.bvh.wide`).
 
 The sums themselves are made by loops over what was found, as long as they need to be. Their derivatives, where asked
 for, are those of the same sums over lists of fixed length, which both modes of differentiation go through.
@@ -20,11 +20,10 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.bvh.ball import InBall, in_ball
 from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.bvh.wide import InBall, in_ball
 from pftwin.geometry.contact.ball_cut import BallArcs, BallCut, ball_arcs, ball_cut
-from pftwin.geometry.contact.patch_mesh import CHUNK, PatchMesh
-from pftwin.geometry.contact.seam import SeamDepth, seam_depth
+from pftwin.geometry.contact.patch_mesh import CHUNK, PatchMesh, SeamDepth, seam_depth
 
 
 class PatchSums(NamedTuple):

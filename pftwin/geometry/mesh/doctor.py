@@ -1,4 +1,4 @@
-"""What is wrong with a mesh, in words and in figures, before anything is computed with it.
+"""What is wrong with a mesh, in words and in figures, and the repairs that leave the surface what it is.
 
 Findings are of three kinds. What can be repaired without changing the surface is `safe`. What is reported and left as
 it is, because a repair would invent or remove surface, is `left`. With what is `fatal` no contact can be computed:
@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,17 +21,23 @@ from pftwin.geometry.mesh.files import read_triangles
 from pftwin.geometry.mesh.findings import (
     MeshFinding,
     crowded_edges,
-    flat_triangles,
     holes,
     isolated_parts,
-    repeated_triangles,
     scale,
     sides,
+    superfluous_triangles,
 )
-from pftwin.geometry.mesh.mesh import SurfaceMesh, weld
-from pftwin.geometry.mesh.parts import MeshPart, parts_of
-from pftwin.geometry.mesh.units import UNITS, plausible_units
-from pftwin.geometry.mesh.zero_area import repeated, zero_area
+from pftwin.geometry.mesh.mesh import (
+    PLAUSIBLE,
+    UNITS,
+    SurfaceMesh,
+    check_mesh,
+    check_size,
+    compacted,
+    plausible_units,
+    weld,
+)
+from pftwin.geometry.mesh.topology import MeshPart, parts_of, repeated, turned_over, zero_area
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +97,7 @@ def examine_file(path: str | os.PathLike[str], *, units: str | None = None) -> D
     """Examine a mesh file; see `examine`.
 
     Raises:
-        InputError: unknown units, or a file that cannot be read at all (see `mesh_files.read_triangles`).
+        InputError: unknown units, or a file that cannot be read at all (see `files.read_triangles`).
     """
     if units is not None and units not in UNITS:
         raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
@@ -119,7 +125,7 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
     copies, opposed = repeated(joined, ~flat)
     kept = np.flatnonzero(~(flat | copies))
     drop = flat | copies
-    findings = [*flat_triangles(points, joined, flat), *repeated_triangles(points, joined, copies, opposed)]
+    findings = superfluous_triangles(points, joined, flat, copies, opposed)
     if not kept.size:
         nothing = MeshFinding("no_surface", "fatal", n, f"all {n} triangles have no area: export the mesh again")
         return Diagnosis(source, len(points), n, float(np.ptp(p, axis=0).max()), [], [], [nothing], none, drop)
@@ -139,3 +145,81 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
     turn = none.copy()
     turn[kept] = turned
     return Diagnosis(source, len(used), n, longest, likely, parts, findings, turn, drop)
+
+
+def repaired_file(path: str | os.PathLike[str], *, units: str | None = None) -> tuple[SurfaceMesh, Diagnosis]:
+    """Repair the mesh of a file; see `repaired`."""
+    return repaired(*read_triangles(Path(path)), source=str(path), units=units)
+
+
+def repaired(
+    vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", units: str | None = None
+) -> tuple[SurfaceMesh, Diagnosis]:
+    """The mesh with all that is safe repaired, in the unit it came in, and what the doctor finds in it afterwards.
+
+    Holes, isolated parts and cavities stay as they are.
+
+    Raises:
+        InputError: findings that no safe repair removes and that no contact can be computed with.
+    """
+    found = examine(vertices, faces, source=source, units=units)
+    if fatal := found.of("fatal"):
+        raise InputError(
+            "; ".join(f"{f.kind}: {f.words}" for f in fatal),
+            where=source,
+            remedy="a mesh editor: a repair of this would change the answer",
+        )
+    points, joined = weld(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
+    turned = turned_over(joined, found.turn)[~found.drop]
+    mesh = compacted(SurfaceMesh(points, turned, source))
+    return mesh, examine(mesh.vertices, mesh.faces, source=source, units=units)
+
+
+_DROPPED = "zero_area"  # left out without asking: the surface is the same
+
+
+class CheckedMesh(NamedTuple):
+    """A mesh and what is to be said about it."""
+
+    mesh: SurfaceMesh
+    notes: list[str]
+
+
+def checked_mesh(path: str | os.PathLike[str], *, units: str, repair: bool = False) -> CheckedMesh:
+    """Read a mesh file, have the mesh doctor look it over, and give the mesh in metres.
+
+    Args:
+        path: STL, OBJ or PLY.
+        units: of its coordinates.
+        repair: turn triangles and drop doubles where that leaves the surface what it is.
+
+    Raises:
+        InputError: a file that cannot be read; a size that does not suit the units; findings of the doctor's that no
+            contact can be computed with, and without `repair` those that a repair would remove.
+    """
+    vertices, faces = read_triangles(Path(path))
+    points, source = vertices * UNITS[units], str(path)
+    found = examine(vertices, faces, source=source)
+    _refuse(found, "fatal", "pftwin doctor-mesh says where; a mesh editor")
+    check_size(found.longest_side * UNITS[units], source, PLAUSIBLE, units)
+    if not repair:
+        _refuse(found, "safe", "repair = true, or pftwin doctor-mesh --repair and the mesh that it writes")
+        mesh = check_mesh(points, faces, source=source, units=units)
+        return CheckedMesh(mesh, _notes(found, ("left", "safe")))
+    mesh, after = repaired(vertices, faces, source=source)
+    mesh = SurfaceMesh(mesh.vertices * UNITS[units], mesh.faces, source)
+    repairs = [f"{source}: repaired: {f.words}" for f in found.of("safe")]
+    return CheckedMesh(mesh, repairs + _notes(after, ("left",)))
+
+
+def _refuse(found: Diagnosis, severity: str, remedy: str) -> None:
+    wrong = [f for f in found.of(severity) if f.kind != _DROPPED]
+    if wrong:
+        words = "; ".join(f"{f.kind.replace('_', ' ')}: {f.words}" for f in wrong)
+        raise InputError(words, where=found.source, remedy=remedy)
+
+
+def _notes(found: Diagnosis, severities: tuple[str, ...]) -> list[str]:
+    """The rest of what the doctor says, lengths in the file's own unit; sizes have been looked at."""
+    said = [f for severity in severities for f in found.of(severity) if f.kind != "scale"]
+    return [f"{found.source}: {f.words}" for f in said]

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.geometry.mesh.parts import MeshPart, edges_of
-from pftwin.geometry.mesh.winding import agreement
+from pftwin.geometry.mesh.topology import MeshPart, agreement, edges_of
 
 FEW = 0.25  # share of a part's triangles up to which those that disagree are the ones to turn
 INWARD = -0.3  # mean cosine between normals and the way out from the middle, below which they seem to point inward
@@ -26,41 +25,34 @@ class MeshFinding:
     places: list[list[float]] = field(default_factory=list)  # of the first few, in the file's unit
 
 
-def _places(points: NDArray, faces: NDArray, which: NDArray) -> list[list[float]]:
-    return points[faces[np.flatnonzero(which)[:5]]].mean(axis=1).tolist()
+def _found(kind: str, severity: str, words: str, places: NDArray) -> list[MeshFinding]:
+    """A finding at some places (k, 3), whose number goes before the words; none where there are none."""
+    n = len(places)
+    return [MeshFinding(kind, severity, n, f"{n} {words}", places[:5].tolist())] if n else []
 
 
-def flat_triangles(points: NDArray, faces: NDArray, flat: NDArray[np.bool_]) -> list[MeshFinding]:
-    """Triangles without area."""
-    if not flat.any():
-        return []
-    words = f"{flat.sum()} triangles have no area; without them the surface is the same"
-    return [MeshFinding("zero_area", "safe", int(flat.sum()), words, _places(points, faces, flat))]
+def superfluous_triangles(
+    points: NDArray, faces: NDArray, flat: NDArray[np.bool_], copies: NDArray[np.bool_], opposed: NDArray[np.bool_]
+) -> list[MeshFinding]:
+    """Triangles without area, and those that are there twice, the same way or the other."""
 
+    def found(which: NDArray[np.bool_], kind: str, severity: str, words: str) -> list[MeshFinding]:
+        return _found(kind, severity, f"triangles {words}", points[faces[which]].mean(axis=1))
 
-def repeated_triangles(points: NDArray, faces: NDArray, copies: NDArray, opposed: NDArray) -> list[MeshFinding]:
-    """Triangles that are there twice, the same way or the other."""
-    found = []
-    if copies.any():
-        words = f"{copies.sum()} triangles are there more than once; contact would count them twice"
-        found.append(MeshFinding("duplicate", "safe", int(copies.sum()), words, _places(points, faces, copies)))
-    if opposed.any():
-        words = (
-            f"{opposed.sum()} triangles lie on their own reverse: a sheet without thickness has no outside; remove one"
-        )
-        found.append(MeshFinding("two_faced", "fatal", int(opposed.sum()), words, _places(points, faces, opposed)))
-    return found
+    sheet = "lie on their own reverse: a sheet without thickness has no outside; remove one"
+    return [
+        *found(flat, "zero_area", "safe", "have no area; without them the surface is the same"),
+        *found(copies, "duplicate", "safe", "are there more than once; contact would count them twice"),
+        *found(opposed, "two_faced", "fatal", sheet),
+    ]
 
 
 def crowded_edges(mesh: SurfaceMesh) -> list[MeshFinding]:
     """Edges of more than two triangles."""
     edges = edges_of(mesh.faces)
-    many = edges.corners[edges.count > 2]
-    if not len(many):
-        return []
-    words = f"{len(many)} edges border more than two triangles: the mesh is no surface there; take the extra sheet out"
-    places = mesh.vertices[many[:5]].mean(axis=1).tolist()
-    return [MeshFinding("non_manifold_edge", "fatal", len(many), words, places)]
+    middles = mesh.vertices[edges.corners[edges.count > 2]].mean(axis=1)
+    words = "edges border more than two triangles: the mesh is no surface there; take the extra sheet out"
+    return _found("non_manifold_edge", "fatal", words, middles)
 
 
 def sides(mesh: SurfaceMesh, parts: list[MeshPart]) -> tuple[NDArray[np.bool_], list[MeshFinding]]:
@@ -130,24 +122,20 @@ def _box(part: MeshPart, mesh: SurfaceMesh) -> tuple[NDArray, NDArray]:
 def holes(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
     """Short boundary loops. Long ones are rims: an open surface has them."""
     holes = [loop for part in parts for loop in part.loops if loop.is_hole]
-    if not holes:
-        return []
-    lengths = f"{holes[0].length:.3g}" if len(holes) == 1 else f"up to {max(k.length for k in holes):.3g}"
-    words = f"{len(holes)} holes, {lengths} around: nothing touches there; filling them would invent surface"
-    return [MeshFinding("hole", "left", len(holes), words, [k.center.tolist() for k in holes[:5]])]
+    longest = max((k.length for k in holes), default=0.0)
+    words = f"holes, {'' if len(holes) == 1 else 'up to '}{longest:.3g} around: nothing touches there"
+    return _found("hole", "left", f"{words}; filling them would invent surface", np.array([k.center for k in holes]))
 
 
 def isolated_parts(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
     """All parts but the largest."""
     rest = parts[1:]
-    if not rest:
-        return []
     share = sum(p.area for p in rest) / mesh.area
     words = (
-        f"{len(rest)} parts with {100 * share:.2g} % of the area are not connected to the largest: "
+        f"parts with {100 * share:.2g} % of the area are not connected to the largest: "
         "contact counts them; remove them in a mesh editor if they are debris"
     )
-    return [MeshFinding("isolated_part", "left", len(rest), words, [p.center.tolist() for p in rest[:5]])]
+    return _found("isolated_part", "left", words, np.array([p.center for p in rest]))
 
 
 def scale(longest: float, likely: list[str], units: str | None) -> list[MeshFinding]:

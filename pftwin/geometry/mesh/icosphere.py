@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import MESH_TRIANGLES
 from pftwin.geometry.mesh.mesh import SurfaceMesh, weld
-from pftwin.geometry.mesh.winding import adjacent
+from pftwin.geometry.mesh.topology import adjacent
 
 
 class Deviation(NamedTuple):

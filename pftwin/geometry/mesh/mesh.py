@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError, OutputError
 from pftwin.geometry.mesh.files import check_format, read_triangles
-from pftwin.geometry.mesh.units import PLAUSIBLE, UNITS, check_size
 
+# In metres; what meshes are exported in, most often first.
+UNITS = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "in": 25.4e-3, "um": 1e-6, "dm": 1e-1}
+PLAUSIBLE = (0.02, 0.2)  # longest side of a femoral component or a button [m]
 COINCIDENT = 1e-7  # of a mesh's size: vertices nearer than that are one
 
 
@@ -68,7 +70,7 @@ class SurfaceMesh:
     @cached_property
     def is_closed(self) -> bool:
         """Whether every edge borders two triangles."""
-        from pftwin.geometry.mesh.winding import directed_edges
+        from pftwin.geometry.mesh.topology import directed_edges
 
         edges = np.sort(directed_edges(self.faces), axis=1)
         return bool(np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2))
@@ -137,7 +139,7 @@ def check_mesh(
     mesh = _merged(p, f, source)
     if size is not None:
         check_size(mesh.extent, mesh.source, size, units)
-    from pftwin.geometry.mesh.winding import check_winding
+    from pftwin.geometry.mesh.topology import check_winding
 
     return check_winding(mesh, repair)
 
@@ -189,3 +191,25 @@ def compacted(mesh: SurfaceMesh) -> SurfaceMesh:
     """The mesh without vertices that no triangle uses."""
     index, renumbered = np.unique(mesh.faces, return_inverse=True)
     return SurfaceMesh(mesh.vertices[index], renumbered.reshape(-1, 3), mesh.source)
+
+
+def plausible_units(longest_side: float, size: tuple[float, float] = PLAUSIBLE) -> list[str]:
+    """The units in which a longest side (a bare number) is as long as a part of the knee should be, likeliest first."""
+    low, high = size
+    return [name for name, unit in UNITS.items() if low <= longest_side * unit <= high]
+
+
+def check_size(longest_side: float, source: str, size: tuple[float, float], units: str) -> None:
+    """Refuse a longest side [m] outside of `size` [m]; the error names the unit that would suit."""
+    low, high = size
+    if low <= longest_side <= high:
+        return
+    raw = longest_side / UNITS[units]
+    found = f"{longest_side * 1e3:.4g} mm" if units == "mm" else f"{raw:.4g} {units} = {longest_side * 1e3:.4g} mm"
+    fitting = plausible_units(raw, size)
+    raise InputError(
+        f"a longest side of {found} is implausible",
+        where=source,
+        expected=f"between {low * 1e3:g} and {high * 1e3:g} mm",
+        remedy=f"units={fitting[0]!r}" if fitting else "check the units, or pass size= for an unusual part",
+    )

@@ -6,6 +6,7 @@ groove, v medial-lateral, height out of the bone.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -43,8 +44,8 @@ class Separation(NamedTuple):
     tangents: tuple[Vec3, Vec3]
 
 
-class PlaneChart(eqx.Module):
-    """Heights over a plane, as in the paper (section 2.4.2): (u, v, height) are x, y, z of the chart's frame."""
+class FramedChart(eqx.Module):
+    """What charts share: a frame fixed in the femur."""
 
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="femur"))
     axes: Rotation  # chart frame to femur frame; z points out of the bone
@@ -57,13 +58,21 @@ class PlaneChart(eqx.Module):
         """Back to the femur's frame."""
         return self.origin + self.axes.apply(p)
 
-    def coordinates(self, p: Vec3) -> Vec3:
-        """(u, v, height) of a point given in the femur frame."""
-        return self.to_frame(p)
-
     def point(self, u: Scalar, v: Scalar, height: Scalar) -> Vec3:
         """The point of the femur frame with these chart coordinates."""
         return self.from_frame(self.local_point(u, v, height))
+
+    @abstractmethod
+    def local_point(self, u: Scalar, v: Scalar, height: Scalar) -> Vec3:
+        """The point with these chart coordinates, in the chart's own frame."""
+
+
+class PlaneChart(FramedChart):
+    """Heights over a plane, as in the paper (section 2.4.2): (u, v, height) are x, y, z of the chart's frame."""
+
+    def coordinates(self, p: Vec3) -> Vec3:
+        """(u, v, height) of a point given in the femur frame."""
+        return self.to_frame(p)
 
     def local_point(self, u: Scalar, v: Scalar, height: Scalar) -> Vec3:
         """The same in the chart's own frame."""
@@ -107,33 +116,19 @@ class PlaneChart(eqx.Module):
         )
 
 
-class CylindricalChart(eqx.Module):
+class CylindricalChart(FramedChart):
     """Heights over a cylinder about the trochlear axis, the chart's y: does not fold over in deep flexion.
 
     u = radius * atan2(x, z), v = y, height = distance from the axis.
     """
 
-    origin: Vec3 = eqx.field(metadata=quantity("m", frame="femur"))
-    axes: Rotation
     radius: Scalar = eqx.field(metadata=quantity("m", positive=True))  # makes the angle a length
-
-    def to_frame(self, p: Vec3) -> Vec3:
-        """Cartesian coordinates in the chart's frame of a point given in the femur's."""
-        return self.axes.unapply(p - self.origin)
-
-    def from_frame(self, p: Vec3) -> Vec3:
-        """Back to the femur's frame."""
-        return self.origin + self.axes.apply(p)
 
     def coordinates(self, p: Vec3) -> Vec3:
         """(u, v, height) of a point given in the femur frame."""
         q = self.to_frame(p)
         u, v = self.foot(q)
         return Vec3(u, v, jnp.sqrt(q.x * q.x + q.z * q.z))
-
-    def point(self, u: Scalar, v: Scalar, height: Scalar) -> Vec3:
-        """The point of the femur frame with these chart coordinates."""
-        return self.from_frame(self.local_point(u, v, height))
 
     def local_point(self, u: Scalar, v: Scalar, height: Scalar) -> Vec3:
         """The same in the chart's own frame."""

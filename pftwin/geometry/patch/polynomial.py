@@ -1,12 +1,11 @@
 """A bivariate polynomial of total degree n over a chart: the paper's P2, P4, P5 and any other degree.
 
-Michaud et al. 2024, section 2.4.2. Beyond the rectangle to which it was fitted a polynomial is meaningless and may fold
-back, so the patch goes on as its bilinear Taylor expansion about the nearest point of the rectangle: value and slope
-stay continuous (C1), and `outside` says that the edge has been crossed.
+Michaud et al. 2024, section 2.4.2. Also what every patch over a rectangle of a chart has in common.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -25,29 +24,32 @@ def exponents(degree: int) -> list[tuple[int, int]]:
     return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
 
 
-class PolynomialPatch(eqx.Module):
-    """height = sum of c_ij a^i b^j, with a = (u - u0) / half_u, b = (v - v0) / half_v and |a|, |b| <= 1."""
+class RectanglePatch(eqx.Module):
+    """A height over a rectangle of a chart, continued beyond it.
+
+    Out there a fitted function is meaningless and may fold back, so the patch goes on as its bilinear Taylor expansion
+    about the nearest point of the rectangle: value and slope stay continuous (C1), and `outside` says that the edge has
+    been crossed.
+    """
 
     chart: Chart
-    coefficients: Array | tuple[Scalar, ...] = eqx.field(metadata=quantity("m"))  # (n,)
+    coefficients: Array | tuple[Scalar, ...] = eqx.field(metadata=quantity("m"))
     center: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m"))  # (u0, v0)
     half_size: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m", positive=True))  # (half_u, half_v)
-    degree: int = eqx.field(static=True)
-    smooth: ClassVar[bool] = True
 
-    def unstacked(self) -> PolynomialPatch:
-        """The same patch with one array per coefficient: done once before a loop, so that the loop only multiplies."""
-        if isinstance(self.coefficients, tuple):
-            return self
-        n = len(exponents(self.degree))
-        coefficients = tuple(self.coefficients[..., i] for i in range(n))
-        return eqx.tree_at(lambda p: p.coefficients, self, coefficients)
+    @abstractmethod
+    def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
+        """Height and derivatives by a and b, both within +-1; the mixed third ones, aab and abb."""
 
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
         """How far beyond the fitted rectangle a point lies [m]; zero inside."""
         du = jnp.maximum(jnp.abs(u - self.center[0]) - self.half_size[0], 0.0)
         dv = jnp.maximum(jnp.abs(v - self.center[1]) - self.half_size[1], 0.0)
         return jnp.maximum(du, dv)
+
+    def clipped(self, v: Scalar) -> Scalar:
+        """The nearest coordinate across the groove that lies on the fitted rectangle."""
+        return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
 
     def height(self, u: Scalar, v: Scalar) -> Scalar:
         """The patch's height, continued beyond its edge."""
@@ -62,7 +64,7 @@ class PolynomialPatch(eqx.Module):
         scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
         a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
         ai, bi = jnp.clip(a, -1.0, 1.0), jnp.clip(b, -1.0, 1.0)
-        j, uuv, uvv = _polynomial_jet(self.unstacked().coefficients, self.degree, ai, bi)
+        j, uuv, uvv = self._inside(ai, bi)
         da, db = a - ai, b - bi
         fa, fb = j.u + j.uv * db, j.v + j.uv * da
         return Jet(
@@ -74,9 +76,28 @@ class PolynomialPatch(eqx.Module):
             jnp.where(db == 0, j.vv + uvv * da, 0.0) * (scale_v * scale_v),
         )
 
-    def clipped(self, v: Scalar) -> Scalar:
-        """The nearest coordinate across the groove that lies on the fitted rectangle."""
-        return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
+
+class PolynomialPatch(RectanglePatch):
+    """height = sum of c_ij a^i b^j, with a = (u - u0) / half_u, b = (v - v0) / half_v and |a|, |b| <= 1."""
+
+    degree: int = eqx.field(static=True)
+    smooth: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        """The paper's name, such as "P5"."""
+        return f"P{self.degree}"
+
+    def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
+        return _polynomial_jet(self.unstacked().coefficients, self.degree, a, b)
+
+    def unstacked(self) -> PolynomialPatch:
+        """The same patch with one array per coefficient: done once before a loop, so that the loop only multiplies."""
+        if isinstance(self.coefficients, tuple):
+            return self
+        n = len(exponents(self.degree))
+        coefficients = tuple(self.coefficients[..., i] for i in range(n))
+        return eqx.tree_at(lambda p: p.coefficients, self, coefficients)
 
     def profile(self, u: Scalar) -> SurfaceProfile:
         """The patch along v at one u, at a fifth of a jet's price for each v.

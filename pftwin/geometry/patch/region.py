@@ -19,7 +19,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Rotation
 from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
-from pftwin.geometry.patch.fit_input import as_vector
+from pftwin.geometry.patch.fit_vertices import as_vector
 from pftwin.geometry.patch.groove import deepest_points, fit_axis_direction, fit_circle
 
 if TYPE_CHECKING:

@@ -6,9 +6,6 @@ own powers. A jet loads them one by one. A row fetched as one array is fused by 
 fetched anew for each of its numbers, along with all that says where it is: sixteen times the code for every jet that
 starts where another has led, and two such in a batch compiled without end.
 
-Beyond its rectangle the patch goes on as a polynomial patch does: by its bilinear Taylor expansion about the nearest
-point of the rectangle (C1), and `outside` says that the edge has been crossed.
-
 The fan that looks for facets (`pftwin.geometry.contact.facets`) samples thirteen heights a step, and only decides where
 a search starts. It is given a polynomial, the nearest in the mean to this very spline, made along with the table: a row
 fetched for every sample would double the price of a batch.
@@ -17,21 +14,25 @@ fetched for every sample would double the price of a batch.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array
+from numpy.typing import NDArray
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
-from pftwin.geometry.patch.charts import Chart, Jet
+from pftwin.geometry.patch.charts import Jet
 from pftwin.geometry.patch.closest import SurfaceProfile
-from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
-from pftwin.geometry.patch.spline_basis import CELL_POWERS, legendre_to_powers, polynomial_projection
+from pftwin.geometry.patch.polynomial import PolynomialPatch, RectanglePatch, exponents
 
+# The four basis functions of a cell by powers of its own coordinate, 0 to 1: row p holds x^p.
+CELL_POWERS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
 FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm rms of a trochlea
 
 
@@ -42,18 +43,18 @@ class PreparedSpline(NamedTuple):
     fan: PolynomialPatch  # what `profile` samples
 
 
-class SplinePatch(eqx.Module):
+class SplinePatch(RectanglePatch):
     """height = sum of c_ij N_i(a) N_j(b), a = (u - u0) / half_u, b = (v - v0) / half_v, with |a|, |b| <= 1.
 
-    N are the uniform cubic B-splines on [-1, 1] (`pftwin.geometry.patch.spline_basis`).
+    N are the uniform cubic B-splines on [-1, 1] (de Boor, A Practical Guide to Splines, 1978): n cells of equal length
+    have n + 3, of which four are not zero in a cell.
     """
 
-    chart: Chart
     coefficients: Array = eqx.field(metadata=quantity("m"))  # (n_u + 3, n_v + 3) for n_u x n_v cells
-    center: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m"))  # (u0, v0)
-    half_size: tuple[Scalar, Scalar] = eqx.field(metadata=quantity("m", positive=True))  # (half_u, half_v)
     loop: PreparedSpline | None = None  # once it has been made
     smooth: ClassVar[bool] = False  # third derivatives jump from cell to cell
+
+    name: ClassVar[str] = "spline"
 
     @property
     def cells(self) -> tuple[int, int]:
@@ -87,40 +88,9 @@ class SplinePatch(eqx.Module):
         c = tuple(square[i, j] for i, j in exponents(degree))
         return PolynomialPatch(self.chart, c, self.center, self.half_size, degree)
 
-    def outside(self, u: Scalar, v: Scalar) -> Scalar:
-        """How far beyond the fitted rectangle a point lies [m]; zero inside."""
-        du = jnp.maximum(jnp.abs(u - self.center[0]) - self.half_size[0], 0.0)
-        dv = jnp.maximum(jnp.abs(v - self.center[1]) - self.half_size[1], 0.0)
-        return jnp.maximum(du, dv)
-
-    def clipped(self, v: Scalar) -> Scalar:
-        """The nearest coordinate across the groove that lies on the fitted rectangle."""
-        return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
-
     def profile(self, u: Scalar) -> SurfaceProfile:
         """The patch along v at one u, near enough to start a search; only for v on the fitted rectangle."""
         return self._loop().fan.profile(u)
-
-    def height(self, u: Scalar, v: Scalar) -> Scalar:
-        """The patch's height, continued beyond its edge."""
-        return self.jet(u, v).f
-
-    def jet(self, u: Scalar, v: Scalar) -> Jet:
-        """Height, gradient and Hessian at (u, v), in closed form, beyond the edge too (as a polynomial patch's)."""
-        scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
-        a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
-        ai, bi = jnp.clip(a, -1.0, 1.0), jnp.clip(b, -1.0, 1.0)
-        j, uuv, uvv = self._inside(ai, bi)
-        da, db = a - ai, b - bi
-        fa, fb = j.u + j.uv * db, j.v + j.uv * da
-        return Jet(
-            j.f + j.u * da + j.v * db + j.uv * (da * db),
-            fa * scale_u,
-            fb * scale_v,
-            jnp.where(da == 0, j.uu + uuv * db, 0.0) * (scale_u * scale_u),
-            j.uv * (scale_u * scale_v),
-            jnp.where(db == 0, j.vv + uvv * da, 0.0) * (scale_v * scale_v),
-        )
 
     def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
         """Height and derivatives by a and b, both within +-1; the mixed third ones, aab and abb."""
@@ -189,3 +159,54 @@ def _cubic(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """A cubic with its first and second derivative; what nobody asks for is not computed."""
     steep = c[2] + c[3] * x
     return c[0] + x * (c[1] + x * steep), c[1] + x * (2 * steep + c[3] * x), 2 * steep + 4 * (c[3] * x)
+
+
+class Basis(NamedTuple):
+    """The four basis functions of a cell, with derivatives by its own coordinate x, 0 to 1; scalars or arrays."""
+
+    values: tuple[Any, Any, Any, Any]
+    slopes: tuple[Any, Any, Any, Any]
+    bends: tuple[Any, Any, Any, Any]
+
+
+def cubic_basis(x: Any) -> Basis:
+    """The basis functions at x of a cell."""
+    y = 1 - x
+    x2, y2 = x * x, y * y
+    return Basis(
+        (y2 * y * (1 / 6), 2 / 3 - x2 + 0.5 * (x2 * x), 2 / 3 - y2 + 0.5 * (y2 * y), x2 * x * (1 / 6)),
+        (-0.5 * y2, 1.5 * x2 - 2 * x, 2 * y - 1.5 * y2, 0.5 * x2),
+        (y, 3 * x - 2, 3 * y - 2, x),
+    )
+
+
+def cell_of(a: NDArray[np.float64], n: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """On the host: the cell of each a, and the place in it; beyond [-1, 1] the end cells' own polynomials."""
+    t = 0.5 * n * (a + 1)
+    k = np.clip(t.astype(np.int64), 0, n - 1)
+    return k, t - k
+
+
+@lru_cache(maxsize=64)
+def polynomial_projection(n: int, degree: int) -> NDArray[np.float64]:
+    """(degree + 1, n + 3): from the coefficients of a spline of n cells to the Legendre series nearest in the mean."""
+    nodes, weights = np.polynomial.legendre.leggauss(degree // 2 + 3)  # exact: cubics times Legendre polynomials
+    a = ((2 * np.arange(n)[:, None] + 1 + nodes) / n - 1).ravel()
+    weight = np.tile(weights / n, n)
+    k, x = cell_of(a, n)
+    series = np.polynomial.legendre.legvander(a, degree) * weight[:, None] * (np.arange(degree + 1) + 0.5)
+    out = np.zeros((degree + 1, n + 3))
+    for j, values in enumerate(cubic_basis(x).values):
+        np.add.at(out.T, k + j, values[:, None] * series)
+    out.flags.writeable = False
+    return out
+
+
+@lru_cache(maxsize=16)
+def legendre_to_powers(degree: int) -> NDArray[np.float64]:
+    """(degree + 1, degree + 1): row i holds the powers' coefficients of the i-th Legendre polynomial."""
+    out = np.zeros((degree + 1, degree + 1))
+    for i in range(degree + 1):
+        out[i, : i + 1] = np.polynomial.legendre.leg2poly(np.eye(degree + 1)[i])[: i + 1]
+    out.flags.writeable = False
+    return out

@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from pftwin.base.leaves import all_changes
 from pftwin.base.spatial import Rotation, Scalar, Vec3
-from pftwin.geometry.bvh.members import member_by_member
+from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.contact.depth_search import TouchingLeaves, find
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import REACH, Depths, depths_in

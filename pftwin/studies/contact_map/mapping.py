@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
 from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.contact.behind import MutualPlace, mutual_place
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import DEEPEST, Depths, depths
-from pftwin.geometry.contact.mutual_place import MutualPlace, mutual_place
-from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
-from pftwin.geometry.mesh.units import PLAUSIBLE, UNITS, plausible_units
+from pftwin.geometry.mesh.mesh import PLAUSIBLE, UNITS, SurfaceMesh, load_mesh, plausible_units
 from pftwin.model.effects.foundation_law import FoundationLaw
 from pftwin.studies.runs import run_each
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Rotation
+from pftwin.geometry.mesh.doctor import repaired
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.geometry.mesh.repair import repaired
 from pftwin.geometry.patch.charts import Chart, CylindricalChart, PlaneChart
+from pftwin.geometry.patch.fit import parse_degree
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
-from pftwin.geometry.patch.polynomial_fit import parse_degree
 from pftwin.geometry.patch.spline import SplinePatch
 
 Floats = NDArray[np.float64]

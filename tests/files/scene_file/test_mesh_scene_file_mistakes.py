@@ -12,7 +12,7 @@ from toy_scene_files import changed, load, refused
 from pftwin.files.scene_file import load_scene_file
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh, save_mesh
-from pftwin.geometry.mesh.winding import adjacent
+from pftwin.geometry.mesh.topology import adjacent
 
 CONTOURS, NEAREST, VOLUME = mesh_contact("contours", button=BALL), mesh_contact("nearest"), mesh_contact("volume")
 MESH = '{ mesh = "ball.stl", units = "mm" }'

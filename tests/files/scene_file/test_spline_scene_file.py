@@ -16,9 +16,9 @@ from pftwin.base.errors import InputError
 from pftwin.cli.program import app
 from pftwin.files.scene_file import load_scene
 from pftwin.geometry.mesh.mesh import save_mesh
+from pftwin.geometry.patch.fit import name_of
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.geometry.patch.spline import SplinePatch
-from pftwin.geometry.patch.spline_or_polynomial import name_of
 from pftwin.model.scene import Scene
 from pftwin.rig.scene_template import rig_laboratory, scene_text
 

@@ -18,7 +18,7 @@ from pftwin.dynamics.frame_states import first_guide
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
-from pftwin.geometry.bvh import nearest_wide
+from pftwin.geometry.bvh import wide
 from pftwin.geometry.contact.mesh_facets import MeshFacets, lateral_of_groove, mesh_facets
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -228,7 +228,7 @@ def test_a_knee_moves_on_a_mesh_as_on_its_patch_and_a_search_without_room_is_in_
     way = np.linalg.norm((path.states.position - smooth.states.position).array(), axis=1)
     assert 0 < way.max() < 0.1e-3
     assert float(np.ptp(np.asarray(smooth.states.position.array()), axis=0).max()) > 0.2e-3
-    monkeypatch.setattr(nearest_wide, "WIDTH", 1)
+    monkeypatch.setattr(wide, "WIDTH", 1)
     short = eqx.filter_jit(lambda s, p: observe(s, p))(scene, path)
     assert (np.asarray(short.status) & int(Status.SEARCH_OVERFLOW)).all()
     assert "ran out of room" in Status(int(short.status[0])).describe()

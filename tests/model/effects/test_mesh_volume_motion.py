@@ -14,9 +14,9 @@ from scenes import RADIUS, J, energies, gravity, knee, record, run, settled, sta
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
-from pftwin.geometry.bvh.ball import BallListLengths
-from pftwin.geometry.contact.effective_radius import beside_groove, effective_radius
+from pftwin.geometry.bvh.wide import BallListLengths
 from pftwin.geometry.contact.mesh_facets import lateral_of_groove
+from pftwin.geometry.contact.overlap import beside_groove, effective_radius
 from pftwin.geometry.contact.patch_mesh import patch_mesh
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh

@@ -1,0 +1,201 @@
+"""How a mesh hangs together: the sides of its triangles, its edges, parts and boundary loops, superfluous triangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.geometry.mesh.mesh import COINCIDENT, SurfaceMesh
+
+
+class Agreement(NamedTuple):
+    """What it takes for neighbouring triangles to agree on their outside."""
+
+    turned: NDArray[np.bool_]  # (m,) the fewest triangles whose turning makes them agree
+    one_sided: NDArray[np.bool_]  # (m,) triangles of parts where no choice does
+    clashes: int  # pairs of neighbours that face opposite sides
+
+
+def directed_edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(3 m, 2), in the triangles' own sense."""
+    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+
+def check_winding(mesh: SurfaceMesh, repair: bool) -> SurfaceMesh:
+    """Neighbours must run their common edge in opposite senses; a closed mesh must enclose a positive volume."""
+    turned, one_sided, clashes = agreement(mesh.faces)
+    if one_sided.any():
+        raise InputError(
+            f"{clashes} pairs of adjacent triangles face opposite sides, and no choice of sides makes all agree",
+            where=mesh.source,
+            expected="a surface with two sides, at most two triangles on an edge",
+            remedy="pftwin doctor-mesh says where; remove non-manifold edges and overlapping sheets in a mesh editor",
+        )
+    if not turned.any() and not (mesh.is_closed and mesh.volume < 0):
+        return mesh
+    if repair:
+        agreed = SurfaceMesh(mesh.vertices, turned_over(mesh.faces, turned), mesh.source)
+        return agreed.flipped() if agreed.is_closed and agreed.volume < 0 else agreed
+    if turned.any():
+        raise InputError(
+            f"mixed normals: {turned.sum()} of {len(turned)} triangles face the other side than their neighbours",
+            where=mesh.source,
+            remedy="load_mesh(..., repair=True), or re-orient the faces in a mesh editor and export again",
+        )
+    raise InputError(
+        f"flipped normals: the mesh is closed and its normals point inward (volume {mesh.volume * 1e6:.3g} cm^3)",
+        where=mesh.source,
+        remedy="load_mesh(..., repair=True), or invert the faces' orientation in a mesh editor",
+    )
+
+
+def turned_over(faces: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The faces with some of them turned, (m, 3)."""
+    return np.where(which[:, None], faces[:, ::-1], faces)
+
+
+def adjacent(faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Pairs of triangles with a common edge, (k,) each, and whether they run it in the same sense (they should not)."""
+    n = len(faces)
+    directed = directed_edges(faces)
+    key = np.sort(directed, axis=1)
+    order = np.lexsort((key[:, 1], key[:, 0]))
+    same = np.flatnonzero((key[order][1:] == key[order][:-1]).all(axis=1))
+    e, o = order[same], order[same + 1]
+    return e % n, o % n, directed[e, 0] == directed[o, 0]
+
+
+def agreement(faces: NDArray[np.int64]) -> Agreement:
+    """Which triangles to turn so that neighbours agree.
+
+    Two-colouring by the graph's double cover: every triangle is there twice, kept and turned, and each common edge ties
+    the choices that agree; a triangle tied to its own opposite belongs to a surface without two sides.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(faces)
+    a, b, clash = adjacent(faces)
+    none = np.zeros(n, dtype=bool)
+    if not clash.any():
+        return Agreement(none, none, 0)
+    rows, columns = np.r_[a, a + n], np.where(np.r_[clash, clash], np.r_[b + n, b], np.r_[b, b + n])
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * n, 2 * n))
+    kept, turned = connected_components(graph, directed=False)[1].reshape(2, n)
+    # a body's two copies are two components; keep the copy in which fewer of its triangles are turned
+    sizes = np.bincount(kept, minlength=2 * n)
+    fewer = (sizes[kept] < sizes[turned]) | ((sizes[kept] == sizes[turned]) & (kept > turned))
+    one_sided = kept == turned
+    return Agreement(fewer & ~one_sided, one_sided, int(clash.sum()))
+
+
+HOLE = 0.5  # of a part's size: a loop whose length is below that is a hole, a longer one a rim of an open surface
+
+
+class BoundaryLoop(NamedTuple):
+    """Edges with a triangle on one side only, connected with each other."""
+
+    n_edges: int
+    length: float
+    center: NDArray[np.float64]  # (3,)
+    is_hole: bool  # short for its part: a gap rather than the rim of an open surface
+
+
+class MeshPart(NamedTuple):
+    """Triangles connected over common edges."""
+
+    faces: NDArray[np.int64]  # (k,) which triangles
+    area: float
+    size: float  # diagonal of the bounding box
+    center: NDArray[np.float64]  # (3,) of the bounding box
+    loops: tuple[BoundaryLoop, ...]  # longest first; none where the part is closed
+    volume: float  # enclosed, where the part is closed
+
+
+class Edges(NamedTuple):
+    """The edges of a mesh."""
+
+    corners: NDArray[np.int64]  # (e, 2) vertices, ascending
+    count: NDArray[np.int64]  # (e,) triangles on each: 1 on the boundary, 2 inside a surface
+    of_face: NDArray[np.int64]  # (m, 3) each triangle's
+
+
+def edges_of(faces: NDArray[np.int64]) -> Edges:
+    """Every edge once."""
+    every = np.sort(directed_edges(faces), axis=1)
+    corners, of_face, count = np.unique(every, axis=0, return_inverse=True, return_counts=True)
+    return Edges(corners, count, of_face.reshape(3, -1).T)
+
+
+def parts_of(mesh: SurfaceMesh) -> list[MeshPart]:
+    """The connected parts, largest area first."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(mesh.faces)
+    a, b, _ = adjacent(mesh.faces)
+    label = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)[1]
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    edges = edges_of(mesh.faces)
+    return sorted((_part(mesh, edges, group) for group in groups), key=lambda part: -part.area)
+
+
+def _part(mesh: SurfaceMesh, edges: Edges, group: NDArray[np.int64]) -> MeshPart:
+    corners = mesh.vertices[np.unique(mesh.faces[group])]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    size = float(np.linalg.norm(high - low))
+    own = edges.of_face[group].ravel()
+    loops = _loops(mesh, edges.corners[own[edges.count[own] == 1]], size)
+    middle = 0.5 * (low + high)
+    at = mesh.vertices[mesh.faces[group]].mean(axis=1) - middle
+    volume = float(np.einsum("ij,ij->", at, mesh.area_vectors[group]) / 3)
+    return MeshPart(group, float(mesh.face_areas[group].sum()), size, middle, loops, volume)
+
+
+def _loops(mesh: SurfaceMesh, boundary: NDArray[np.int64], size: float) -> tuple[BoundaryLoop, ...]:
+    """Boundary edges (k, 2) by connection; loops that touch in a vertex count as one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(boundary):
+        return ()
+    names, ends = np.unique(boundary, return_inverse=True)
+    ends = ends.reshape(-1, 2)
+    shape = (len(names), len(names))
+    n_loops, label = connected_components(coo_array((np.ones(len(ends)), ends.T), shape=shape), directed=False)
+    p = mesh.vertices[boundary]
+    lengths, centers = np.linalg.norm(p[:, 1] - p[:, 0], axis=1), p.mean(axis=1)
+    loops = []
+    for k in range(n_loops):
+        own = label[ends[:, 0]] == k
+        length = float(lengths[own].sum())
+        loops.append(BoundaryLoop(int(own.sum()), length, centers[own].mean(axis=0), length < HOLE * size))
+    return tuple(sorted(loops, key=lambda loop: -loop.length))
+
+
+def zero_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which triangles are no higher over their longest side than vertices of the mesh may be apart and yet be one."""
+    p = vertices[faces]
+    sides = np.roll(p, -1, axis=1) - p
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    twice = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    extent = float(np.ptp(p.reshape(-1, 3), axis=0).max())
+    return twice <= COINCIDENT * extent * longest
+
+
+def repeated(faces: NDArray[np.int64], looked_at: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Of the triangles looked at, (m,): copies of an earlier one that runs the same way, and those on their reverse."""
+    first = np.argmin(faces, axis=1)
+    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)  # smallest vertex first
+    places = np.flatnonzero(looked_at)
+    copies, opposed = np.zeros((2, len(faces)), dtype=bool)
+    _, at, group = np.unique(turned[places], axis=0, return_index=True, return_inverse=True)
+    copies[places] = at[group.ravel()] != np.arange(len(places))
+    once = places[~copies[places]]
+    _, sheet, count = np.unique(np.sort(turned[once], axis=1), axis=0, return_inverse=True, return_counts=True)
+    opposed[once] = count[sheet.ravel()] > 1
+    return copies, opposed

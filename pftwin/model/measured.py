@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orientation
 from pftwin.base.spatial import Quaternion
-from pftwin.files.mocap.timebase import increasing_times
+from pftwin.files.mocap.tables import increasing_times
 
 _UNIT_TOLERANCE = 1e-3
 _FORCES = ("contact_force", "tibial_spring_force", "femoral_spring_force")

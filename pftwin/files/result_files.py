@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,19 +103,26 @@ def save_sto(data: Dataset, path: str | os.PathLike[str]) -> None:
     Raises:
         OutputError: as `save_dataset`.
     """
-    columns, _ = flattened(data)
-    times = data["time"].values
-    head = [
-        str(data.attrs.get("title", "pftwin result")).replace("\n", " "),
-        "version=1",
-        f"nRows={times.size}",
-        f"nColumns={len(columns) + 1}",
-        "inDegrees=yes",
-        "endheader",
-        "\t".join(["time", *columns]),
-    ]
+    title = str(data.attrs.get("title", "pftwin result")).replace("\n", " ")
+    write_storage(path, title, data["time"].values, flattened(data)[0])
+
+
+def write_storage(
+    path: str | os.PathLike[str],
+    title: str,
+    times: np.ndarray,
+    columns: Mapping[str, np.ndarray],
+    notes: Iterable[str] = (),
+) -> None:
+    """Writes columns (n,) in OpenSim's storage format, angles in degrees; notes are lines of the header.
+
+    Raises:
+        OutputError: as `save_dataset`.
+    """
+    counts = f"nRows={times.size}", f"nColumns={len(columns) + 1}"
+    head = [title, "version=1", *counts, "inDegrees=yes", *notes, "endheader", "\t".join(["time", *columns])]
     rows = np.column_stack([times, *columns.values()])
-    lines = ["\t".join(["nan" if x != x else f"{x:.12g}" for x in row]) for row in rows]
+    lines = ["\t".join(f"{x:.12g}" for x in row) for row in rows]
     write_text(check_place(path), "\n".join([*head, *lines]) + "\n")
 
 

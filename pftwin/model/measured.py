@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orientation
 from pftwin.base.spatial import Quaternion
-from pftwin.files.mocap.timebase import increasing_times
+from pftwin.files.mocap.tables import increasing_times
 
 SYNTHETIC = "the recorded motion is synthetic: a simulated knee's"  # said wherever such data show
 _UNIT_TOLERANCE = 1e-3

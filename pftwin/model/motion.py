@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion, Rotation, Scalar, Vec3
 from pftwin.files.mocap.poses import PoseSeries, check_same_times
-from pftwin.files.mocap.timebase import uniform_times
+from pftwin.files.mocap.tables import uniform_times
 
 if TYPE_CHECKING:
     from pftwin.base.spatial import Pose

@@ -1,18 +1,115 @@
-"""A result's file in another program's format, chosen by the suffix of the file's name."""
+"""A result's file in another program's format, chosen by the suffix; OpenSim's motion files (.mot) are written here.
+
+Joint coordinates have the names and sequence of the models of OpenSim JAM (Lenhart et al. 2015, Ann Biomed Eng
+43:2675): tibia and patella each move in the femur by a joint of three rotations about the axes z, x, y (fixed to the
+moving body, in that order) and three translations along the femur's axes; flexion counts negatively about z. OpenSim's
+axes are x anterior, y proximal, z lateral (of a right knee); those of results are proximal, lateral, anterior.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pftwin.base.errors import InputError, OutputError
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError, OutputError, PftwinWarning
+from pftwin.files.result_files import load_dataset, save_csv, save_sto, write_storage
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
     from pftwin.results.result import Result
+
+
+_UNITS = (
+    "Units are S.I. units (second, meters, Newtons, ...)",
+    "Angles are in degrees.",
+)
+
+
+def save_mot(data: Dataset, path: str | os.PathLike[str]) -> None:
+    """Writes the motion of tibia and patella in the femur, for OpenSim's models and its tools.
+
+    Frames that are not finite are left out, with a warning.
+
+    Raises:
+        InputError: no frame that is finite.
+        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+    """
+    times, names, values, rotational = coordinates(finite_frames(data))
+    shown = np.where(rotational, np.degrees(values), values)
+    note = [f"Note: {data.attrs['note']}"] if "note" in data.attrs else []
+    write_storage(path, "Coordinates", times, dict(zip(names, shown.T, strict=True)), ("", *_UNITS, *note, ""))
+
+
+def finite_frames(data: Dataset) -> Dataset:
+    """The frames at which patella and tibia have a pose.
+
+    Raises:
+        InputError: there is none.
+    """
+    names = ("patella_position", "patella_quaternion", "tibia_position", "tibia_quaternion")
+    finite = np.isfinite(np.concatenate([data[n].values for n in names], axis=1)).all(axis=1)
+    if not finite.any():
+        raise InputError("no frame with a finite pose", where=data.attrs.get("scene"), remedy="a smaller time step")
+    if finite.all():
+        return data
+    lost = int((~finite).sum())
+    warnings.warn(f"{lost} of {finite.size} frames are not finite and are left out", PftwinWarning, stacklevel=2)
+    return data.isel(time=np.flatnonzero(finite))
+
+
+# Rows: OpenSim's x, y, z in a result's axes.
+AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+SEQUENCE = "ZXY"
+SIGNS = np.array([-1.0, 1.0, 1.0])
+JOINTS = {"tibia": ("knee", ("flex", "add", "rot")), "patella": ("pf", ("flex", "rot", "tilt"))}
+Floats = NDArray[np.float64]
+
+
+class Coordinates(NamedTuple):
+    """Values over time."""
+
+    times: Floats  # (n,) [s]
+    names: tuple[str, ...]
+    values: Floats  # (n, coordinates) [rad] and [m]
+    rotational: tuple[bool, ...]
+
+
+def coordinates(data: Dataset) -> Coordinates:
+    """The twelve coordinates of a result: of the tibia, then of the patella.
+
+    Args:
+        data: as `Result.to_dataset` makes it, or `result_files.load_dataset` reads it. Left knees were mirrored to
+            right ones on input, and stay so.
+    """
+    names: list[str] = []
+    columns: list[Floats] = []
+    for body, (joint, rotations) in JOINTS.items():
+        angles, places = of_poses(data[f"{body}_position"].values, data[f"{body}_quaternion"].values)
+        names += [f"{joint}_{r}_r" for r in rotations] + [f"{joint}_t{k}_r" for k in "xyz"]
+        columns += [angles, places]
+    turning = (True, True, True, False, False, False) * len(JOINTS)
+    return Coordinates(data["time"].values, tuple(names), np.concatenate(columns, axis=1), turning)
+
+
+def of_poses(position: Floats, quaternion: Floats) -> tuple[Floats, Floats]:
+    """Angles (n, 3) [rad] and translations (n, 3) [m] of a body in the femur.
+
+    Args:
+        position: (n, 3) in a result's axes [m].
+        quaternion: (n, 4) scalar first, in a result's axes.
+    """
+    from scipy.spatial.transform import Rotation
+
+    turn = AXES @ Rotation.from_quat(quaternion, scalar_first=True).as_matrix() @ AXES.T
+    angles = SIGNS * Rotation.from_matrix(turn).as_euler(SEQUENCE)
+    return np.unwrap(angles, axis=0), position @ AXES.T
+
 
 Source = Any  # a `Result`, or the path of its file
 FORMATS = {
@@ -40,7 +137,7 @@ def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]
 
         save_glb(result, target)
         return
-    _writer(target.suffix.lower())(_dataset(result), target)
+    {".mot": save_mot, ".sto": save_sto, ".csv": save_csv}[target.suffix.lower()](_dataset(result), target)
 
 
 def check_format(path: str | os.PathLike[str]) -> Path:
@@ -55,18 +152,9 @@ def check_format(path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _writer(suffix: str) -> Callable[[Dataset, Path], None]:
-    from pftwin.files.interchange.mot import save_mot
-    from pftwin.files.result_files import save_csv, save_sto
-
-    return {".mot": save_mot, ".sto": save_sto, ".csv": save_csv}[suffix]
-
-
 def _dataset(result: Source) -> Dataset:
     if not isinstance(result, str | os.PathLike):
         return result.to_dataset()
-    from pftwin.files.result_files import load_dataset
-
     data = load_dataset(result)
     if "patella_quaternion" not in data:
         raise InputError(

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_document import Element
-from pftwin.files.interchange.osim_frames import GROUND, Frames, OsimFrame
+from pftwin.files.interchange.osim_document import GROUND, Element, Frames, OsimFrame
 from pftwin.files.interchange.osim_functions import Function, function_in
 
 Floats = NDArray[np.float64]

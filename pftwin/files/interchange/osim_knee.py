@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_frames import OsimFrame
+from pftwin.files.interchange.osim_document import OsimFrame
 from pftwin.files.interchange.osim_joints import Joint
 from pftwin.files.interchange.osim_model import OsimModel
 

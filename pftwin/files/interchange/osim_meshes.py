@@ -10,8 +10,7 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_knee import OsimKnee, placed
-from pftwin.files.interchange.osim_ligaments import LeftOut
-from pftwin.files.interchange.osim_model import Mesh, OsimModel, plain_name
+from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, plain_name
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 FOLDER = "geometry"

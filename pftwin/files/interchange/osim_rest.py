@@ -6,11 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pftwin.files.interchange.osim_document import Element
-from pftwin.files.interchange.osim_frames import Frames
+from pftwin.files.interchange.osim_document import Element, Frames
 from pftwin.files.interchange.osim_knee import OsimKnee, placed
-from pftwin.files.interchange.osim_ligaments import LIGAMENT, LeftOut
-from pftwin.files.interchange.osim_model import CONTACT, SURFACE, OsimModel
+from pftwin.files.interchange.osim_model import CONTACT, LIGAMENT, SURFACE, LeftOut, OsimModel
 
 _SETS = {
     "ControllerSet": "a scene has no controllers",

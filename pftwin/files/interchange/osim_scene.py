@@ -15,8 +15,7 @@ from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_meshes, osim_motion
 from pftwin.files.interchange.osim_document import read_osim
 from pftwin.files.interchange.osim_knee import OsimKnee, find_knee, placed
-from pftwin.files.interchange.osim_ligaments import LIGAMENT, LeftOut
-from pftwin.files.interchange.osim_model import CONTACT, OsimContact, OsimModel, read_model
+from pftwin.files.interchange.osim_model import CONTACT, LIGAMENT, LeftOut, OsimContact, OsimModel, read_model
 from pftwin.files.interchange.osim_rest import rest
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.files.interchange.osim_knee import OsimKnee
-from pftwin.files.interchange.osim_ligaments import LeftOut, OsimLigament
-from pftwin.files.interchange.osim_model import OsimContact, OsimModel, plain_name
+from pftwin.files.interchange.osim_model import LeftOut, OsimContact, OsimLigament, OsimModel, plain_name
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_meshes import Written

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.base.text_files import check_row_length, numbers, read_lines, write_text
+from pftwin.base.text_files import read_lines, write_text
 from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
-from pftwin.files.mocap.tables import Table, quoted, unknown_name
+from pftwin.files.mocap.tables import Table, quoted, row_values, unknown_name
 from pftwin.files.mocap.units import check_spread, length_factor, split_unit, to_si
 
 _COORDINATE = re.compile(r"^(?P<marker>.+?)[_ .:]?(?P<axis>[xyzXYZ])$")
@@ -153,12 +153,8 @@ def _read_columns(path: str | os.PathLike[str]) -> tuple[list[str], np.ndarray]:
         cells = next(csv.reader([line], delimiter=delimiter))
         while len(cells) > len(labels) and not cells[-1].strip():
             cells.pop()
-        broken_off = line_number == used[-1][0] and not ended
-        check_row_length(len(cells), len(labels), path=path, line=line_number, broken_off=broken_off)
-        rows.append(numbers(cells, labels.__getitem__, path=path, line=line_number))
-    if not rows:
-        raise InputError("no rows of data after the header", where=path, expected="at least one row")
-    return labels, np.array(rows)
+        rows.append((line_number, cells))
+    return labels, row_values(rows, labels, ended=ended, path=path)
 
 
 def _time_index(labels: list[str], time_column: str | None, path: object) -> int:

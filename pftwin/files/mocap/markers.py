@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.tables import quoted, unknown_name
-from pftwin.files.mocap.timebase import frames_between, sampling_rate, uniform_times
+from pftwin.files.mocap.tables import frames_between, quoted, sampling_rate, uniform_times, unknown_name
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.csv_files import read_csv
-from pftwin.files.mocap.tables import unknown_name
-from pftwin.files.mocap.timebase import frames_between, increasing_times, sampling_rate
+from pftwin.files.mocap.tables import frames_between, increasing_times, sampling_rate, unknown_name
 
 if TYPE_CHECKING:
     from pftwin.base.spatial import Pose

@@ -11,8 +11,8 @@ from collections.abc import Collection
 import numpy as np
 
 from pftwin.base.errors import InputError, PftwinWarning
-from pftwin.base.text_files import check_row_length, numbers, read_lines
-from pftwin.files.mocap.tables import Table, quoted, unknown_name
+from pftwin.base.text_files import read_lines
+from pftwin.files.mocap.tables import Table, quoted, row_values, unknown_name
 
 # Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states; with a
 # side behind them, as in OpenSim JAM's knee_tx_r, or none.
@@ -51,7 +51,8 @@ def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None
         labels.pop()
     if not labels or labels[0].lower() != "time":
         raise InputError("the first column is not time", where=f"{path}, line {labels_at + 1}", expected="time, ...")
-    values = _rows(lines, labels_at + 1, labels, ended, path)
+    rows = [(i + 1, cells) for i in range(labels_at + 1, len(lines)) if (cells := lines[i].split())]
+    values = row_values(rows, labels, ended=ended, path=path)
     for key, actual in (("nrows", len(values)), ("datarows", len(values)), ("ncolumns", len(labels))):
         if key in header and header[key] != str(actual):
             message = f"{path}: the header says {key}={header[key]}, the file has {actual}: the file's content counts"
@@ -91,21 +92,6 @@ def _in_degrees(header: dict[str, str], path: object) -> bool:
     if flag not in {"yes", "no", "true", "false", "1", "0"}:
         raise InputError(f"inDegrees={flag}", where=f"{path}, header", expected="yes or no")
     return flag in {"yes", "true", "1"}
-
-
-def _rows(lines: list[str], start: int, labels: list[str], ended: bool, path: object) -> np.ndarray:
-    rows = []
-    last = max(i for i, line in enumerate(lines) if line.strip())
-    for i in range(start, len(lines)):
-        cells = lines[i].split()
-        if not cells:
-            continue
-        broken = i == last and not ended
-        check_row_length(len(cells), len(labels), path=path, line=i + 1, broken_off=broken)
-        rows.append(numbers(cells, labels.__getitem__, path=path, line=i + 1))
-    if not rows:
-        raise InputError("no rows of data", where=path, expected="at least one row")
-    return np.array(rows)
 
 
 def _angles(names: tuple[str, ...], rotational: Collection[str] | None, path: object) -> set[str]:

@@ -9,6 +9,8 @@ from pydantic import Field, model_validator
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
+from pftwin.base.spatial import Scalar
+from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
     Pair,
     Point,
@@ -19,7 +21,6 @@ from pftwin.files.scene_file.section import (
     UnitQuaternion,
     problem,
 )
-from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.side import HostPose
 
 if TYPE_CHECKING:
@@ -62,16 +63,26 @@ def odd(setting: Setting) -> float:
     return -1.0 if setting.side.left else 1.0
 
 
-class PatchSurfaceSection(Section):
+class _RectangleSection(Section):
+    """A rectangle of a chart."""
+
+    chart: ChartSection = Field(description="table: the chart")
+    center_m: Pair = Field(default=[0.0, 0.0], description="centre (u0, v0) of the patch's rectangle [m]")
+    half_size_m: PositivePair = Field(description="half size (half_u, half_v) of the patch's rectangle [m]")
+
+    def rectangle(self, setting: Setting) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+        """Its centre and half size in the scene's chart."""
+        center = number(self.center_m[0]), number(odd(setting) * self.center_m[1])
+        return center, (number(self.half_size_m[0]), number(self.half_size_m[1]))
+
+
+class PatchSurfaceSection(_RectangleSection):
     """A polynomial patch by its coefficients: height = sum of c_ij a^i b^j, a = (u - u0) / half_u, b likewise."""
 
     coefficients_m: list[float] = Field(
         description="coefficients c_ij [m]: all i for j = 0, then all i for j = 1, ..., i + j up to the degree"
     )
     degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
-    chart: ChartSection = Field(description="table: the chart")
-    center_m: Pair = Field(default=[0.0, 0.0], description="centre (u0, v0) of the patch's rectangle [m]")
-    half_size_m: PositivePair = Field(description="half size (half_u, half_v) of the patch's rectangle [m]")
 
     def build(self, setting: Setting, at: At) -> Surface:
         """The patch."""
@@ -92,20 +103,15 @@ class PatchSurfaceSection(Section):
             )
         sign = odd(setting)  # of odd powers of v, too
         coefficients = [c * sign**j for c, (_, j) in zip(self.coefficients_m, powers, strict=True)]
-        center = number(self.center_m[0]), number(sign * self.center_m[1])
-        half = number(self.half_size_m[0]), number(self.half_size_m[1])
-        return PolynomialPatch(self.chart.build(setting), number(coefficients), center, half, degree)
+        return PolynomialPatch(self.chart.build(setting), number(coefficients), *self.rectangle(setting), degree)
 
 
-class SplineSurfaceSection(Section):
+class SplineSurfaceSection(_RectangleSection):
     """A bicubic spline patch by its coefficients: height = sum of c_ij N_i(a) N_j(b), uniform cubic B-splines N."""
 
     spline_coefficients_m: list[list[float]] = Field(
         description="coefficients c_ij [m]: a row for each i, along u; cells + 3 of them in either direction"
     )
-    chart: ChartSection = Field(description="table: the chart")
-    center_m: Pair = Field(default=[0.0, 0.0], description="centre (u0, v0) of the patch's rectangle [m]")
-    half_size_m: PositivePair = Field(description="half size (half_u, half_v) of the patch's rectangle [m]")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -123,10 +129,8 @@ class SplineSurfaceSection(Section):
         with setting.document.naming(*at):
             refuse_other(setting, SPLINE)
         rows = np.asarray(self.spline_coefficients_m, dtype=np.float64)
-        sign = odd(setting)
-        center = number(self.center_m[0]), number(sign * self.center_m[1])
-        half = number(self.half_size_m[0]), number(self.half_size_m[1])
-        return SplinePatch(self.chart.build(setting), number(rows if sign > 0 else rows[:, ::-1]), center, half)
+        rows = rows[:, ::-1] if setting.side.left else rows
+        return SplinePatch(self.chart.build(setting), number(rows), *self.rectangle(setting))
 
 
 def refuse_other(setting: Setting, name: str | None) -> None:

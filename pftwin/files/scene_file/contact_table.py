@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from pftwin.base.leaves import number, vector
-from pftwin.files.scene_file.effect_tables import EffectSection
+from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
-from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.surface_table import SurfaceSection
 from pftwin.model.effects.contact_law import Flores, Hertz, HuntCrossley
 from pftwin.model.effects.sphere_contact import SphereContact

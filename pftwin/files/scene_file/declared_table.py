@@ -12,9 +12,8 @@ from pydantic import BeforeValidator, Field, create_model, model_validator
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.quantities import Quantity, declared_field
-from pftwin.files.scene_file.effect_tables import Body, EffectSection
+from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
 from pftwin.files.scene_file.section import Points, one_number_or_many
-from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.tendon_table import group_size, member_values
 from pftwin.model.effects.base import Effect
 

@@ -15,13 +15,12 @@ from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.files.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
 from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.effect_tables import EffectSection
+from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.measured_table import MeasuredSection
 from pftwin.files.scene_file.problems import scene_error
 from pftwin.files.scene_file.registry import effect_tables
 from pftwin.files.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
 from pftwin.files.scene_file.segments import MotionSection, PoseSection, SegmentRecording
-from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.side import AxesSection, HostPose, Side
 from pftwin.model.scene import Scene, check
 

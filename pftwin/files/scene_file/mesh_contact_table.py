@@ -1,5 +1,6 @@
-"""[mesh_contact]: a button on the femur's mesh, by contours and indentation, by volume, or at the nearest points."""
+"""[mesh_contact] and [elastic_foundation]: a button on the femur's mesh, by a law of the whole contact or by layers."""
 
+# ruff: noqa: N815  (units in names are written as units are: MPa)
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
@@ -8,7 +9,7 @@ from pydantic import Field, model_validator
 
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.contact_table import FloresSection, FrictionSection, HertzSection, HuntCrossleySection
-from pftwin.files.scene_file.effect_tables import EffectSection
+from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.mesh_tables import (
     At,
     ButtonMesh,
@@ -19,19 +20,38 @@ from pftwin.files.scene_file.mesh_tables import (
     check_start,
     refuse_patch,
 )
-from pftwin.files.scene_file.section import Positive, problem
-from pftwin.files.scene_file.setting import Setting
+from pftwin.files.scene_file.section import NotNegative, Positive, Section, problem
 from pftwin.files.scene_file.surface_table import SurfaceSection
 
 if TYPE_CHECKING:
     from pftwin.geometry.contact.patch_mesh import PatchMesh
     from pftwin.geometry.patch.closest import Surface
+    from pftwin.model.effects.base import Effect
     from pftwin.model.effects.contact import Contact
+    from pftwin.model.effects.foundation_law import Layer
+
 
 _COARSE = 8  # frequency of the icosphere that stands for a sphere where only its place matters
 
 
-class MeshContactSection(EffectSection):
+class _MeshesSection(EffectSection):
+    """A button on the femur's mesh."""
+
+    femur: FemurMeshSection = Field(description="table: the femur's mesh")
+    button: ButtonSection = Field(description="table: the button, mesh or sphere")
+    surface: SurfaceSection | None = Field(
+        default=None, description="table: a smooth surface by which results tell where the groove is; none by default"
+    )
+
+    def femur_side(self, setting: Setting, at: At) -> tuple[FemurMesh, Surface | None]:
+        """The femur's mesh, and the smooth surface that says where the groove is."""
+        refuse_patch(setting, at)
+        surface = None if self.surface is None else self.surface.build(setting, (*at, "surface"))
+        femur = self.femur.build(setting, (*at, "femur"))
+        return femur, surface
+
+
+class MeshContactSection(_MeshesSection):
     """A button fixed in the patella against a mesh fixed in the femur."""
 
     kind: ClassVar[str] = "mesh_contact"
@@ -39,8 +59,6 @@ class MeshContactSection(EffectSection):
         description='where the law\'s indentation is from: "contours" of two meshes that cross, as in the paper; '
         '"volume" of a sphere in a mesh, smooth; "nearest" points of a mesh to a sphere\'s centre'
     )
-    femur: FemurMeshSection = Field(description="table: the femur's mesh")
-    button: ButtonSection = Field(description="table: the button, mesh or sphere")
     law: Annotated[FloresSection | HuntCrossleySection | HertzSection, Field(discriminator="type")] = Field(
         description='table: the normal force\'s law, type = "flores", "hunt_crossley" or "hertz"'
     )
@@ -50,9 +68,6 @@ class MeshContactSection(EffectSection):
         "the mesh by default",
     )
     friction: FrictionSection | None = Field(default=None, description="table: friction, of a sphere; none by default")
-    surface: SurfaceSection | None = Field(
-        default=None, description="table: a smooth surface by which results tell where the groove is; none by default"
-    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -64,9 +79,7 @@ class MeshContactSection(EffectSection):
 
     def build(self, setting: Setting, at: At) -> Contact:
         """The effect."""
-        refuse_patch(setting, at)
-        surface = None if self.surface is None else self.surface.build(setting, (*at, "surface"))
-        femur = self.femur.build(setting, (*at, "femur"))
+        femur, surface = self.femur_side(setting, at)
         if self.method == "contours":
             button = self.button.triangles(setting, (*at, "button"))
             check_start(femur, button, setting, at)
@@ -112,3 +125,48 @@ def _measured_radius(femur: FemurMesh, made: PatchMesh, radius: float) -> float:
 
     near = None if femur.region is None else beside_groove(femur.mesh, femur.region, 0.5 * radius)
     return effective_radius(femur.mesh, made, radius, near)
+
+
+class LayerSection(Section):
+    """An elastic layer on a rigid backing."""
+
+    modulus_MPa: Positive = Field(description="elastic modulus [MPa]")
+    poisson_ratio: Annotated[float, Field(ge=0, lt=0.5)] = Field(description="Poisson ratio, below 0.5 [-]")
+    thickness_m: Positive = Field(description="thickness of the layer [m]")
+
+    def build(self, where: str) -> Layer:
+        """The layer."""
+        from pftwin.model.effects.foundation_law import checked_layer
+
+        return checked_layer(1e6 * self.modulus_MPa, self.poisson_ratio, self.thickness_m, where=where)
+
+
+class ElasticFoundationSection(_MeshesSection):
+    """Two meshes with a layered elastic foundation between them: pressure on every triangle in contact."""
+
+    kind: ClassVar[str] = "elastic_foundation"
+    law: Literal["linear", "logarithmic"] = Field(default="linear", description="pressure over depth of a layer")
+    femur_layer: LayerSection = Field(description="table: the femur's layer, modulus_MPa, poisson_ratio, thickness_m")
+    button_layer: LayerSection = Field(description="table: the button's layer")
+    damping_time_s: NotNegative = Field(default=0.0, description="damping of a layer over its stiffness [s]")
+
+    def build(self, setting: Setting, at: At) -> Effect:
+        """The effect."""
+        from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
+        from pftwin.model.effects.elastic_foundation import ElasticFoundation
+        from pftwin.model.effects.foundation_law import LAWS
+
+        femur, surface = self.femur_side(setting, at)
+        button = self.button.triangles(setting, (*at, "button"))
+        check_start(femur, button, setting, at)
+        layers = self.femur_layer.build("femur_layer"), self.button_layer.build("button_layer")
+        with setting.document.naming(*at):
+            return ElasticFoundation(
+                pressed_surface(femur.mesh, femur.lateral),
+                pressing_surface(button.mesh),
+                LAWS[self.law](*layers),
+                vector(button.origin),
+                number(self.damping_time_s),
+                surface=surface,
+                name=self.label,
+            )

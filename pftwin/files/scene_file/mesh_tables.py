@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from pftwin.base.errors import InputError
+from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import FileName, LengthUnit, Point, Positive, Section, problem
 from pftwin.files.scene_file.segments import PoseSection
-from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.side import HostPose
 from pftwin.files.scene_file.surface_table import RegionSection
 

@@ -16,10 +16,8 @@ from typing import Any
 from pftwin.base.errors import InputError
 from pftwin.files.scene_file.contact_table import ContactSection
 from pftwin.files.scene_file.declared_table import declared_table
-from pftwin.files.scene_file.effect_tables import EffectSection
-from pftwin.files.scene_file.field_tables import DampingSection, GravitySection
-from pftwin.files.scene_file.foundation_table import ElasticFoundationSection
-from pftwin.files.scene_file.mesh_contact_table import MeshContactSection
+from pftwin.files.scene_file.effect_tables import DampingSection, EffectSection, GravitySection
+from pftwin.files.scene_file.mesh_contact_table import ElasticFoundationSection, MeshContactSection
 from pftwin.files.scene_file.strands_table import StrandsSection
 from pftwin.files.scene_file.tendon_table import TendonSection, ToeTendonSection, ViscoelasticTendonSection
 from pftwin.files.scene_file.tension_table import PrescribedTensionSection

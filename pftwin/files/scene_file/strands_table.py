@@ -15,9 +15,8 @@ from pftwin.base.leaves import number as leaf
 from pftwin.base.leaves import vector
 from pftwin.base.text_files import number, read_json, read_lines
 from pftwin.files.mocap.tables import unknown_name
-from pftwin.files.scene_file.effect_tables import Body, EffectSection
+from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, problem
-from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.tendon_table import group_size
 from pftwin.model.effects.tendon import StrandGroup
 

@@ -11,6 +11,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.coefficient_tables import PatchSurfaceSection, SplineSurfaceSection, refuse_other
+from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
     Direction,
     FileName,
@@ -23,7 +24,6 @@ from pftwin.files.scene_file.section import (
     problem,
 )
 from pftwin.files.scene_file.segments import PoseSection
-from pftwin.files.scene_file.setting import Setting
 from pftwin.files.scene_file.side import HostPose
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ from pydantic import Field, model_validator
 
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.files.scene_file.effect_tables import Body, EffectSection
+from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
 from pftwin.files.scene_file.section import NotNegatives, Points, Positives, problem
-from pftwin.files.scene_file.setting import Setting
 from pftwin.model.effects.tendon import Tendon
 
 if TYPE_CHECKING:

@@ -10,10 +10,9 @@ from pydantic import Field
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.mocap import Table, read_csv
-from pftwin.files.mocap.timebase import uniform_times
-from pftwin.files.scene_file.effect_tables import Body, EffectSection
+from pftwin.files.mocap.tables import uniform_times
+from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, Points
-from pftwin.files.scene_file.setting import Setting
 from pftwin.model.effects.tension import PrescribedTension
 
 

@@ -36,7 +36,7 @@ def test_the_examples_run(tmp_path, monkeypatch, capsys):
 
 def test_the_reader_that_the_page_recommends_gives_the_coordinates_back(tmp_path):
     from pftwin.files.interchange import export
-    from pftwin.files.interchange.mot import coordinates
+    from pftwin.files.interchange.exporting import coordinates
     from pftwin.files.mocap import read_sto
 
     result = small_result()

@@ -14,7 +14,6 @@ from pftwin.base.sheet import Sheet
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, flagged
 from pftwin.cli.scenes import SceneOptions, on_scene
-from pftwin.model.measured import SYNTHETIC
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -116,6 +115,7 @@ def optimise(
     terminal.start_computing(batches=True)
     from fitting.treatments.limits import Limit, in_units
     from fitting.treatments.optimise import optimise_treatment
+    from pftwin.model.measured import SYNTHETIC
 
     stated = [Limit.parsed(text) for text in limit]
     found = _loaded(estimate)
@@ -133,6 +133,8 @@ def optimise(
             seed=seed,
             dt=dt,
         )
+    from pftwin.model.measured import SYNTHETIC
+
     notes = [SYNTHETIC] if chosen.scene.synthetic else []
     if found is not None and found.synthetic:
         notes.append("the parameters were estimated from synthetic measurements")

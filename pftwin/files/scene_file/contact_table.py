@@ -87,6 +87,21 @@ class ButtonSection(Section):
         return sphere
 
 
+class FrictionSection(Section):
+    """Coulomb friction, smooth about rest."""
+
+    coefficient: NotNegative = Field(description="coefficient of friction mu [-]")
+    slip_speed_m_per_s: Positive = Field(
+        default=1e-3, description="speed up to which contacts creep rather than slide [m/s]"
+    )
+
+    def added(self, contact: Contact) -> Contact:
+        """The contact with it."""
+        from pftwin.model.effects.friction import Friction
+
+        return contact.with_friction(Friction(number(self.coefficient), number(self.slip_speed_m_per_s)))
+
+
 class ContactSection(EffectSection):
     """A sphere fixed in the patella on a surface fixed in the femur."""
 
@@ -121,18 +136,3 @@ class ContactSection(EffectSection):
         place = vector(setting.points("patella", center))
         contact = SphereContact(surface, self.law.build(), place, number(radius), name=self.label)
         return contact if self.friction is None else self.friction.added(contact)
-
-
-class FrictionSection(Section):
-    """Coulomb friction, smooth about rest."""
-
-    coefficient: NotNegative = Field(description="coefficient of friction mu [-]")
-    slip_speed_m_per_s: Positive = Field(
-        default=1e-3, description="speed up to which contacts creep rather than slide [m/s]"
-    )
-
-    def added(self, contact: Contact) -> Contact:
-        """The contact with it."""
-        from pftwin.model.effects.friction import Friction
-
-        return contact.with_friction(Friction(number(self.coefficient), number(self.slip_speed_m_per_s)))

@@ -95,7 +95,7 @@ def exchanged(path):
     [
         (truncated, "cannot be read as NetCDF|is damaged"),
         (emptied, "cannot be read as NetCDF"),
-        (altered, "its numbers are not those that were written; try: the same call again computes this part anew"),
+        (altered, "its numbers are not those that were written; try: the same call again recomputes this part"),
         (exchanged, "belongs to another batch, or to another place in it"),
     ],
 )

@@ -133,7 +133,6 @@ def optimise(
             seed=seed,
             dt=dt,
         )
-    from pftwin.model.measured import SYNTHETIC
 
     notes = [SYNTHETIC] if chosen.scene.synthetic else []
     if found is not None and found.synthetic:

@@ -93,6 +93,10 @@ class SphereContact(ButtonSphere):
 
     def observe(self, now: Instant, memory: ContactMemory) -> dict[str, Any]:
         """Forces, points and indentations, told apart as medial and lateral."""
+        return self.report(now, memory)[0]
+
+    def report(self, now: Instant, memory: ContactMemory) -> tuple[dict[str, Any], Scalar | None]:
+        """What `observe` shows, and the energy stored."""
         touches = self.touches(now, memory)[:2]
         (one, two), (c, _) = (t.at for t in touches), self.centre_in_chart(now)
         # A single contact, of which both points bear half, belongs to the facet on its side of the sphere's centre.
@@ -109,7 +113,8 @@ class SphereContact(ButtonSphere):
             point = self.surface.chart.point(p.u, p.v, self.surface.jet(p.u, p.v).f).array()
             points.append(jnp.where(force > 0, point, jnp.nan))
             off_patch = jnp.maximum(off_patch, jnp.where(force > 0, self.surface.outside(p.u, p.v), 0.0))
-        return {**facet_report(vector, forces, indentations, points), "off_patch": off_patch}
+        shown = {**facet_report(vector, forces, indentations, points), "off_patch": off_patch}
+        return shown, load_of([t.push for t in touches])[0].energy
 
     def fitted_surface(self) -> Surface:
         """The surface itself."""

@@ -99,8 +99,13 @@ class DampedLine(ElasticLine):
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Tension and length."""
-        (term,) = self.load(now, memory)[0].stiff
-        return {"tension": term.force, "length": self.line(now).length}
+        return self.report(now, memory)[0]
+
+    def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
+        """What `observe` shows, and the energy stored."""
+        load, _ = self.load(now, memory)
+        (term,) = load.stiff
+        return {"tension": term.force, "length": self.line(now).length}, load.energy
 
     def simplifications(self) -> Iterable[Change]:
         """Without its dashpot."""
@@ -205,9 +210,10 @@ class StrandGroup(DampedLine):
         f, toe = tension / self.stiffness, self.toe_strain
         return length / (1 + jnp.where(f < 0.5 * toe, safe_sqrt(2 * toe * f), f + 0.5 * toe))
 
-    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """Total tension."""
-        return {"tension": jnp.sum(super().observe(now, memory)["tension"])}
+    def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
+        """Total tension, and the energy stored."""
+        shown, energy = super().report(now, memory)
+        return {"tension": jnp.sum(shown["tension"])}, energy
 
     def simplifications(self) -> Iterable[Change]:
         """Without toe regions, the stiffness per metre and the linear region as they are; undamped."""

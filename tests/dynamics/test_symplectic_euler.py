@@ -32,7 +32,7 @@ def largest(terms, step) -> float:
     return float(np.linalg.eigvalsh(total)[-1])
 
 
-ONE = pushing((0.0, 0.6, 0.8), (0.01, 0.0, -0.002), 3e4, 5.0)
+ONE = pushing((0.48, 0.6, 0.64), (0.01, 0.003, -0.002), 3e4, 5.0)
 OTHER = pushing((0.8, 0.0, 0.6), (0.0, 0.01, 0.0), 1e4)
 
 

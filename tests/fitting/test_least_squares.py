@@ -40,6 +40,23 @@ def test_the_decrease_it_promises_is_a_quadratics_own():
         np.testing.assert_allclose(matrix @ step[i, k], -gradient[i], rtol=1e-6, atol=1e-9)
 
 
+def test_derivatives_are_taken_over_to_the_unbounded_parameters():
+    """By the chain rule with theta(u): g_u = D g, H_u = D H D, with D by differences of theta."""
+    ours = problem(design(), np.zeros((40, 4)), parameters(half_width=3.0))
+    search = LeastSquares(ours, 0, 2)
+    state = search.begin()
+    u, request = state["u"].copy(), search.ask(state)
+    random = np.random.default_rng(4)
+    root = random.normal(size=(2, 3, 3))
+    gradient, hessian = random.normal(size=(2, 3)), root @ np.swapaxes(root, 1, 2)
+    search.tell(state, request, ProblemAnswer(np.array([2.0, 1.0]), gradient, hessian))
+    slope = (ours.parameters.to_bounded(u + 1e-6) - ours.parameters.to_bounded(u - 1e-6)) / 2e-6
+    order = [int(np.argmin(np.abs(u - row).sum(axis=1))) for row in state["u"]]
+    d = np.stack([np.diag(row) for row in slope])
+    np.testing.assert_allclose(state["gradient"], np.einsum("pij,pj->pi", d, gradient)[order], rtol=1e-6)
+    np.testing.assert_allclose(state["hessian"], (d @ hessian @ d)[order], rtol=1e-6)
+
+
 def test_it_takes_no_step_that_is_not_better():
     ours = problem(design(), np.zeros((40, 4)), parameters())
     ours.evaluator.slope_chunk = 3  # one damping for each start

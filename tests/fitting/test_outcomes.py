@@ -142,6 +142,8 @@ def test_a_button_that_touches_nothing_has_no_share():
     assert np.isnan(found["contact_path_lateral_range"])
     assert float(found["peak_contact_force"]) == 0
     assert float(found["one_facet_share"]) == 0
+    share = jax.grad(lambda f: measure(made_up([0.0, 0.001, *[0.0] * 6], force=(f, 2 * f)))["medial_share"])
+    assert float(share(jnp.asarray(0.0))) == 0
 
 
 def test_smooth_outcomes_have_their_derivatives():

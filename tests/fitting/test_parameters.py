@@ -113,6 +113,7 @@ def test_spread_points_fill_every_stratum():
         (["K3"], 0.3, "K1, L1, K2, L2"),
         (["quadricep.stifness"], 0.3, "'quadriceps.stiffness'"),
         (["K1", "quadriceps.stiffness"], 0.3, "twice"),
+        (["L2", "L2.force"], 0.3, "'L2.force' is named twice"),
         (["K1.force"], 0.3, "no parameter"),
         (["contact.surface.coefficients[99]"], 0.3, "coefficients[0]"),
         (["K1"], {"K1": (200.0, 100.0)}, "empty"),

@@ -147,8 +147,11 @@ def test_what_cannot_be_simulated_is_never_sampled(line):
     function, mean, covariance = line
     half = problem(function, usable=lambda theta: theta[:, 0] > mean[0] - 0.2 * np.sqrt(covariance[0, 0]))
     found, made = drawn(Density.about(half, mean), 500)
-    assert (found.theta[..., 0] > mean[0] - 0.2 * np.sqrt(covariance[0, 0])).all()
+    least = mean[0] - 0.2 * np.sqrt(covariance[0, 0])
+    assert (found.theta[..., 0] > least).all()
     assert made.unsolved > 0
+    beyond = np.array([[least - 0.1, mean[1]], mean])
+    assert list(np.isneginf(Density.about(half, mean)(beyond).log_density)) == [True, False]
 
 
 def test_nothing_to_sample_is_said(line):

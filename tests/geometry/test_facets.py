@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import RADIUS, contact, fitted, flat_patch, look, patch_of
+from scenes import RADIUS, contact, fitted, flat_patch, look, patch_of, vec
 
-from pftwin.geometry.contact.facets import FAN
+from pftwin.geometry.contact.facets import FAN, scan_facets
+from pftwin.geometry.patch.polynomial import exponents
 from pftwin.model.effects.contact_law import Hertz
 
 J = jnp.asarray
@@ -29,8 +30,10 @@ def nearest(patch, center):
     return float(distance.min()), float(abs(v[np.argmin(distance)]))
 
 
-@pytest.mark.parametrize(("angle", "half"), [(48, 0.02), (55, 0.02), (60, 0.02), (60, 0.03), (70, 0.03)])
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("angle", "half"),
+    [(60, 0.03), *(pytest.param(*p, marks=pytest.mark.slow) for p in ((48, 0.02), (55, 0.02), (60, 0.02), (70, 0.03)))],
+)
 def test_walls_steeper_than_the_fan_is_wide(angle, half):
     """A button wedged 0.1 mm deep between walls that it touches farther out than the fan's last sample."""
     patch = fitted(lambda u, v: np.sqrt(v**2 + 0.006**2) * np.tan(np.radians(angle)), 4, (0.024, half))
@@ -54,3 +57,14 @@ def test_a_patch_narrower_than_the_fan_is_one_contact(half, beside):
     narrow, wide = (observed(contact(LAW, p), here) for p in (patch_of([0.0] * 15, 4, (0.024, half)), flat_patch()))
     assert float(narrow["force"]) == pytest.approx(float(wide["force"]), rel=1e-9)
     np.testing.assert_array_equal(np.isnan(narrow["point_medial"]), np.isnan(wide["point_medial"]))
+
+
+@pytest.mark.parametrize(("along", "twist", "across"), [(0.0, 25.0, 25.0), (0.0, 20.0, 20.0), (-10.0, 25.0, 20.0)])
+@pytest.mark.parametrize("astray", [0.0, 0.004, 0.008])
+def test_the_fan_finds_the_bottom_from_a_wrong_place_along_the_groove(along, twist, across, astray):
+    """Below the centre of a twisted valley, f = a u^2 / 2 + b u v + c v^2 / 2, whose bottom across turns with u."""
+    half = (0.024, 0.02)
+    second = {(2, 0): along / 2 * half[0] ** 2, (1, 1): twist * half[0] * half[1], (0, 2): across / 2 * half[1] ** 2}
+    valley = patch_of([second.get(ij, 0.0) for ij in exponents(2)], 2, half)
+    found = scan_facets(valley, vec(0, 0, RADIUS - 1e-4), J(RADIUS), J(astray))
+    np.testing.assert_allclose(found, 0.0, atol=1e-12)

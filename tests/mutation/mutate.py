@@ -34,6 +34,10 @@ class Mutant:
         """For a table and for the list of equivalent mutants: it does not name the line, which moves."""
         return f"{self.before} -> {self.after}"
 
+    def text_of_line(self, text: str) -> str:
+        """What stands in the line of the file where it begins."""
+        return text.splitlines()[self.line - 1].strip()
+
 
 def mutants(text: str) -> list[Mutant]:
     """All bugs that the operators make of a file's text, in the order of the file."""
@@ -68,8 +72,23 @@ def _computing(tree: ast.AST) -> Iterator[ast.AST]:
                 continue
             if isinstance(child, ast.Call) and _called(child) in _REFUSALS:
                 continue
+            if _keeps_from_nothing(child):
+                assert isinstance(child, ast.BinOp)
+                assert isinstance(child.right, ast.Call)
+                yield child
+                yield from _computing(child.left)
+                yield from _computing(ast.Tuple(child.right.args[:2]))
+                continue
             yield child
             yield from _computing(child)
+
+
+def _keeps_from_nothing(node: ast.AST) -> bool:
+    """Whether it is x / where(condition, y, 1.0): the constant only keeps a division from 0 / 0, and may be another."""
+    if not (isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div) and isinstance(node.right, ast.Call)):
+        return False
+    call = node.right
+    return _called(call) == "where" and len(call.args) == 3 and isinstance(call.args[2], ast.Constant)
 
 
 def _called(node: ast.Call) -> str:

@@ -63,13 +63,13 @@ def guarded() -> dict[str, list[str]]:
     return found
 
 
-def equivalents() -> dict[tuple[str, str], str]:
-    """Reasons by module and label."""
+def equivalents() -> dict[tuple[str, str, str], str]:
+    """Reasons by module, label and the line that the mutant is in."""
     out = {}
     for line in (HERE / "equivalent.txt").read_text(encoding="utf-8").splitlines():
         if line.strip() and not line.startswith("#"):
-            module, label, reason = (part.strip() for part in line.split(" :: "))
-            out[module, label] = reason
+            module, label, text, reason = (part.strip() for part in line.split(" :: "))
+            out[module, label, text] = reason
     return out
 
 
@@ -136,10 +136,10 @@ def outcomes(chosen: list[tuple[str, Mutant]], guards: dict[str, list[str]], lim
         if failed := tested(tree, sorted({test for module, _ in chosen for test in guards[module]}), 20 * limit):
             raise SystemExit(f"without a bug {failed} fails: mend it first")
         for i, (module, mutant) in enumerate(chosen, start=1):
-            reason = reasons.get((module, mutant.label()), "")
             file, began, by = tree / path_of(module), time.perf_counter(), ""
+            text = file.read_text(encoding="utf-8")
+            reason = reasons.get((module, mutant.label(), mutant.text_of_line(text)), "")
             if not reason:
-                text = file.read_text(encoding="utf-8")
                 try:
                     file.write_text(mutant.applied(text), encoding="utf-8")
                     by = tested(tree, guards[module], limit)

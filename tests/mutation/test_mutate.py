@@ -41,6 +41,12 @@ def test_each_operator_makes_its_bug_and_annotations_and_messages_are_left_alone
     }
 
 
+def test_a_constant_that_only_keeps_a_division_from_0_by_0_stays():
+    found = {m.label() for m in mutants("x = a / where(b > 0, b, 1.0) + where(b > 0, b, 2.5)\n")}
+    assert "1.0 -> (1.5)" not in found
+    assert {"b > 0 -> (b >= 0)", "2.5 -> (3.75)"} <= found
+
+
 def test_every_bug_is_a_program_of_its_own_whatever_letters_stand_before_it():
     text = 'äöü = "äöü"; x = (1 + len(äöü)) * 2\n'
     found = {m.applied(text) for m in mutants(text)}
@@ -58,6 +64,6 @@ def test_guarded_modules_can_be_mutated(module):
 
 
 def test_what_is_called_equivalent_is_still_there():
-    for module, label in equivalents():
+    for module, label, line in equivalents():
         text = (ROOT / path_of(module)).read_text(encoding="utf-8")
-        assert label in {m.label() for m in mutants(text)}, f"{module}: {label}"
+        assert (label, line) in {(m.label(), m.text_of_line(text)) for m in mutants(text)}, f"{module}: {label}"

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from pftwin.dynamics.batch import sharding as module
-from pftwin.dynamics.batch.sharding import Sharding
+from pftwin.dynamics.batch.batched import PIECE
+from pftwin.dynamics.batch.sharding import Sharding, piece_for
 
 
 @pytest.fixture
@@ -30,6 +31,15 @@ def of_one_device(rows: np.ndarray, counts: np.ndarray, devices: int) -> np.ndar
     for device, count in enumerate(counts):
         out[device, :count] = 3.0 * own[device, :count] + 1
     return out.reshape(rows.shape)
+
+
+@pytest.mark.parametrize(
+    ("n", "platform", "members"),
+    [(1, "gpu", 16), (17, "gpu", 32), (1000, "gpu", 1024), (10**6, "gpu", 2048), (32, "cpu", 16), (33, "cpu", PIECE)],
+)
+def test_pieces_come_in_few_sizes(n, platform, members):
+    """On an accelerator powers of two from 16 to 2048, so that few programs are compiled; on a CPU two sizes."""
+    assert piece_for(n, platform) == members
 
 
 @pytest.mark.parametrize(

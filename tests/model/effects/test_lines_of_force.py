@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import J, look, tendon, vec
+from scenes import J, knee_motion, look, tendon, vec
 
 from pftwin.base.spatial import Quaternion, Vec3
 from pftwin.model.effects.tendon import StrandGroup, Tendon
@@ -83,6 +83,15 @@ def group(rng) -> tuple[Tendon, list[Tendon]]:
     here, there = (Vec3.from_array(J(rng.normal(scale=0.1, size=(n, 3)))) for _ in range(2))
     together = Tendon(k, slack, 0.01 * k, here, there, "tibia", name="group")
     return together, [jax.tree.map(lambda a, i=i: a[i], together) for i in range(n)]
+
+
+def test_a_line_says_how_many_it_is_and_whether_it_can_stay():
+    """A line to the ground has no place where the femur is held still: the ground would move."""
+    single, segment = tendon(body="tibia"), knee_motion(4).tibia
+    assert (single.count, group(np.random.default_rng(0))[0].count) == (None, 4)
+    assert single.line_element() is single
+    assert single.in_still_femur(segment) is single
+    assert tendon(body="ground").in_still_femur(segment) is None
 
 
 def test_a_group_is_the_sum_of_its_tendons():

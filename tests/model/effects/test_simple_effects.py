@@ -5,8 +5,9 @@ from __future__ import annotations
 import equinox as eqx
 import numpy as np
 import pytest
-from scenes import J, look, vec
+from scenes import J, knee_motion, look, vec
 
+from pftwin.base.quantities import declarations
 from pftwin.base.spatial import Quaternion
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.gravity import Gravity
@@ -23,6 +24,7 @@ def test_weight_and_its_energy():
     assert high.energy is not None
     assert float(high.energy - low.energy) == pytest.approx(0.12 * (9.81 * 0.2 - 0.1))
     assert low.stiff == ()
+    assert float(weight.observe(look((0, 0, 0)), None)["weight"]) == pytest.approx(0.12 * np.hypot(1.0, 9.81))
 
 
 def moving(spin, femur: Frame | None = None):
@@ -54,3 +56,16 @@ def test_a_patella_carried_along_rigidly_feels_no_drag():
     )
     w = LinearDamping(J(0.4), J(0.002)).load(now, None)[0].total()
     np.testing.assert_allclose([*w.force.array(), *w.moment.array()], 0, atol=1e-16)
+
+
+def test_a_drag_of_the_ground_has_no_place_where_the_femur_is_held_still():
+    segment = knee_motion(4).tibia
+    assert LinearDamping(J(0.4), J(0.002), "ground").in_still_femur(segment) is None
+    of_femur = LinearDamping(J(0.4), J(0.002), "femur")
+    assert of_femur.in_still_femur(segment) is of_femur
+
+
+def test_no_damping_is_allowed_and_negative_damping_is_not():
+    quantities = [d.quantity for d in declarations(LinearDamping(J(0.4), J(0.002)))]
+    assert [q.unit for q in quantities] == ["N s/m", "N m s/rad"]
+    assert all(q.holds(0.0) and not q.holds(-1e-9) for q in quantities)

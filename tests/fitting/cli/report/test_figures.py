@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import dataclasses
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
-from report_pages import estimate, fitted, measured
+from made_estimates import made_estimate
+from report_pages import VALUES, estimate, fitted, measured
 from small_scene import small_result
 
 from fitting.cli.report import figures
@@ -77,10 +82,26 @@ def test_the_fits_way_and_its_correlations_are_the_estimates(material):
 
 
 def test_of_two_runs_each_is_drawn_under_its_own_name(material):
-    import dataclasses
-
     other = dataclasses.replace(small_result(), scene=small_result().scene)
     two = dataclasses.replace(material, runs=[*material.runs, ReportedRun.of_result(other, "treated")])
     drawn = figures.case(two)
     assert {"fitted", "treated"} <= {t.get_text() for legend in drawn.figure.legends for t in legend.get_texts()}
     assert "fitted and treated" in drawn.alternative
+
+
+def test_pictures_are_told_by_what_they_are(material):
+    """Bytes of a PNG file as they are; a figure as SVG."""
+    kept = figures.Picture(b"\x89PNG\r\n\x1a\n and more", "", "").source
+    start, data = kept.split(",")
+    assert start == "data:image/png;base64"
+    assert base64.b64decode(data) == b"\x89PNG\r\n\x1a\n and more"
+    start, data = figures.case(material).source.split(",")
+    assert start == "data:image/svg+xml;base64"
+    assert ElementTree.fromstring(base64.b64decode(data)).tag.endswith("svg")
+
+
+def test_the_strongest_correlation_is_that_of_two_parameters():
+    two = made_estimate(dict(list(VALUES.items())[:2]), covariance=np.array([[4.0, -0.03], [-0.03, 0.0025]]))
+    assert "The strongest: K1 and L1, -0.30." in figures.correlation(two).alternative
+    one = made_estimate({"K1": (171.0, 12.5)})
+    assert "strongest" not in figures.correlation(one).alternative

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import vec
 
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.contact.ball_cut import BallCut
@@ -49,13 +50,13 @@ def test_indentations_by_their_power(depth):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_the_share_of_one_contact_changes_as_its_slope_says(axis):
     """Facets of unlike volume; 2 R V changes by twice the moment, the seam's integrals by their slopes."""
+    x = jnp.asarray
     cuts = [
-        BallCut(*map(jnp.asarray, (6.2e-7, v)), Vec3(*map(jnp.asarray, m)), jnp.asarray(-1.4e-8))
-        for v, m in ((8.5e-14, (3e-10, -2e-10, -1.4e-8)), (5.5e-14, (-1e-10, 2.5e-10, -1.1e-8)))
+        BallCut(x(6.2e-7), x(doubled), vec(*moment), x(-1.4e-8))
+        for doubled, moment in ((8.5e-14, (3e-10, -2e-10, -1.4e-8)), (5.5e-14, (-1e-10, 2.5e-10, -1.1e-8)))
     ]
-    depth, square = (Vec3(*map(jnp.asarray, a)) for a in ((2e-5, -3e-5, -8.8e-4), (1e-10, 3e-10, -5.2e-9)))
-    seam = SeamDepth(*map(jnp.asarray, (8.8e-4, 2.6e-9, 9.2e-15)), depth, square)
-    r = jnp.asarray(0.022)
+    depth, square = vec(2e-5, -3e-5, -8.8e-4), vec(1e-10, 3e-10, -5.2e-9)
+    seam, r = SeamDepth(x(8.8e-4), x(2.6e-9), x(9.2e-15), depth, square), x(0.022)
 
     def at(h):
         moved = [c._replace(doubled=c.doubled + 2 * h * c.moment.array()[axis]) for c in cuts]

@@ -82,6 +82,7 @@ def process(script: str, cache: Path, package: Path, *, kind: str = "double", fl
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_a_second_process_gives_the_same_bits_without_compiling(tmp_path, package):
     compiled, heavy, first = process(RIG, tmp_path / "cache", package)
     assert compiled >= 2

@@ -91,6 +91,7 @@ class TestDefaults:
     def test_the_first_use_is_fast_and_precise(self, first):
         assert said(first) == (True, FAST, [])
 
+    @pytest.mark.slow
     def test_fitting_too(self):
         assert said("import fitting", "fitting.fit_tendons")[:2] == (True, FAST)
 

@@ -82,6 +82,7 @@ def test_bash_completes(typed, offered):
     assert offered in done.stdout.split(), done
 
 
+@pytest.mark.slow
 def test_completion_can_be_shown_for_common_shells():
     for shell in ("bash", "zsh", "fish"):
         done = run(_PFTWIN_COMPLETE=f"source_{shell}")

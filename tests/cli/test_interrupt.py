@@ -219,6 +219,7 @@ def test_audit_without_a_place_shows_what_is_done(toy, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_contact_map_keeps_the_frames_that_are_done(tmp_path, monkeypatch):
     import xarray
 
@@ -246,6 +247,7 @@ def test_simulate_names_the_files_that_are_whole(toy, tmp_path):
     assert load_dataset(tmp_path / "out.nc").attrs["scene"] == "toy"
 
 
+@pytest.mark.slow
 def test_a_file_that_is_cut_off_is_removed(toy, tmp_path, monkeypatch):
     whole = Path.write_bytes
 

@@ -77,7 +77,7 @@ def carried_knee() -> Scene:
 SCENES = {"fixed": lambda: knee(FRAMES), "moving": carried_knee}
 
 
-@pytest.fixture(scope="module", params=[pytest.param("fixed", marks=pytest.mark.slow), "moving"])
+@pytest.fixture(scope="module", params=[pytest.param(kind, marks=pytest.mark.slow) for kind in ("fixed", "moving")])
 def held(request):
     """A scene whose femur is fixed, or moves, and its equilibrium."""
     scene = SCENES[request.param]()

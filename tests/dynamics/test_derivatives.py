@@ -130,6 +130,7 @@ def test_forward_mode_agrees_with_central_differences(phase, derivatives, phases
             assert np.all(forward[k][frames] == 0)
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_forward_mode(derivatives):
     weights = J(np.random.default_rng(1).normal(size=(N_FRAMES, 3)))
     gradient = jax.jit(jax.grad(lambda theta: jnp.sum(weights * positions(theta))))(jnp.zeros(N_PARAMETERS))
@@ -144,6 +145,7 @@ def test_a_batch_is_its_members_one_by_one():
         np.testing.assert_allclose(positions(J(theta)), path, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_single_precision_is_finite_and_close():
     scene = knee()
     start = settled(scene)

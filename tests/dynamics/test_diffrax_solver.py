@@ -31,7 +31,7 @@ from pftwin.dynamics.status import Status
 J = jnp.asarray
 
 
-@pytest.mark.parametrize("solver", ["Heun", "Bosh3", "Tsit5", "Kvaerno3"])
+@pytest.mark.parametrize("solver", [pytest.param("Heun", marks=pytest.mark.slow), "Bosh3", "Tsit5", "Kvaerno3"])
 def test_declared_orders_in_steps_of_constant_length(solver):
     """A tumbling top, against a solver of order eight."""
     top = system(inertia=np.array([2e-5, 5e-5, 8e-5]))

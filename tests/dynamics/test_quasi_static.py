@@ -200,6 +200,7 @@ def over_the_ridge():
     return scene, path(scene, settled(scene), J(STEPS), ledger=True)
 
 
+@pytest.mark.slow
 def test_a_fold_is_found_crossed_and_told(over_the_ridge, by_energy):
     """It leaves its groove in the frame in which that has no equilibrium any more, and lands in the other groove."""
     _, (found, seen) = over_the_ridge
@@ -213,6 +214,7 @@ def test_a_fold_is_found_crossed_and_told(over_the_ridge, by_energy):
     assert np.ptp(aside[snaps[0] - 1 : snaps[0] + 1]) > 0.01
 
 
+@pytest.mark.slow
 def test_what_a_snap_releases_is_heat(over_the_ridge, by_energy):
     _, (found, seen) = over_the_ridge
     stored = sum(np.asarray(e) for e in seen.potential_energy.values())

@@ -22,7 +22,8 @@ from pftwin.dynamics.batch.sharding import AXIS
 from pftwin.model.measured import Measured
 
 
-@pytest.mark.parametrize("program", ["plain", pytest.param("with_slopes", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("program", ["plain", "with_slopes"])
+@pytest.mark.slow
 def test_variants_that_are_laid_out_give_the_same(program):
     """Over one device: what `shard_map` makes of the programs."""
     scene = small_scene(6)

@@ -41,6 +41,7 @@ def test_planning_tells_what_a_fit_reports():
         fitting.plan_experiment(scene(), use=("magic",))
 
 
+@pytest.mark.slow
 def test_a_profile_is_about_a_parabola():
     profile = fitting.profile_likelihood(estimate(), "L2", points=9)
     low, high = profile.interval

@@ -98,6 +98,7 @@ class _Gone(BaseException):
     """What no part of a fit waits for: like the end of the process, it leaves what is on disk, and no more."""
 
 
+@pytest.mark.slow
 def test_a_fit_that_is_gone_resumes_as_if_nothing_had_happened(tmp_path, monkeypatch):
     def end(p):
         if p.iteration == 5:

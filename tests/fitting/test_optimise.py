@@ -64,6 +64,7 @@ def test_nothing_is_done_where_nothing_is_needed(knee):
     assert float(plan.treatment.values[0]) == 0
 
 
+@pytest.mark.slow
 def test_what_cannot_be_met_is_said(knee):
     limits = [Limit("peak_contact_force", at_most=0.5), Limit("dislocation_margin", at_least=0.001)]
     plan = optimise_treatment(knee, limits, {"medialisation": (0.0, 0.02)}, dt=DT)

@@ -68,6 +68,7 @@ def posterior(estimate):
     return found
 
 
+@pytest.mark.slow
 def test_one_program_serves_fits_to_other_channels(scene, estimate):
     """It computes both channels; the one that is compared is picked, whatever their order."""
     p = fitting.free_parameters(scene, SPRINGS)

@@ -30,6 +30,7 @@ def case_2():
     return predict(rig.case(2), grid(TRANSFER, medialisation=1e-3 * np.arange(0, 21, 2)), dt=DT)
 
 
+@pytest.mark.slow
 def test_medialisation_cures_case_2(case_2):
     out = case_2["dislocations"].values > 0
     np.testing.assert_array_equal(case_2[MEDIAL].values[out], [0.0, 0.002])
@@ -40,6 +41,7 @@ def test_medialisation_cures_case_2(case_2):
     assert not case_2["failed"].values.any()
 
 
+@pytest.mark.slow
 def test_a_member_is_what_simulate_gives(case_2):
     one = outcomes(simulate(tibial_tuberosity_transfer(rig.case(2), 0.010), dt=DT))
     member = case_2.isel(variant=5)
@@ -110,6 +112,7 @@ def test_variants_stand_in_the_order_they_were_given(sampled):
     assert sampled.attrs["note"] == "the parameters were estimated from synthetic measurements"
 
 
+@pytest.mark.slow
 def test_a_synthetic_motion_is_told(case_2):
     assert case_2.attrs["note"] == SYNTHETIC
 

@@ -107,6 +107,7 @@ def test_results_are_netcdf(tmp_path):
     assert "v.nc" in outcome.stderr
 
 
+@pytest.mark.slow
 def test_a_simulation_after_a_treatment(tmp_path):
     """What dislocates as it is does not with the tuberosity 16 mm medial; the result says what was done."""
     out = tmp_path / "after.nc"

@@ -111,6 +111,7 @@ def test_a_batch_is_what_its_members_are(groove):
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_the_meshes_are_apart(groove):
     search = depth_search(groove[0], groove[1].corners, LIMIT)
     found, depths = searched(search, on_the_groove(4, -0.5e-3, seed=1))

@@ -39,7 +39,7 @@ def test_every_neighbour_of_a_case_has_its_equilibrium():
     assert bool(jnp.all(found.converged()))
 
 
-@pytest.mark.parametrize("substeps", [1, 2])
+@pytest.mark.parametrize("substeps", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_long_steps_keep_every_neighbour_in_the_groove(substeps):
     """At 5 and 10 ms accuracy is lost first, not stability: no variant is thrown out, none stops being finite."""
     scene = rig.case(1).unnamed()

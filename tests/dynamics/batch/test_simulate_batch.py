@@ -73,6 +73,7 @@ def test_chunks_change_no_bit():
     assert calls == [(FEW, 2 * FEW), (2 * FEW, 2 * FEW)]
 
 
+@pytest.mark.slow
 def test_parts_change_no_bit(monkeypatch, tmp_path):
     monkeypatch.setattr("pftwin.dynamics.batch.simulate_batch._LEAST", FEW)  # members of a part
     whole = batch(rows_of(2 * FEW))

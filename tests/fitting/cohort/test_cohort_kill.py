@@ -130,6 +130,7 @@ def killed_at_steps(server: Server, folder: Path, patients: int, steps: Iterator
     return kills, lost
 
 
+@pytest.mark.slow
 def test_killed_between_the_writes_of_a_unit(server, tmp_path):
     """Some of the moments that the slow test takes one after the other."""
     kills, _ = killed_at_steps(server, tmp_path, 1, iter((3, 12, 21)))

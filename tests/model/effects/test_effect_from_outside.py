@@ -117,6 +117,7 @@ origin_m = [0.22, 0.012, 0.035]
         pftwin.load_scene(path)
 
 
+@pytest.mark.slow
 def test_it_is_fitted(result: pftwin.Result) -> None:
     measured = Measured(
         result.times, center=result.center, femoral_spring_force=result.effects["quadriceps"]["tension"]

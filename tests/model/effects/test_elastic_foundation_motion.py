@@ -80,6 +80,7 @@ def fallen():
     return still, run(still, starting_as_it_is(still), J(10))
 
 
+@pytest.mark.slow
 def test_a_damped_fall_ends_in_the_equilibrium(fallen):
     scene, (path, seen) = fallen
     report = equilibrium(scene)
@@ -91,6 +92,7 @@ def test_a_damped_fall_ends_in_the_equilibrium(fallen):
     assert float(seen.effects["contact"]["force"][-1]) == pytest.approx(report.effects["contact"]["force_z"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_what_the_fall_loses_is_accounted_for(fallen):
     scene, _ = fallen
     gaps, lost = [], 0.0

@@ -266,6 +266,7 @@ def path_of(scene, start, substeps, integrator=LinearImplicit()):
     return 1e3 * path.states.position.array(), path.ledger.heat
 
 
+@pytest.mark.slow
 def test_a_knee_moves_alike_by_two_integrators_and_at_long_steps(starts):
     """Explicit at 0.05 ms, which takes N as it is then; implicit, N a step late, at 0.1, 1 and 5 ms."""
     plain, scene = rough_knee(mu=0.1, creep=5e-3)
@@ -301,7 +302,7 @@ def ends():
     return end
 
 
-@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
 def test_derivatives_of_a_motion_are_its_differences(ends, mode):
     """From rest, where the speed's root has no slope, through touch and sliding."""
     zero, step = jnp.zeros(4), 1e-7

@@ -15,6 +15,8 @@ from viewer_pages import both, chromium
 from pftwin.results.viewer import view
 from pftwin.results.viewer.shapes import of_poses
 
+pytestmark = pytest.mark.slow  # a browser
+
 PIL = pytest.importorskip("PIL.Image")
 VIEWER = "document.querySelector('.pftwin').viewer"
 WRITTEN = 150  # legend and numbers: pixels from the top

@@ -99,6 +99,7 @@ def cells() -> list[Cell]:
     return run_matrix([case_named(name) for name in SMALL], chosen)
 
 
+@pytest.mark.slow
 def test_a_small_set_holds_on_a_patch_with_the_default_integrator(cells):
     assert {c.case: c.outcome for c in cells if not c.reason} == dict.fromkeys(SMALL[:-2], "pass")
     assert {c.case for c in cells if c.outcome == "refused"} == set(SMALL[-2:])
@@ -113,6 +114,7 @@ def test_runs_do_not_depend_on_their_batch():
     assert [c.reason for c in cells] == [""] * len(cases)
 
 
+@pytest.mark.slow
 def test_tables_count_every_cell_once(cells):
     assert sum(counts(cells).values()) == len(cells)
     (row,) = summary(cells).rows

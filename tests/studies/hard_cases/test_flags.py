@@ -50,6 +50,7 @@ def test_an_explicit_step_that_blows_up_says_that_it_is_too_long():
     assert plain == Status.OK
 
 
+@pytest.mark.slow
 def test_an_explicit_step_in_which_contact_chatters_says_that_it_is_too_long():
     """Nothing blows up, as a contact cannot pull; derivatives grow by powers of ten in every frame."""
     chattering, calm = flags_of(["at_random_2", "at_random_4"], SymplecticEuler(), 100)

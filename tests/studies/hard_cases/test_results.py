@@ -26,6 +26,7 @@ def test_a_case_in_equilibrium_is_what_simulate_makes_of_it(found):
     assert found["plain_knee"].settings["dt_s"] == pytest.approx(case.step)
 
 
+@pytest.mark.slow
 def test_a_released_case_starts_where_it_is_put(found):
     """3 mm above the plate, at rest, and in the end on it, under its own weight."""
     dropped = found["bounce_to_rest"]
@@ -35,6 +36,7 @@ def test_a_released_case_starts_where_it_is_put(found):
     assert dropped.effects["contact"]["force"][-1] == pytest.approx(0.12 * 9.81, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_refused_case_is_its_error(found):
     assert list(found) == list(NAMES)
     assert isinstance(found["radius_negative"], InputError)

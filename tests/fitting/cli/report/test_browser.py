@@ -17,6 +17,8 @@ from viewer_pages import chromium
 
 from fitting.cli.report.command import report_page as report
 
+pytestmark = pytest.mark.slow  # a browser
+
 pytest.importorskip("k3d")
 PRINTED = (210 - 2 * 14, 297 - 2 * 18)  # A4 between the margins [mm]
 PIXELS = 96 / 25.4  # of a style sheet, for a millimetre

@@ -123,7 +123,7 @@ class Result:
             flags=np.asarray(seen.status, dtype=np.int32),
             equilibrium=EquilibriumReport.build(scene, start, relaxed, there=first),
             contact=None if contact is None else contact.name,
-            surface=scene.surface,
+            surface=None if contact is None else contact.groove_surface(),
             settings=dict(settings),
             timing=dict(timing),
             dtype=str(seen.center.x.dtype),

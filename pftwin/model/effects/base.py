@@ -211,6 +211,11 @@ class Effect(eqx.Module):
     observables: ClassVar[dict[str, Observable]] = {}
     jumps: ClassVar[bool] = False  # whether the force jumps as the pose changes: then there need be no equilibrium
 
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        if "observe" in vars(cls) and "report" not in vars(cls):
+            cls.report = Effect.report  # a base class's own would go on showing what the base class shows
+
     @abstractmethod
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """The load at an instant, and the memory that goes on to the next step (None for most)."""

@@ -48,6 +48,14 @@ class Contact(Effect):
         """Itself."""
         return self
 
+    def observe(self, now: Instant, memory: Any) -> dict[str, Any]:
+        """What `report` shows."""
+        return self.report(now, memory)[0]
+
+    @abstractmethod
+    def report(self, now: Instant, memory: Any) -> tuple[dict[str, Any], Scalar | None]:
+        """See `Effect`: what is shown of a contact and its energy come from one search."""
+
     @abstractmethod
     def tracked_point(self) -> Vec3:
         """The point of the patella whose path results show: the middle of the button's sphere, patella frame [m]."""

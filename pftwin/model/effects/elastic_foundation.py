@@ -84,12 +84,8 @@ class ElasticFoundation(ButtonMesh):
         )
         return Load(bed=bed, energy=found.energy), memory
 
-    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
-        return self.report(now, memory)[0]
-
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar]:
-        """What `observe` shows, and the energy stored."""
+        """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
         at = self.pressed(now)
         forces, p = sums(at)
         push = Vec3.from_array(jnp.sum(p.facets, axis=0))

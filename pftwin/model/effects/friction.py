@@ -147,10 +147,10 @@ class WithFriction(ButtonSphere):
         terms = [StiffTerm(t, applied_at(lever, patella, t), secant * v, zero, zero, secant, v) for t, v in along]
         return Sliding((terms[0], terms[1]), speed, per_speed * speed)
 
-    def observe(self, now: Instant, memory: FrictionMemory) -> dict[str, Any]:
+    def report(self, now: Instant, memory: FrictionMemory) -> tuple[dict[str, Any], Scalar | None]:
         """The contact's report; `force_x`, `_y` and `_z` with friction, the other forces without it."""
         contact = self.alone()
-        report = contact.observe(now, memory.contact)
+        report, energy = contact.report(now, memory.contact)
         pushes = _pushes(contact.load(now, memory.contact)[0])
         slidings = [self._sliding(now, push, before) for push, before in zip(pushes, memory.last, strict=True)]
         force = sum((t.force * t.direction for s in slidings for t in s.terms), start=Vec3.zero())
@@ -161,7 +161,7 @@ class WithFriction(ButtonSphere):
         for facet, (grip, speed) in zip(FACETS, [*((s.grip, s.speed) for s in slidings), absent], strict=False):
             normal = report[f"force_{facet}"]  # as reported: a single contact belongs to one facet
             report |= {f"friction_{facet}": grip * normal, f"slip_speed_{facet}": jnp.where(normal > 0, speed, jnp.nan)}
-        return report
+        return report, energy
 
 
 def _pushes(load: Load) -> list[StiffTerm]:

@@ -107,12 +107,8 @@ class MeshContact(ButtonMesh):
         moment = patella.rotation.unapply(arm.cross(world))
         return pushed(self.law, now, contact.indentation, -world.dot(velocity), world, moment, approach_speed, 1.0)
 
-    def observe(self, now: Instant, memory: Speeds) -> dict[str, Any]:
-        """Forces, points and indentations by facet; NaN where a facet has no contact of its own."""
-        return self.report(now, memory)[0]
-
     def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
-        """What `observe` shows, and the energy stored."""
+        """Forces, points and indentations by facet; NaN where a facet has no contact of its own."""
         found = self.contacts(now)
         pushes = self._pushes(now, found, memory)
         forces = [p.term.force for p in pushes]

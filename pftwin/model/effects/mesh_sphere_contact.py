@@ -56,7 +56,7 @@ class MeshSphereContact(ButtonSphere):
         """A stiff term for each facet."""
         return load_of([t.push for t in self.touches(now, memory)])
 
-    def observe(self, now: Instant, memory: Speeds) -> dict[str, Any]:
+    def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
         """Forces, points and indentations by facet; NaN for a facet whose contact is none of its own."""
         touches = self.touches(now, memory)
         forces = [t.push.term.force for t in touches]
@@ -65,8 +65,9 @@ class MeshSphereContact(ButtonSphere):
         points = [jnp.where(f > 0, t.at.point.array(), jnp.nan) for f, t in zip(forces, touches, strict=True)]
         beyond = [jnp.where(f > 0, t.at.beyond_rim, 0.0) for f, t in zip(forces, touches, strict=True)]
         overflow = jnp.stack([t.at.overflow for t in touches]).any().astype(forces[0].dtype)
-        report = facet_report(total, forces, indentations, points)
-        return {**report, "off_patch": jnp.maximum(jnp.stack(beyond).max(), 0.0), "overflow": overflow}
+        shown = facet_report(total, forces, indentations, points)
+        shown |= {"off_patch": jnp.maximum(jnp.stack(beyond).max(), 0.0), "overflow": overflow}
+        return shown, load_of([t.push for t in touches])[0].energy
 
     def femur_triangles(self) -> Array:
         """See `Contact`."""

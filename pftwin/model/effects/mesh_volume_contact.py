@@ -121,7 +121,7 @@ class MeshVolumeContact(ButtonSphere):
         """Sphere centre counted from the centre of mass; the mesh made ready for many looks."""
         return eqx.tree_at(lambda e: e.mesh, super().recentred(center_of_mass), self.mesh.prepared())
 
-    def observe(self, now: Instant, memory: Speeds) -> dict[str, Any]:
+    def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
         """Forces, places and indentations by facet; NaN for a facet that is not touched."""
         t, (centre, _) = self.touch(now, memory), self.centre_in_femur(now)
         found, deep = t.overlap, self.mesh.depth_by_distance(centre, self.radius)
@@ -143,7 +143,7 @@ class MeshVolumeContact(ButtonSphere):
         report |= {f"area_{facet}": area for facet, area in zip(FACETS, found.areas, strict=True)}
         loaded = (forces[0] > 0) | (forces[1] > 0)
         rim = jnp.where(loaded, 0.5 * self.mesh.rim_inside(centre, self.radius), 0.0)
-        return {**report, "off_patch": rim, "overflow": found.overflow.astype(whole.dtype)}
+        return {**report, "off_patch": rim, "overflow": found.overflow.astype(whole.dtype)}, t.energy
 
 
 class RoughMeshVolumeContact(WithFriction, MeshVolumeContact):

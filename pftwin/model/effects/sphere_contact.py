@@ -91,12 +91,8 @@ class SphereContact(ButtonSphere):
         one, two, memory = self.touches(now, memory)
         return load_of([one.push, two.push])[0], memory
 
-    def observe(self, now: Instant, memory: ContactMemory) -> dict[str, Any]:
-        """Forces, points and indentations, told apart as medial and lateral."""
-        return self.report(now, memory)[0]
-
     def report(self, now: Instant, memory: ContactMemory) -> tuple[dict[str, Any], Scalar | None]:
-        """What `observe` shows, and the energy stored."""
+        """Forces, points and indentations, told apart as medial and lateral."""
         touches = self.touches(now, memory)[:2]
         (one, two), (c, _) = (t.at for t in touches), self.centre_in_chart(now)
         # A single contact, of which both points bear half, belongs to the facet on its side of the sphere's centre.

@@ -102,7 +102,7 @@ class DampedLine(ElasticLine):
         return self.report(now, memory)[0]
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
-        """What `observe` shows, and the energy stored."""
+        """These, and the energy stored."""
         load, _ = self.load(now, memory)
         (term,) = load.stiff
         return {"tension": term.force, "length": self.line(now).length}, load.energy

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -92,6 +93,22 @@ def test_a_line_says_how_many_it_is_and_whether_it_can_stay():
     assert single.line_element() is single
     assert single.in_still_femur(segment) is single
     assert tendon(body="ground").in_still_femur(segment) is None
+
+
+class Band(Tendon):
+    """A tendon that shows its strain, and nothing else."""
+
+    def observe(self, now, memory):
+        return {"strain": self.line(now).length / self.slack_length - 1}
+
+
+def test_a_tendon_that_shows_something_else_shows_that_and_stores_as_much():
+    fields = {f.name: getattr(tendon(k=500), f.name) for f in dataclasses.fields(Tendon)}
+    now = look((0, 0, 0.04))
+    shown, energy = eqx.filter_jit(lambda e: e.report(now, None))(Band(**fields))
+    assert float(shown.pop("strain")) == pytest.approx(0.2)
+    assert not shown
+    assert float(energy) == pytest.approx(0.5 * 500 * 0.01**2)
 
 
 def test_a_group_is_the_sum_of_its_tendons():

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from toy_scene_files import SCENE, write_toy
+from toy_scene_files import LIGHT, write_toy
 from typer.testing import CliRunner, Result
 
 from fitting import Estimate
@@ -31,7 +31,7 @@ def refused(*arguments: object) -> str:
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_toy(tmp_path_factory.mktemp("toy"), SCENE + MEASURED)
+    return write_toy(tmp_path_factory.mktemp("toy"), LIGHT + MEASURED)
 
 
 def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
@@ -89,5 +89,5 @@ def test_mistakes_at_the_command_line(toy, tmp_path):
 
 
 def test_a_scene_without_measurements(tmp_path):
-    scene = write_toy(tmp_path, SCENE)
+    scene = write_toy(tmp_path, LIGHT)
     assert "nothing to compare with" in refused("fit", scene, "-o", tmp_path / "fit.json")

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import knee, settled, tendon
+from test_variants import hung
 
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.model.effects.base import Effect, Load
@@ -75,8 +76,9 @@ def test_what_other_scenes_have_changes_no_bit():
     assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
 
 
-def test_a_member_of_a_batch_is_what_it_is_beside_others():
-    scene = knee(7)
+@pytest.mark.parametrize("make", [hung, pytest.param(lambda: knee(7), marks=pytest.mark.slow)], ids=["tendons", "knee"])
+def test_a_member_of_a_batch_is_what_it_is_beside_others(make):
+    scene = make()
     start = settled(scene)
 
     def path(softer):

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from toy_scene_files import LIGHT, write_toy
+from toy_scene_files import LIGHT, START, fixed_poses, tibia_poses, write_poses, write_toy
 from typer.testing import CliRunner, Result
 
 from fitting import Estimate
@@ -31,7 +31,11 @@ def refused(*arguments: object) -> str:
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_toy(tmp_path_factory.mktemp("toy"), LIGHT + MEASURED)
+    """Of frames so close that a fit's search and its answer take the same steps: one program."""
+    scene = write_toy(tmp_path_factory.mktemp("toy"), LIGHT + MEASURED)
+    tibia = tibia_poses(121, rate=600)
+    write_poses(scene.with_name("poses.csv"), {"tibia": tibia, "patella": fixed_poses(tibia, *START)})
+    return scene
 
 
 def test_fit_writes_an_estimate_with_figures(toy, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,6 @@ from fitting.prediction.outcomes import MEASURES, Course, dislocated, measure, o
 from pftwin import rig, simulate
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
-from pftwin.model.motion import KneeMotion
 from pftwin.results.tracking import follow
 
 
@@ -158,13 +159,7 @@ def test_smooth_outcomes_have_their_derivatives():
     np.testing.assert_allclose(slopes, [0.004, -0.004, 0.001, 3.0, 3 * 5 / 64], rtol=1e-9)
 
 
-def test_a_scene_without_contact_is_refused():
-    bare = simulate(_short(rig.case(1)).without("contact"), dt=5e-3)
+def test_a_result_without_contact_is_refused(result):
+    bare = dataclasses.replace(result, contact=None, surface=None)
     with pytest.raises(InputError, match="no contact between a button and a trochlea"):
         outcomes(bare)
-
-
-def _short(scene):
-    m = scene.motion
-    motion = KneeMotion(m.femur, m.tibia, m.start_time, m.frame_interval, 5)
-    return eqx.tree_at(lambda s: s.motion, scene, motion)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,15 +13,29 @@ import numpy as np
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_meshes, osim_motion
-from pftwin.files.interchange.osim_document import read_osim
+from pftwin.files.interchange.osim_document import Element, Frames, read_osim
 from pftwin.files.interchange.osim_knee import OsimKnee, find_knee, placed
-from pftwin.files.interchange.osim_model import CONTACT, LIGAMENT, LeftOut, OsimContact, OsimModel, read_model
-from pftwin.files.interchange.osim_rest import rest
+from pftwin.files.interchange.osim_model import (
+    CONTACT,
+    LIGAMENT,
+    SURFACE,
+    LeftOut,
+    OsimContact,
+    OsimModel,
+    read_model,
+)
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_toml import OsimStrand
 
 REPORT = "not_imported.md"
+_SETS = {
+    "ControllerSet": "a scene has no controllers",
+    "ProbeSet": "results report what effects do by themselves",
+    "MarkerSet": "a scene's motion comes from coordinates; markers go into [motion] of a scene file of one's own",
+    "ConstraintSet": "the bones' motion is prescribed",
+}
+_READ = (LIGAMENT, CONTACT, "CoordinateCouplerConstraint")
 
 
 @dataclass
@@ -92,7 +106,7 @@ def import_osim(
         told.notes.append(
             f"bones: {len(drawn)} meshes lie in {osim_meshes.FOLDER}/; a scene file has no table for them"
         )
-    told.left_out += rest(read_osim(os.fspath(model)), found, knee)
+    told.left_out += _rest(read_osim(os.fspath(model)), found, knee)
     text = scene_text(found, knee, strands, contact, pressing, told)
     _write(Path(folder), text, times, {knee.part(b): p for b, p in poses.items()}, [*pressing, *drawn], told)
     return told
@@ -193,3 +207,49 @@ def _write(
     write_text(folder / REPORT, report(told.notes, told.left_out))
     write_text(folder / "scene.toml", text)
     told.files = [folder / name for name in names]
+
+
+def _rest(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
+    """Everything that nobody has read, in the file's order."""
+    frames = Frames(root)
+    for group in root.children:
+        held = group.child("objects")
+        if held is None:
+            continue
+        if group.tag == "ForceSet":
+            for force in held.children:
+                if force.tag not in _READ:
+                    yield LeftOut(force.tag, force.name, _why(force, model, knee, frames))
+        elif group.tag == "ContactGeometrySet":
+            for surface in held.children:
+                if surface.tag != SURFACE:
+                    yield LeftOut(surface.tag, surface.name, f"only <{SURFACE}> is read")
+        elif group.tag in _SETS:
+            for part in held.children:
+                if part.tag not in _READ:
+                    yield LeftOut(part.tag, part.name, _SETS[group.tag])
+
+
+def _why(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> str:
+    """For what pulls at the patella: where, so that the user can put it into the scene."""
+    points = list(force.all("PathPoint"))
+    if force.tag == "Ligament" or not points:
+        return f"pftwin has no effect like <{force.tag}>"
+    at = []
+    for p in points:
+        frame = frames.find(p.needed("socket_parent_frame").text, p, p.where)
+        part, pose = placed(model, knee, frame)
+        at.append((part, pose[:3, :3] @ p.needed("location").numbers(3) + pose[:3, 3]))
+    parts = [part for part, _ in at]
+    if "patella" not in parts:
+        return "it does not pull at the patella; the bones' motion is prescribed"
+    k = parts.index("patella")
+    other = next((j for j in (k - 1, k + 1) if 0 <= j < len(at) and parts[j] != "patella"), None)
+    if other is None:
+        return "it leads along the patella alone"
+    ends = f"insertion_m = {_point(at[k][1])}, origin_m = {_point(at[other][1])} on the {parts[other]}"
+    return f"how strongly it pulls is a matter of its activation: give its tension in [[prescribed_tension]]; {ends}"
+
+
+def _point(values: np.ndarray) -> str:
+    return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"

@@ -110,10 +110,9 @@ class Side:
             rows = getattr(axes, body) or (_LEFT if left else _RIGHT)
             matrices[body] = np.array([_unit(axis) for axis in rows])
             if (np.linalg.det(matrices[body]) < 0) != left:
-                place, _, _ = document.locate(("axes", body))
                 raise InputError(
                     f"{rows} are the axes of a {'right' if left else 'left'} knee",
-                    where=document.describe(place),
+                    where=document.where("axes", body),
                     expected=f"proximal, lateral, anterior of a {'left' if left else 'right'} one",
                     remedy='check the signs, or side = "left" / "right"',
                 )

@@ -11,6 +11,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.coefficient_tables import PatchSurfaceSection, SplineSurfaceSection, refuse_other
+from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
     Direction,
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.closest import Surface
     from pftwin.geometry.patch.region import TrochlearRegion
-
-
-At = tuple[str | int, ...]
 
 
 class RegionSection(Section):
@@ -118,7 +116,7 @@ class MeshSurfaceSection(Section):
             raise problem("a polynomial with tolerance_m", expected='degree = "P5" or higher, or kind = "spline"')
         return self
 
-    def build(self, setting: Setting, at: At) -> Surface:
+    def build(self, setting: Setting, at: Place) -> Surface:
         """The patch; a note says how well it fits."""
         from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
         from pftwin.geometry.patch.fit import SPLINE, fit_named, parse_name
@@ -144,7 +142,7 @@ class ImplantSurfaceSection(Section):
 
     implant: Literal["rig"] = Field(description='"rig": the femoral component of the virtual rig')
 
-    def build(self, setting: Setting, at: At) -> Surface:
+    def build(self, setting: Setting, at: Place) -> Surface:
         """The virtual rig's femoral component, exact."""
         from pftwin.geometry.patch.implant import rig_implant
 

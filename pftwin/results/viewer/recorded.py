@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 FACETS = ("medial", "lateral")
 Floats = NDArray[np.float64]
+FEW = 4  # lines of an effect that are drawn as thick as a tendon
 MOST_FRAMES = 241  # shown of a result; between them a drawing interpolates
 Mesh = tuple[Floats, NDArray[np.int64]]  # vertices [m], triangles
 
@@ -146,6 +147,14 @@ class Recorded:
         """The tibia in the femur (n, 4, 4) [mm]."""
         return of_poses(self.data["tibia_position"].values, self.data["tibia_quaternion"].values)
 
+    def placed(self, body: str, points: Floats) -> Floats:
+        """Points (k, 3), or (n, k, 3) that move, of a body's frame in the femur's, (n, k, 3) [m]."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_quat(self.data[f"{body}_quaternion"].values, scalar_first=True).as_matrix()
+        points = np.broadcast_to(points, (len(turn), *points.shape[-2:]))
+        return np.einsum("nij,nkj->nki", turn, points) + self.data[f"{body}_position"].values[:, None]
+
     @property
     def note(self) -> str:
         """What has to be said of the data: that they are synthetic."""
@@ -201,6 +210,18 @@ class Lines:
         """On that body, its frame (k, 3), or (n, k, 3) at the frames shown where it moves [m]."""
         values = self.result.geometry[f"{self.name}_origin"]
         return values.values[self.result.frames] if "time" in values.dims else values.values
+
+    @property
+    def ends(self) -> tuple[Floats, Floats]:
+        """Insertions and origins in the femur's frame (n, k, 3) each [m]."""
+        insertion = self.result.placed("patella", self.insertion)
+        origin = self.result.placed("tibia", self.origin) if self.body == "tibia" else self.origin
+        return insertion, np.broadcast_to(origin, insertion.shape)
+
+    @property
+    def radius(self) -> float:
+        """Of what is drawn of a line [m]: a strand of many is thin."""
+        return 1.7e-3 if len(self.insertion) <= FEW else 0.55e-3
 
 
 def _shown(data: Dataset, where: object, most: int) -> NDArray[np.int64]:

@@ -43,12 +43,6 @@ def of_arrows(tails: ArrayLike, arrows: ArrayLike) -> Matrices:
     return _assembled(turn * length[:, None, None], MM * np.asarray(tails, dtype=np.float64))
 
 
-def applied(matrices: Matrices, points: ArrayLike) -> NDArray[np.float64]:
-    """Points (k, 3) [m] fixed in a body, in the femur's frame at every frame: (n, k, 3) [mm]."""
-    moved = np.einsum("nij,kj->nki", matrices[:, :3, :3].astype(np.float64), MM * np.asarray(points, dtype=np.float64))
-    return moved + matrices[:, None, :3, 3]
-
-
 def _assembled(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Matrices:
     out = np.zeros((len(place), 4, 4), dtype=np.float32)
     out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = turn, place, 1.0
@@ -67,13 +61,13 @@ def as_shape(mesh: Any) -> Shape:
     return Shape(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.uint32))
 
 
-def surface(mesh: tuple[NDArray[Any], NDArray[Any]]) -> Shape:
-    """A mesh in metres, with fewer triangles where it has too many."""
+def surface(mesh: tuple[NDArray[Any], NDArray[Any]], most: int = MOST_TRIANGLES) -> Shape:
+    """A mesh in metres, thinned to `most` triangles where it has more."""
     from trimesh import Trimesh
 
     drawn = Trimesh(MM * mesh[0], mesh[1], process=False)
-    if len(drawn.faces) > MOST_TRIANGLES:
-        drawn = drawn.simplify_quadric_decimation(face_count=MOST_TRIANGLES)
+    if len(drawn.faces) > most:
+        drawn = drawn.simplify_quadric_decimation(face_count=most)
     return as_shape(drawn)
 
 

@@ -12,7 +12,13 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.base.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
+from pftwin.base.rotations import (
+    PatellarAngles,
+    TibiofemoralAngles,
+    continuous_signs,
+    patellar_angles,
+    tibiofemoral_angles,
+)
 from pftwin.base.spatial import Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.equilibrium_report import EquilibriumReport, on_host
@@ -114,7 +120,7 @@ class Result:
             times=scene.motion.times,
             center=_rows(seen.center),
             position=_rows(seen.patella.position),
-            quaternion=_continuous(_rows(seen.patella.orientation)),
+            quaternion=continuous_signs(_rows(seen.patella.orientation)),
             motion=scene.motion,
             effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
             observables={e.name: dict(type(e).observables) for e in scene.effects},
@@ -139,12 +145,12 @@ class Result:
     @cached_property
     def knee(self) -> TibiofemoralAngles:
         """Angles of the tibia in the femur at the recorded frames, (n,) each [rad]."""
-        return _knee_angles(self.motion)
+        return tibiofemoral_angles(tibia_orientation(self.motion))
 
     @cached_property
     def tibia(self) -> tuple[Floats, Floats]:
         """The tibia's frame in the femur's: position (n, 3) [m] and quaternion (n, 4), continuous in sign."""
-        return tibia_position(self.motion), _continuous(_rows(tibia_orientation(self.motion)))
+        return tibia_position(self.motion), continuous_signs(_rows(tibia_orientation(self.motion)))
 
     @property
     def shift(self) -> Floats:
@@ -309,17 +315,6 @@ def _rows(v: Vec3 | Quaternion | Any) -> Floats:
     """(n, 3) or (n, 4) from arrays per component."""
     parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
     return np.stack([_double(p) for p in parts], axis=1)
-
-
-def _continuous(q: Floats) -> Floats:
-    """Quaternions without jumps of sign."""
-    flips = np.where(np.einsum("ij,ij->i", q[1:], q[:-1]) < 0, -1.0, 1.0)
-    return q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
-
-
-def _knee_angles(motion: KneeMotion) -> TibiofemoralAngles:
-    """Of the tibia in the femur at the recorded frames."""
-    return tibiofemoral_angles(tibia_orientation(motion))
 
 
 __all__ = ["Energies", "EquilibriumReport", "Result"]

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
 from pftwin.dynamics.equilibrium import solve_equilibrium
 from pftwin.dynamics.frame_states import FrameStates, first_guide
@@ -34,7 +35,7 @@ from pftwin.model.effects.tendon import Tendon
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
-from pftwin.rig.cases import effects, number, patella_body, vector
+from pftwin.rig.cases import effects, patella_body
 from pftwin.rig.geometry import DURATION, HIP, RATE
 
 # Turning points: time [s], knee flexion [deg].

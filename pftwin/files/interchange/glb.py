@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
+from pftwin.base.rotations import continuous_signs
 
 if TYPE_CHECKING:
     from trimesh import Scene, Trimesh
@@ -118,8 +119,7 @@ def rod(start: Floats, end: Floats, radius: float) -> PartTrack:
     size = np.linalg.norm(turn, axis=1)
     turn = np.where((size > 1e-6)[:, None], turn, [0.0, 1.0, 0.0, 0.0])
     turn /= np.linalg.norm(turn, axis=1)[:, None]
-    flips = np.where(np.einsum("ij,ij->i", turn[1:], turn[:-1]) < 0, -1.0, 1.0)
-    turn = turn * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+    turn = continuous_signs(turn)
     thick = np.full_like(length, radius)
     return PartTrack(0.5 * (start + end), turn, np.stack([thick, thick, length], axis=1))
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
-from pftwin.files.interchange import osim_meshes, osim_motion
+from pftwin.files.interchange import osim_motion
 from pftwin.files.interchange.osim_document import Element, Frames, read_osim
-from pftwin.files.interchange.osim_knee import OsimKnee, find_knee, placed
+from pftwin.files.interchange.osim_knee import FOLDER, OsimKnee, Written, bones, find_knee, load_mesh, placed
 from pftwin.files.interchange.osim_model import (
     CONTACT,
     LIGAMENT,
@@ -101,11 +101,9 @@ def import_osim(
     strands = _strands(found, knee, told)
     contact, pressing = _pressing(found, knee, places, told)
     taken = {m.file for m in pressing}
-    drawn = list(osim_meshes.bones(found, knee, places, taken, told.left_out))
+    drawn = list(bones(found, knee, places, taken, told.left_out))
     if drawn:
-        told.notes.append(
-            f"bones: {len(drawn)} meshes lie in {osim_meshes.FOLDER}/; a scene file has no table for them"
-        )
+        told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
     told.left_out += _rest(read_osim(os.fspath(model)), found, knee)
     text = scene_text(found, knee, strands, contact, pressing, told)
     _write(Path(folder), text, times, {knee.part(b): p for b, p in poses.items()}, [*pressing, *drawn], told)
@@ -167,13 +165,13 @@ def _contact(model: OsimModel, knee: OsimKnee, told: Imported) -> OsimContact | 
 
 def _pressing(
     model: OsimModel, knee: OsimKnee, places: list[Path], told: Imported
-) -> tuple[OsimContact | None, list[osim_meshes.Written]]:
+) -> tuple[OsimContact | None, list[Written]]:
     """The contact with its two meshes; neither where a mesh cannot be read."""
     contact = _contact(model, knee, told)
     if contact is None:
         return None, []
     try:
-        return contact, [osim_meshes.load(model.surfaces[s].mesh, model, knee, places) for s in contact.surfaces]
+        return contact, [load_mesh(model.surfaces[s].mesh, model, knee, places) for s in contact.surfaces]
     except InputError as error:
         told.left_out.append(LeftOut(CONTACT, contact.name, str(error)))
         return None, []
@@ -184,7 +182,7 @@ def _write(
     text: str,
     times: np.ndarray,
     poses: dict[str, tuple[np.ndarray, np.ndarray]],
-    meshes: list[osim_meshes.Written],
+    meshes: list[Written],
     told: Imported,
 ) -> None:
     """All files, or none where one of them is there already."""
@@ -198,7 +196,7 @@ def _write(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if meshes:
-            (folder / osim_meshes.FOLDER).mkdir(exist_ok=True)
+            (folder / FOLDER).mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made: {error.strerror or error}") from error
     for mesh in meshes:

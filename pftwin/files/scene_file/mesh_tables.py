@@ -15,10 +15,9 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from pftwin.base.errors import InputError
 from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Setting
-from pftwin.files.scene_file.section import FileName, LengthUnit, Point, Positive, Section, problem
-from pftwin.files.scene_file.segments import PoseSection
+from pftwin.files.scene_file.section import Point, Positive, Section, problem
 from pftwin.files.scene_file.side import HostPose
-from pftwin.files.scene_file.surface_table import RegionSection
+from pftwin.files.scene_file.surface_table import MeshFileSection, RegionSection
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -32,29 +31,6 @@ class FemurMesh:
     mesh: SurfaceMesh
     lateral: NDArray[np.bool_] | None  # (m,) which triangles are on the lateral facet; None: there is one facet
     region: TrochlearRegion | None
-
-
-class MeshFileSection(Section):
-    """A mesh in a file, and where its frame is."""
-
-    mesh: FileName = Field(description="STL, OBJ or PLY file")
-    units: LengthUnit = Field(description="unit of the mesh's coordinates")
-    repair: bool = Field(
-        default=False, description="turn triangles that face the wrong way, drop those that are there twice"
-    )
-    flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into its body")
-    mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in its body's")
-
-    def read(self, setting: Setting, at: Place) -> SurfaceMesh:
-        """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
-        from pftwin.geometry.mesh.doctor import checked_mesh
-        from pftwin.geometry.mesh.mesh import SurfaceMesh
-
-        with setting.document.naming(*at, "mesh"):
-            found = checked_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
-        setting.notes.extend(found.notes)
-        mesh = found.mesh.flipped() if self.flip else found.mesh
-        return SurfaceMesh(self.mesh_pose.pose().apply(mesh.vertices), mesh.faces, mesh.source)
 
 
 class FemurMeshSection(MeshFileSection):

@@ -115,21 +115,15 @@ class Recorded:
         Raises:
             InputError: no such file, not a result, a file without anything to draw, or no frame that is finite.
         """
-        from pftwin.files.result_files import GEOMETRY, load_dataset
+        from pftwin.files.result_files import GEOMETRY, load_dataset, motion_dataset
 
+        data = motion_dataset(source)
         if isinstance(source, str | os.PathLike):
-            data, where = load_dataset(source), Path(source)
-            if "patella_quaternion" not in data:
-                raise InputError(
-                    "no motion of a patella in it",
-                    where=where,
-                    expected="a result of one simulation",
-                    remedy="pftwin simulate --case 2 -o case2.nc",
-                )
+            where = Path(source)
             drawn, label = load_dataset(source, group=GEOMETRY), where.stem
         else:
-            data, label = source.to_dataset(), source.scene_name
-            drawn, where = source.geometry() if geometry is None else geometry, label
+            where = label = source.scene_name
+            drawn = source.geometry() if geometry is None else geometry
         return cls(name or label, data.isel(time=_shown(data, where, frames)), drawn)
 
     @property
@@ -226,8 +220,9 @@ class Lines:
 
 def _shown(data: Dataset, where: object, most: int) -> NDArray[np.int64]:
     """Frames evenly spread over those with finite poses; notes their places in the dataset as `frame`."""
-    poses = [data[n].values for n in ("patella_position", "patella_quaternion", "tibia_position", "tibia_quaternion")]
-    finite = np.flatnonzero(np.isfinite(np.concatenate(poses, axis=1)).all(axis=1))
+    from pftwin.files.result_files import finite_frames
+
+    finite = finite_frames(data)
     if finite.size < 2:
         raise InputError(f"{finite.size} frames with finite poses", where=where, expected="at least 2")
     chosen = finite[np.unique(np.round(np.linspace(0, finite.size - 1, min(most, finite.size))).astype(int))]

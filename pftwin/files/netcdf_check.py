@@ -97,7 +97,7 @@ def _too_large(found: str, file: Path) -> InputError:
 
 
 def not_netcdf(file: Path, error: Exception) -> InputError:
-    """For what a reader of NetCDF says."""
+    """The error for a file that a NetCDF library cannot read."""
     return InputError(f"cannot be read as NetCDF: {error}", where=file, expected=_SAVED)
 
 

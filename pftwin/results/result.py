@@ -57,7 +57,7 @@ class Energies:
 
     @property
     def budget_error(self) -> Floats | None:
-        """What no effect accounts for: lost by the integrator's steps where negative."""
+        """Energy that no effect accounts for; the integrator's steps lost it where negative."""
         if self.work is None or self.heat is None:
             return None
         return self.total - self.total[0] - self.work + self.heat
@@ -99,7 +99,7 @@ class Result:
         settings: dict[str, Any],
         timing: dict[str, float],
     ) -> Result:
-        """From what the compiled program returned for one scene.
+        """The result from what the compiled program returned for one scene.
 
         Args:
             scene: what was simulated.
@@ -159,7 +159,7 @@ class Result:
 
     @property
     def contact_force(self) -> Floats:
-        """On the patella, femur axes (n, 3) [N]; zero in a scene without a contact."""
+        """Contact force on the patella, femur axes (n, 3) [N]; zero in a scene without a contact."""
         return np.stack([self._of_contact(f"force_{axis}") for axis in "xyz"], axis=1)
 
     @property
@@ -177,12 +177,12 @@ class Result:
 
     @property
     def tensions(self) -> dict[str, Floats]:
-        """Of tendons, strands and muscles, by name (n,) [N]; of a group the sum."""
+        """Tensions of tendons, strands and muscles, by name (n,) [N]; of a group the sum."""
         return {n: t.reshape(self.times.size, -1).sum(axis=1) for n, t in self._of_lines("tension").items()}
 
     @property
     def lengths(self) -> dict[str, Floats]:
-        """Of tendons that report it, by name, (n,) or (n, lines) [m]."""
+        """Lengths of tendons that report them, by name, (n,) or (n, lines) [m]."""
         return self._of_lines("length")
 
     def _of_lines(self, name: str) -> dict[str, Floats]:
@@ -196,7 +196,7 @@ class Result:
 
     @property
     def duration(self) -> float:
-        """Of the recorded motion [s]."""
+        """Duration of the recorded motion [s]."""
         return float(self.times[-1] - self.times[0])
 
     @property
@@ -241,7 +241,7 @@ class Result:
         return "\n".join(self._facts())
 
     def _facts(self) -> list[str]:
-        """One a line; but for the first, what it is about comes before a colon."""
+        """One fact a line; all but the first begin with their subject and a colon."""
         counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
         marks = [f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n] or ["all frames clean"]
         outcome = self.dislocations()

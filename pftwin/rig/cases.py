@@ -49,7 +49,7 @@ def springs(case: rig.RigCase) -> tuple[Tendon, Tendon]:
 
 
 def effects(case: rig.RigCase, contact: Effect) -> tuple[Effect, ...]:
-    """What acts on the patella."""
+    """The effects that act on the patella."""
     return (
         Gravity(number(rig.MASS), vector(rig.GRAVITY)),
         *springs(case),
@@ -101,7 +101,7 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
 
 
 def measured(n: int) -> Measured:
-    """What the virtual laboratory measured of a case. Synthetic.
+    """The virtual laboratory's measurements of a case. Synthetic.
 
     Raises:
         InputError: no such case.

@@ -141,7 +141,7 @@ class LubricatedContact(SphereContact):
         return load_of([one.push, two.push])[0]._replace(wrench=wrench), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Any]:
-        """As the twin's contact."""
+        """The observables of the twin's contact."""
         return super().observe(now, self.remember(now))
 
 
@@ -160,7 +160,7 @@ def plant_scene(case: int) -> Scene:
 
 
 def _as_built(effect: Any, random: np.random.Generator) -> Effect:
-    """The effect as it is in the workshop rather than on paper."""
+    """The effect as built: attachments misplaced, springs that stiffen, other drag."""
     if effect.line_element() is not None:
         insertion, origin = (
             place + vector(tuple(random.normal(0.0, MISPLACED, 3))) for place in (effect.insertion, effect.origin)

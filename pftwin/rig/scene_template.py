@@ -39,7 +39,7 @@ class LaboratoryFiles:
 
 
 def rig_laboratory(case: int) -> LaboratoryFiles:
-    """What the virtual rig's laboratory knows of a case."""
+    """The files of the virtual rig's laboratory for a case."""
     from pftwin.geometry.patch.implant import rig_implant
     from pftwin.rig import geometry, recording
 

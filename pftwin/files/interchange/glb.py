@@ -111,7 +111,7 @@ def _rods(result: Recorded) -> dict[str, PartTrack]:
 
 
 def rod(start: Floats, end: Floats, radius: float) -> PartTrack:
-    """Between points (n, 3) [m]."""
+    """The track of a rod of this radius between points (n, 3) [m]."""
     along = end - start
     length = np.linalg.norm(along, axis=1)
     x, y, z = (along / np.where(length > 0, length, 1.0)[:, None]).T
@@ -162,7 +162,7 @@ def _painted(mesh: Trimesh, colour: tuple[int, int, int, int]) -> Trimesh:
 
 
 def _about(result: Recorded) -> dict[str, Any]:
-    """What a reader has to know of the numbers."""
+    """The file's metadata: title, source, frame and first time."""
     said = {
         "title": str(result.data.attrs.get("title", result.name)),
         "source": str(result.data.attrs.get("source", "")),

@@ -41,7 +41,7 @@ def function_in(holder: Element, tag: str = "function") -> Function | None:
 
 
 def function_of(element: Element) -> Function:
-    """As a function of arrays.
+    """An element as a function of arrays.
 
     Raises:
         InputError: a kind that is not known, or numbers that are none.
@@ -138,7 +138,7 @@ class Coordinate(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """What turns about, or moves along, a direction."""
+    """A turn about a direction, or a translation along it."""
 
     direction: Floats  # (3,)
     coordinate: str | None
@@ -147,7 +147,7 @@ class Axis(NamedTuple):
 
 @dataclass(frozen=True)
 class Joint:
-    """Between two bodies."""
+    """A joint between two bodies."""
 
     kind: str
     name: str
@@ -189,7 +189,7 @@ def _amount(axis: Axis, values: dict[str, Floats], count: int) -> Floats:
 
 
 def read_joint(element: Element, frames: Frames) -> Joint:
-    """Of an element; one of an unknown kind has no axes, and cannot be followed.
+    """The joint that an element describes; one of an unknown kind has no axes, and `Joint.check` refuses it.
 
     Raises:
         InputError: what it lacks; functions that are not known.
@@ -249,11 +249,11 @@ class Tree:
     coupled: dict[str, tuple[str, Function]] = field(default_factory=dict)  # by name: of which it is what function
 
     def coordinates(self) -> dict[str, Coordinate]:
-        """By name."""
+        """All coordinates, by name."""
         return {c.name: c for j in self.joints.values() for c in j.coordinates}
 
     def values(self, given: dict[str, Floats], count: int) -> dict[str, Floats]:
-        """Of every coordinate (n,): as given, else its default; then those that follow others."""
+        """Values (n,) of every coordinate: as given, else its default; coupled ones follow others."""
         out = {n: given.get(n, np.full(count, c.default)) for n, c in self.coordinates().items()}
         for name, (independent, function) in self.coupled.items():
             if name in out and independent in out:
@@ -261,7 +261,7 @@ class Tree:
         return out
 
     def pose(self, body: str, values: dict[str, Floats], count: int) -> Floats:
-        """Of a body in ground, (n, 4, 4).
+        """Pose of a body in ground, (n, 4, 4).
 
         Raises:
             InputError: a body that no chain of joints connects with ground.

@@ -37,7 +37,7 @@ class OsimKnee(NamedTuple):
 
 
 def find_knee(model: OsimModel, side: str | None = None, **named: str | None) -> OsimKnee:
-    """By what was named, else by the bodies' names and the joints between them.
+    """The knee's bodies: as the caller names them, else found by their names and the joints between them.
 
     Args:
         model: the file's.
@@ -78,7 +78,7 @@ def placed(model: OsimModel, knee: OsimKnee, frame: OsimFrame) -> tuple[str, Flo
 
 
 def _femur(model: OsimModel, joint: Joint, side: str | None) -> str:
-    """What carries the patella, if that is a femur; else the body that is called so."""
+    """The body that carries the patella if it is called femur; else the one that is."""
     parent = joint.parent.body
     if "femur" in parent.lower():
         return parent
@@ -139,7 +139,7 @@ def load_mesh(mesh: Mesh, model: OsimModel, knee: OsimKnee, places: list[Path]) 
 def bones(
     model: OsimModel, knee: OsimKnee, places: list[Path], taken: set[str], left: list[LeftOut]
 ) -> Iterator[Written]:
-    """What is drawn of the knee's bones; what cannot be read is left out."""
+    """The meshes of the knee's bones; those that cannot be read are left out."""
     for body in model.bodies.values():
         for mesh in body.meshes:
             part, _ = placed(model, knee, mesh.frame)
@@ -156,7 +156,7 @@ def bones(
 
 
 def _found(mesh: Mesh, home: Path, places: list[Path]) -> Path:
-    """By the last part of its name alone: a model does not say where on this machine to read.
+    """The mesh's file, by the last part of its name alone: a model may not say where on this machine to read.
 
     Models are often written where "Patella.stl" and "patella.stl" are one file: that is found if nothing else is meant.
     """

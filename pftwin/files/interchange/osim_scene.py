@@ -208,7 +208,7 @@ def _write(
 
 
 def _rest(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
-    """Everything that nobody has read, in the file's order."""
+    """The parts of the model that no reader uses, in the file's order."""
     frames = Frames(root)
     for group in root.children:
         held = group.child("objects")
@@ -229,7 +229,7 @@ def _rest(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
 
 
 def _why(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> str:
-    """For what pulls at the patella: where, so that the user can put it into the scene."""
+    """Why a force is left out; of one that pulls at the patella also its two ends, for the user to add to the scene."""
     points = list(force.all("PathPoint"))
     if force.tag == "Ligament" or not points:
         return f"pftwin has no effect like <{force.tag}>"

@@ -111,7 +111,7 @@ def _cell(text: str) -> str:
 
 
 def _text(words: str) -> str:
-    """As TOML has it; the words are a stranger's."""
+    """A string of TOML; the words come from a stranger's file."""
     return json.dumps("".join(c if c.isprintable() else " " for c in words), ensure_ascii=False)
 
 

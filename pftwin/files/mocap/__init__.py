@@ -1,4 +1,4 @@
-"""From files of a motion laboratory to poses of segments: read, fill, filter, fit."""
+"""From files of a motion laboratory to poses of segments: read, fill gaps, filter, fit."""
 
 from pftwin.files.mocap.c3d import read_c3d
 from pftwin.files.mocap.csv_files import read_csv, read_marker_csv, write_csv

@@ -97,7 +97,7 @@ def frames_between(times: NDArray[np.float64], start: float, end: float, *, wher
 
 
 class Sampled:
-    """What tables, markers and poses have in common: every array has the n times in front."""
+    """Base of tables, markers and poses: arrays whose first axis is the n times."""
 
     if TYPE_CHECKING:
         times: NDArray[np.float64]

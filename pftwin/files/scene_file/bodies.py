@@ -34,7 +34,7 @@ class PatellaSection(Section):
     start: StartSection = Field(description="table: the patella's pose at the first frame")
 
     def body(self, side: Side) -> PatellaBody:
-        """As the scene wants it."""
+        """The patella as a scene holds it."""
         center = vector(side.points("patella", self.center_of_mass_m))
         return PatellaBody(number(self.mass_kg), vector(side.moments(self.inertia_kg_m2)), center)
 

@@ -231,7 +231,7 @@ def _values(declared: Quantity) -> Any:
 
 
 def _static(effect: type[Effect], name: str, kind: Any, default: dict[str, Any]) -> Any:
-    """Type and field of what is no parameter."""
+    """Type and field of a static field of the effect."""
     if name == "body":
         return Body, Field(description="body at the other end", **default)
     plain = _PLAIN.get(getattr(kind, "__name__", str(kind)))

@@ -32,7 +32,7 @@ class PoseSection(Section):
     quaternion_wxyz: UnitQuaternion = Field(default=[1.0, 0.0, 0.0, 0.0], description="unit quaternion (w, x, y, z)")
 
     def pose(self) -> HostPose:
-        """As numbers."""
+        """The pose as arrays."""
         return HostPose.of(self.position_m, self.quaternion_wxyz)
 
 

@@ -52,7 +52,7 @@ class HostPose:
         return HostPose(-self.position @ self.matrix, self.matrix.T)
 
     def pose(self) -> Pose:
-        """For the scene, in JAX's default float type."""
+        """The pose as a scene holds it, in JAX's default float type."""
         from scipy.spatial.transform import Rotation
 
         quaternion = Rotation.from_matrix(self.matrix).as_quat(scalar_first=True, canonical=True)
@@ -97,7 +97,7 @@ class Side:
 
     @classmethod
     def read(cls, left: bool, axes: AxesSection, document: Document) -> Self:
-        """From the scene file.
+        """The side and axes that a scene file states.
 
         Raises:
             InputError: axes of the other side.

@@ -1,4 +1,4 @@
-"""The plot: every result's objects, bodies that results share drawn once, legend, numbers, cameras."""
+"""The whole plot: the objects of every result, shared bodies drawn once, legend, numbers and cameras."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def _towards(center: Floats, points: Floats, sizes: Floats) -> Floats:
 
 
 def _middle(facets: list[tuple[Floats, Floats]]) -> Floats:
-    """Of points weighted by sizes (n, 3); NaN where all sizes are zero."""
+    """Mean of the points weighted by sizes (n, 3); NaN where all sizes are zero."""
     weights = np.stack([s for _, s in facets], axis=1)
     whole = weights.sum(axis=1, keepdims=True)
     shares = np.divide(weights, whole, out=np.full_like(weights, np.nan), where=whole > 0)
@@ -128,7 +128,7 @@ class Recorded:
 
     @property
     def times(self) -> Floats:
-        """Of the frames shown (n,) [s]."""
+        """Times of the frames shown (n,) [s]."""
         return self.data["time"].values
 
     @cached_property
@@ -151,7 +151,7 @@ class Recorded:
 
     @property
     def note(self) -> str:
-        """What has to be said of the data: that they are synthetic."""
+        """Says that the data are synthetic; empty where they are not."""
         return str(self.data.attrs.get("note", ""))
 
     def mesh(self, name: str) -> Mesh | None:
@@ -191,17 +191,17 @@ class Lines:
 
     @property
     def insertion(self) -> Floats:
-        """On the patella, its frame (k, 3) [m]."""
+        """Insertions on the patella, in its frame (k, 3) [m]."""
         return self.result.geometry[f"{self.name}_insertion"].values
 
     @property
     def body(self) -> str:
-        """Where they come from: "femur", "tibia" or "ground"."""
+        """The body at the other end: "femur", "tibia" or "ground"."""
         return str(self.result.geometry[f"{self.name}_origin"].attrs["body"])
 
     @property
     def origin(self) -> Floats:
-        """On that body, its frame (k, 3), or (n, k, 3) at the frames shown where it moves [m]."""
+        """Origins on that body, in its frame (k, 3), or (n, k, 3) at the frames shown where it moves [m]."""
         values = self.result.geometry[f"{self.name}_origin"]
         return values.values[self.result.frames] if "time" in values.dims else values.values
 
@@ -214,7 +214,7 @@ class Lines:
 
     @property
     def radius(self) -> float:
-        """Of what is drawn of a line [m]: a strand of many is thin."""
+        """Radius of a drawn line [m]: one of many strands is thin."""
         return 1.7e-3 if len(self.insertion) <= FEW else 0.55e-3
 
 
@@ -231,7 +231,7 @@ def _shown(data: Dataset, where: object, most: int) -> NDArray[np.int64]:
 
 
 def recorded(results: Any) -> list[Recorded]:
-    """Of one source, of several, or of several by name (a mapping, or pairs); names are made different.
+    """The numbers of one source, of several, or of several by name (a mapping, or pairs); names are made different.
 
     Raises:
         InputError: no result, or what `Recorded.of` refuses.

@@ -18,7 +18,7 @@ _TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # w
 
 
 def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
-    """From positions (n, 3) [m] and unit quaternions (n, 4), scalar first."""
+    """Matrices from positions (n, 3) [m] and unit quaternions (n, 4), scalar first."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_quat(np.asarray(quaternion, dtype=np.float64), scalar_first=True)
@@ -26,13 +26,13 @@ def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
 
 
 def at_points(points: ArrayLike) -> Matrices:
-    """From positions (n, 3) [m] of something that does not turn."""
+    """Matrices from positions (n, 3) [m] of something that does not turn."""
     points = np.asarray(points, dtype=np.float64)
     return _assembled(np.broadcast_to(np.eye(3), (len(points), 3, 3)), MM * points)
 
 
 def of_arrows(tails: ArrayLike, arrows: ArrayLike) -> Matrices:
-    """From tails (n, 3) [m] and arrows (n, 3) [mm]: they carry the unit arrow along z to there, its width with it."""
+    """Matrices from tails (n, 3) [m] and arrows (n, 3) [mm]: they scale and turn the unit arrow along z to each."""
     arrows = np.asarray(arrows, dtype=np.float64)
     length = np.linalg.norm(arrows, axis=1)
     z = arrows / length[:, None]
@@ -57,7 +57,7 @@ class Shape(NamedTuple):
 
 
 def as_shape(mesh: Any) -> Shape:
-    """From a trimesh in mm."""
+    """A trimesh in mm as a shape."""
     return Shape(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.uint32))
 
 
@@ -87,7 +87,7 @@ def shell(mesh: tuple[NDArray[Any], NDArray[Any]], thickness: float = SHELL) -> 
 
 
 def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
-    """With half axes along x, y, z [mm]."""
+    """An ellipsoid with half axes along x, y, z [mm]."""
     from trimesh.creation import icosphere
 
     ball = icosphere(subdivisions=3)
@@ -97,7 +97,7 @@ def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
 
 
 def turned(profile: ArrayLike, center: ArrayLike, axis: Literal["x", "z"] = "z", flatten: float = 1.0) -> Shape:
-    """What a closed profile makes when it is turned about an axis through a point [mm].
+    """The solid that a closed profile makes when it is turned about an axis through a point [mm].
 
     Args:
         profile: radius and height (k, 2), from the lower end of the axis to the upper.

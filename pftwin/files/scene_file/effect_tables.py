@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
@@ -133,7 +133,7 @@ def member_values(values: np.ndarray, n: int) -> np.ndarray:
 class Layout(NamedTuple):
     """How the fields of a table become those of an effect."""
 
-    effect: type[Effect]
+    effect: Callable[..., Effect]
     numbers: dict[str, str]  # the effect's name of each field of numbers
     points: dict[str, tuple[str, str]]  # likewise of points, with their frame
     plain: list[str]  # fields that the effect takes as they are

@@ -1,6 +1,6 @@
-"""What contacts of meshes have in common: the femur's mesh with its facets, and the button as a mesh or a sphere.
+"""Common tables of contacts of meshes: the femur's mesh with its facets, and the button as a mesh or a sphere.
 
-What is refused of contacts of meshes before anything is computed with them.
+Starts from which no equilibrium can be found are refused here.
 """
 
 from __future__ import annotations

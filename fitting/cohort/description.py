@@ -264,7 +264,7 @@ def _check_names(table: CohortTable, document: Document) -> None:
     counts = Counter(p.name.lower() for p in table.patient)
     for i, patient in enumerate(table.patient):
         if (count := counts[patient.name.lower()]) > 1:
-            where = document.describe(document.locate(("patient", i, "name"))[0])
+            where = document.where("patient", i, "name")
             expected = "names that differ by more than capital letters"
             raise InputError(f"{count} patients are called {patient.name!r}", where=where, expected=expected)
 

@@ -36,7 +36,7 @@ def run_demo(
     from pftwin.dynamics.simulate import simulate
     from pftwin.results.metrics import mean_of, validate
     from pftwin.results.plots import case_figure, save_figure
-    from pftwin.rig.cases import contact_fit
+    from pftwin.rig.contacts import contact_fit
 
     folder.mkdir(parents=True, exist_ok=True)
     results: dict[int, dict[str, Result]] = {n: {} for n in CASES}

@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from pftwin.base.spatial import Quaternion, Rotation
 
@@ -71,6 +72,12 @@ def tibiofemoral_angles(q_FT: Quaternion) -> TibiofemoralAngles:
 def tibiofemoral_orientation(flexion: Angle, adduction: Angle, internal_rotation: Angle) -> Quaternion:
     """The tibia's orientation in the femur from its angles [rad], all of one shape."""
     return _composed(-flexion, adduction, internal_rotation)
+
+
+def continuous_signs(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Successive quaternions (n, 4) with signs such that none jumps to its opposite."""
+    flips = np.where(np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1]) < 0, -1.0, 1.0)
+    return quaternions * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
 
 
 def _turns(q: Quaternion) -> tuple[Any, Any, Any]:

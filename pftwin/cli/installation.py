@@ -83,7 +83,7 @@ def cache(folder: Path) -> Finding:
 
 
 def _requirements(package: str, extra: str | None = None) -> list[Requirement]:
-    """What a package's metadata require on this machine; for an extra, what it adds."""
+    """The requirements of a package on this machine; of an extra, those that it adds."""
     from packaging.requirements import Requirement
 
     listed = [Requirement(text) for text in metadata.requires(package) or []]

@@ -30,7 +30,7 @@ FIGURES = (".png", ".svg", ".pdf")
 
 
 def err() -> Console:
-    """For progress, warnings and errors: stderr."""
+    """The console on stderr, for progress, warnings and errors."""
     from rich.console import Console
 
     return Console(stderr=True)

@@ -1,13 +1,11 @@
-"""A look at a NetCDF-4 file before it is read: what its variables would take, and whether they are in it at all.
+"""Checks of a NetCDF-4 file before it is read: the size of its variables, and that the file itself holds them.
 
-HDF5 lets a file of a few kilobytes announce variables of any size (what is not written is filled in), pack zeros a
-thousandfold, and fetch its numbers from other files of the machine. Nothing that pftwin writes does any of it.
+HDF5 lets a file of a few kilobytes announce variables of any size (unwritten parts are filled in), compress zeros a
+thousandfold, and fetch its numbers from other files of the machine. Nothing that pftwin writes does any of this.
 
-Global heaps of an HDF5 file, walked before the library does: in a damaged one it goes round in circles for ever.
-
-A heap (HDF5 File Format Specification 3.0, section III.E) is "GCOL", a version, its size, and objects one behind
-the other, each with its own size. Where an object says that it takes no room the library (2.0) stays where it is,
-inside of C, where no time limit of Python reaches it. Variables' dimensions are kept in such heaps.
+The file's global heaps, which hold the variables' dimensions, are walked first. A heap (HDF5 File Format Specification
+3.0, section III.E) is "GCOL", a version, its size, and objects one after the other, each with its own size. At an
+object of size zero the library (2.0) loops for ever, inside C code that no time limit of Python can stop.
 """
 
 from __future__ import annotations
@@ -97,7 +95,7 @@ def _too_large(found: str, file: Path) -> InputError:
 
 
 def not_netcdf(file: Path, error: Exception) -> InputError:
-    """For what a reader of NetCDF says."""
+    """The error for a file that a NetCDF library cannot read."""
     return InputError(f"cannot be read as NetCDF: {error}", where=file, expected=_SAVED)
 
 

@@ -86,6 +86,31 @@ def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> D
         raise not_netcdf(file, error) from error
 
 
+def motion_dataset(result: Any) -> Dataset:
+    """The dataset of a `Result`, or of the file of one.
+
+    Raises:
+        InputError: no such file, or not a result of one simulation.
+    """
+    if not isinstance(result, str | os.PathLike):
+        return result.to_dataset()
+    data = load_dataset(result)
+    if "patella_quaternion" not in data:
+        raise InputError(
+            "no motion of a patella in it",
+            where=Path(result),
+            expected="a result of one simulation",
+            remedy="pftwin simulate --case 2 -o case2.nc",
+        )
+    return data
+
+
+def finite_frames(data: Dataset) -> np.ndarray:
+    """Numbers of the frames at which patella and tibia have a finite pose."""
+    names = ("patella_position", "patella_quaternion", "tibia_position", "tibia_quaternion")
+    return np.flatnonzero(np.isfinite(np.concatenate([data[n].values for n in names], axis=1)).all(axis=1))
+
+
 def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:
     """Writes one column per variable and component, units in the header.
 

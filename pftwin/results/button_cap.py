@@ -34,7 +34,7 @@ class CapUse:
 
     @property
     def frames(self) -> int:
-        """In how many frames any contact lay beyond the cap."""
+        """Number of frames in which any contact lay beyond the cap."""
         return int(self.beyond.any(axis=1).sum())
 
     @property

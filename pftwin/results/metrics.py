@@ -201,7 +201,7 @@ def _force_error(
 
 
 def _rms(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float:
-    """Over the frames that were measured."""
+    """Root mean square over the frames that were measured."""
     return float(np.sqrt(np.mean(np.square(error[present]))))
 
 

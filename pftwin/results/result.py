@@ -12,7 +12,13 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.base.rotations import PatellarAngles, TibiofemoralAngles, patellar_angles, tibiofemoral_angles
+from pftwin.base.rotations import (
+    PatellarAngles,
+    TibiofemoralAngles,
+    continuous_signs,
+    patellar_angles,
+    tibiofemoral_angles,
+)
 from pftwin.base.spatial import Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.equilibrium_report import EquilibriumReport, on_host
@@ -51,7 +57,7 @@ class Energies:
 
     @property
     def budget_error(self) -> Floats | None:
-        """What no effect accounts for: lost by the integrator's steps where negative."""
+        """Energy that no effect accounts for; the integrator's steps lost it where negative."""
         if self.work is None or self.heat is None:
             return None
         return self.total - self.total[0] - self.work + self.heat
@@ -93,7 +99,7 @@ class Result:
         settings: dict[str, Any],
         timing: dict[str, float],
     ) -> Result:
-        """From what the compiled program returned for one scene.
+        """The result from what the compiled program returned for one scene.
 
         Args:
             scene: what was simulated.
@@ -114,7 +120,7 @@ class Result:
             times=scene.motion.times,
             center=_rows(seen.center),
             position=_rows(seen.patella.position),
-            quaternion=_continuous(_rows(seen.patella.orientation)),
+            quaternion=continuous_signs(_rows(seen.patella.orientation)),
             motion=scene.motion,
             effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
             observables={e.name: dict(type(e).observables) for e in scene.effects},
@@ -139,12 +145,12 @@ class Result:
     @cached_property
     def knee(self) -> TibiofemoralAngles:
         """Angles of the tibia in the femur at the recorded frames, (n,) each [rad]."""
-        return _knee_angles(self.motion)
+        return tibiofemoral_angles(tibia_orientation(self.motion))
 
     @cached_property
     def tibia(self) -> tuple[Floats, Floats]:
         """The tibia's frame in the femur's: position (n, 3) [m] and quaternion (n, 4), continuous in sign."""
-        return tibia_position(self.motion), _continuous(_rows(tibia_orientation(self.motion)))
+        return tibia_position(self.motion), continuous_signs(_rows(tibia_orientation(self.motion)))
 
     @property
     def shift(self) -> Floats:
@@ -153,7 +159,7 @@ class Result:
 
     @property
     def contact_force(self) -> Floats:
-        """On the patella, femur axes (n, 3) [N]; zero in a scene without a contact."""
+        """Contact force on the patella, femur axes (n, 3) [N]; zero in a scene without a contact."""
         return np.stack([self._of_contact(f"force_{axis}") for axis in "xyz"], axis=1)
 
     @property
@@ -171,12 +177,12 @@ class Result:
 
     @property
     def tensions(self) -> dict[str, Floats]:
-        """Of tendons, strands and muscles, by name (n,) [N]; of a group the sum."""
+        """Tensions of tendons, strands and muscles, by name (n,) [N]; of a group the sum."""
         return {n: t.reshape(self.times.size, -1).sum(axis=1) for n, t in self._of_lines("tension").items()}
 
     @property
     def lengths(self) -> dict[str, Floats]:
-        """Of tendons that report it, by name, (n,) or (n, lines) [m]."""
+        """Lengths of tendons that report them, by name, (n,) or (n, lines) [m]."""
         return self._of_lines("length")
 
     def _of_lines(self, name: str) -> dict[str, Floats]:
@@ -190,7 +196,7 @@ class Result:
 
     @property
     def duration(self) -> float:
-        """Of the recorded motion [s]."""
+        """Duration of the recorded motion [s]."""
         return float(self.times[-1] - self.times[0])
 
     @property
@@ -235,7 +241,7 @@ class Result:
         return "\n".join(self._facts())
 
     def _facts(self) -> list[str]:
-        """One a line; but for the first, what it is about comes before a colon."""
+        """One fact a line; all but the first begin with their subject and a colon."""
         counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
         marks = [f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n] or ["all frames clean"]
         outcome = self.dislocations()
@@ -309,17 +315,6 @@ def _rows(v: Vec3 | Quaternion | Any) -> Floats:
     """(n, 3) or (n, 4) from arrays per component."""
     parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
     return np.stack([_double(p) for p in parts], axis=1)
-
-
-def _continuous(q: Floats) -> Floats:
-    """Quaternions without jumps of sign."""
-    flips = np.where(np.einsum("ij,ij->i", q[1:], q[:-1]) < 0, -1.0, 1.0)
-    return q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
-
-
-def _knee_angles(motion: KneeMotion) -> TibiofemoralAngles:
-    """Of the tibia in the femur at the recorded frames."""
-    return tibiofemoral_angles(tibia_orientation(motion))
 
 
 __all__ = ["Energies", "EquilibriumReport", "Result"]

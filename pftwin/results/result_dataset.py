@@ -160,7 +160,7 @@ def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, .
 
 
 def plain_attribute(value: Any) -> int | float | str:
-    """What NetCDF has a type for."""
+    """A value of a type that NetCDF can store."""
     if isinstance(value, bool):
         return int(value)
     return value if isinstance(value, int | float | str) else str(value)

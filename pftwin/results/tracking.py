@@ -124,7 +124,7 @@ class Dislocation:
     re_engaged_at: float | None  # [s]; None: not within the recording
 
     def describe(self) -> str:
-        """In words."""
+        """The event in words."""
         flexion = "" if self.knee_flexion is None else f" at {np.degrees(self.knee_flexion):.1f} deg of knee flexion"
         back = "did not re-engage" if self.re_engaged_at is None else f"re-engaged at {self.re_engaged_at:.2f} s"
         return f"{self.side} dislocation at {self.time:.2f} s{flexion}, {1e3 * self.farthest:.1f} mm off; {back}"
@@ -144,7 +144,7 @@ class Tracking:
         return self.events[-1].re_engaged_at is not None if self.events else None
 
     def describe(self) -> str:
-        """In words."""
+        """All events in words."""
         return "; ".join(e.describe() for e in self.events) or "normal tracking"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -10,19 +11,19 @@ from jax.dtypes import canonicalize_dtype
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
+from pftwin.base.output import written_whole
 from pftwin.base.program_cache import cached
 from pftwin.base.spatial import Pose, Quaternion
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.tendon import Tendon
+from pftwin.model.measured import Measured
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody, Scene
 from pftwin.rig import geometry as rig
-from pftwin.rig.contacts import contact_effect, contact_fit, implant_mesh
-from pftwin.rig.recording import Recording, read_recording, recording_files
-
-__all__ = ["case", "contact_fit", "effects", "implant_mesh", "patella_body", "recording", "springs"]
+from pftwin.rig.contacts import contact_effect
+from pftwin.rig.recording import IMPLANT_FILE, Recording, data_folder, read_recording, recording_files
 
 
 def _case_number(n: int) -> int:
@@ -48,7 +49,7 @@ def springs(case: rig.RigCase) -> tuple[Tendon, Tendon]:
 
 
 def effects(case: rig.RigCase, contact: Effect) -> tuple[Effect, ...]:
-    """What acts on the patella."""
+    """The effects that act on the patella."""
     return (
         Gravity(number(rig.MASS), vector(rig.GRAVITY)),
         *springs(case),
@@ -97,3 +98,28 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
     name = f"rig case {n}, {contact}"
     acting = effects(rig.CASES[n], touches)
     return Scene(patella_body(), acting, motion, start, name, synthetic=True, measured=recorded.measured)
+
+
+def measured(n: int) -> Measured:
+    """The virtual laboratory's measurements of a case. Synthetic.
+
+    Raises:
+        InputError: no such case.
+    """
+    return recording(n).measured
+
+
+def write_files(n: int, folder: Path) -> list[Path]:
+    """Writes the laboratory's files of a case to a folder: markers, forces, and the implant's mesh.
+
+    Raises:
+        InputError: no such case.
+        OutputError: a file cannot be written.
+    """
+    written = []
+    for source in (*recording_files(_case_number(n)), data_folder() / IMPLANT_FILE):
+        target = Path(folder) / source.name
+        with written_whole(target) as path:
+            path.write_bytes(source.read_bytes())
+        written.append(target)
+    return written

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
 from pftwin.dynamics.equilibrium import solve_equilibrium
 from pftwin.dynamics.frame_states import FrameStates, first_guide
@@ -34,7 +35,7 @@ from pftwin.model.effects.tendon import Tendon
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
-from pftwin.rig.cases import effects, number, patella_body, vector
+from pftwin.rig.cases import effects, patella_body
 from pftwin.rig.geometry import DURATION, HIP, RATE
 
 # Turning points: time [s], knee flexion [deg].
@@ -140,7 +141,7 @@ class LubricatedContact(SphereContact):
         return load_of([one.push, two.push])[0]._replace(wrench=wrench), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Any]:
-        """As the twin's contact."""
+        """The observables of the twin's contact."""
         return super().observe(now, self.remember(now))
 
 
@@ -159,7 +160,7 @@ def plant_scene(case: int) -> Scene:
 
 
 def _as_built(effect: Any, random: np.random.Generator) -> Effect:
-    """The effect as it is in the workshop rather than on paper."""
+    """The effect as built: attachments misplaced, springs that stiffen, other drag."""
     if effect.line_element() is not None:
         insertion, origin = (
             place + vector(tuple(random.normal(0.0, MISPLACED, 3))) for place in (effect.insertion, effect.origin)

@@ -6,9 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files as files_of
 from pathlib import Path
-from string import Template
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,7 +39,7 @@ class LaboratoryFiles:
 
 
 def rig_laboratory(case: int) -> LaboratoryFiles:
-    """What the virtual rig's laboratory knows of a case."""
+    """The files of the virtual rig's laboratory for a case."""
     from pftwin.geometry.patch.implant import rig_implant
     from pftwin.rig import geometry, recording
 
@@ -94,89 +92,37 @@ def write_example(folder: Path, case: int = 1) -> list[Path]:
 
 def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
     """The scene file of one of the rig's cases, with comments."""
+    from jinja2 import Environment, PackageLoader
+
     from pftwin.geometry.patch.charts import CylindricalChart
-    from pftwin.geometry.patch.fit import SPLINE, name_of
+    from pftwin.geometry.patch.fit import name_of
 
     contact: Any = scene.contact
-    law, surface = contact.law, contact.fitted_surface()
-    others = {e.name: e for e in scene.effects}
-    values = {
-        "name": f"example, after {scene.name}",  # not that of a case: an edited copy is none
-        "markers": files.markers,
-        "cutoff": _number(files.cutoff_hz),
-        "fixed_points": _cluster(files.fixed_points) if files.fixed_points else "{}",
-        "femur": _FIXED_FEMUR if files.femur is None else f"cluster_mm = {_cluster(files.femur)}",
-        "tibia": _cluster(files.tibia),
-        "patella": _cluster(files.patella),
-        "mass": _number(scene.patella.mass),
-        "inertia": _point(scene.patella.inertia),
-        "center_of_mass": _point(scene.patella.center_of_mass, 1e3),
-        "gravity": _gravity(others["gravity"]) if "gravity" in others else "",
-        "tendons": "\n\n".join(_tendon(e) for e in scene.effects if e.line_element() is not None),
-        "center": _point(contact.tracked_point(), 1e3),
-        "radius": _number(1e3 * float(contact.button_radius())),
-        "law": f'{{ type = "flores", contact_stiffness = {_number(law.contact_stiffness)}, '
-        f"hertz_exponent = {_number(law.hertz_exponent)}, restitution = {_number(law.restitution)}, "
-        f"approach_speed_floor_m_per_s = {_number(law.approach_speed_floor)} }}",
-        "mesh": files.mesh,
-        "patch": _SPLINE if name_of(surface) == SPLINE else _POLYNOMIAL.format(name_of(surface)),
-        "chart": "cylinder" if isinstance(surface.chart, CylindricalChart) else "plane",
-        "axis_radius": _number(1e3 * files.axis_radius),
-        "damping": _damping(others["damping"]) if "damping" in others else "",
-        "synthetic": "true" if files.synthetic else "false",
-        "measured": "",
-    }
-    if files.forces is not None:
-        values |= dict(zip(("contact", "tibial", "femoral"), files.columns, strict=True))
-        values |= {"forces": files.forces, "window": str(files.window)}
-        values["measured"] = _template("measured").substitute(values)
-    return _template("scene").substitute(values)
+    surface, others = contact.fitted_surface(), {e.name: e for e in scene.effects}
+    environment = Environment(loader=PackageLoader("pftwin.rig", ""), keep_trailing_newline=True, autoescape=False)
+    environment.filters |= {"number": _number, "point": _point, "cluster": _cluster}
+    return environment.get_template("scene.toml.jinja").render(
+        name=f"example, after {scene.name}",  # not that of a case: an edited copy is none
+        files=files,
+        scene=scene,
+        contact=contact,
+        law=contact.law,
+        patch=name_of(surface),
+        chart="cylinder" if isinstance(surface.chart, CylindricalChart) else "plane",
+        tendons=[e for e in scene.effects if e.line_element() is not None],
+        gravity=others.get("gravity"),
+        damping=others.get("damping"),
+    )
 
 
-def _template(name: str) -> Template:
-    return Template(files_of("pftwin.rig").joinpath(f"{name}.toml.template").read_text(encoding="utf-8"))
+def _number(value: Any, scale: float = 1.0) -> str:
+    return f"{scale * float(value):.10g}"
 
 
-def _gravity(gravity: Any) -> str:
-    return f"[gravity]\nacceleration_m_per_s2 = {_point(gravity.acceleration)}"
-
-
-def _tendon(tendon: Any) -> str:
-    return f"""\
-[[tendon]]
-name = "{tendon.name}"
-body = "{tendon.body}"              # the other end: femur, tibia or ground
-stiffness_N_per_m = {_number(tendon.stiffness)}
-slack_length_mm = {_number(1e3 * float(tendon.slack_length))}
-damping_N_s_per_m = {_number(tendon.damping)}  # or damping_time_s = damping / stiffness
-insertion_mm = {_point(tendon.insertion, 1e3)}  # patella frame
-origin_mm = {_point(tendon.origin, 1e3)}  # {tendon.body}'s frame"""
-
-
-def _damping(damping: Any) -> str:
-    return f"""\
-[damping]             # viscous, of the motion relative to a body
-body = "{damping.body}"
-translational_N_s_per_m = {_number(damping.translational)}
-rotational_N_m_s_per_rad = {_number(damping.rotational)}"""
-
-
-def _number(value: Any) -> str:
-    return f"{float(value):.10g}"
-
-
-def _point(v: Vec3, scale: float = 1.0) -> str:
-    return _list([float(c) for c in np.asarray(v.array())], scale)
-
-
-def _list(numbers: Sequence[float], scale: float) -> str:
-    return "[" + ", ".join(_number(scale * float(c)) for c in numbers) + "]"
+def _point(v: Vec3 | Sequence[float], scale: float = 1.0) -> str:
+    values = v if isinstance(v, Sequence) else np.asarray(v.array())
+    return "[" + ", ".join(_number(c, scale) for c in values) + "]"
 
 
 def _cluster(places: Cluster) -> str:
-    return "{ " + ", ".join(f"{n} = {_list(p, 1e3)}" for n, p in places.items()) + " }"
-
-
-_FIXED_FEMUR = "fixed = { position_m = [0, 0, 0], quaternion_wxyz = [1, 0, 0, 0] }  # pose in the world"
-_SPLINE = 'kind = "spline"       # bicubic, within 0.02 mm rms; or degree = "P5", a polynomial'
-_POLYNOMIAL = 'degree = "{}"         # total degree: P2, P4, P5, ...; or kind = "spline"'
+    return "{ " + ", ".join(f"{n} = {_point(p, 1e3)}" for n, p in places.items()) + " }" if places else "{}"

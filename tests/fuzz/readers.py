@@ -175,7 +175,7 @@ def _osim(name: str, folder: Path) -> Reader:
 
 
 def _strands(name: str, folder: Path) -> Reader:
-    from pftwin.files.scene_file.strands_table import read_strands
+    from pftwin.files.scene_file.line_tables import read_strands
 
     strand = {
         "points": [["patella", [0, 0, 0.01]], ["femur", [0.1, 0, 0]]],

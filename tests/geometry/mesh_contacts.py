@@ -16,7 +16,7 @@ from pftwin.geometry.contact import contour
 from pftwin.geometry.contact.mesh_facets import lateral_of_groove
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.implant import rig_region
-from pftwin.rig.cases import implant_mesh
+from pftwin.rig.contacts import implant_mesh
 
 RADIUS = 0.025
 mesh_pair = eqx.filter_jit(contour.mesh_pair)  # operation by operation it takes a quarter of a minute for each shape

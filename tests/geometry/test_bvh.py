@@ -18,7 +18,7 @@ from pftwin.geometry.bvh import tree
 from pftwin.geometry.bvh.tree import MeshTree, build_tree, joined, tree_arrays
 from pftwin.geometry.bvh.wide import NearestTriangle, nearest_wide, wide_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.rig.cases import implant_mesh
+from pftwin.rig.contacts import implant_mesh
 
 
 def searched(t: MeshTree, points: np.ndarray, width: int | None = None, half: int | None = None) -> NearestTriangle:

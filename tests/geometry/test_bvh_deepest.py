@@ -19,7 +19,7 @@ from pftwin.geometry.bvh.deepest import DepthSearch, depth_search
 from pftwin.geometry.bvh.triangle import Triangle
 from pftwin.geometry.contact.contact_mesh import ContactMesh, contact_mesh
 from pftwin.geometry.mesh.icosphere import icosphere
-from pftwin.rig.cases import implant_mesh
+from pftwin.rig.contacts import implant_mesh
 from pftwin.studies.hard_cases.ground import lateral_of, mesh_on
 from pftwin.studies.hard_cases.knee import TROCHLEA
 

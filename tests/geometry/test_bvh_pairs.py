@@ -22,7 +22,7 @@ from pftwin.geometry.bvh.pairs import PairListLengths, Pairs, PairSearch, pair_s
 from pftwin.geometry.bvh.tree import build_tree
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.rig.cases import implant_mesh
+from pftwin.rig.contacts import implant_mesh
 
 BUTTON = icosphere(RADIUS, 16)
 

@@ -157,7 +157,7 @@ def test_a_batch_is_what_its_members_are(on_a_plate):
 
 @pytest.mark.slow
 def test_on_the_implant_the_indentation_is_the_spheres():
-    from pftwin.rig.cases import implant_mesh
+    from pftwin.rig.contacts import implant_mesh
 
     mesh = implant_mesh()
     pair = mesh_pair(contact_mesh(mesh, lateral(mesh)), contact_mesh(icosphere(RADIUS, 35)))

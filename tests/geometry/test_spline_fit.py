@@ -17,7 +17,7 @@ from pftwin.geometry.patch.fit import TOLERANCE, fit_named, fit_patch, fit_splin
 from pftwin.geometry.patch.implant import rig_implant, rig_region
 from pftwin.geometry.patch.region import trochlear_region
 from pftwin.geometry.patch.spline import SplinePatch
-from pftwin.rig.cases import contact_fit, implant_mesh
+from pftwin.rig.contacts import contact_fit, implant_mesh
 
 J = jnp.asarray
 _DM = {"anterior": (-1, 0, 0), "proximal": (0, 1, 0)}

@@ -14,7 +14,8 @@ from pftwin.dynamics.simulate import simulate
 from pftwin.files.mocap import read_trc
 from pftwin.results.metrics import validate
 from pftwin.rig import geometry
-from pftwin.rig.cases import contact_fit, recording
+from pftwin.rig.cases import recording
+from pftwin.rig.contacts import contact_fit
 from pftwin.rig.plant import hand_motion
 from pftwin.rig.recording import data_folder
 

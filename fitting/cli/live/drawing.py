@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from fitting.cli.live.motion import Shown
 from pftwin.results.viewer import bones
-from pftwin.results.viewer.knee import BONE, METAL, PLASTIC, darker, paler
+from pftwin.results.viewer.bones import METAL
+from pftwin.results.viewer.knee import darker, paler
 from pftwin.results.viewer.recorded import Recorded
-from pftwin.results.viewer.shapes import Shape, arrow, behind_plane, button_cap, ellipsoid, shell, surface
+from pftwin.results.viewer.shapes import Shape, arrow, ellipsoid
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -40,10 +41,7 @@ def mesh(scene: SceneApi, name: str, shape: Shape, code: str, opacity: float = 1
 
 def component_of(recorded: Recorded) -> Shape | None:
     """The femoral component: its mesh, or its fitted surface made solid."""
-    femur, fitted = recorded.mesh("femur"), recorded.mesh("surface")
-    if femur is not None:
-        return surface(femur)
-    return None if fitted is None else shell(fitted)
+    return next((part.shape for part in bones.femoral_component(recorded)), None)
 
 
 class Bones:
@@ -51,11 +49,11 @@ class Bones:
 
     def __init__(self, scene: SceneApi, recorded: Recorded, component: Shape | None) -> None:
         self._scene = scene
-        shaft = bones.femur_shaft(recorded.mesh("femur") or recorded.mesh("surface"))
-        mesh(scene, "/femur", shaft, BONE, 0.35)
+        shaft, shin = bones.femur_shaft(recorded), bones.tibia_shaft(recorded)
+        mesh(scene, "/femur", shaft.shape, shaft.colour, shaft.opacity)
         self.set_component(component)
         self._tibia = scene.add_frame("/tibia", show_axes=False)
-        mesh(scene, "/tibia/shaft", bones.tibia_shaft(recorded), BONE, 0.5)
+        mesh(scene, "/tibia/shaft", shin.shape, shin.colour, shin.opacity)
         self._beyond: Any = None
         for words, y in (("lateral", SIDE), ("medial", -SIDE)):
             scene.add_label(f"/{words}", words, position=(0.0, y, 25.0), anchor="center-center")
@@ -134,13 +132,7 @@ class DrawnKnee:
         return mesh(self._scene, f"{self._root}/{name}", shape, code, opacity * self._opacity)
 
     def _body(self, recorded: Recorded) -> None:
-        schematic = bones.patella_body(recorded)
-        self._mesh("patella/body", schematic, self._code, 0.4)
-        button = recorded.mesh("button")
-        if button is not None:
-            shape = behind_plane(surface(button), float(schematic.vertices[:, 2].mean()))
-        elif "button_radius" in recorded.geometry:
-            shape = button_cap(recorded.geometry["button_center"].values, float(recorded.geometry["button_radius"]))
-        else:
-            return
-        self._mesh("patella/button", shape, PLASTIC, 0.75)
+        schematic, *button = bones.patella_parts(recorded)
+        self._mesh("patella/body", schematic.shape, self._code, schematic.opacity)
+        for part in button:
+            self._mesh("patella/button", part.shape, part.colour, part.opacity)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.results.viewer.knee import FEW, REST, held, line_ends
-from pftwin.results.viewer.recorded import Recorded
+from pftwin.results.viewer.knee import REST, held, line_ends
+from pftwin.results.viewer.recorded import FEW, Recorded
 from pftwin.results.viewer.shapes import MM, Matrices, Shape, apart, at_points, of_arrows, path, tubes
 
 if TYPE_CHECKING:
@@ -134,8 +134,7 @@ class Shown:
         """Tendons, ligaments and muscles as tubes: vertices (n, v, 3) and triangles, by name."""
         found = {}
         for name, lines in self.recorded.lines.items():
-            ends = line_ends(self.recorded, lines)
-            found[name] = tubes(ends, *((1.7, 10) if ends.shape[1] <= 2 * FEW else (0.55, 5)))
+            found[name] = tubes(line_ends(lines), MM * lines.radius, 10 if len(lines.insertion) <= FEW else 5)
         return found
 
     @cached_property

@@ -11,13 +11,13 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError, OutputError, PftwinWarning
-from pftwin.files.result_files import load_dataset, save_csv, save_sto, write_storage
+from pftwin.files.result_files import finite_frames, motion_dataset, save_csv, save_sto, write_storage
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -40,27 +40,17 @@ def save_mot(data: Dataset, path: str | os.PathLike[str]) -> None:
         InputError: no frame that is finite.
         OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
     """
-    times, names, values, rotational = coordinates(finite_frames(data))
+    finite = finite_frames(data)
+    lost = data.sizes["time"] - finite.size
+    if not finite.size:
+        raise InputError("no frame with a finite pose", where=data.attrs.get("scene"), remedy="a smaller time step")
+    if lost:
+        message = f"{lost} of {data.sizes['time']} frames are not finite and are left out"
+        warnings.warn(message, PftwinWarning, stacklevel=2)
+    times, names, values, rotational = coordinates(data.isel(time=finite))
     shown = np.where(rotational, np.degrees(values), values)
     note = [f"Note: {data.attrs['note']}"] if "note" in data.attrs else []
     write_storage(path, "Coordinates", times, dict(zip(names, shown.T, strict=True)), ("", *_UNITS, *note, ""))
-
-
-def finite_frames(data: Dataset) -> Dataset:
-    """The frames at which patella and tibia have a pose.
-
-    Raises:
-        InputError: there is none.
-    """
-    names = ("patella_position", "patella_quaternion", "tibia_position", "tibia_quaternion")
-    finite = np.isfinite(np.concatenate([data[n].values for n in names], axis=1)).all(axis=1)
-    if not finite.any():
-        raise InputError("no frame with a finite pose", where=data.attrs.get("scene"), remedy="a smaller time step")
-    if finite.all():
-        return data
-    lost = int((~finite).sum())
-    warnings.warn(f"{lost} of {finite.size} frames are not finite and are left out", PftwinWarning, stacklevel=2)
-    return data.isel(time=np.flatnonzero(finite))
 
 
 # Rows: OpenSim's x, y, z in a result's axes.
@@ -111,7 +101,6 @@ def of_poses(position: Floats, quaternion: Floats) -> tuple[Floats, Floats]:
     return np.unwrap(angles, axis=0), position @ AXES.T
 
 
-Source = Any  # a `Result`, or the path of its file
 FORMATS = {
     ".mot": "joint coordinates for OpenSim, angles in degrees",
     ".sto": "everything, as an OpenSim storage",
@@ -137,7 +126,7 @@ def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]
 
         save_glb(result, target)
         return
-    {".mot": save_mot, ".sto": save_sto, ".csv": save_csv}[target.suffix.lower()](_dataset(result), target)
+    {".mot": save_mot, ".sto": save_sto, ".csv": save_csv}[target.suffix.lower()](motion_dataset(result), target)
 
 
 def check_format(path: str | os.PathLike[str]) -> Path:
@@ -150,17 +139,3 @@ def check_format(path: str | os.PathLike[str]) -> Path:
     if target.suffix.lower() not in FORMATS:
         raise OutputError(f"{target}: unknown format {target.suffix!r}; expected: {', '.join(FORMATS)}")
     return target
-
-
-def _dataset(result: Source) -> Dataset:
-    if not isinstance(result, str | os.PathLike):
-        return result.to_dataset()
-    data = load_dataset(result)
-    if "patella_quaternion" not in data:
-        raise InputError(
-            "no motion of a patella in it",
-            where=Path(result),
-            expected="a result of one simulation",
-            remedy="pftwin simulate --case 2 -o case2.nc",
-        )
-    return data

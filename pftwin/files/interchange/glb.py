@@ -9,27 +9,43 @@ frame.
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
-from pftwin.files.interchange.moving_parts import TENDON, MovingPart, PartTrack, frames, lines, parts
+from pftwin.base.rotations import continuous_signs
 
 if TYPE_CHECKING:
     from trimesh import Scene, Trimesh
 
     from pftwin.results.result import Result
+    from pftwin.results.viewer.bones import Solid
     from pftwin.results.viewer.recorded import Recorded
+
+Floats = NDArray[np.float64]
 
 ROOT = "femur"
 UPRIGHT = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 _EVERY = 10**9  # frames: all of them
 _ROD, _SIDES = "rod", 12
+_TENDON = (190, 120, 100, 255)
+_PALE = 110  # opacity of what is schematic or continued, of 255
+_SEE_THROUGH = 0.7  # parts that drawings show with less opacity are pale here
+_MM = 1e-3  # shapes are drawn in mm
 _FLOAT = 5126  # glTF's code of a 32-bit float
+
+
+class PartTrack(NamedTuple):
+    """Where something is in the femur's frame, frame by frame (n)."""
+
+    translation: Floats  # (n, 3) [m]
+    rotation: Floats  # (n, 4) scalar first, continuous in sign
+    scale: Floats | None = None  # (n, 3), of what changes its length
 
 
 def save_glb(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
@@ -53,8 +69,12 @@ def glb(result: Recorded) -> bytes:
     """The file's content."""
     from trimesh.exchange.gltf import export_glb
 
-    carried, rods = frames(result), lines(result)
-    scene = _scene(result, parts(result), rods)
+    rods = _rods(result)
+    scene = _scene(result, _solids(result), rods)
+    carried = {
+        body: PartTrack(result.data[f"{body}_position"].values, result.data[f"{body}_quaternion"].values)
+        for body in ("patella", "tibia")
+    }
     times = result.times - result.times[0]
     if not (np.diff(times) > 0).all():
         raise InputError("times that do not increase", where=result.name, expected="a recording")
@@ -65,7 +85,46 @@ def glb(result: Recorded) -> bytes:
     return export_glb(scene, include_normals=True, buffer_postprocessor=animate)
 
 
-def _scene(result: Recorded, solids: list[MovingPart], rods: dict[str, PartTrack]) -> Scene:
+def _solids(result: Recorded) -> list[Solid]:
+    """Femoral component, schematic bones and button, with all their triangles."""
+    from pftwin.results.viewer import bones
+
+    shafts = bones.femur_shaft(result), bones.tibia_shaft(result)
+    return [*bones.femoral_component(result, sys.maxsize), *shafts, *bones.patella_parts(result, sys.maxsize)]
+
+
+def _rgba(part: Solid) -> tuple[int, int, int, int]:
+    red, green, blue = bytes.fromhex(part.colour.removeprefix("#"))
+    return red, green, blue, _PALE if part.opacity < _SEE_THROUGH else 255
+
+
+def _rods(result: Recorded) -> dict[str, PartTrack]:
+    """Every line of force as a rod: what carries a cylinder of length and radius 1 along z with its middle at 0."""
+    found = {}
+    for name, group in result.lines.items():
+        ends, start = group.ends
+        count = ends.shape[1]
+        for k in range(count):
+            label = name.replace("_", " ") + (f" {k + 1}" if count > 1 else "")
+            found[label] = rod(start[:, k], ends[:, k], group.radius)
+    return found
+
+
+def rod(start: Floats, end: Floats, radius: float) -> PartTrack:
+    """The track of a rod of this radius between points (n, 3) [m]."""
+    along = end - start
+    length = np.linalg.norm(along, axis=1)
+    x, y, z = (along / np.where(length > 0, length, 1.0)[:, None]).T
+    turn = np.stack([1.0 + z, -y, x, np.zeros_like(z)], axis=1)  # the shortest way from z there
+    size = np.linalg.norm(turn, axis=1)
+    turn = np.where((size > 1e-6)[:, None], turn, [0.0, 1.0, 0.0, 0.0])
+    turn /= np.linalg.norm(turn, axis=1)[:, None]
+    turn = continuous_signs(turn)
+    thick = np.full_like(length, radius)
+    return PartTrack(0.5 * (start + end), turn, np.stack([thick, thick, length], axis=1))
+
+
+def _scene(result: Recorded, solids: list[Solid], rods: dict[str, PartTrack]) -> Scene:
     """Nodes and meshes at the first frame."""
     from trimesh import Scene, Trimesh
     from trimesh.creation import cylinder
@@ -76,10 +135,11 @@ def _scene(result: Recorded, solids: list[MovingPart], rods: dict[str, PartTrack
     for body in ("patella", "tibia"):
         scene.graph.update(frame_to=body, frame_from=ROOT, matrix=np.eye(4))
     for part in solids:
-        mesh = _painted(Trimesh(part.vertices, part.triangles, process=False), part.colour)
+        vertices, triangles = _MM * part.shape.vertices.astype(np.float64), part.shape.triangles.astype(np.int64)
+        mesh = _painted(Trimesh(vertices, triangles, process=False), _rgba(part))
         scene.add_geometry(mesh, geom_name=part.name, node_name=part.name, parent_node_name=part.frame)
     if rods:
-        rod = _painted(cylinder(radius=1.0, height=1.0, sections=_SIDES), TENDON)
+        rod = _painted(cylinder(radius=1.0, height=1.0, sections=_SIDES), _TENDON)
         scene.geometry[_ROD] = rod
     for name in rods:
         scene.graph.update(frame_to=name, frame_from=ROOT, matrix=np.eye(4), geometry=_ROD)
@@ -102,7 +162,7 @@ def _painted(mesh: Trimesh, colour: tuple[int, int, int, int]) -> Trimesh:
 
 
 def _about(result: Recorded) -> dict[str, Any]:
-    """What a reader has to know of the numbers."""
+    """The file's metadata: title, source, frame and first time."""
     said = {
         "title": str(result.data.attrs.get("title", result.name)),
         "source": str(result.data.attrs.get("source", "")),
@@ -115,7 +175,7 @@ def _about(result: Recorded) -> dict[str, Any]:
 class _Animation:
     """Adds samplers and channels to a tree that trimesh has made."""
 
-    def __init__(self, buffers: Any, tree: dict[str, Any], times: NDArray[np.float64]) -> None:
+    def __init__(self, buffers: Any, tree: dict[str, Any], times: Floats) -> None:
         self.buffers, self.tree = buffers, tree
         self.nodes = {node.get("name"): k for k, node in enumerate(tree["nodes"])}
         self.input = self._accessor("times", times[:, None])
@@ -139,7 +199,7 @@ class _Animation:
                 self.samplers.append({"input": self.input, "output": output, "interpolation": "LINEAR"})
         self.tree["animations"] = [{"name": "motion", "channels": self.channels, "samplers": self.samplers}]
 
-    def _accessor(self, key: str, values: NDArray[np.float64]) -> int:
+    def _accessor(self, key: str, values: Floats) -> int:
         """The number of an accessor to these rows."""
         data = np.ascontiguousarray(values, dtype="<f4")
         width = data.shape[1]

@@ -39,7 +39,7 @@ class Element:
 
     @property
     def where(self) -> str:
-        """For messages."""
+        """File and line, for messages."""
         return f"{self.file}, line {self.line}"
 
     def child(self, *tags: str) -> Element | None:
@@ -164,7 +164,7 @@ class Frames:
         self.offsets = list(model.all("PhysicalOffsetFrame"))
 
     def find(self, path: str, near: Element, where: str, depth: int = 0) -> OsimFrame:
-        """By the last part of a path: a frame of this very element, a body, ground, or a frame elsewhere.
+        """The frame that the last part of a path names: in this element, a body, ground, or a frame elsewhere.
 
         A path may begin with ".." for what the element is part of, as meshes and frames in a body's components do.
 
@@ -194,7 +194,7 @@ class Frames:
         return self._offset(others[0], depth)
 
     def _of(self, element: Element, depth: int) -> OsimFrame:
-        """Of an element that is a frame itself."""
+        """The frame that an element itself is."""
         if element.tag == "PhysicalOffsetFrame":
             return self._offset(element, depth)
         if element.tag in ("Body", "Ground"):

@@ -1,19 +1,118 @@
-"""Joints of an OpenSim model, and where they put its bodies in ground for given coordinates."""
+"""Joints of an OpenSim model, and where they put its bodies in ground for given coordinates.
+
+What a joint's axis, or a coordinate that is coupled to another, does with a coordinate is a function of one variable.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import GROUND, Element, Frames, OsimFrame
-from pftwin.files.interchange.osim_functions import Function, function_in
 
 Floats = NDArray[np.float64]
+Function = Callable[[Floats], Floats]
+KINDS = (
+    "Constant",
+    "LinearFunction",
+    "PolynomialFunction",
+    "PiecewiseLinearFunction",
+    "SimmSpline",
+    "MultiplierFunction",
+)
+
+
+def function_in(holder: Element, tag: str = "function") -> Function | None:
+    """The function that an element holds, under its own tag or within one called `tag`; None where there is none.
+
+    Raises:
+        InputError: a kind that is not known, or numbers that are none.
+    """
+    inner = holder.child(tag)
+    found = [c for c in (holder if inner is None else inner).children if _is_function(c)]
+    return function_of(found[0]) if found else None
+
+
+def function_of(element: Element) -> Function:
+    """An element as a function of arrays.
+
+    Raises:
+        InputError: a kind that is not known, or numbers that are none.
+    """
+    if element.tag == "Constant":
+        value = float(element.needed("value").numbers(1)[0])
+        return lambda x: np.full_like(x, value)
+    if element.tag == "LinearFunction":
+        slope, offset = element.needed("coefficients").numbers(2)
+        return lambda x: slope * x + offset
+    if element.tag == "PolynomialFunction":
+        coefficients = element.needed("coefficients").numbers()
+        return lambda x: np.asarray(np.polyval(coefficients, x), dtype=np.float64)
+    if element.tag == "MultiplierFunction":
+        scale = element.child("scale")
+        factor = 1.0 if scale is None else float(scale.numbers(1)[0])
+        inner = function_in(element)
+        if inner is None:
+            raise InputError("a <MultiplierFunction> of nothing", where=element.where)
+        return lambda x: factor * inner(x)
+    if element.tag in ("PiecewiseLinearFunction", "SimmSpline"):
+        return _through_points(element)
+    raise InputError(
+        f"no function <{element.tag}> is known", where=element.where, expected=f"one of: {', '.join(KINDS)}"
+    )
+
+
+def _through_points(element: Element) -> Function:
+    x, y = (element.needed(k).numbers() for k in ("x", "y"))
+    if x.size != y.size or x.size < 2 or not (np.diff(x) > 0).all():
+        raise InputError(
+            f"{x.size} abscissae and {y.size} values", where=element.where, expected="as many, two or more, ascending"
+        )
+    try:
+        return spline(x, y) if element.tag == "SimmSpline" else _continued(make_interp_spline(x, y, 1), x)
+    except ValueError as error:  # slopes that overflow
+        raise InputError(f"no curve goes through its points: {error}", where=element.where) from error
+
+
+def spline(x: Floats, y: Floats) -> Function:
+    """SIMM's cubic spline: at the ends its third derivative is that of the cubic through the four outermost points.
+
+    Beyond the ends it goes on along its tangent. Source: Forsythe, Malcolm and Moler 1977, subroutine SPLINE; with
+    three points the third derivatives at the ends are zero, and two are joined by a line.
+    """
+    if x.size == 2:
+        return _continued(make_interp_spline(x, y, 1), x)
+    ends = [0.0, 0.0]
+    if x.size > 3:
+        second = np.diff(np.diff(y) / np.diff(x)) / (x[2:] - x[:-2])
+        third = np.diff(second) / (x[3:] - x[:-3])
+        ends = [6 * third[0], 6 * third[-1]]
+    known: Any = [(3, ends[0])], [(3, ends[1])]  # order and value of a derivative at each end
+    return _continued(make_interp_spline(x, y, 3, bc_type=known), x)
+
+
+def _continued(inside: BSpline, x: Floats) -> Function:
+    """A curve through abscissae x, and beyond them its tangents at the ends."""
+    slope = inside.derivative()
+
+    def value(at: Floats) -> Floats:
+        within = np.clip(at, x[0], x[-1])
+        return inside(within) + slope(within) * (at - within)
+
+    return value
+
+
+def _is_function(element: Element) -> bool:
+    return element.tag in KINDS or element.tag.endswith(("Function", "Spline"))
+
+
 _X, _Y, _Z = np.eye(3)
 # Rotation axes, then translation axes, of joints whose transform needs no further description.
 PLAIN: dict[str, tuple[tuple[Floats, ...], tuple[Floats, ...]]] = {
@@ -39,7 +138,7 @@ class Coordinate(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """What turns about, or moves along, a direction."""
+    """A turn about a direction, or a translation along it."""
 
     direction: Floats  # (3,)
     coordinate: str | None
@@ -48,7 +147,7 @@ class Axis(NamedTuple):
 
 @dataclass(frozen=True)
 class Joint:
-    """Between two bodies."""
+    """A joint between two bodies."""
 
     kind: str
     name: str
@@ -90,7 +189,7 @@ def _amount(axis: Axis, values: dict[str, Floats], count: int) -> Floats:
 
 
 def read_joint(element: Element, frames: Frames) -> Joint:
-    """Of an element; one of an unknown kind has no axes, and cannot be followed.
+    """The joint that an element describes; one of an unknown kind has no axes, and `Joint.check` refuses it.
 
     Raises:
         InputError: what it lacks; functions that are not known.
@@ -150,11 +249,11 @@ class Tree:
     coupled: dict[str, tuple[str, Function]] = field(default_factory=dict)  # by name: of which it is what function
 
     def coordinates(self) -> dict[str, Coordinate]:
-        """By name."""
+        """All coordinates, by name."""
         return {c.name: c for j in self.joints.values() for c in j.coordinates}
 
     def values(self, given: dict[str, Floats], count: int) -> dict[str, Floats]:
-        """Of every coordinate (n,): as given, else its default; then those that follow others."""
+        """Values (n,) of every coordinate: as given, else its default; coupled ones follow others."""
         out = {n: given.get(n, np.full(count, c.default)) for n, c in self.coordinates().items()}
         for name, (independent, function) in self.coupled.items():
             if name in out and independent in out:
@@ -162,7 +261,7 @@ class Tree:
         return out
 
     def pose(self, body: str, values: dict[str, Floats], count: int) -> Floats:
-        """Of a body in ground, (n, 4, 4).
+        """Pose of a body in ground, (n, 4, 4).
 
         Raises:
             InputError: a body that no chain of joints connects with ground.

@@ -1,7 +1,12 @@
-"""Which bodies of an OpenSim model are the knee's: femur, tibia and patella, with the bones that are welded to them."""
+"""Which bodies of an OpenSim model are the knee's: femur, tibia and patella, with the bones that are welded to them.
+
+Their meshes are found beside the model, scaled and brought into their bone's frame.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +15,11 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import OsimFrame
 from pftwin.files.interchange.osim_joints import Joint
-from pftwin.files.interchange.osim_model import OsimModel
+from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, plain_name
+from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 Floats = NDArray[np.float64]
+FOLDER = "geometry"  # of meshes in a scene's folder
 SIDES = {"right": "_r", "left": "_l"}
 
 
@@ -30,7 +37,7 @@ class OsimKnee(NamedTuple):
 
 
 def find_knee(model: OsimModel, side: str | None = None, **named: str | None) -> OsimKnee:
-    """By what was named, else by the bodies' names and the joints between them.
+    """The knee's bodies: as the caller names them, else found by their names and the joints between them.
 
     Args:
         model: the file's.
@@ -71,7 +78,7 @@ def placed(model: OsimModel, knee: OsimKnee, frame: OsimFrame) -> tuple[str, Flo
 
 
 def _femur(model: OsimModel, joint: Joint, side: str | None) -> str:
-    """What carries the patella, if that is a femur; else the body that is called so."""
+    """The body that carries the patella if it is called femur; else the one that is."""
     parent = joint.parent.body
     if "femur" in parent.lower():
         return parent
@@ -95,3 +102,74 @@ def _called(part: str, names: list[str], side: str | None, model: OsimModel) -> 
             remedy=f"--{part} NAME" + (", or --side right" if len(found) > 1 else ""),
         )
     return found[0]
+
+
+class Written(NamedTuple):
+    """A mesh to write."""
+
+    part: str  # of the knee: "femur", "tibia" or "patella"
+    file: str  # in the scene's folder
+    mesh: SurfaceMesh  # in the part's frame [m]
+
+
+def load_mesh(mesh: Mesh, model: OsimModel, knee: OsimKnee, places: list[Path]) -> Written:
+    """A mesh of one of the knee's bones.
+
+    Args:
+        mesh: as the model names it.
+        model: the file's.
+        knee: its bodies.
+        places: folders in which to look, besides the model's own and Geometry in it.
+
+    Raises:
+        InputError: no such file, one that cannot be read, a mesh on another body.
+    """
+    from pftwin.geometry.mesh.files import read_triangles
+
+    part, pose = placed(model, knee, mesh.frame)
+    if part not in ("femur", "tibia", "patella"):
+        raise InputError(f"{mesh.name!r} is fixed to {part!r}", where=mesh.where, expected="a bone of the knee")
+    vertices, faces = read_triangles(_found(mesh, Path(model.file).parent, places))
+    points = (vertices * mesh.scale) @ pose[:3, :3].T + pose[:3, 3]
+    if np.prod(mesh.scale) < 0:
+        faces = faces[:, ::-1].copy()
+    return Written(part, f"{FOLDER}/{plain_name(mesh.name)}.stl", SurfaceMesh(points, faces, mesh.file))
+
+
+def bones(
+    model: OsimModel, knee: OsimKnee, places: list[Path], taken: set[str], left: list[LeftOut]
+) -> Iterator[Written]:
+    """The meshes of the knee's bones; those that cannot be read are left out."""
+    for body in model.bodies.values():
+        for mesh in body.meshes:
+            part, _ = placed(model, knee, mesh.frame)
+            if part not in ("femur", "tibia", "patella"):
+                continue
+            try:
+                found = load_mesh(mesh, model, knee, places)
+            except InputError as error:
+                left.append(LeftOut("Mesh", mesh.name, f"of {body.name}: {error.problem}"))
+                continue
+            if found.file not in taken:
+                taken.add(found.file)
+                yield found
+
+
+def _found(mesh: Mesh, home: Path, places: list[Path]) -> Path:
+    """The mesh's file, by the last part of its name alone: a model may not say where on this machine to read.
+
+    Models are often written where "Patella.stl" and "patella.stl" are one file: that is found if nothing else is meant.
+    """
+    name = mesh.file.replace("\\", "/").rpartition("/")[2]
+    if not name:
+        raise InputError(f"{mesh.name!r} names no file", where=mesh.where)
+    folders = [home, home / "Geometry", *places]
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder / name
+    for folder in folders:
+        alike = [f for f in folder.glob("*") if f.name.lower() == name.lower()] if folder.is_dir() else []
+        if len(alike) == 1 and alike[0].is_file():
+            return alike[0]
+    looked = ", ".join(str(f) for f in folders)
+    raise InputError(f"no mesh {name!r}", where=mesh.where, expected=f"in {looked}", remedy="--geometry FOLDER")

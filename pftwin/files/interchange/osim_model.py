@@ -51,7 +51,7 @@ class OsimLigament(NamedTuple):
 def ligaments(
     model: Element, defaults: dict[str, Element], frames: Frames, left: list[LeftOut]
 ) -> Iterator[OsimLigament]:
-    """Those that are straight lines; the others are added to what is left out.
+    """The ligaments that are straight lines; the others are added to what is left out.
 
     Raises:
         InputError: numbers that cannot be a ligament's.
@@ -84,7 +84,7 @@ def ligaments(
 
 
 def value(element: Element, tag: str, defaults: dict[str, Element]) -> float:
-    """As the element has it, else the model's defaults for its class, else the class's own."""
+    """A number of an element: its own, else that of the model's defaults for its class, else the class's own."""
     for holder in (element, defaults.get(element.tag)):
         found = None if holder is None else holder.child(tag)
         if found is not None:
@@ -128,7 +128,7 @@ class ContactSurface(NamedTuple):
 
 
 class OsimContact(NamedTuple):
-    """Between two surfaces."""
+    """A contact between two surfaces."""
 
     name: str
     surfaces: tuple[str, str]
@@ -138,7 +138,7 @@ class OsimContact(NamedTuple):
 
 @dataclass(frozen=True)
 class OsimModel:
-    """The parts of a file."""
+    """The parts of a model's file."""
 
     name: str
     file: str
@@ -152,7 +152,7 @@ class OsimModel:
 
 
 def read_model(path: str) -> OsimModel:
-    """Of a file.
+    """Reads the parts of a model that pftwin can use.
 
     Raises:
         InputError: no model of OpenSim 4; values that are missing or no numbers.

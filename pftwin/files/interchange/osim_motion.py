@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
+from pftwin.base.rotations import continuous_signs
 from pftwin.files.interchange.osim_joints import Coordinate, Tree
 from pftwin.files.interchange.osim_knee import OsimKnee
 from pftwin.files.mocap.sto import read_sto
@@ -20,7 +21,7 @@ FARTHEST = np.radians(90.0)  # of it, where the model's range goes further
 
 
 def bent(tree: Tree, knee: OsimKnee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:
-    """The knee bent from its default to the end of its range: times (n,), coordinates by name, and what was done.
+    """The knee bent from its default to the end of its range: times (n,), coordinates by name, and a description.
 
     Smoothly (a polynomial of fifth degree), so that it starts and ends at rest.
 
@@ -85,8 +86,7 @@ def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]
                 expected="functions and coordinates of this joint, and of those that carry it, of a human size",
             )
         turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat(scalar_first=True)
-        flips = np.where(np.einsum("ij,ij->i", turn[1:], turn[:-1]) < 0, -1.0, 1.0)
-        out[body] = pose[:, :3, 3], turn * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+        out[body] = pose[:, :3, 3], continuous_signs(turn)
     return out
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,16 +12,30 @@ import numpy as np
 
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
-from pftwin.files.interchange import osim_meshes, osim_motion
-from pftwin.files.interchange.osim_document import read_osim
-from pftwin.files.interchange.osim_knee import OsimKnee, find_knee, placed
-from pftwin.files.interchange.osim_model import CONTACT, LIGAMENT, LeftOut, OsimContact, OsimModel, read_model
-from pftwin.files.interchange.osim_rest import rest
+from pftwin.files.interchange import osim_motion
+from pftwin.files.interchange.osim_document import Element, Frames, read_osim
+from pftwin.files.interchange.osim_knee import FOLDER, OsimKnee, Written, bones, find_knee, load_mesh, placed
+from pftwin.files.interchange.osim_model import (
+    CONTACT,
+    LIGAMENT,
+    SURFACE,
+    LeftOut,
+    OsimContact,
+    OsimModel,
+    read_model,
+)
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_toml import OsimStrand
 
 REPORT = "not_imported.md"
+_SETS = {
+    "ControllerSet": "a scene has no controllers",
+    "ProbeSet": "results report what effects do by themselves",
+    "MarkerSet": "a scene's motion comes from coordinates; markers go into [motion] of a scene file of one's own",
+    "ConstraintSet": "the bones' motion is prescribed",
+}
+_READ = (LIGAMENT, CONTACT, "CoordinateCouplerConstraint")
 
 
 @dataclass
@@ -87,12 +101,10 @@ def import_osim(
     strands = _strands(found, knee, told)
     contact, pressing = _pressing(found, knee, places, told)
     taken = {m.file for m in pressing}
-    drawn = list(osim_meshes.bones(found, knee, places, taken, told.left_out))
+    drawn = list(bones(found, knee, places, taken, told.left_out))
     if drawn:
-        told.notes.append(
-            f"bones: {len(drawn)} meshes lie in {osim_meshes.FOLDER}/; a scene file has no table for them"
-        )
-    told.left_out += rest(read_osim(os.fspath(model)), found, knee)
+        told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
+    told.left_out += _rest(read_osim(os.fspath(model)), found, knee)
     text = scene_text(found, knee, strands, contact, pressing, told)
     _write(Path(folder), text, times, {knee.part(b): p for b, p in poses.items()}, [*pressing, *drawn], told)
     return told
@@ -153,13 +165,13 @@ def _contact(model: OsimModel, knee: OsimKnee, told: Imported) -> OsimContact | 
 
 def _pressing(
     model: OsimModel, knee: OsimKnee, places: list[Path], told: Imported
-) -> tuple[OsimContact | None, list[osim_meshes.Written]]:
+) -> tuple[OsimContact | None, list[Written]]:
     """The contact with its two meshes; neither where a mesh cannot be read."""
     contact = _contact(model, knee, told)
     if contact is None:
         return None, []
     try:
-        return contact, [osim_meshes.load(model.surfaces[s].mesh, model, knee, places) for s in contact.surfaces]
+        return contact, [load_mesh(model.surfaces[s].mesh, model, knee, places) for s in contact.surfaces]
     except InputError as error:
         told.left_out.append(LeftOut(CONTACT, contact.name, str(error)))
         return None, []
@@ -170,7 +182,7 @@ def _write(
     text: str,
     times: np.ndarray,
     poses: dict[str, tuple[np.ndarray, np.ndarray]],
-    meshes: list[osim_meshes.Written],
+    meshes: list[Written],
     told: Imported,
 ) -> None:
     """All files, or none where one of them is there already."""
@@ -184,7 +196,7 @@ def _write(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if meshes:
-            (folder / osim_meshes.FOLDER).mkdir(exist_ok=True)
+            (folder / FOLDER).mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made: {error.strerror or error}") from error
     for mesh in meshes:
@@ -193,3 +205,49 @@ def _write(
     write_text(folder / REPORT, report(told.notes, told.left_out))
     write_text(folder / "scene.toml", text)
     told.files = [folder / name for name in names]
+
+
+def _rest(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
+    """The parts of the model that no reader uses, in the file's order."""
+    frames = Frames(root)
+    for group in root.children:
+        held = group.child("objects")
+        if held is None:
+            continue
+        if group.tag == "ForceSet":
+            for force in held.children:
+                if force.tag not in _READ:
+                    yield LeftOut(force.tag, force.name, _why(force, model, knee, frames))
+        elif group.tag == "ContactGeometrySet":
+            for surface in held.children:
+                if surface.tag != SURFACE:
+                    yield LeftOut(surface.tag, surface.name, f"only <{SURFACE}> is read")
+        elif group.tag in _SETS:
+            for part in held.children:
+                if part.tag not in _READ:
+                    yield LeftOut(part.tag, part.name, _SETS[group.tag])
+
+
+def _why(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> str:
+    """Why a force is left out; of one that pulls at the patella also its two ends, for the user to add to the scene."""
+    points = list(force.all("PathPoint"))
+    if force.tag == "Ligament" or not points:
+        return f"pftwin has no effect like <{force.tag}>"
+    at = []
+    for p in points:
+        frame = frames.find(p.needed("socket_parent_frame").text, p, p.where)
+        part, pose = placed(model, knee, frame)
+        at.append((part, pose[:3, :3] @ p.needed("location").numbers(3) + pose[:3, 3]))
+    parts = [part for part, _ in at]
+    if "patella" not in parts:
+        return "it does not pull at the patella; the bones' motion is prescribed"
+    k = parts.index("patella")
+    other = next((j for j in (k - 1, k + 1) if 0 <= j < len(at) and parts[j] != "patella"), None)
+    if other is None:
+        return "it leads along the patella alone"
+    ends = f"insertion_m = {_point(at[k][1])}, origin_m = {_point(at[other][1])} on the {parts[other]}"
+    return f"how strongly it pulls is a matter of its activation: give its tension in [[prescribed_tension]]; {ends}"
+
+
+def _point(values: np.ndarray) -> str:
+    return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"

@@ -1,12 +1,11 @@
-"""From files of a motion laboratory to poses of segments: read, fill, filter, fit."""
+"""From files of a motion laboratory to poses of segments: read, fill gaps, filter, fit."""
 
 from pftwin.files.mocap.c3d import read_c3d
 from pftwin.files.mocap.csv_files import read_csv, read_marker_csv, write_csv
 from pftwin.files.mocap.filters import Gap, butterworth_lowpass, fill_gaps, find_gaps, singular_spectrum_filter
 from pftwin.files.mocap.frames import cluster_poses, mean_cluster, segment_poses, three_point_frames
 from pftwin.files.mocap.markers import MarkerTrajectories
-from pftwin.files.mocap.mirror import mirror_left_markers, mirror_left_poses
-from pftwin.files.mocap.poses import PoseSeries, read_poses_csv
+from pftwin.files.mocap.poses import PoseSeries, mirror_left_markers, mirror_left_poses, read_poses_csv
 from pftwin.files.mocap.reading import read_markers
 from pftwin.files.mocap.sto import read_sto
 from pftwin.files.mocap.tables import Table

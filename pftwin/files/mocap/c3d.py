@@ -1,9 +1,8 @@
 """Marker trajectories from C3D files, read by ezc3d (the extra "c3d").
 
-A look at a C3D file's skeleton before a reader is trusted with it.
-
-Readers may loop forever on damaged parameters and shorten cut files without a word, so the parameter chain is walked
-and the length of the data section compared with the header (layout: c3d.org user guide, "The C3D file format").
+ezc3d may loop for ever on damaged parameters, and shortens truncated files without a warning. So the chain of
+parameters is walked first, and the length of the data section is compared with the header (layout: c3d.org user guide,
+"The C3D file format").
 """
 
 from __future__ import annotations

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.tables import frames_between, quoted, sampling_rate, uniform_times, unknown_name
+from pftwin.files.mocap.tables import Sampled, quoted, uniform_times, unknown_name
 
 
 @dataclass(frozen=True, eq=False)
-class MarkerTrajectories:
+class MarkerTrajectories(Sampled):
     """Positions of m markers at n evenly spaced times.
 
     Args:
@@ -55,11 +55,6 @@ class MarkerTrajectories:
             object.__setattr__(self, field, value)
 
     @property
-    def rate(self) -> float:
-        """Sampling rate [Hz]."""
-        return sampling_rate(self.times, where=self.source)
-
-    @property
     def missing(self) -> NDArray[np.bool_]:
         """(n, m): where a marker was not seen."""
         return np.isnan(self.positions[..., 0])
@@ -77,11 +72,6 @@ class MarkerTrajectories:
         """The named markers only, in that order."""
         index = [self._index(name) for name in names]
         return replace(self, names=tuple(names), positions=self.positions[:, index])
-
-    def between(self, start: float, end: float) -> MarkerTrajectories:
-        """The frames with start <= t <= end [s]; none of them is an InputError."""
-        keep = frames_between(self.times, start, end, where=self.source)
-        return replace(self, times=self.times[keep], positions=self.positions[keep])
 
     def with_positions(self, positions: ArrayLike) -> MarkerTrajectories:
         """The same markers and times with other positions (n, m, 3) [m], filtered ones for instance."""

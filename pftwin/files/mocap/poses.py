@@ -1,4 +1,7 @@
-"""Poses of a body over time, and reading them from tables."""
+"""Poses of a body over time, and reading them from tables.
+
+A left knee is mirrored on input: inside, every knee is a right one.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.base.rotations import continuous_signs
 from pftwin.files.mocap.csv_files import read_csv
-from pftwin.files.mocap.tables import frames_between, increasing_times, sampling_rate, unknown_name
+from pftwin.files.mocap.markers import MarkerTrajectories
+from pftwin.files.mocap.tables import Sampled, increasing_times, unknown_name
 
 if TYPE_CHECKING:
     from pftwin.base.spatial import Pose
@@ -22,7 +27,7 @@ _PARTS = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True, eq=False)
-class PoseSeries:
+class PoseSeries(Sampled):
     """Poses of a frame B in its parent A over time: X_AB(t_i).
 
     Args:
@@ -62,9 +67,7 @@ class PoseSeries:
                 expected=f"unit quaternions (w, x, y, z), to within {_UNIT_TOLERANCE:g}",
                 remedy="check the order of the columns and the unit of the file",
             )
-        quaternions /= norms[:, None]
-        flips = np.sign(np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1]))
-        quaternions[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0))[:, None]
+        quaternions = continuous_signs(quaternions / norms[:, None])
         values = [("times", times), ("positions", positions), ("quaternions", quaternions)]
         if self.residual_rms is not None:
             residual = np.array(self.residual_rms, dtype=np.float64)
@@ -89,28 +92,11 @@ class PoseSeries:
         quaternions = Rotation.from_matrix(np.asarray(matrices)).as_quat(scalar_first=True)
         return PoseSeries(np.asarray(times), np.asarray(positions), quaternions, residual_rms, source)
 
-    @property
-    def rate(self) -> float:
-        """Sampling rate [Hz]; uneven times are an InputError."""
-        return sampling_rate(self.times, where=self.source)
-
     def matrices(self) -> NDArray[np.float64]:
         """Rotation matrices (n, 3, 3); columns are B's axes in A."""
         from scipy.spatial.transform import Rotation
 
         return Rotation.from_quat(self.quaternions, scalar_first=True).as_matrix()
-
-    def between(self, start: float, end: float) -> PoseSeries:
-        """The frames with start <= t <= end [s]; none of them is an InputError."""
-        keep = frames_between(self.times, start, end, where=self.source)
-        residual = None if self.residual_rms is None else self.residual_rms[keep]
-        return replace(
-            self,
-            times=self.times[keep],
-            positions=self.positions[keep],
-            quaternions=self.quaternions[keep],
-            residual_rms=residual,
-        )
 
     def compose(self, fixed: Pose) -> PoseSeries:
         """X_AC = X_AB X_BC for a frame C fixed in B, an anatomical frame in a cluster's for instance."""
@@ -200,3 +186,44 @@ def read_poses_csv(path: str | os.PathLike[str], bodies: Sequence[str] | None = 
         values = table.select(columns).values
         out[body] = PoseSeries(table.times, values[:, :3], values[:, 3:], source=f"{path}, body {body!r}")
     return out
+
+
+def mirror_left_markers(markers: MarkerTrajectories, *, medial_lateral: str) -> MarkerTrajectories:
+    """Markers mirrored about the sagittal plane: the coordinate on the laboratory's medial-lateral axis changes sign.
+
+    Args:
+        markers: of a left knee.
+        medial_lateral: "x", "y" or "z".
+    """
+    return replace(
+        markers, positions=markers.positions * _reflection(medial_lateral), source=f"{markers.source} (mirrored)"
+    )
+
+
+def mirror_left_poses(poses: PoseSeries, *, medial_lateral: str, body_medial_lateral: str) -> PoseSeries:
+    """Poses mirrored about the sagittal plane.
+
+    p' = S p, R' = S R S_b with the reflections S in the parent's and S_b in the body's axes.
+    The body's own geometry must be mirrored along `body_medial_lateral` too.
+
+    Args:
+        poses: of a body of a left knee.
+        medial_lateral: the parent frame's medial-lateral axis, "x", "y" or "z".
+        body_medial_lateral: the body frame's medial-lateral axis.
+    """
+    parent, body = _reflection(medial_lateral), _reflection(body_medial_lateral)
+    return PoseSeries.from_matrices(
+        poses.times,
+        poses.positions * parent,
+        parent[:, None] * poses.matrices() * body,
+        residual_rms=poses.residual_rms,
+        source=f"{poses.source} (mirrored)",
+    )
+
+
+def _reflection(axis: str) -> NDArray[np.float64]:
+    if axis not in ("x", "y", "z"):
+        raise InputError(f"axis {axis!r}", where="medial_lateral", expected="'x', 'y' or 'z'")
+    signs = np.ones(3)
+    signs["xyz".index(axis)] = -1.0
+    return signs

@@ -1,4 +1,4 @@
-"""One door for marker files of any format."""
+"""Marker files of any format, by their suffix."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,8 +96,27 @@ def frames_between(times: NDArray[np.float64], start: float, end: float, *, wher
     return keep
 
 
+class Sampled:
+    """Base of tables, markers and poses: arrays whose first axis is the n times."""
+
+    if TYPE_CHECKING:
+        times: NDArray[np.float64]
+        source: str
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]; uneven times are an InputError."""
+        return sampling_rate(self.times, where=self.source)
+
+    def between(self, start: float, end: float) -> Self:
+        """The frames with start <= t <= end [s]; none of them is an InputError."""
+        keep = frames_between(self.times, start, end, where=self.source)
+        arrays = {name: value[keep] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)  # pyright: ignore[reportArgumentType]
+
+
 @dataclass(frozen=True, eq=False)
-class Table:
+class Table(Sampled):
     """k named columns at n times, in SI units.
 
     Args:
@@ -135,11 +155,6 @@ class Table:
         for attribute, value in (("times", times), ("names", names), ("values", values), ("units", units)):
             object.__setattr__(self, attribute, value)
 
-    @property
-    def rate(self) -> float:
-        """Sampling rate [Hz]; uneven times are an InputError."""
-        return sampling_rate(self.times, where=self.source)
-
     def column(self, name: str) -> NDArray[np.float64]:
         """One column (n,); an unknown name is an InputError that offers the nearest known ones."""
         if name not in self.names:
@@ -150,11 +165,6 @@ class Table:
         """The named columns only, in that order."""
         values = np.stack([self.column(name) for name in names], axis=1)
         return replace(self, names=tuple(names), values=values)
-
-    def between(self, start: float, end: float) -> Table:
-        """The rows with start <= t <= end [s]; none of them is an InputError."""
-        keep = frames_between(self.times, start, end, where=self.source)
-        return replace(self, times=self.times[keep], values=self.values[keep])
 
 
 def row_values(

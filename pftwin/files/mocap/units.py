@@ -11,58 +11,33 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.tables import unknown_name
 
-# unit as written -> (SI unit, factor to SI)
-_UNITS: dict[str, tuple[str, float]] = {
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "in": ("m", 0.0254),
-    "s": ("s", 1.0),
-    "ms": ("s", 1e-3),
-    "rad": ("rad", 1.0),
-    "deg": ("rad", math.pi / 180),
-    "N": ("N", 1.0),
-    "kN": ("N", 1e3),
-    "Nm": ("N m", 1.0),
-    "N m": ("N m", 1.0),
-    "N*m": ("N m", 1.0),
-    "Nmm": ("N m", 1e-3),
-    "m/s": ("m/s", 1.0),
-    "mm/s": ("m/s", 1e-3),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", math.pi / 180),
-    "J": ("J", 1.0),
-    "mJ": ("J", 1e-3),
-    "kg": ("kg", 1.0),
-    "Pa": ("Pa", 1.0),
-    "MPa": ("Pa", 1e6),
-    "Hz": ("Hz", 1.0),
-    "V": ("V", 1.0),
-    "mV": ("V", 1e-3),
-    "1": ("1", 1.0),
-    "-": ("1", 1.0),
+# SI unit: units as written, with their factors to it
+_OF_SI: dict[str, dict[str, float]] = {
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
+    "s": {"s": 1.0, "ms": 1e-3},
+    "rad": {"rad": 1.0, "deg": math.pi / 180},
+    "N": {"N": 1.0, "kN": 1e3},
+    "N m": {"Nm": 1.0, "N m": 1.0, "N*m": 1.0, "Nmm": 1e-3},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180},
+    "J": {"J": 1.0, "mJ": 1e-3},
+    "kg": {"kg": 1.0},
+    "Pa": {"Pa": 1.0, "MPa": 1e6},
+    "Hz": {"Hz": 1.0},
+    "V": {"V": 1.0, "mV": 1e-3},
+    "1": {"1": 1.0, "-": 1.0},
 }
-_LONG_NAMES = {
-    "meter": "m",
-    "meters": "m",
-    "metre": "m",
-    "metres": "m",
-    "millimeter": "mm",
-    "millimeters": "mm",
-    "millimetre": "mm",
-    "millimetres": "mm",
-    "centimeter": "cm",
-    "centimeters": "cm",
-    "centimetre": "cm",
-    "centimetres": "cm",
-    "degrees": "deg",
-    "degree": "deg",
-    "radians": "rad",
-    "seconds": "s",
-    "newton": "N",
-    "newtons": "N",
+_UNITS = {unit: (si, factor) for si, units in _OF_SI.items() for unit, factor in units.items()}
+_WORDS = {
+    "m": ("meter", "metre"),
+    "mm": ("millimeter", "millimetre"),
+    "cm": ("centimeter", "centimetre"),
+    "deg": ("degree",),
+    "rad": ("radian",),
+    "s": ("second",),
+    "N": ("newton",),
 }
+_LONG_NAMES = {name: unit for unit, words in _WORDS.items() for word in words for name in (word, f"{word}s")}
 _BRACKETS = re.compile(r"^(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]$")
 # "strand_1" and "zoom_in" are names, not quantities: these units count in brackets only.
 _BRACKETS_ONLY = {"1", "-", "in"}

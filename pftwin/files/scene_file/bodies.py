@@ -34,7 +34,7 @@ class PatellaSection(Section):
     start: StartSection = Field(description="table: the patella's pose at the first frame")
 
     def body(self, side: Side) -> PatellaBody:
-        """As the scene wants it."""
+        """The patella as a scene holds it."""
         center = vector(side.points("patella", self.center_of_mass_m))
         return PatellaBody(number(self.mass_kg), vector(side.moments(self.inertia_kg_m2)), center)
 
@@ -55,10 +55,9 @@ def guided_motion(
     """The motion; the fixed femur's pose in the world or None; the moving femur's poses or None (mirrored)."""
     document = recording.document
     if tibia.fixed is not None:
-        place, _, _ = document.locate(("tibia", "fixed"))
         raise InputError(
             "the tibia is fixed",
-            where=document.describe(place),
+            where=document.where("tibia", "fixed"),
             expected="a recording: the run goes through its frames",
             remedy="a file of poses with one pose in every frame",
         )

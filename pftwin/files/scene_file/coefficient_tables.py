@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Scalar
+from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
     Pair,
@@ -26,8 +27,6 @@ from pftwin.files.scene_file.side import HostPose
 if TYPE_CHECKING:
     from pftwin.geometry.patch.charts import Chart
     from pftwin.geometry.patch.closest import Surface
-
-At = tuple[str | int, ...]
 
 
 class ChartSection(Section):
@@ -84,7 +83,7 @@ class PatchSurfaceSection(_RectangleSection):
     )
     degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
 
-    def build(self, setting: Setting, at: At) -> Surface:
+    def build(self, setting: Setting, at: Place) -> Surface:
         """The patch."""
         from pftwin.geometry.patch.fit import parse_degree
         from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
@@ -95,10 +94,9 @@ class PatchSurfaceSection(_RectangleSection):
             refuse_other(setting, f"P{degree}")
         powers = exponents(degree)
         if len(self.coefficients_m) != len(powers):
-            place, _, _ = document.locate((*at, "coefficients_m"))
             raise InputError(
                 f"{len(self.coefficients_m)} coefficients",
-                where=document.describe(place),
+                where=document.where(*at, "coefficients_m"),
                 expected=f"the {len(powers)} coefficients of P{degree}",
             )
         sign = odd(setting)  # of odd powers of v, too
@@ -121,7 +119,7 @@ class SplineSurfaceSection(_RectangleSection):
             raise problem(found, expected="4 or more rows of one length, 4 or more")
         return self
 
-    def build(self, setting: Setting, at: At) -> Surface:
+    def build(self, setting: Setting, at: Place) -> Surface:
         """The patch."""
         from pftwin.geometry.patch.fit import SPLINE
         from pftwin.geometry.patch.spline import SplinePatch

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from pftwin.base.leaves import number, vector
+from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
 from pftwin.files.scene_file.surface_table import SurfaceSection
@@ -76,7 +77,7 @@ class ButtonSection(Section):
     units: LengthUnit = Field(description="unit of the mesh's coordinates")
     tolerance_m: Positive = Field(default=0.02e-3, description="deviation that still counts as sphere [m]")
 
-    def fit(self, setting: Setting, at: tuple[str | int, ...]) -> SphereFit:
+    def fit(self, setting: Setting, at: Place) -> SphereFit:
         """The sphere in the patella's own frame; a note says how well it fits."""
         from pftwin.geometry.mesh.mesh import load_mesh
         from pftwin.geometry.patch.sphere import fit_sphere
@@ -123,7 +124,7 @@ class ContactSection(EffectSection):
             raise problem("both button and radius_m or center_m are given", expected="one of them")
         return self
 
-    def build(self, setting: Setting, at: tuple[str | int, ...]) -> Effect:
+    def build(self, setting: Setting, at: Place) -> Effect:
         """The effect."""
         surface = self.surface.build(setting, (*at, "surface"))
         center, radius = self.center_m, self.radius_m

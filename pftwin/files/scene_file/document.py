@@ -125,6 +125,10 @@ class Document:
             parts.append(_spelled(place, self.data))
         return ", ".join(parts)
 
+    def where(self, *location: str | int) -> str:
+        """`describe` of a location in the validated models."""
+        return self.describe(self.locate(location)[0])
+
     @contextmanager
     def naming(self, *location: str | int) -> Iterator[None]:
         """Puts this field's place in front of the message of any InputError from inside."""
@@ -133,8 +137,7 @@ class Document:
         except InputError as error:
             if str(error).startswith(f"{self.path}, "):
                 raise  # named more closely already
-            place, _, _ = self.locate(location)
-            raise InputError(str(error), where=self.describe(place)) from error
+            raise InputError(str(error), where=self.where(*location)) from error
 
 
 def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:

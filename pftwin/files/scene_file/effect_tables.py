@@ -1,19 +1,24 @@
-"""What the tables of all effects share, the setting they are built in, and [gravity] and [damping]."""
+"""What the tables of all effects share, and the table that follows from what an effect's fields declare."""
 
 # ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
+import dataclasses
+import re
 from abc import abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field, create_model, model_validator
 
+from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
-from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.section import Name, NotNegative, Point, Section
+from pftwin.base.quantities import Quantity, declared_field
+from pftwin.files.scene_file.document import Document, Place
+from pftwin.files.scene_file.section import Name, NotNegative, Point, Points, Section, one_number_or_many, problem
 from pftwin.files.scene_file.side import HostPose, Side
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.damping import LinearDamping
@@ -74,7 +79,7 @@ class EffectSection(Section):
         return self.name or self.kind
 
     @abstractmethod
-    def build(self, setting: Setting, at: tuple[str | int, ...]) -> Effect:
+    def build(self, setting: Setting, at: Place) -> Effect:
         """The effect; `at` is the table's place in the file.
 
         Raises:
@@ -88,7 +93,7 @@ class GravitySection(EffectSection):
     kind: ClassVar[str] = "gravity"
     acceleration_m_per_s2: Point = Field(description="acceleration of gravity in the world [m/s^2]")
 
-    def build(self, setting: Setting, at: tuple[str | int, ...]) -> Gravity:
+    def build(self, setting: Setting, at: Place) -> Gravity:
         """The effect."""
         acceleration = setting.world_direction(self.acceleration_m_per_s2)
         return Gravity(number(setting.mass), vector(acceleration), name=self.label)
@@ -102,7 +107,148 @@ class DampingSection(EffectSection):
     rotational_N_m_s_per_rad: NotNegative = Field(description="damping of rotation [N m s/rad]")
     body: Body = Field(default="femur", description="body relative to which the motion is damped")
 
-    def build(self, setting: Setting, at: tuple[str | int, ...]) -> LinearDamping:
+    def build(self, setting: Setting, at: Place) -> LinearDamping:
         """The effect."""
         rates = number(self.translational_N_s_per_m), number(self.rotational_N_m_s_per_rad)
         return LinearDamping(*rates, body=self.body, name=self.label)
+
+
+def group_size(section: Any, *names: str) -> int:
+    """How many members a group has: every field has one value for all, or one for each."""
+    sizes = {name: len(value) for name in names if (value := getattr(section, name)) is not None}
+    n = max(sizes.values())
+    if odd := [f"{name} has {k}" for name, k in sizes.items() if k not in (1, n)]:
+        longest = max(sizes, key=lambda name: sizes[name])
+        raise problem(
+            f"{', '.join(odd)} values and {longest} has {n}", expected="one value for all members, or one for each"
+        )
+    return n
+
+
+def member_values(values: np.ndarray, n: int) -> np.ndarray:
+    """Values of each of n members along the first axis; without that axis where there is only one."""
+    return values[0] if n == 1 else np.broadcast_to(values, (n, *values.shape[1:]))
+
+
+class Layout(NamedTuple):
+    """How the fields of a table become those of an effect."""
+
+    effect: Callable[..., Effect]
+    numbers: dict[str, str]  # the effect's name of each field of numbers
+    points: dict[str, tuple[str, str]]  # likewise of points, with their frame
+    plain: list[str]  # fields that the effect takes as they are
+
+
+class DeclaredSection(EffectSection):
+    """A table whose fields follow from what an effect declares: see `declared_table`."""
+
+    _layout: ClassVar[Layout]
+
+    @model_validator(mode="after")
+    def _one_for_all_or_each(self) -> Self:
+        group_size(self, *self._layout.numbers, *self._layout.points)
+        return self
+
+    def build(self, setting: Setting, at: Place) -> Effect:
+        """The effect, or a group of them."""
+        effect, numbers, points, plain = self._layout
+        n = group_size(self, *numbers, *points)
+        values: dict[str, Any] = {name: getattr(self, name) for name in plain}
+        for label, name in numbers.items():
+            values[name] = number(member_values(np.asarray(getattr(self, label), dtype=float), n))
+        for label, (name, frame) in points.items():
+            written = getattr(self, label)
+            body = values["body"] if frame == "body" else frame
+            placed = setting.world_direction(written) if body == "world" else setting.points(body, written)
+            values[name] = vector(member_values(placed, n))
+        return effect(**values, name=self.label)
+
+
+_PLAIN = {"bool": bool, "int": int, "float": float, "str": str}  # what a field that is no parameter may be
+
+
+def declared_table(
+    effect: type[Effect],
+    kind: str | None = None,
+    *,
+    words: Mapping[str, str] | None = None,
+    defaults: Mapping[str, float] | None = None,
+) -> type[DeclaredSection]:
+    """A table for a class of effects.
+
+    Every parameter becomes a field named with its unit (`stiffness_N_per_m`), with its declared bounds; one value makes
+    a single effect, lists make a group. Vectors are points of the frame that they declare. Static fields that are
+    numbers, words or truth values are read as they are, `body` as one of the bodies.
+
+    Args:
+        effect: the class.
+        kind: the table's name; by default the class's, in lower case with underscores.
+        words: descriptions of fields, by the names that the effect has for them.
+        defaults: numbers that may be left out, likewise, besides those for which the class itself has a default.
+
+    Raises:
+        InputError: a field that is neither, or a point whose frame is not declared.
+    """
+    kind = kind or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", effect.__name__).lower()
+    words, fields = words or {}, {}
+    numbers: dict[str, str] = {}
+    points: dict[str, tuple[str, str]] = {}
+    plain: list[str] = []
+    for f in dataclasses.fields(effect):
+        if f.name == "name":
+            continue
+        declared = declared_field(effect, f.name)
+        default: Any = {} if f.default is dataclasses.MISSING else {"default": f.default}
+        if declared is None:
+            fields[f.name] = _static(effect, f.name, f.type, default)
+            plain.append(f.name)
+            continue
+        label = "_".join(part for part in (f.name, _suffix(declared.unit)) if part)
+        described = words.get(f.name, f.name)
+        if "Vec3" in str(f.type):
+            if not declared.frame:
+                raise _unreadable(effect, f.name, 'quantity(..., frame="patella"), "body", "femur", "tibia", "world"')
+            points[label] = f.name, declared.frame
+            described = described if f.name in words else f"{f.name} [{declared.unit}], frame: {declared.frame}"
+            fields[label] = Points, Field(description=described, **default)
+        else:
+            numbers[label] = f.name
+            default = default or ({"default": (defaults or {})[f.name]} if f.name in (defaults or {}) else {})
+            default = {k: [float(v)] for k, v in default.items()}
+            fields[label] = _values(declared), Field(description=f"{described} [{declared.unit or '-'}]", **default)
+    doc = (effect.__doc__ or kind).splitlines()[0]
+    made = create_model(f"{effect.__name__}Section", __base__=DeclaredSection, __doc__=doc, **fields)
+    made.kind, made._layout = kind, Layout(effect, numbers, points, plain)
+    return made
+
+
+def _values(declared: Quantity) -> Any:
+    """The type of a list of numbers within bounds, or a single one."""
+    above = 0.0 if declared.positive else None
+    least = declared.lower if not declared.positive and declared.lower > -np.inf else None
+    one = Annotated[float, Field(gt=above, ge=least, le=declared.upper if declared.upper < np.inf else None)]
+    return Annotated[list[one], Field(min_length=1), BeforeValidator(one_number_or_many)]
+
+
+def _static(effect: type[Effect], name: str, kind: Any, default: dict[str, Any]) -> Any:
+    """Type and field of a static field of the effect."""
+    if name == "body":
+        return Body, Field(description="body at the other end", **default)
+    plain = _PLAIN.get(getattr(kind, "__name__", str(kind)))
+    if plain is None:
+        raise _unreadable(effect, name, "quantity(unit), or a static bool, int, float or str")
+    return plain, Field(description=name.replace("_", " "), **default)
+
+
+def _suffix(unit: str) -> str:
+    """A unit as field names have it: N_s_per_m."""
+    return unit.replace("/", "_per_").replace(" ", "_").replace("^", "")
+
+
+def _unreadable(effect: type[Effect], name: str, expected: str) -> InputError:
+    return InputError(
+        f"no table of a scene file follows from {effect.__name__}",
+        where=f"{effect.__name__}.{name}",
+        expected=f"a field that declares {expected}",
+        remedy="or register a table of your own, derived from EffectSection",
+    )

@@ -145,10 +145,9 @@ def _loaded(
 def _validated(document: Document) -> Any:
     version = document.data.get("schema")
     if version != SCHEMA or isinstance(version, bool):
-        place, _, _ = document.locate(("schema",))
         raise InputError(
             "is missing" if version is None else f"found {version!r}",
-            where=document.describe(place),
+            where=document.where("schema"),
             expected=f"schema = {SCHEMA}, the version of the format that this pftwin reads",
             remedy="a newer pftwin" if isinstance(version, int) and version > SCHEMA else None,
         )

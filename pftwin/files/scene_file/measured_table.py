@@ -54,8 +54,8 @@ class MeasuredSection(Section):
 
         document = recording.document
         if self.patella.fixed is not None:
-            place, _, _ = document.locate(("measured", "patella", "fixed"))
-            raise InputError("a fixed pose is no measurement", where=document.describe(place), expected="a recording")
+            where = document.where("measured", "patella", "fixed")
+            raise InputError("a fixed pose is no measurement", where=where, expected="a recording")
         poses = side.poses("world", "patella", recording.poses(self.patella, "measured", "patella"))
         with document.naming("measured", "patella"):
             if femur is not None:
@@ -77,8 +77,8 @@ class MeasuredSection(Section):
         wanted = {name: column for name in _FORCES if (column := getattr(self, name)) is not None}
         if self.forces is None:
             if wanted:
-                place, _, _ = document.locate(("measured", next(iter(wanted))))
-                raise InputError("a column of no file", where=document.describe(place), remedy='forces = "FILE.csv"')
+                where = document.where("measured", next(iter(wanted)))
+                raise InputError("a column of no file", where=where, remedy='forces = "FILE.csv"')
             return dict.fromkeys(_FORCES)
         with document.naming("measured", "forces"):
             table = read_csv(document.file(self.forces), units="1")

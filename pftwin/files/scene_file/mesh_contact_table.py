@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.contact_table import FloresSection, FrictionSection, HertzSection, HuntCrossleySection
+from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.mesh_tables import (
-    At,
     ButtonMesh,
     ButtonSection,
     ButtonSphere,
@@ -43,7 +43,7 @@ class _MeshesSection(EffectSection):
         default=None, description="table: a smooth surface by which results tell where the groove is; none by default"
     )
 
-    def femur_side(self, setting: Setting, at: At) -> tuple[FemurMesh, Surface | None]:
+    def femur_side(self, setting: Setting, at: Place) -> tuple[FemurMesh, Surface | None]:
         """The femur's mesh, and the smooth surface that says where the groove is."""
         refuse_patch(setting, at)
         surface = None if self.surface is None else self.surface.build(setting, (*at, "surface"))
@@ -77,7 +77,7 @@ class MeshContactSection(_MeshesSection):
             raise problem('friction with method = "contours"', expected='method = "volume" or "nearest": a sphere')
         return self
 
-    def build(self, setting: Setting, at: At) -> Contact:
+    def build(self, setting: Setting, at: Place) -> Contact:
         """The effect."""
         femur, surface = self.femur_side(setting, at)
         if self.method == "contours":
@@ -150,7 +150,7 @@ class ElasticFoundationSection(_MeshesSection):
     button_layer: LayerSection = Field(description="table: the button's layer")
     damping_time_s: NotNegative = Field(default=0.0, description="damping of a layer over its stiffness [s]")
 
-    def build(self, setting: Setting, at: At) -> Effect:
+    def build(self, setting: Setting, at: Place) -> Effect:
         """The effect."""
         from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
         from pftwin.model.effects.elastic_foundation import ElasticFoundation

@@ -1,6 +1,6 @@
-"""What contacts of meshes have in common: the femur's mesh with its facets, and the button as a mesh or a sphere.
+"""Common tables of contacts of meshes: the femur's mesh with its facets, and the button as a mesh or a sphere.
 
-What is refused of contacts of meshes before anything is computed with them.
+Starts from which no equilibrium can be found are refused here.
 """
 
 from __future__ import annotations
@@ -13,18 +13,15 @@ from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from pftwin.base.errors import InputError
+from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Setting
-from pftwin.files.scene_file.section import FileName, LengthUnit, Point, Positive, Section, problem
-from pftwin.files.scene_file.segments import PoseSection
+from pftwin.files.scene_file.section import Point, Positive, Section, problem
 from pftwin.files.scene_file.side import HostPose
-from pftwin.files.scene_file.surface_table import RegionSection
+from pftwin.files.scene_file.surface_table import MeshFileSection, RegionSection
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.region import TrochlearRegion
-
-
-At = tuple[str | int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,29 +31,6 @@ class FemurMesh:
     mesh: SurfaceMesh
     lateral: NDArray[np.bool_] | None  # (m,) which triangles are on the lateral facet; None: there is one facet
     region: TrochlearRegion | None
-
-
-class MeshFileSection(Section):
-    """A mesh in a file, and where its frame is."""
-
-    mesh: FileName = Field(description="STL, OBJ or PLY file")
-    units: LengthUnit = Field(description="unit of the mesh's coordinates")
-    repair: bool = Field(
-        default=False, description="turn triangles that face the wrong way, drop those that are there twice"
-    )
-    flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into its body")
-    mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in its body's")
-
-    def read(self, setting: Setting, at: At) -> SurfaceMesh:
-        """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
-        from pftwin.geometry.mesh.doctor import checked_mesh
-        from pftwin.geometry.mesh.mesh import SurfaceMesh
-
-        with setting.document.naming(*at, "mesh"):
-            found = checked_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
-        setting.notes.extend(found.notes)
-        mesh = found.mesh.flipped() if self.flip else found.mesh
-        return SurfaceMesh(self.mesh_pose.pose().apply(mesh.vertices), mesh.faces, mesh.source)
 
 
 class FemurMeshSection(MeshFileSection):
@@ -76,7 +50,7 @@ class FemurMeshSection(MeshFileSection):
             raise problem('a region with facets = "one"', expected="one of them")
         return self
 
-    def build(self, setting: Setting, at: At) -> FemurMesh:
+    def build(self, setting: Setting, at: Place) -> FemurMesh:
         """The mesh with its facets."""
         mesh = setting.side.mesh("femur", self.read(setting, at))
         if self.facets == "one":
@@ -114,7 +88,7 @@ class MeshButtonSection(MeshFileSection):
         default=None, description="of the fitted sphere: deviation that still counts as sphere [m]"
     )
 
-    def triangles(self, setting: Setting, at: At) -> ButtonMesh:
+    def triangles(self, setting: Setting, at: Place) -> ButtonMesh:
         """The mesh itself."""
         _refuse_given(self, "tolerance_m", "there is no sphere to fit: the triangles themselves touch", setting, at)
         from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -124,7 +98,7 @@ class MeshButtonSection(MeshFileSection):
         origin = setting.points("patella", center)
         return ButtonMesh(SurfaceMesh(mesh.vertices - origin, mesh.faces, mesh.source), origin)
 
-    def sphere(self, setting: Setting, at: At, label: str) -> ButtonSphere:
+    def sphere(self, setting: Setting, at: Place, label: str) -> ButtonSphere:
         """The sphere fitted to the mesh; a note says how well it fits."""
         _refuse_given(self, "center_m", "the fitted sphere has its own centre", setting, at)
         from pftwin.geometry.patch.sphere import fit_sphere
@@ -148,7 +122,7 @@ class SphereButtonSection(Section):
         default=None, description="how far triangles may lie off the sphere [m]; 0.006 mm by default"
     )
 
-    def triangles(self, setting: Setting, at: At) -> ButtonMesh:
+    def triangles(self, setting: Setting, at: Place) -> ButtonMesh:
         """An icosphere, the coarsest that keeps to the deviation."""
         from pftwin.geometry.mesh.resolution import Resolution, button_mesh
 
@@ -156,16 +130,15 @@ class SphereButtonSection(Section):
             mesh = button_mesh(self.radius_m, Resolution(self.deviation_m or 0.006e-3))
         return ButtonMesh(mesh, setting.points("patella", self.center_m))
 
-    def sphere(self, setting: Setting, at: At, label: str) -> ButtonSphere:
+    def sphere(self, setting: Setting, at: Place, label: str) -> ButtonSphere:
         """The exact sphere."""
         _refuse_given(self, "deviation_m", "the sphere is exact: it has no triangles", setting, at)
         return ButtonSphere(setting.points("patella", self.center_m), self.radius_m)
 
 
-def _refuse_given(section: Section, field: str, why: str, setting: Setting, at: At) -> None:
+def _refuse_given(section: Section, field: str, why: str, setting: Setting, at: Place) -> None:
     if getattr(section, field) is not None:
-        place, _, _ = setting.document.locate((*at, field))
-        raise InputError(why, where=setting.document.describe(place), remedy="leave it out")
+        raise InputError(why, where=setting.document.where(*at, field), remedy="leave it out")
 
 
 def _which(value: Any) -> str:
@@ -179,18 +152,17 @@ ButtonSection = Annotated[
 ]
 
 
-def refuse_patch(setting: Setting, at: At) -> None:
+def refuse_patch(setting: Setting, at: Place) -> None:
     """A patch asked for on the command line cannot take the place of meshes."""
     if setting.contact is not None:
-        place, _, _ = setting.document.locate(at)
         raise InputError(
             f"{setting.contact} was asked for, and this contact is of meshes",
-            where=setting.document.describe(place),
+            where=setting.document.where(*at),
             remedy="leave --contact out, or a scene file with a [contact] table",
         )
 
 
-def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting, at: At) -> None:
+def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting, at: Place) -> None:
     """Refuse a start that no search for an equilibrium can find a way out of; a note on one that may be hard.
 
     Raises:
@@ -202,7 +174,7 @@ def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting, at: At) 
 
     start = setting.start @ HostPose(button.origin, np.eye(3))
     found = mutual_place(femur.mesh, button.mesh, start.position, start.matrix)
-    where = setting.document.describe(setting.document.locate(at)[0])
+    where = setting.document.where(*at)
     poses = "[patella] start, center_m and mesh_pose of both meshes, and [axes]"
     if found.behind > 0.5:
         raise InputError(

@@ -15,11 +15,14 @@ from typing import Any
 
 from pftwin.base.errors import InputError
 from pftwin.files.scene_file.contact_table import ContactSection
-from pftwin.files.scene_file.declared_table import declared_table
-from pftwin.files.scene_file.effect_tables import DampingSection, EffectSection, GravitySection
+from pftwin.files.scene_file.effect_tables import DampingSection, EffectSection, GravitySection, declared_table
+from pftwin.files.scene_file.line_tables import (
+    StrandsSection,
+    TendonSection,
+    ToeTendonSection,
+    ViscoelasticTendonSection,
+)
 from pftwin.files.scene_file.mesh_contact_table import ElasticFoundationSection, MeshContactSection
-from pftwin.files.scene_file.strands_table import StrandsSection
-from pftwin.files.scene_file.tendon_table import TendonSection, ToeTendonSection, ViscoelasticTendonSection
 from pftwin.files.scene_file.tension_table import PrescribedTensionSection
 from pftwin.model.effects.base import Effect
 

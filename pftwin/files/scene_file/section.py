@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 @dataclass
 class Reading:
-    """What validation notes down for the messages, by the identity of the file's own values."""
+    """Records that validation keeps for its messages, by the identity of the file's values."""
 
     models: dict[int, type[Section]] = field(default_factory=dict)
     wrapped: set[int] = field(default_factory=set)

@@ -32,7 +32,7 @@ class PoseSection(Section):
     quaternion_wxyz: UnitQuaternion = Field(default=[1.0, 0.0, 0.0, 0.0], description="unit quaternion (w, x, y, z)")
 
     def pose(self) -> HostPose:
-        """As numbers."""
+        """The pose as arrays."""
         return HostPose.of(self.position_m, self.quaternion_wxyz)
 
 
@@ -151,10 +151,9 @@ class SegmentRecording:
         slack = 1e-6 * max(1.0, abs(low), abs(high))
         for key, asked, inside in (("start_time_s", low, poses.times[0]), ("end_time_s", high, poses.times[-1])):
             if (asked < inside - slack) if key == "start_time_s" else (asked > inside + slack):
-                place, _, _ = self.document.locate(("motion", key))
                 raise InputError(
                     f"found {asked:g}",
-                    where=self.document.describe(place),
+                    where=self.document.where("motion", key),
                     expected=f"a time within the recording, {poses.times[0]:g} s to {poses.times[-1]:g} s",
                 )
         with self.document.naming("motion"):

@@ -52,7 +52,7 @@ class HostPose:
         return HostPose(-self.position @ self.matrix, self.matrix.T)
 
     def pose(self) -> Pose:
-        """For the scene, in JAX's default float type."""
+        """The pose as a scene holds it, in JAX's default float type."""
         from scipy.spatial.transform import Rotation
 
         quaternion = Rotation.from_matrix(self.matrix).as_quat(scalar_first=True, canonical=True)
@@ -97,7 +97,7 @@ class Side:
 
     @classmethod
     def read(cls, left: bool, axes: AxesSection, document: Document) -> Self:
-        """From the scene file.
+        """The side and axes that a scene file states.
 
         Raises:
             InputError: axes of the other side.
@@ -110,10 +110,9 @@ class Side:
             rows = getattr(axes, body) or (_LEFT if left else _RIGHT)
             matrices[body] = np.array([_unit(axis) for axis in rows])
             if (np.linalg.det(matrices[body]) < 0) != left:
-                place, _, _ = document.locate(("axes", body))
                 raise InputError(
                     f"{rows} are the axes of a {'right' if left else 'left'} knee",
-                    where=document.describe(place),
+                    where=document.where("axes", body),
                     expected=f"proximal, lateral, anterior of a {'left' if left else 'right'} one",
                     remedy='check the signs, or side = "left" / "right"',
                 )

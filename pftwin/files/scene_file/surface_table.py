@@ -11,6 +11,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.coefficient_tables import PatchSurfaceSection, SplineSurfaceSection, refuse_other
+from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
     Direction,
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.closest import Surface
     from pftwin.geometry.patch.region import TrochlearRegion
-
-
-At = tuple[str | int, ...]
 
 
 class RegionSection(Section):
@@ -91,11 +89,33 @@ class RegionSection(Section):
         return region_about(mesh, chart, angles=(low, high), half_width=self.half_width_m)
 
 
-class MeshSurfaceSection(Section):
+class MeshFileSection(Section):
+    """A mesh in a file, and where its frame is."""
+
+    mesh: FileName = Field(description="STL, OBJ or PLY file")
+    units: LengthUnit = Field(description="unit of the mesh's coordinates")
+    repair: bool = Field(
+        default=False, description="turn triangles that face the wrong way, drop those that are there twice"
+    )
+    flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into its body")
+    mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in its body's")
+
+    def read(self, setting: Setting, at: Place) -> SurfaceMesh:
+        """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
+        from pftwin.geometry.mesh.doctor import checked_mesh
+        from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+        with setting.document.naming(*at, "mesh"):
+            found = checked_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
+        setting.notes.extend(found.notes)
+        mesh = found.mesh.flipped() if self.flip else found.mesh
+        return SurfaceMesh(self.mesh_pose.pose().apply(mesh.vertices), mesh.faces, mesh.source)
+
+
+class MeshSurfaceSection(MeshFileSection):
     """A patch, polynomial or spline, fitted to the trochlear part of a mesh."""
 
-    mesh: FileName = Field(description="STL, OBJ or PLY file of the femoral component")
-    units: LengthUnit = Field(description="unit of the mesh's coordinates")
+    repair: bool = Field(default=False, description="turn triangles that face the wrong way")
     degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
     kind: Literal["polynomial", "spline"] = Field(
         default="polynomial", description='"polynomial" of that degree, or "spline": bicubic, C2'
@@ -105,9 +125,6 @@ class MeshSurfaceSection(Section):
     )
     chart: Literal["plane", "cylinder"] = Field(default="plane", description="heights over a plane or about an axis")
     weights: Literal["vertex", "area"] = Field(default="vertex", description="every vertex alike, or by area")
-    repair: bool = Field(default=False, description="turn triangles that face the wrong way")
-    flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into the bone")
-    mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in the femur's")
     region: RegionSection = Field(default_factory=RegionSection, description="which part of the mesh is trochlea")
 
     @model_validator(mode="after")
@@ -118,7 +135,7 @@ class MeshSurfaceSection(Section):
             raise problem("a polynomial with tolerance_m", expected='degree = "P5" or higher, or kind = "spline"')
         return self
 
-    def build(self, setting: Setting, at: At) -> Surface:
+    def build(self, setting: Setting, at: Place) -> Surface:
         """The patch; a note says how well it fits."""
         from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
         from pftwin.geometry.patch.fit import SPLINE, fit_named, parse_name
@@ -144,7 +161,7 @@ class ImplantSurfaceSection(Section):
 
     implant: Literal["rig"] = Field(description='"rig": the femoral component of the virtual rig')
 
-    def build(self, setting: Setting, at: At) -> Surface:
+    def build(self, setting: Setting, at: Place) -> Surface:
         """The virtual rig's femoral component, exact."""
         from pftwin.geometry.patch.implant import rig_implant
 

@@ -11,6 +11,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.mocap import Table, read_csv
 from pftwin.files.mocap.tables import uniform_times
+from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, Points
 from pftwin.model.effects.tension import PrescribedTension
@@ -31,7 +32,7 @@ class PrescribedTensionSection(EffectSection):
     insertion_m: Points | None = Field(default=None, description="insertion of each line, patella frame [m]")
     origin_m: Points | None = Field(default=None, description="origin of each line, the body's frame [m]")
 
-    def build(self, setting: Setting, at: tuple[str | int, ...]) -> PrescribedTension:
+    def build(self, setting: Setting, at: Place) -> PrescribedTension:
         """The effect."""
         with setting.document.naming(*at, "file"):
             table = read_csv(setting.path(self.file), units="1")

@@ -116,7 +116,7 @@ def _turning_points(flexion: Floats, least: float) -> list[int]:
 
 
 def band(courses: Sequence[tuple[Floats, Floats]], grid: Floats) -> Band:
-    """Over strokes, each interpolated linearly in flexion, of those that come to a flexion.
+    """Mean and standard deviation over strokes, each interpolated linearly in flexion, where they reach a flexion.
 
     Args:
         courses: flexion (n,), strictly rising [deg], and values (n,) of each stroke.
@@ -210,7 +210,7 @@ def grouped(results: Results) -> dict[str, list[Result]]:
 
 
 def knee_flexion(result: Result) -> Floats:
-    """Of the knee at the frames, (n,) [deg]."""
+    """Knee flexion at the frames, (n,) [deg]."""
     return np.degrees(np.asarray(result.knee.flexion, dtype=np.float64))
 
 

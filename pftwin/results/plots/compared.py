@@ -146,7 +146,7 @@ def compared(
 def _panels(
     measured: Measured, errors: list[Validation], tibial: str | None, femoral: str | None
 ) -> list[PlottedQuantity]:
-    """What was measured and is simulated, so that it has an error."""
+    """The quantities that were both measured and simulated."""
     springs = {"tibial_spring": tibial, "femoral_spring": femoral}
     found = []
     for name in _SHOWN:

@@ -38,7 +38,7 @@ class PlottedQuantity(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Of an axis."""
+        """Label of an axis."""
         return f"{self.words} [{self.unit}]"
 
 
@@ -67,7 +67,7 @@ def tension(effect: str, words: str, attribute: str, error: str) -> PlottedQuant
 
 
 def _summed(result: Result, effect: str, observable: str) -> Floats | None:
-    """Over the elements of a group, as `pftwin.results.metrics` does."""
+    """An observable summed over the elements of a group, as `pftwin.results.metrics` does."""
     values = result.effects.get(effect, {}).get(observable)
     return None if values is None else np.asarray(values, dtype=np.float64).reshape(result.times.size, -1).sum(axis=1)
 

@@ -124,7 +124,7 @@ def figure_of(ax: Any) -> Figure:
 
 
 def entries(panels: Sequence[Axes]) -> tuple[list[Any], list[str]]:
-    """Of the legends of all panels together: one may lack what others have."""
+    """Handles and labels of all panels' legends together; one panel may lack what others have."""
     found = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     return list(found.values()), list(found)
 

@@ -51,7 +51,7 @@ class Relief(NamedTuple):
 
     @property
     def labels(self) -> tuple[str, str, str]:
-        """Of u, v and height, with the way in which they grow."""
+        """Labels of u, v and height, each with its positive direction."""
         along, across = _way(self.chart.axes.ex), _way(self.chart.axes.ey)
         round_axis = isinstance(self.chart, CylindricalChart)
         height = "distance from the trochlear axis" if round_axis else "height over the chart's plane"
@@ -95,7 +95,7 @@ def relief(result: Result, *paths: Floats) -> Relief:
 
 
 def _of_surface(surface: Any, window: Floats) -> Relief:
-    """Over its rectangle, and beyond it as far as the paths go."""
+    """A smooth surface over its rectangle, and beyond it as far as the paths go."""
     rectangle = None
     if has_rectangle(surface):
         ends = [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
@@ -153,7 +153,7 @@ def _in_chart(chart: Any, points: Any) -> Vec3:
 
 
 def _heights(surface: Any, u: Floats, v: Floats) -> Floats:
-    """At (u, v) [mm], in millimetres."""
+    """Heights at (u, v) [mm], in millimetres."""
     return 1e3 * np.asarray(_height(surface, 1e-3 * u, 1e-3 * v), dtype=np.float64)
 
 
@@ -246,7 +246,7 @@ def _line(ax: Axes, drawn: Relief, points: np.ndarray, words: str, look: dict[st
 
 
 def _size(drawn: Relief) -> tuple[float, float]:
-    """Of the figure [in]: a map of the same scale wherever it fits on a page."""
+    """Width and height of the figure [in]: one scale for all maps that fit on a page."""
     wanted = (_SCALE * np.ptp(drawn.v) + _FRAME[0], _SCALE * np.ptp(drawn.u) + _FRAME[1])
     width, height = (float(np.clip(w, a, b)) for w, a, b in zip(wanted, _SMALLEST, _LARGEST, strict=True))
     return width, height

@@ -1,4 +1,4 @@
-"""The plot: every result's objects, bodies that results share drawn once, legend, numbers, cameras."""
+"""The whole plot: the objects of every result, shared bodies drawn once, legend, numbers and cameras."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pftwin.results.plots import COLOURS
-from pftwin.results.viewer import knee, page
+from pftwin.results.viewer import bones, knee, page
 from pftwin.results.viewer.knee import k3d, keyed, paler
 from pftwin.results.viewer.recorded import Mesh, Recorded
 from pftwin.results.viewer.shapes import MM
@@ -55,12 +55,13 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
     first = results[0]
     alike = [r for r in results if _same_component(first, r)]
     farthest = max(alike, key=lambda r: r.geometry.sizes.get("continuation_vertex", 0))
-    objects = [knee.shaft(first), *knee.component(farthest), knee.tibia(first)]
+    shafts = knee.solid(first, bones.femur_shaft(first)), knee.solid(first, bones.tibia_shaft(first))
+    objects = [*shafts, *knee.component(farthest)]
     own = []
     for result, code in zip(results, codes, strict=True):
         parts = [*knee.patella(result, code), *knee.tendons(result, code), *knee.contacts(result, code, newtons)]
         if result is not first and not _same_motion(first, result):
-            parts.append(knee.tibia(result, paler(code, 0.5)))
+            parts.append(knee.solid(result, bones.tibia_shaft(result), paler(code, 0.5)))
         if result not in alike:
             parts += knee.component(result, paler(code, 0.5), result.name)
         own.append(parts)

@@ -1,13 +1,26 @@
-"""What has no mesh in a scene, drawn simply and called schematic: shafts of femur and tibia, the patella's body."""
+"""The solid parts of a knee as every drawing shows them: component, button, and simple bones called schematic."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.results.viewer.recorded import Mesh, Recorded
-from pftwin.results.viewer.shapes import MM, Shape, ellipsoid, turned
+from pftwin.results.viewer.recorded import Recorded
+from pftwin.results.viewer.shapes import (
+    MM,
+    MOST_TRIANGLES,
+    Shape,
+    behind_plane,
+    button_cap,
+    ellipsoid,
+    shell,
+    surface,
+    turned,
+)
 
+METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
 # Half width and height along the bone [mm]: the femur's from behind its component upwards, the tibia's down from its
 # plateau. Between them the outline is smooth.
 FEMUR = ((0, -20), (12, -19.5), (21, -16), (26, -8), (26, 3), (21, 16), (15, 34), (12.5, 60), (12.5, 150), (0, 150))
@@ -19,8 +32,63 @@ RIM = 4.0  # of the patella's body beyond its tendons [mm]
 BEHIND = 30.0  # the femur's axis behind the front of its component [mm]
 
 
-def patella_body(result: Recorded) -> Shape:
-    """A rounded disc that holds all insertions (patella frame)."""
+class Solid(NamedTuple):
+    """A part, and how it is drawn where nothing else is said."""
+
+    name: str
+    frame: str  # that carries it: "femur", "tibia" or "patella"
+    shape: Shape  # in that frame [mm]
+    colour: str
+    opacity: float = 1.0
+
+
+def femur_shaft(result: Recorded) -> Solid:
+    """A schematic shaft that goes up from behind the femoral component."""
+    component = result.mesh("femur") or result.mesh("surface")
+    points = np.zeros((1, 3)) if component is None else MM * component[0]
+    low, high = points.min(axis=0), points.max(axis=0)
+    place = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2] - BEHIND]
+    return Solid("femur (schematic)", "femur", turned(_smooth(FEMUR), place, "x", DEPTH), BONE, 0.35)
+
+
+def femoral_component(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
+    """Its mesh, thinned to `most` triangles, or its smooth surface with a continuation where it was touched beyond."""
+    mesh, fitted, beyond = (result.mesh(name) for name in ("femur", "surface", "continuation"))
+    found = []
+    if mesh is not None:
+        found.append(Solid("femoral mesh", "femur", surface(mesh, most), METAL))
+    if fitted is not None:
+        found.append(Solid("femoral surface", "femur", shell(fitted), METAL))
+    if beyond is not None:
+        found.append(Solid("surface continued", "femur", surface(beyond, most), METAL, 0.6))
+    return found
+
+
+def tibia_shaft(result: Recorded) -> Solid:
+    """A schematic plateau and shaft, just behind the patellar tendon's origin."""
+    ends = [MM * lines.origin.reshape(-1, 3) for lines in result.lines.values() if lines.body == "tibia"]
+    tuberosity = np.concatenate(ends).mean(axis=0) if ends else np.array([-75.0, 0.0, 40.0])
+    top = PLATEAU_AT * tuberosity[0] if tuberosity[0] < 0 else tuberosity[0] + 40.0
+    front = DEPTH * max(half for half, _ in TIBIA)
+    place = [top, 0.0, tuberosity[2] - front - PROUD]
+    return Solid("tibia (schematic)", "tibia", turned(_smooth(TIBIA), place, "x", DEPTH), BONE, 0.5)
+
+
+def patella_parts(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
+    """The patella's body (schematic), and its button where the scene has one."""
+    body = Solid("patella (schematic)", "patella", _patella_body(result), BONE, 0.4)
+    mesh = result.mesh("button")
+    if mesh is not None:
+        button = behind_plane(surface(mesh, most), float(body.shape.vertices[:, 2].mean()))
+    elif "button_radius" in result.geometry:
+        button = button_cap(result.geometry["button_center"].values, float(result.geometry["button_radius"]))
+    else:
+        return [body]
+    return [body, Solid("button", "patella", button, PLASTIC, 0.75)]
+
+
+def _patella_body(result: Recorded) -> Shape:
+    """A rounded disc that holds all insertions."""
     ends = [MM * lines.insertion for lines in result.lines.values()]
     if not ends:
         center = MM * result.geometry["button_center"].values if "button_center" in result.geometry else np.zeros(3)
@@ -30,23 +98,6 @@ def patella_body(result: Recorded) -> Shape:
     long = max(0.5 * (high[0] - low[0]) + RIM, 15.0)
     wide = max(0.5 * (high[1] - low[1]) + RIM, 0.95 * long)
     return ellipsoid(0.5 * (low + high), [long, wide, max(0.5 * (high[2] - low[2]), 8.0)])
-
-
-def femur_shaft(component: Mesh | None) -> Shape:
-    """A shaft that goes up from behind the femoral component (femur frame)."""
-    points = np.zeros((1, 3)) if component is None else MM * component[0]
-    low, high = points.min(axis=0), points.max(axis=0)
-    place = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2] - BEHIND]
-    return turned(_smooth(FEMUR), place, "x", DEPTH)
-
-
-def tibia_shaft(result: Recorded) -> Shape:
-    """A plateau and a shaft, just behind the patellar tendon's origin (tibia frame)."""
-    ends = [MM * lines.origin.reshape(-1, 3) for lines in result.lines.values() if lines.body == "tibia"]
-    tuberosity = np.concatenate(ends).mean(axis=0) if ends else np.array([-75.0, 0.0, 40.0])
-    top = PLATEAU_AT * tuberosity[0] if tuberosity[0] < 0 else tuberosity[0] + 40.0
-    front = DEPTH * max(half for half, _ in TIBIA)
-    return turned(_smooth(TIBIA), [top, 0.0, tuberosity[2] - front - PROUD], "x", DEPTH)
 
 
 def _smooth(outline: tuple[tuple[float, float], ...]) -> NDArray[np.float64]:

@@ -10,22 +10,17 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import MissingExtraError
 from pftwin.results.viewer import bones
-from pftwin.results.viewer.recorded import ContactArrow, Lines, Recorded
+from pftwin.results.viewer.recorded import FEW, ContactArrow, Lines, Recorded
 from pftwin.results.viewer.shapes import (
     MM,
     Matrices,
     Shape,
     apart,
-    applied,
     arrow,
     at_points,
-    behind_plane,
-    button_cap,
     ellipsoid,
     of_arrows,
     path,
-    shell,
-    surface,
     tubes,
 )
 
@@ -33,8 +28,6 @@ if TYPE_CHECKING:
     from k3d.objects import Drawable
 
 Floats = NDArray[np.float64]
-METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
-FEW = 4  # lines of an effect that are drawn as thick as a tendon
 REST = 0.4  # points of a path that are nearer to the last are passed over: at rest it has no direction [mm]
 AHEAD = 0.6  # how much paler the part of a contact's path is that is still to come
 
@@ -117,53 +110,32 @@ def held(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:
     return values[np.where(last < 0, np.argmax(present), last)]
 
 
-def shaft(result: Recorded) -> Drawable:
-    """A schematic shaft of the femur behind its component."""
-    shape = bones.femur_shaft(result.mesh("femur") or result.mesh("surface"))
-    return body(shape, BONE, name="femur (schematic)", group="bones", opacity=0.35)
+def solid(result: Recorded, part: bones.Solid, code: str | None = None, group: str = "bones") -> Drawable:
+    """A solid part, carried by its frame; in its own colour unless another is given."""
+    look: dict[str, Any] = {"name": part.name, "group": group, "opacity": part.opacity}
+    if part.frame == "femur":
+        return body(part.shape, code or part.colour, **look)
+    matrices = result.patella if part.frame == "patella" else result.tibia
+    return carried(part.shape, code or part.colour, result.times, matrices, **look)
 
 
-def component(result: Recorded, code: str = METAL, group: str = "bones") -> list[Drawable]:
-    """The femoral component: its mesh, or its smooth surface with a continuation where it was touched beyond."""
-    mesh, fitted, beyond = (result.mesh(name) for name in ("femur", "surface", "continuation"))
-    drawn = []
-    if mesh is not None:
-        drawn.append(body(surface(mesh), code, name="femoral mesh", group=group))
-    if fitted is not None:
-        drawn.append(body(shell(fitted), code, name="femoral surface", group=group))
-    if beyond is not None:
-        drawn.append(body(surface(beyond), paler(code, 0.5), name="surface continued", group=group, opacity=0.6))
-    return drawn
-
-
-def tibia(result: Recorded, code: str = BONE) -> Drawable:
-    """A schematic tibia."""
-    shape = bones.tibia_shaft(result)
-    return carried(shape, code, result.times, result.tibia, name="tibia (schematic)", group="bones", opacity=0.5)
+def component(result: Recorded, code: str = bones.METAL, group: str = "bones") -> list[Drawable]:
+    """The femoral component; a surface's continuation is paler."""
+    found = bones.femoral_component(result)
+    return [solid(result, part, code if part.opacity == 1 else paler(code, 0.5), group) for part in found]
 
 
 def patella(result: Recorded, code: str) -> list[Drawable]:
     """The patella's body (schematic) and the button."""
-    times, matrices, group = result.times, result.patella, result.name
-    schematic = bones.patella_body(result)
-    drawn = [carried(schematic, code, times, matrices, name="patella (schematic)", group=group, opacity=0.4)]
-    mesh = result.mesh("button")
-    if mesh is not None:
-        behind = behind_plane(surface(mesh), float(schematic.vertices[:, 2].mean()))
-        drawn.append(carried(behind, PLASTIC, times, matrices, name="button", group=group, opacity=0.75))
-    elif "button_radius" in result.geometry:
-        cap = button_cap(result.geometry["button_center"].values, float(result.geometry["button_radius"]))
-        drawn.append(carried(cap, PLASTIC, times, matrices, name="button", group=group, opacity=0.75))
-    return drawn
+    schematic, *button = bones.patella_parts(result)
+    return [solid(result, schematic, code, result.name), *(solid(result, b, group=result.name) for b in button)]
 
 
 def tendons(result: Recorded, code: str) -> list[Drawable]:
     """Tendons, ligaments and muscles as straight tubes, and where a tendon begins on the tibia."""
     drawn = []
     for name, lines in result.lines.items():
-        ends = line_ends(result, lines)
-        few = ends.shape[1] <= 2 * FEW
-        vertices, triangles = tubes(ends, *((1.7, 10) if few else (0.55, 5)))
+        vertices, triangles = tubes(line_ends(lines), MM * lines.radius, 10 if len(lines.insertion) <= FEW else 5)
         tube = body(Shape(vertices[0], triangles), paler(code, 0.3), name=name.replace("_", " "), group=result.name)
         tube.vertices = keyed(result.times, vertices)
         drawn.append(tube)
@@ -217,16 +189,6 @@ def _path(result: Recorded, push: ContactArrow, code: str) -> list[Drawable]:
     return [way, behind]
 
 
-def line_ends(result: Recorded, lines: Lines) -> np.ndarray:
+def line_ends(lines: Lines) -> Floats:
     """Insertions, then origins, in the femur's frame (n, 2 k, 3) [mm]."""
-    insertion = applied(result.patella, lines.insertion)
-    origin = lines.origin
-    if lines.body == "tibia":
-        if origin.ndim == 3:
-            turn, place = result.tibia[:, :3, :3], result.tibia[:, None, :3, 3]
-            origin = np.einsum("nij,nkj->nki", turn, MM * origin) + place
-        else:
-            origin = applied(result.tibia, origin)
-    else:
-        origin = np.broadcast_to(MM * origin, insertion.shape)
-    return np.concatenate([insertion, origin], axis=1)
+    return MM * np.concatenate(lines.ends, axis=1)

@@ -28,12 +28,12 @@ _CONTROL = "/*CONTROL*/null"  # in controls.js, where what the bar has to know g
 
 
 def title(results: Sequence[Recorded]) -> str:
-    """Of the page."""
+    """Title of the page."""
     return " and ".join(r.name for r in results)
 
 
 def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
-    """What has to be said of the data and of the drawing; the data's come first."""
+    """Notes on the data, then on the drawing."""
     said = list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
     said.append(SCHEMATIC)
     if any(r.mesh("continuation") is not None for r in results):

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 FACETS = ("medial", "lateral")
 Floats = NDArray[np.float64]
+FEW = 4  # lines of an effect that are drawn as thick as a tendon
 MOST_FRAMES = 241  # shown of a result; between them a drawing interpolates
 Mesh = tuple[Floats, NDArray[np.int64]]  # vertices [m], triangles
 
@@ -83,7 +84,7 @@ def _towards(center: Floats, points: Floats, sizes: Floats) -> Floats:
 
 
 def _middle(facets: list[tuple[Floats, Floats]]) -> Floats:
-    """Of points weighted by sizes (n, 3); NaN where all sizes are zero."""
+    """Mean of the points weighted by sizes (n, 3); NaN where all sizes are zero."""
     weights = np.stack([s for _, s in facets], axis=1)
     whole = weights.sum(axis=1, keepdims=True)
     shares = np.divide(weights, whole, out=np.full_like(weights, np.nan), where=whole > 0)
@@ -114,26 +115,20 @@ class Recorded:
         Raises:
             InputError: no such file, not a result, a file without anything to draw, or no frame that is finite.
         """
-        from pftwin.files.result_files import GEOMETRY, load_dataset
+        from pftwin.files.result_files import GEOMETRY, load_dataset, motion_dataset
 
+        data = motion_dataset(source)
         if isinstance(source, str | os.PathLike):
-            data, where = load_dataset(source), Path(source)
-            if "patella_quaternion" not in data:
-                raise InputError(
-                    "no motion of a patella in it",
-                    where=where,
-                    expected="a result of one simulation",
-                    remedy="pftwin simulate --case 2 -o case2.nc",
-                )
+            where = Path(source)
             drawn, label = load_dataset(source, group=GEOMETRY), where.stem
         else:
-            data, label = source.to_dataset(), source.scene_name
-            drawn, where = source.geometry() if geometry is None else geometry, label
+            where = label = source.scene_name
+            drawn = source.geometry() if geometry is None else geometry
         return cls(name or label, data.isel(time=_shown(data, where, frames)), drawn)
 
     @property
     def times(self) -> Floats:
-        """Of the frames shown (n,) [s]."""
+        """Times of the frames shown (n,) [s]."""
         return self.data["time"].values
 
     @cached_property
@@ -146,9 +141,17 @@ class Recorded:
         """The tibia in the femur (n, 4, 4) [mm]."""
         return of_poses(self.data["tibia_position"].values, self.data["tibia_quaternion"].values)
 
+    def placed(self, body: str, points: Floats) -> Floats:
+        """Points (k, 3), or (n, k, 3) that move, of a body's frame in the femur's, (n, k, 3) [m]."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_quat(self.data[f"{body}_quaternion"].values, scalar_first=True).as_matrix()
+        points = np.broadcast_to(points, (len(turn), *points.shape[-2:]))
+        return np.einsum("nij,nkj->nki", turn, points) + self.data[f"{body}_position"].values[:, None]
+
     @property
     def note(self) -> str:
-        """What has to be said of the data: that they are synthetic."""
+        """Says that the data are synthetic; empty where they are not."""
         return str(self.data.attrs.get("note", ""))
 
     def mesh(self, name: str) -> Mesh | None:
@@ -188,25 +191,38 @@ class Lines:
 
     @property
     def insertion(self) -> Floats:
-        """On the patella, its frame (k, 3) [m]."""
+        """Insertions on the patella, in its frame (k, 3) [m]."""
         return self.result.geometry[f"{self.name}_insertion"].values
 
     @property
     def body(self) -> str:
-        """Where they come from: "femur", "tibia" or "ground"."""
+        """The body at the other end: "femur", "tibia" or "ground"."""
         return str(self.result.geometry[f"{self.name}_origin"].attrs["body"])
 
     @property
     def origin(self) -> Floats:
-        """On that body, its frame (k, 3), or (n, k, 3) at the frames shown where it moves [m]."""
+        """Origins on that body, in its frame (k, 3), or (n, k, 3) at the frames shown where it moves [m]."""
         values = self.result.geometry[f"{self.name}_origin"]
         return values.values[self.result.frames] if "time" in values.dims else values.values
+
+    @property
+    def ends(self) -> tuple[Floats, Floats]:
+        """Insertions and origins in the femur's frame (n, k, 3) each [m]."""
+        insertion = self.result.placed("patella", self.insertion)
+        origin = self.result.placed("tibia", self.origin) if self.body == "tibia" else self.origin
+        return insertion, np.broadcast_to(origin, insertion.shape)
+
+    @property
+    def radius(self) -> float:
+        """Radius of a drawn line [m]: one of many strands is thin."""
+        return 1.7e-3 if len(self.insertion) <= FEW else 0.55e-3
 
 
 def _shown(data: Dataset, where: object, most: int) -> NDArray[np.int64]:
     """Frames evenly spread over those with finite poses; notes their places in the dataset as `frame`."""
-    poses = [data[n].values for n in ("patella_position", "patella_quaternion", "tibia_position", "tibia_quaternion")]
-    finite = np.flatnonzero(np.isfinite(np.concatenate(poses, axis=1)).all(axis=1))
+    from pftwin.files.result_files import finite_frames
+
+    finite = finite_frames(data)
     if finite.size < 2:
         raise InputError(f"{finite.size} frames with finite poses", where=where, expected="at least 2")
     chosen = finite[np.unique(np.round(np.linspace(0, finite.size - 1, min(most, finite.size))).astype(int))]
@@ -215,7 +231,7 @@ def _shown(data: Dataset, where: object, most: int) -> NDArray[np.int64]:
 
 
 def recorded(results: Any) -> list[Recorded]:
-    """Of one source, of several, or of several by name (a mapping, or pairs); names are made different.
+    """The numbers of one source, of several, or of several by name (a mapping, or pairs); names are made different.
 
     Raises:
         InputError: no result, or what `Recorded.of` refuses.

@@ -18,7 +18,7 @@ _TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # w
 
 
 def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
-    """From positions (n, 3) [m] and unit quaternions (n, 4), scalar first."""
+    """Matrices from positions (n, 3) [m] and unit quaternions (n, 4), scalar first."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_quat(np.asarray(quaternion, dtype=np.float64), scalar_first=True)
@@ -26,13 +26,13 @@ def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
 
 
 def at_points(points: ArrayLike) -> Matrices:
-    """From positions (n, 3) [m] of something that does not turn."""
+    """Matrices from positions (n, 3) [m] of something that does not turn."""
     points = np.asarray(points, dtype=np.float64)
     return _assembled(np.broadcast_to(np.eye(3), (len(points), 3, 3)), MM * points)
 
 
 def of_arrows(tails: ArrayLike, arrows: ArrayLike) -> Matrices:
-    """From tails (n, 3) [m] and arrows (n, 3) [mm]: they carry the unit arrow along z to there, its width with it."""
+    """Matrices from tails (n, 3) [m] and arrows (n, 3) [mm]: they scale and turn the unit arrow along z to each."""
     arrows = np.asarray(arrows, dtype=np.float64)
     length = np.linalg.norm(arrows, axis=1)
     z = arrows / length[:, None]
@@ -41,12 +41,6 @@ def of_arrows(tails: ArrayLike, arrows: ArrayLike) -> Matrices:
     x /= np.linalg.norm(x, axis=1)[:, None]
     turn = np.stack([x, np.cross(z, x), z], axis=2)
     return _assembled(turn * length[:, None, None], MM * np.asarray(tails, dtype=np.float64))
-
-
-def applied(matrices: Matrices, points: ArrayLike) -> NDArray[np.float64]:
-    """Points (k, 3) [m] fixed in a body, in the femur's frame at every frame: (n, k, 3) [mm]."""
-    moved = np.einsum("nij,kj->nki", matrices[:, :3, :3].astype(np.float64), MM * np.asarray(points, dtype=np.float64))
-    return moved + matrices[:, None, :3, 3]
 
 
 def _assembled(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Matrices:
@@ -63,17 +57,17 @@ class Shape(NamedTuple):
 
 
 def as_shape(mesh: Any) -> Shape:
-    """From a trimesh in mm."""
+    """A trimesh in mm as a shape."""
     return Shape(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.uint32))
 
 
-def surface(mesh: tuple[NDArray[Any], NDArray[Any]]) -> Shape:
-    """A mesh in metres, with fewer triangles where it has too many."""
+def surface(mesh: tuple[NDArray[Any], NDArray[Any]], most: int = MOST_TRIANGLES) -> Shape:
+    """A mesh in metres, thinned to `most` triangles where it has more."""
     from trimesh import Trimesh
 
     drawn = Trimesh(MM * mesh[0], mesh[1], process=False)
-    if len(drawn.faces) > MOST_TRIANGLES:
-        drawn = drawn.simplify_quadric_decimation(face_count=MOST_TRIANGLES)
+    if len(drawn.faces) > most:
+        drawn = drawn.simplify_quadric_decimation(face_count=most)
     return as_shape(drawn)
 
 
@@ -93,7 +87,7 @@ def shell(mesh: tuple[NDArray[Any], NDArray[Any]], thickness: float = SHELL) -> 
 
 
 def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
-    """With half axes along x, y, z [mm]."""
+    """An ellipsoid with half axes along x, y, z [mm]."""
     from trimesh.creation import icosphere
 
     ball = icosphere(subdivisions=3)
@@ -103,7 +97,7 @@ def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
 
 
 def turned(profile: ArrayLike, center: ArrayLike, axis: Literal["x", "z"] = "z", flatten: float = 1.0) -> Shape:
-    """What a closed profile makes when it is turned about an axis through a point [mm].
+    """The solid that a closed profile makes when it is turned about an axis through a point [mm].
 
     Args:
         profile: radius and height (k, 2), from the lower end of the axis to the upper.

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from small_scene import small_result
 
 from pftwin.files.interchange import export
-from pftwin.files.interchange.moving_parts import rod
+from pftwin.files.interchange.glb import rod
 from pftwin.geometry.mesh.icosphere import icosphere
 
 

@@ -11,8 +11,7 @@ from small_scene import small_result
 
 from pftwin.base.errors import PftwinWarning
 from pftwin.files.interchange.exporting import FORMATS
-from pftwin.files.interchange.osim_functions import KINDS
-from pftwin.files.interchange.osim_joints import JOINTS
+from pftwin.files.interchange.osim_joints import JOINTS, KINDS
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "interchange.md").read_text(encoding="utf-8")
 

@@ -12,7 +12,7 @@ from opensim_process import ask, poses
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from pftwin.files.interchange.osim_functions import spline
+from pftwin.files.interchange.osim_joints import spline
 from pftwin.files.interchange.osim_model import read_model
 from pftwin.files.interchange.osim_motion import poses as our_poses
 from pftwin.model.effects.tendon import ToeSpring

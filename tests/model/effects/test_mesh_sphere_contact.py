@@ -28,7 +28,7 @@ from pftwin.model.effects.contact_law import Flores, Hertz
 from pftwin.model.effects.mesh_sphere_contact import MeshSphereContact
 from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.model.scene import Scene
-from pftwin.rig.cases import implant_mesh
+from pftwin.rig.contacts import implant_mesh
 
 LAW = Hertz(J(2e8))
 BUTTON = J(0.025)

@@ -24,7 +24,8 @@ from pftwin.geometry.patch.implant import rig_region
 from pftwin.model.effects.contact_law import Flores
 from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
 from pftwin.model.scene import Scene
-from pftwin.rig.cases import case, implant_mesh
+from pftwin.rig.cases import case
+from pftwin.rig.contacts import implant_mesh
 
 
 @pytest.mark.slow

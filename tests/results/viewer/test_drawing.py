@@ -72,14 +72,14 @@ def test_the_patella_goes_where_the_result_says(drawn, result, name):
 @pytest.mark.parametrize("tendon", ["quadriceps", "patellar_tendon"])
 def test_lines_are_as_long_as_their_tendons(result, tendon):
     one = Recorded.of(result)
-    ends = line_ends(one, one.lines[tendon])
+    ends = line_ends(one.lines[tendon])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     np.testing.assert_allclose(length, 1e3 * result.effects[tendon]["length"], atol=1e-3)
 
 
 def test_tubes_begin_and_end_where_lines_do(drawn, result):
     one = Recorded.of(result)
-    ends = line_ends(one, one.lines["patellar_tendon"])
+    ends = line_ends(one.lines["patellar_tendon"])
     for k, vertices in enumerate(named(drawn, "patellar tendon").vertices.values()):
         rings = vertices.reshape(2, -1, 3)
         np.testing.assert_allclose(rings.mean(axis=1), ends[k], atol=1e-3)

@@ -1,11 +1,14 @@
-"""[[strands]]: ligaments of many strands, listed in the scene file or in a JSON or CSV file."""
+"""[[tendon]], [[toe_tendon]], [[viscoelastic_tendon]] and [[strands]]: elastic lines, single or in groups.
+
+Strands are listed in the scene file, or in a JSON or CSV file beside it.
+"""
 
 # ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
 import csv
 import fnmatch
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,10 +18,88 @@ from pftwin.base.leaves import number as leaf
 from pftwin.base.leaves import vector
 from pftwin.base.text_files import number, read_json, read_lines
 from pftwin.files.mocap.tables import unknown_name
-from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
+from pftwin.files.scene_file.document import Place
+from pftwin.files.scene_file.effect_tables import (
+    Body,
+    DeclaredSection,
+    EffectSection,
+    Layout,
+    Setting,
+    declared_table,
+    group_size,
+)
 from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, problem
-from pftwin.files.scene_file.tendon_table import group_size
-from pftwin.model.effects.tendon import StrandGroup
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.tendon import TOE_STRAIN, StrandGroup, Tendon, ToeTendon
+
+_LINE = {
+    "stiffness": "stiffness K",
+    "slack_length": "slack length L0",
+    "toe_strain": "strain at the toe region's end",
+    "insertion": "insertion, patella frame [m]",
+    "origin": "origin, the body's frame [m]",
+}
+
+
+class _DampedSection(DeclaredSection):
+    """A line whose dashpot may also be given as a time."""
+
+    damping_N_s_per_m: NotNegatives = Field(default_factory=lambda: [0.0], description="damping c [N s/m]")
+    damping_time_s: NotNegatives | None = Field(default=None, description="damping as a time c / K [s], in place of c")
+    if TYPE_CHECKING:
+        stiffness_N_per_m: list[float]
+
+    @model_validator(mode="after")
+    def _one_for_all_or_each(self) -> Self:
+        if self.damping_time_s is not None and "damping_N_s_per_m" in self.model_fields_set:
+            raise problem("both damping_N_s_per_m and damping_time_s are given", expected="one of them")
+        group_size(self, "damping_time_s", *self._layout.numbers, *self._layout.points)
+        if self.damping_time_s is not None:
+            self.damping_N_s_per_m = list(np.asarray(self.stiffness_N_per_m) * np.asarray(self.damping_time_s))
+        return self
+
+
+class TendonSection(_DampedSection, declared_table(Tendon, words=_LINE)):
+    """A tendon: F = K (L - L0) + c dL/dt, never pushing. Lists instead of single values make a group."""
+
+
+_TOE = {**_LINE, "stiffness": "stiffness K of the linear region"}
+
+
+class ToeTendonSection(_DampedSection, declared_table(ToeTendon, words=_TOE, defaults={"toe_strain": TOE_STRAIN})):
+    """A tendon that is quadratic up to a toe strain, then linear. Lists instead of single values make a group."""
+
+
+def _viscoelastic_tendon(**values: Any) -> Effect:
+    """Imports the effect only where a scene has it."""
+    from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
+
+    return ViscoelasticTendon(**values)
+
+
+class ViscoelasticTendonSection(DeclaredSection):
+    """A standard linear solid: K relaxed, K + K1 pulled at once. Lists instead of single values make a group."""
+
+    kind: ClassVar[str] = "viscoelastic_tendon"
+    _layout: ClassVar[Layout] = Layout(
+        _viscoelastic_tendon,
+        numbers={
+            "stiffness_N_per_m": "stiffness",
+            "maxwell_stiffness_N_per_m": "maxwell_stiffness",
+            "relaxation_time_s": "relaxation_time",
+            "slack_length_m": "slack_length",
+        },
+        points={"insertion_m": ("insertion", "patella"), "origin_m": ("origin", "body")},
+        plain=["body"],
+    )
+    body: Body = Field(description="body at the other end")
+    stiffness_N_per_m: Positives = Field(description="stiffness K when relaxed [N/m]")
+    maxwell_stiffness_N_per_m: NotNegatives = Field(description="K1, what it is stiffer by when pulled at once [N/m]")
+    relaxation_time_s: Positives = Field(description="time tau in which the tension relaxes when held [s]")
+    slack_length_m: Positives = Field(description="slack length L0 [m]")
+    insertion_m: Points = Field(description="insertion, patella frame [m]")
+    origin_m: Points = Field(description="origin, the body's frame [m]")
+
 
 _INLINE = ("stiffness_N_per_strain", "slack_length_m", "insertion_m", "origin_m")
 _COLUMNS = ("stiffness_N_per_strain", "slack_length_m", *(f"{e}_{k}_m" for e in ("insertion", "origin") for k in "xyz"))
@@ -49,7 +130,7 @@ class StrandsSection(EffectSection):
             group_size(self, *_INLINE, "toe_strain", "damping_time_s")
         return self
 
-    def build(self, setting: Setting, at: tuple[str | int, ...]) -> StrandGroup:
+    def build(self, setting: Setting, at: Place) -> StrandGroup:
         """The effect."""
         strands = self._listed()
         if self.file is not None:
@@ -60,8 +141,7 @@ class StrandsSection(EffectSection):
         one = (strands.stiffness, strands.slack_length, np.asarray(self.toe_strain), np.asarray(self.damping_time_s))
         for label, values in zip(("toe_strain", "damping_time_s"), one[2:], strict=True):
             if len(values) not in (1, n):
-                place, _, _ = setting.document.locate((*at, label))
-                where = setting.document.describe(place)
+                where = setting.document.where(*at, label)
                 raise InputError(f"{len(values)} values for {n} strands", where=where, expected=f"1 or {n}")
         ends = setting.points("patella", strands.insertion), setting.points(self.body, strands.origin)
         k, slack, toe, damping = (leaf(np.broadcast_to(v, (n,))) for v in one)

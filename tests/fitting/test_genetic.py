@@ -212,3 +212,12 @@ def test_all_failing_stops():
 @pytest.mark.parametrize("populations", [1, 4])
 def test_generations_have_a_limit(populations):
     assert len(evolved(0, populations, 5)["bests"][0]) == 6
+
+
+def test_whatever_decides_its_course_is_among_its_settings():
+    options = {"population": 8, "generations": 9, "populations": 2}
+    made = [
+        Genetic(_Bowl(), 0, **{**options, **change}).settings()
+        for change in ({}, *({k: v + 4} for k, v in options.items()))
+    ]  # pyright: ignore
+    assert len(set(made)) == 4

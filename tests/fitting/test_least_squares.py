@@ -104,3 +104,16 @@ def test_a_phase_ends_where_a_step_gains_less_than_it_is_worth(phase, gain, goes
             state, request, ProblemAnswer(np.full(n, value), np.full((n, 3), 10.0), np.tile(np.eye(3), (n, 1, 1)))
         )
     assert ((state["phase"], state["stopped"]) == (phase, None)) is goes_on
+
+
+def test_a_phase_ends_where_the_best_starts_own_steps_promise_nothing():
+    """One start at the least squares themselves; what the other, far from them, may still gain does not matter."""
+    truth = NOMINAL + np.array([0.2, -5.0, 0.1])
+    ours = problem(design(), design() @ truth, parameters(half_width=50.0))
+    search = LeastSquares(ours, 0, 2)
+    state = search.begin()
+    state["u"] = ours.parameters.to_unbounded(np.stack([truth, truth + np.array([4.0, 30.0, -6.0])]))
+    for phase in (0, 1):
+        request = search.ask(state)
+        search.tell(state, request, ours.answer(request))
+        assert state["phase"] == phase

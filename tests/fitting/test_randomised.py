@@ -165,6 +165,9 @@ def test_nothing_to_sample_is_said(line):
     flat = problem(lambda t: (np.zeros((len(t), 1, 3)), np.ones((len(t), 1, 3, 2))))
     with pytest.raises(InputError, match="leave a combination of the parameters open"):
         Density.about(flat, mean)
+    nearly = np.ones((40, 3, 2)) * [1.0, 1.0] + 1e-9 * np.random.default_rng(0).normal(size=(40, 3, 2))
+    with pytest.raises(InputError, match="leave a combination of the parameters open"):
+        Density.about(problem(linear(nearly, np.zeros((40, 3)))), mean)
     with pytest.raises(InputError, match="leave a combination of the parameters open"):
         tempering(np.eye(2), np.ones((2, 2)))
 

@@ -78,3 +78,18 @@ def test_they_find_the_bottom_and_keep_the_best(kind):
 
 def test_mirroring_is_a_reflection_at_both_sides():
     np.testing.assert_allclose(mirrored(np.array([0.3, 1.2, -0.1, 2.3, -1.4])), [0.3, 0.8, 0.1, 0.3, 0.6])
+
+
+@pytest.mark.parametrize("kind", [CmaEs, DifferentialEvolution])
+def test_the_best_of_a_generation_is_kept_and_only_if_it_is_the_best_so_far(kind):
+    search = begun(kind, 0)
+    state = search.begin()
+    values = np.array([7.0, 3.0, np.nan, 9.0, *[8.0] * 8])
+    for best, row in ((3.0, 1), (3.0, None), (1.5, 4)):
+        request = search.ask(state)
+        if row is not None:
+            expected = request.theta[row].copy()
+        search.tell(state, request, ProblemAnswer(values))
+        assert state["best_value"] == best
+        np.testing.assert_array_equal(state["best_theta"], expected)
+        values = values + 1 if row == 1 else np.array([7.0, 5.0, 9.0, 9.0, 1.5, *[8.0] * 7])

@@ -11,6 +11,7 @@ import pytest
 from made_estimates import made_estimate
 from report_pages import VALUES, estimate, fitted, measured
 from small_scene import small_result
+from xarray import Dataset
 
 from fitting.cli.report import figures
 from fitting.cli.report.material import Material
@@ -105,3 +106,7 @@ def test_the_strongest_correlation_is_that_of_two_parameters():
     assert "The strongest: K1 and L1, -0.30." in figures.correlation(two).alternative
     one = made_estimate({"K1": (171.0, 12.5)})
     assert "strongest" not in figures.correlation(one).alternative
+
+
+def test_a_prediction_whose_amount_does_not_vary_has_no_figure():
+    assert figures.outcomes(Dataset({"tibial_tuberosity_transfer_medialisation": ("variant", [0.01, 0.01])})) == []

@@ -40,7 +40,7 @@ def loaded(*words: str) -> str:
 
 @pytest.mark.slow
 def test_a_scene_without_meshes_imports_no_search_and_no_effect_that_it_lacks():
-    absent = "bvh", "mesh_contact", "elastic_foundation", "strands", "toe_tendon", "viscoelastic", "friction", "audit"
+    absent = "bvh", "mesh_contact", "elastic_foundation", "viscoelastic", "audit"
     assert loaded(*absent) == "[]"
     assert "sphere_contact" in loaded("sphere_contact")
 

@@ -11,7 +11,6 @@ import pytest
 from made_estimates import made_estimate
 from report_pages import VALUES, estimate, fitted, measured
 from small_scene import small_result
-from xarray import Dataset
 
 from fitting.cli.report import figures
 from fitting.cli.report.material import Material
@@ -109,4 +108,8 @@ def test_the_strongest_correlation_is_that_of_two_parameters():
 
 
 def test_a_prediction_whose_amount_does_not_vary_has_no_figure():
-    assert figures.outcomes(Dataset({"tibial_tuberosity_transfer_medialisation": ("variant", [0.01, 0.01])})) == []
+    from xarray import Dataset
+
+    assert (
+        figures.outcomes(Dataset(coords={"tibial_tuberosity_transfer_medialisation": ("variant", [0.01, 0.01])})) == []
+    )

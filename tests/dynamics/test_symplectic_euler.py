@@ -66,3 +66,16 @@ def test_a_spring_is_told_where_its_oscillation_begins_to_grow(share, told):
     assert now is not None
     assert float(before) == 0
     assert (float(now) > 0) == told
+
+
+def test_one_step_is_the_pull_and_its_moment_on_the_free_body():
+    """v = h F / m and w = h I^-1 (r x F), from rest, for a spring that pulls beside the centre of mass."""
+    stiffness, slack, insertion, origin = 4e3, 0.05, np.array([0.01, -0.02, 0.005]), np.array([0.03, 0.01, 0.1])
+    sys = system(Tendon(J(stiffness), J(slack), J(0.0), vec(*insertion), vec(*origin), body="ground", name="tendon"))
+    way = origin - insertion
+    force = stiffness * (np.linalg.norm(way) - slack) * way / np.linalg.norm(way)
+    step, method = 1e-4, SymplecticEuler()
+    state = method.begin(sys, state_at(sys, (0, 0, 0)), still_guide(), J(step))
+    after, _ = method.advance(sys, state, lambda _: still_guide(), J(step), None)
+    np.testing.assert_allclose(after.velocity.array(), step * force / MASS, rtol=1e-9)
+    np.testing.assert_allclose(after.spin.array(), step * np.cross(insertion, force) / np.array(INERTIA), rtol=1e-9)

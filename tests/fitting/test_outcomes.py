@@ -116,6 +116,12 @@ def test_another_threshold_moves_the_margin_and_the_dislocations(threshold, marg
     assert len(follow(np.arange(8.0), np.array(offset), threshold=threshold).events) == times
 
 
+@pytest.mark.parametrize(("offset", "times"), [(0.0199, 0), (0.0201, 1)])
+def test_by_default_20_mm_are_a_dislocation(offset, times):
+    assert len(follow(np.arange(3.0), np.array([0.0, offset, 0.0])).events) == times
+    assert float(measured(made_up([0.0, offset, 0.0]))["dislocations"]) == times
+
+
 def test_the_outcomes_of_a_result_take_the_threshold(result):
     farthest = np.abs(result.groove[1]).max()
     found = outcomes(result, threshold=0.5 * farthest)

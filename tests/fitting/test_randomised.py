@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from bent_problems import bent, cubic, linear, problem
 from scipy import stats
 
 from fitting.posterior.density import Density, tempering
-from fitting.posterior.sampling import proposals, sampled
+from fitting.posterior.sampling import proposals, sample_posterior, sampled
 from fitting.uncertainty import uncertainty
 from pftwin.base.errors import InputError
 
@@ -28,6 +30,7 @@ def drawn(density, draws=2000, seed=0):
     made = proposals(density, 4 * (draws + 10), np.random.default_rng(seed))
     found = sampled(*made[:3], chains=4, warmup=10, seed=seed)
     assert found.theta.shape == (4, draws, 2)
+    assert found.acceptance.shape == (4,)
     return found, made
 
 
@@ -177,3 +180,18 @@ def test_the_same_seed_gives_the_same_draws(line):
     one, again, other = (drawn(density, 20, seed)[0].theta for seed in (4, 4, 5))
     np.testing.assert_array_equal(one, again)
     assert (one != other).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({"draws": 7}, "draws: found 7"),
+        ({"chains": 1}, "chains: found 1"),
+        ({"warmup": 0}, "warmup: found 0"),
+        ({"draws": 9.5}, "9.5"),
+    ],
+)
+def test_numbers_of_draws_that_are_none_are_refused_before_anything_else(options, found):
+    estimate: Any = None
+    with pytest.raises(InputError, match=found):
+        sample_posterior(estimate, **options)

@@ -329,3 +329,12 @@ def test_distance_from_the_start_pose():
 def test_nothing_of_a_result_is_a_jax_array(result):
     leaves = jax.tree.leaves([result.times, result.center, result.effects, result.flags, list(result.angles)])
     assert all(type(leaf) is np.ndarray for leaf in leaves)
+
+
+def test_vectors_of_a_groups_elements_have_three_dimensions(result):
+    n = result.times.size
+    effects = {**result.effects, "strands": {"tension": np.ones((n, 4, 3)), "length": np.ones((n, 5))}}
+    observables = {**result.observables, "strands": result.observables["quadriceps"]}
+    data = dataclasses.replace(result, effects=effects, observables=observables, groups={"strands": 4}).to_dataset()
+    assert data["strands_tension"].dims == ("time", "strands_element", "axis")
+    assert data["strands_length"].dims == ("time", "strands_0_5")

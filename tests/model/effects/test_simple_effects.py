@@ -9,6 +9,7 @@ from scenes import J, knee_motion, look, vec
 
 from pftwin.base.quantities import declarations
 from pftwin.base.spatial import Quaternion
+from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.motion import Frame
@@ -69,3 +70,16 @@ def test_no_damping_is_allowed_and_negative_damping_is_not():
     quantities = [d.quantity for d in declarations(LinearDamping(J(0.4), J(0.002)))]
     assert [q.unit for q in quantities] == ["N s/m", "N m s/rad"]
     assert all(q.holds(0.0) and not q.holds(-1e-9) for q in quantities)
+
+
+def test_in_a_femur_held_still_weight_turns_as_the_femur_would():
+    """A femur that turns about y by 2 rad/s: in its axes the weight turns the other way."""
+    t = 0.01 * np.arange(31)
+    turn = np.stack([np.cos(t), 0 * t, np.sin(t), 0 * t], axis=1)  # half the angle
+    femur = knee_motion(31, PoseSeries(t, np.zeros((31, 3)), turn)).femur
+    assert femur is not None
+    weight = Gravity(J(0.12), vec(0.5, 1.0, -9.81)).in_still_femur(femur)
+    angle = 2 * 0.155
+    back = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+    force = weight.load(look((0, 0, 0), time=0.155), None)[0].total().force.array()
+    np.testing.assert_allclose(force, 0.12 * back @ [0.5, 1.0, -9.81], rtol=1e-6)

@@ -210,6 +210,7 @@ class Effect(eqx.Module):
     name: str = eqx.field(static=True, kw_only=True)
     observables: ClassVar[dict[str, Observable]] = {}
     jumps: ClassVar[bool] = False  # whether the force jumps as the pose changes: then there need be no equilibrium
+    is_weight: ClassVar[bool] = False  # whether it is the patella's weight
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)

@@ -18,6 +18,7 @@ class Gravity(Effect):
     mass: Scalar = eqx.field(metadata=quantity("kg", positive=True))  # of the patella
     acceleration: Vec3 = eqx.field(metadata=quantity("m/s^2", frame="world"))
     name: str = eqx.field(static=True, kw_only=True, default="gravity")
+    is_weight: ClassVar[bool] = True
     observables: ClassVar[dict[str, Observable]] = {"weight": Observable("N", "weight of the patella")}
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:

@@ -147,7 +147,7 @@ def _friction(scene: Scene) -> Variant | NotApplicable | None:
 
 
 def _gravity(scene: Scene) -> Variant | None:
-    if any(isinstance(e, Gravity) for e in scene.effects):
+    if any(e.is_weight for e in scene.effects):
         return None
     femur = scene.motion.femur
     axes = Rotation.from_array(number([[1, 0, 0], [0, 1, 0], [0, 0, 1]]))

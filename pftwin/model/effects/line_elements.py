@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.traced_once import traced_once
 from pftwin.model.effects.base import Effect, Instant, StiffTerm, applied_at
 from pftwin.model.motion import SegmentMotion
 
@@ -29,6 +30,7 @@ class Line(NamedTuple):
         return StiffTerm(self.direction, self.moment, tension, elastic, stiffness, damping, self.lengthening)
 
 
+@traced_once
 def line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3) -> Line:
     """The line between the patella's point `insertion` and the point `origin` of `body`.
 

@@ -14,6 +14,7 @@ from jaxtyping import Array
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.traced_once import traced_once
 from pftwin.geometry.contact.facets import APART, MERGED
 from pftwin.geometry.contact.mesh_facets import FacetPoint, MeshFacets
 from pftwin.geometry.patch.closest import Surface
@@ -42,6 +43,7 @@ class MeshSphereContact(ButtonSphere):
         """No contact has begun yet."""
         return self.law.no_contact_yet(now.patella.position.x, self.facets.count)
 
+    @traced_once
     def touches(self, now: Instant, memory: Speeds) -> list[Touch[FacetPoint]]:
         """The sphere on each facet."""
         centre, velocity = self.centre_in_femur(now)

@@ -30,6 +30,7 @@ from jaxtyping import Array
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.traced_once import traced_once
 from pftwin.geometry.contact.overlap import Overlap, overlap
 from pftwin.geometry.contact.patch_mesh import PatchMesh
 from pftwin.geometry.contact.sphere_patch import sphere_patch
@@ -73,6 +74,7 @@ class MeshVolumeContact(ButtonSphere):
         """No contact has begun yet."""
         return self.law.no_contact_yet(now.patella.position.x, 2)
 
+    @traced_once
     def touch(self, now: Instant, memory: Speeds) -> VolumeTouch:
         """The overlap at this instant and what it does."""
         centre, velocity = self.centre_in_femur(now)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.traced_once import traced_once
 from pftwin.geometry.contact.facets import MERGED, FollowedPoint, follow_facets
 from pftwin.geometry.patch.closest import ClosestPoint, Surface
 from pftwin.model.effects.base import Instant, Load, Observable
@@ -71,6 +72,7 @@ class SphereContact(ButtonSphere):
         """The look's points."""
         return memory._replace(places=trial.places)
 
+    @traced_once
     def touches(
         self, now: Instant, memory: ContactMemory
     ) -> tuple[Touch[ClosestPoint], Touch[ClosestPoint], ContactMemory]:

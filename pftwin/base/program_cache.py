@@ -28,6 +28,7 @@ import pftwin
 from pftwin.base import cache_folder
 from pftwin.base.serialization import NotPlainError, fingerprint, packed, unpacked
 from pftwin.base.text_files import MESH_BYTES
+from pftwin.base.traced_once import Fixed, split
 
 T = TypeVar("T")
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy", "trimesh")
@@ -52,8 +53,7 @@ class Timed(NamedTuple):
 class _Kind(NamedTuple):
     """What decides the program for some arguments."""
 
-    structure: Any
-    fixed: tuple[Any, ...]  # of every leaf None, or for one that is no array its type and itself
+    fixed: Fixed
     arrays: tuple[Hashable, ...]  # shape, type, and whether that is weak
     settings: tuple[Any, ...]
 
@@ -113,9 +113,7 @@ class Program:
         structures = []
 
         def flat(*arrays: Any) -> list[Any]:
-            rest = iter(arrays)
-            args = jax.tree.unflatten(kind.structure, [next(rest) if f is None else f[1] for f in kind.fixed])
-            out, structure = jax.tree.flatten(self._function(*args))
+            out, structure = jax.tree.flatten(self._function(*kind.fixed.with_arrays(arrays)))
             structures.append(structure)
             return out
 
@@ -210,14 +208,7 @@ def _shape(array: Any) -> jax.ShapeDtypeStruct:
 
 def _kind_of(args: tuple[Any, ...]) -> tuple[_Kind, list[Any]]:
     """The arguments' kind, and those that are arrays."""
-    leaves, structure = jax.tree.flatten(args)
-    arrays: list[Any] = []
-    fixed, kinds = [], []
-    for leaf in leaves:  # before every run: plain tuples are hashed and compared in a tenth of the time of shapes
-        if _is_array(leaf):
-            arrays.append(leaf)
-            fixed.append(None)
-            kinds.append((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)))
-        else:
-            fixed.append((type(leaf), leaf))
-    return _Kind(structure, tuple(fixed), tuple(kinds), settings()), arrays
+    fixed, arrays = split(args, _is_array)
+    # Before every run: plain tuples are hashed and compared in a tenth of the time of shapes.
+    kinds = tuple((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in arrays)
+    return _Kind(fixed, kinds, settings()), arrays

@@ -1,4 +1,4 @@
-"""What a fit found, and how sure it is."""
+"""The result of a fit: parameters and their uncertainty."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ class Estimate:
     covariance: Floats  # (p, p)
     lower: Floats  # bounds (p,)
     upper: Floats
-    nominal: Floats  # where the search began (p,)
+    nominal: Floats  # the scene's values, where the search began (p,)
     objective: str
     objective_value: float
     objective_unit: str
     channels: tuple[str, ...]  # what was compared
-    noise: dict[str, float]  # of every channel [m], [rad], [N]
+    noise: dict[str, float]  # standard deviation of every channel [m], [rad], [N]
     noise_known: bool  # given, rather than estimated from the residuals
     serial_correlation: float  # of neighbouring residuals
-    condition: float  # of the information on relative parameters
+    condition: float  # condition number of the information on relative parameters
     rmse: dict[str, float]  # of every channel, and of X, Y, Z [m], [rad], [N]
     method: str
     seed: int
@@ -110,11 +110,11 @@ class Estimate:
         return np.clip(self.values + normal @ root.T, self.lower, self.upper)
 
     def sentence(self) -> str:
-        """How sure it is, in plain words."""
+        """The precision of the parameters, in a sentence."""
         return in_words(self.names, self.upper - self.lower, self.values, self.covariance, self.channels)
 
     def summary(self) -> str:
-        """A table in text, with what else is to be known."""
+        """A table in text, with the remarks."""
         lines = [f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}"]
         for i, name in enumerate(self.names):
             low, high = self.intervals[i]
@@ -126,7 +126,7 @@ class Estimate:
         return "\n".join(lines)
 
     def remarks(self) -> list[str]:
-        """What to keep in mind about the numbers."""
+        """Remarks that qualify the numbers."""
         out = list(self.notes)
         if self.synthetic:
             out.append("the measurements are synthetic")
@@ -149,7 +149,7 @@ class Estimate:
         return EstimatePlots(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; what can be derived from others comes along for readers."""
+        """Plain values, for JSON, with derived ones for readers of the file."""
         skipped = ("nominal_scene", "measured")
         plain = {k: getattr(self, k) for k in self.__dataclass_fields__ if k not in skipped}
         for key in _ARRAYS:
@@ -177,14 +177,14 @@ class Estimate:
 
     @staticmethod
     def load(path: str | os.PathLike[str], scene: Scene | None = None) -> Estimate:
-        """An estimate that was saved.
+        """Reads an estimate that `save` wrote.
 
         Args:
             path: of the JSON file.
-            scene: the nominal scene, where `.scene` is wanted.
+            scene: the nominal scene, needed for `.scene`.
 
         Raises:
-            InputError: no such file, or no estimate.
+            InputError: no such file, or one that holds no estimate.
         """
         content = read_json(path, expected=f"a file of {FORMAT!r}, as `pftwin fit -o` writes it")
         try:

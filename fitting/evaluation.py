@@ -1,4 +1,4 @@
-"""What many parameter vectors predict, in compiled calls of one size; with derivatives by every parameter if wanted.
+"""Predictions for many parameter vectors, with derivatives if asked for, in compiled calls of one size.
 
 A prediction is a pure function of the parameters: searches for equilibrium start from the nearest of a fixed cloud of
 equilibria, never from the last iterate's. So a resumed fit takes the same course as one without a break.
@@ -28,19 +28,19 @@ from pftwin.model.scene import Scene
 Floats = NDArray[np.float64]
 
 CHUNK = 32  # variants evaluated at once by default
-_WITH_SLOPES = 16  # the same with derivatives
+_WITH_SLOPES = 16  # the same, with derivatives
 _WIDEST = 512  # variants in one call
-_PARTS, _FEWEST = 2, 20  # calls, each of this many variants at least, that a batch is shared among: one a core
+_PARTS, _FEWEST = 2, 20  # calls that a batch is split into, for two cores; the least variants of each
 COLUMNS = 256  # variants times parameters in one call with derivatives
-_ROUGH = 5e-4  # error of a search's motion that is too much, rms [m]
-_REMEMBERED = 4  # batches with derivatives
-_CLOUD = 96  # equilibria from the nearest of which a search begins
-_COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # on the rig errors of 0.03 mm and of 0.01 mm [s]
-_SEED = 20240418  # of the cloud, the same for every fit
+_ROUGH = 5e-4  # largest error of a search's motion with long steps, rms [m]
+_REMEMBERED = 4  # batches with derivatives that are remembered
+_CLOUD = 96  # equilibria in the cloud
+_COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # steps of searches and answers [s]: errors of 0.03 mm and 0.01 mm on the rig
+_SEED = 20240418  # of the cloud: the same for every fit
 
 
 class Prediction(NamedTuple):
-    """Of N variants. Numbers that could not be had are NaN.
+    """Predictions for N variants; NaN where one could not be simulated.
 
     values: (N, n, c) the channels side by side: position 3 [m], orientation 4, forces 1 each [N].
     slopes: (N, n, c, p) their derivatives by the parameters, where asked for.
@@ -88,7 +88,7 @@ class Evaluator:
         self._recent: list[tuple[Floats, int, Prediction]] = []
 
     def prepare(self, widest: int | None) -> None:
-        """Sets the batch size from the most values without derivatives that one call will ask for; None: none."""
+        """Sets the batch size from the largest request without derivatives; None: there will be no such request."""
         self._with_plain = widest is not None
         if widest is not None:
             threads = _PARTS if self._count == 1 and widest >= _PARTS * _FEWEST else 1
@@ -96,7 +96,7 @@ class Evaluator:
 
     @cached_property
     def coarse(self) -> int:
-        """Steps between two frames for a search: as few as the nominal motion allows."""
+        """Steps between two frames during a search: as few as the nominal motion allows."""
         few = substeps_for(self.scene.motion.frame_interval, _COARSE_STEP)
         if few < self.fine:
             rough, good = (self.with_slopes(self.parameters.nominal[None], n) for n in (few, self.fine))
@@ -105,14 +105,14 @@ class Evaluator:
         return few
 
     def _agree(self, rough: Floats, good: Floats) -> bool:
-        """Whether long steps are good enough for a search."""
+        """Whether long steps are accurate enough for a search."""
         if self.channels[0] != POSITION:
             return bool(np.abs(rough - good).max() <= 0.1 * np.ptp(good, axis=0).max())
         return bool(np.sqrt(np.mean(np.sum((rough[:, :3] - good[:, :3]) ** 2, axis=1))) <= _ROUGH)
 
     @property
     def fine(self) -> int:
-        """Steps between two frames for an answer."""
+        """Steps between two frames for the final answer."""
         return substeps_for(self.scene.motion.frame_interval, _FINE_STEP)
 
     @property
@@ -136,9 +136,9 @@ class Evaluator:
         return prediction
 
     def with_pull(self, theta: Floats, substeps: int, pull: Callable[[Floats], Floats]) -> tuple[Prediction, Floats]:
-        """Predictions for (N, p) parameters, and gradients (N, p) of a function of theirs by reverse mode.
+        """Predictions for (N, p) parameters, and gradients (N, p) of a function of the predictions, by reverse mode.
 
-        `pull` gives the function's derivatives by the predictions, from predictions (N, n, c).
+        `pull` maps predictions (N, n, c) to the function's derivatives by them.
         """
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         prediction = self.values(theta, substeps)
@@ -175,7 +175,7 @@ class Evaluator:
         pieces = [theta[i : i + width] for i in range(0, len(theta), width)]
         if len(pieces) == 1 or self._threads == 1:
             parts = list(map(one, pieces))
-        else:  # XLA runs a loop of small operations on one core; the second takes another piece
+        else:  # XLA runs a loop of small operations on one core; other cores take other pieces
             with ThreadPoolExecutor(min(len(pieces), self._threads)) as pool:
                 parts = list(pool.map(one, pieces))
         values, slope, found = (None if a[0] is None else np.concatenate(a) for a in zip(*parts, strict=True))
@@ -191,7 +191,7 @@ class Evaluator:
 
     @cached_property
     def _kept(self) -> NDArray[np.intp]:
-        """Of `channels` among those of `computed`."""
+        """Columns of `channels` among those of `computed`."""
         return columns_of(self.channels, self.computed or self.channels)
 
     def _run(self, theta: NDArray, guesses: Pose, substeps: int, slopes: bool) -> tuple[Any, Any, Any, Any]:
@@ -204,14 +204,14 @@ class Evaluator:
         return np.asarray(values), np.moveaxis(np.asarray(columns), 0, -1), np.asarray(found), poses
 
     def guesses(self, theta: Floats) -> Pose:
-        """Where the searches for equilibrium begin: at the nearest member of the cloud, (N,) poses."""
+        """Poses (N,) from which searches for equilibrium begin: the nearest of the cloud."""
         where, poses = self._cloud
         distance = np.sum((self.parameters.share(theta)[:, None] - where[None]) ** 2, axis=-1)
         return _picked(poses, np.argmin(distance, axis=1))
 
     @cached_property
     def _cloud(self) -> tuple[Floats, Pose]:
-        """Equilibria all over the bounds: shares of the range (m, p) and poses (m,). The nominal one always belongs."""
+        """Equilibria throughout the bounds: shares of the range (m, p) and poses (m,), the nominal one first."""
         slopes = not self._with_plain
         width = self._wide(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
@@ -222,7 +222,7 @@ class Evaluator:
             part = _filled(members[i : i + width], width)
             _, _, found, pose = self._run(part, _picked(guess, np.zeros(width, int)), 0, slopes)
             pose = jax.tree.map(np.asarray, pose)
-            if not poses:  # the nominal one: if even that was not found, the scene's start has to do
+            if not poses:  # the nominal one; if it was not found, the scene's start stands in
                 guess = jax.tree.map(lambda a: a[:1], pose) if found[0] else start
                 where, poses = self.parameters.share(part[:1]), [guess]
             keep = np.flatnonzero(found)
@@ -232,7 +232,7 @@ class Evaluator:
 
 
 def _filled(rows: Floats, width: int) -> Floats:
-    """(width, ...): what is missing is the first row again."""
+    """Rows padded with copies of the first, (width, ...)."""
     return np.concatenate([rows, np.repeat(rows[:1], width - len(rows), axis=0)])
 
 
@@ -241,6 +241,6 @@ def _picked(poses: Pose, which: NDArray[np.intp]) -> Pose:
 
 
 def _rows_of(theta: Floats, among: Floats) -> list[int]:
-    """Where the very same parameters stand; fewer than asked for if some are not there."""
+    """Indices of the identical parameters among others; shorter than `theta` if some are missing."""
     at = {row.tobytes(): i for i, row in enumerate(among)}
     return [at[row.tobytes()] for row in theta if row.tobytes() in at]

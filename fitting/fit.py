@@ -30,13 +30,13 @@ METHODS = {  # module and class
     "differential_evolution": ("strategies", "DifferentialEvolution"),
 }
 SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
-_UNFELT = 1e-7  # effect of a parameter's whole range, in metres or newtons, that nothing could see
-_FAR = 0.1  # distance of measured from predicted positions that speaks of another frame [m]
+_UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measured, in metres or newtons
+_FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]
 _BETWEEN_CHECKPOINTS = 1.0  # [s]
 
 
 class Progress(NamedTuple):
-    """How far a fit is."""
+    """Progress of a fit."""
 
     method: str
     iteration: int
@@ -176,7 +176,7 @@ def likelihood_of(estimate: Estimate, measured: Measured | None) -> Problem:
 
 
 def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> tuple[str, ...] | None:
-    """In the scene's order, so that the same channels are the same program; None for those compared alone."""
+    """Channels in the scene's order, so that equal sets share one program; None for those compared alone."""
     if wanted is None:
         return None
     known = channels_of(scene)
@@ -192,7 +192,7 @@ def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> 
 
 
 def first_look(problem: Problem, first: Request | None = None) -> None:
-    """Refuses what no search could answer, by a look at the nominal parameters, evaluated with the method's `first`.
+    """Evaluates the nominal parameters (together with the method's `first`) and refuses what no search could fit.
 
     Raises:
         InputError: parameters to which nothing that is compared reacts; measured positions in another frame.
@@ -202,7 +202,7 @@ def first_look(problem: Problem, first: Request | None = None) -> None:
         problem.evaluator.with_slopes(first.theta, first.substeps)
     seen = problem.prediction(at, problem.evaluator.coarse)
     if not seen.usable[0]:
-        return  # the scene itself does not run; other starts may
+        return  # the nominal scene does not run, but other starts may
     assert seen.slopes is not None
     span = problem.parameters.upper - problem.parameters.lower
     effect = np.abs(seen.slopes[0] * span).max(axis=(0, 1))

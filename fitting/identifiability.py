@@ -1,4 +1,4 @@
-"""What an experiment can tell, before it is made: the Cramer-Rao bound of a design, and what to measure besides."""
+"""How precisely an experiment could determine parameters (Cramer-Rao bound), and what else to measure."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Floats = NDArray[np.float64]
 NOISE = {POSITION: 2e-4, ORIENTATION: 5e-3}  # of motion capture [m], [rad]
 FORCE_NOISE = 0.15  # of a load cell [N]
 CHI_SQUARED_95 = 3.841458820694124  # quantile for one degree of freedom
-_UNFELT = 1e-6  # noise-scaled effect of a whole range, all frames together
+_UNFELT = 1e-6  # least effect of a parameter's whole range on all frames, in units of the noise
 
 
 @dataclass(frozen=True, eq=False)
 class ExperimentPlan:
-    """What a design can tell at best about parameters (p,), and what more would help."""
+    """The best precision a design allows for parameters (p,), and which further channels would improve it."""
 
     names: tuple[str, ...]
     values: Floats
@@ -93,7 +93,7 @@ def plan_experiment(
     Args:
         scene: with the motion that is to be recorded.
         free: parameters that are to be found.
-        use: channels that will be measured: "position", "orientation", effects' names for their forces.
+        use: channels to be measured: "position", "orientation", effects' names for their forces.
         noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white.
         candidates: channels that might be measured besides; by default every other one that the scene has.
         priors: by name, mean and standard deviation of a normal prior.

@@ -1,4 +1,4 @@
-"""How far predictions are from measurements: the paper's sum of errors, or a likelihood.
+"""The distance between predictions and measurements: the paper's sum of errors, or a likelihood.
 
 With S the mean square of a group of residuals over its n measured numbers, the objective is a sum over groups of
 
@@ -33,11 +33,11 @@ Floats = NDArray[np.float64]
 
 OBJECTIVES = ("likelihood", "paper")
 LOSSES = ("linear", "huber", "soft_l1")
-SPRINGS = {"femoral": "quadriceps", "tibial": "patellar_tendon"}  # the effects whose forces the two springs' are
+SPRINGS = {"femoral": "quadriceps", "tibial": "patellar_tendon"}  # effects by measured spring force
 _AXES = ("X", "Y", "Z")
-_SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below this are rounding [m], [rad]; forces 1e-5 [N]
-_SAME_TIME = 0.1  # share of a frame's interval: the rounding of printed times
-_HUBER = 1.345  # where the loss turns linear, in units of the noise
+_SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below these are rounding [m], [rad]; for forces 1e-5 [N]
+_SAME_TIME = 0.1  # of a frame's interval: allows for the rounding of printed times
+_HUBER = 1.345  # residual from which the loss is linear, in units of the noise
 
 
 class Normal(NamedTuple):
@@ -50,14 +50,14 @@ class Normal(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Measurements of a scene's motion, and how predictions are compared with them; from `Objective.of`."""
+    """Measurements of a scene's motion and how predictions are compared with them; made by `Objective.of`."""
 
     kind: str
     channels: tuple[str, ...]  # as the evaluator predicts them
-    measured: Floats  # (n, c) beside the predictions' columns
-    present: NDArray[np.bool_]  # (n, m) which residuals there are
+    measured: Floats  # (n, c) in the columns of the predictions
+    present: NDArray[np.bool_]  # (n, m) which residuals exist
     groups: tuple[str, ...]
-    group_of: NDArray[np.intp]  # (m,) the group of every residual column
+    group_of: NDArray[np.intp]  # (m,) the group of each residual column
     noise: dict[str, float] | None  # by group; None: unknown
     loss: str
     synthetic: bool
@@ -74,14 +74,14 @@ class Objective:
         loss: str = "linear",
         springs: Mapping[str, str] = SPRINGS,
     ) -> Objective:
-        """The comparison of a scene with measurements.
+        """Compares a scene with measurements.
 
         Args:
             scene: the nominal one.
             measured: at the frames of its motion.
             kind: "likelihood" or "paper".
             use: channels: "position", "orientation", or effects' names for their forces ("contact", "quadriceps");
-                "all": all that were measured. By default positions. The paper's objective knows nothing else.
+                "all": all that were measured. By default positions, the only channel of the paper's objective.
             noise: standard deviation of each channel's measurements [m], [rad], [N]; by default unknown, and estimated
                 from the residuals.
             loss: "linear", or for outliers "huber" or "soft_l1", which need the noise.
@@ -125,7 +125,7 @@ class Objective:
         return "m" if self.kind == "paper" else "nats"
 
     def tolerance(self, value: float) -> float:
-        """A decrease that is not worth an iteration."""
+        """The smallest decrease worth another iteration."""
         return 1e-7 * abs(value) if self.kind == "paper" else 1e-3
 
     def residuals(self, values: Floats) -> Floats:
@@ -174,7 +174,7 @@ class Objective:
         return out
 
     def noise_of(self, residuals: Floats, parameters: int) -> dict[str, float]:
-        """The noise of every channel as these residuals (n, m) have it, free parameters accounted for."""
+        """The noise of every channel estimated from residuals (n, m), corrected for the free parameters."""
         own = self.known(dict.fromkeys(self.channels, 1.0))
         counts, total = own._counts, self.present.sum()
         squares = own._by_group(np.sum(residuals**2, axis=0))
@@ -184,7 +184,7 @@ class Objective:
         }
 
     def known(self, noise: Mapping[str, float]) -> Objective:
-        """The same measurements as a likelihood with known noise, for covariances."""
+        """The same measurements as a likelihood of known noise, for covariances."""
         by_channel = {"groups": self.channels, "group_of": _column_channel(self.channels), "noise": dict(noise)}
         return replace(self, kind="likelihood", loss="linear", **by_channel)
 
@@ -250,7 +250,7 @@ class Objective:
 
 
 def _column_channel(channels: tuple[str, ...]) -> NDArray[np.intp]:
-    """Of every residual column the channel it belongs to (m,)."""
+    """The channel of each residual column (m,)."""
     return np.repeat(np.arange(len(channels)), [3 if c in (POSITION, ORIENTATION) else 1 for c in channels])
 
 

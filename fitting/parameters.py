@@ -55,7 +55,7 @@ class Parameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As the user wrote them."""
+        """Their names, as the user wrote them."""
         return tuple(p.name for p in self.items)
 
     @property
@@ -106,7 +106,7 @@ class Parameters:
         return (theta - self.lower) * (self.upper - theta) / (self.upper - self.lower)
 
     def latin_hypercube(self, count: int, random: np.random.Generator) -> NDArray[np.float64]:
-        """Points all over the box (count, p): a Latin hypercube."""
+        """A Latin hypercube of points (count, p) within the bounds."""
         strata = np.stack([random.permutation(count) for _ in self.items], axis=1)
         share = (strata + random.uniform(size=strata.shape)) / count
         return self.lower + (self.upper - self.lower) * share
@@ -120,7 +120,7 @@ class Parameters:
 
 
 def applied(places: tuple[NumberPlace, ...], scene: Scene, theta: Any) -> Scene:
-    """The scene with values (p,) at the places; those that are given by a force go last, since stiffness decides."""
+    """The scene with values (p,) at the places; lengths given by a force go last: they need the stiffness."""
     order = sorted(range(len(places)), key=lambda i: places[i].meaning != "value")
     values: list[Scalar] = [theta[i] for i in range(len(places))]
     for i in order:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from fitting.posterior.result import Posterior
     from pftwin.model.scene import Scene
 
-DRAWS = 20  # of the estimate's uncertainty, each a simulation
-SAMPLES = 50  # of a prediction, side by side
-_WRITTEN = 8  # parameters up to which correlations are written out
+DRAWS = 20  # draws from the estimate's uncertainty, each simulated
+SAMPLES = 50  # draws of a prediction, simulated side by side
+_WRITTEN = 8  # most parameters for which correlations are written as numbers
 
 
 class EstimatePlots:
@@ -160,7 +160,7 @@ class EstimatePlots:
 
 
 def fitted_to(e: Estimate) -> str:
-    """What was fitted to what; synthetic measurements are called so."""
+    """What was fitted to which measurements; synthetic ones are labelled."""
     what = "synthetic measurements" if e.synthetic else e.source
     return f"{e.scene_name}, fitted to {what} ({', '.join(e.channels)})"
 
@@ -180,7 +180,7 @@ def _correlations(ax: Axes, e: Estimate) -> None:
 
 
 def _values(ax: Axes, e: Estimate) -> None:
-    """In percent of the nominal values, since units differ; of 1 unit where a nominal value is zero."""
+    """Values in percent of the nominal ones, since units differ; of 1 unit where a nominal value is zero."""
     from pftwin.results.plots.style import COLOURS
 
     rows = np.arange(len(e.names))

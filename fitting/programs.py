@@ -1,8 +1,8 @@
-"""What can be measured of a motion, and the compiled programs that predict it for many parameter vectors.
+"""The channels that can be measured of a motion, and compiled programs that predict them for many parameter vectors.
 
 Predictions only: which measurements they are compared with, and how, is decided on the host (`fitting.objective`), so
 one program serves every objective, and every method and phase of a fit. The number of steps between two frames is a
-variable of the program, not part of it. Over several devices the variants are laid side by side.
+variable of the program, not part of it. Variants are sharded over several devices.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ POSITION, ORIENTATION = "position", "orientation"
 
 
 def channels_of(scene: Scene) -> tuple[str, ...]:
-    """Everything that could be measured: poses, and the forces of contact, tendons and ligaments."""
+    """All channels of a scene: poses, and the forces of contact, tendons and ligaments."""
     contact = scene.contact
     tensions = [element.name for element in numbered_elements(scene)]
     return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *tensions)
@@ -45,7 +45,7 @@ def widths(channels: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def columns_of(channels: tuple[str, ...], among: tuple[str, ...]) -> NDArray[np.intp]:
-    """Where the columns of some channels stand, side by side, among those of more."""
+    """Indices of some channels' columns among those of more channels."""
     ends = np.cumsum(widths(among))
     columns = {c: np.arange(end - n, end) for c, n, end in zip(among, widths(among), ends, strict=True)}
     return np.concatenate([columns[c] for c in channels])
@@ -55,7 +55,7 @@ _COLUMNS = PartitionSpec(None, AXIS)
 
 
 def _laid(mesh: Mesh | None, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
-    """function(shared, *each), laid over the mesh's devices; None: JAX's default one."""
+    """function(shared, *each), sharded over the mesh's devices; None: JAX's default device."""
     return function(shared, *each) if mesh is None else shard_over(mesh, function, shared, each, out)
 
 
@@ -88,11 +88,11 @@ def _predicted(
 
 
 class FitProgram(NamedTuple):
-    """What is computed, and on what: it decides the compiled programs.
+    """The static part of a compiled program: what it computes, and on which devices.
 
     places: of the parameters, in their order.
     channels: what is predicted.
-    mesh: devices over which the variants are laid; None: JAX's default device.
+    mesh: devices over which the variants are sharded; None: JAX's default device.
     """
 
     places: tuple[NumberPlace, ...]
@@ -100,7 +100,7 @@ class FitProgram(NamedTuple):
     mesh: Mesh | None
 
     def predicted(self, scene: Scene, theta: Array, guess: Pose, substeps: int | Scalar) -> tuple[Array, Pose, Array]:
-        """Of one variant."""
+        """The prediction of one variant."""
         return _predicted(applied(self.places, scene, theta), guess, substeps, self.channels)
 
 
@@ -147,5 +147,5 @@ def pulled(program: FitProgram, scene: Scene, substeps: int, theta: Array, guess
 
 
 def mesh_of(devices: tuple[Any, ...]) -> Mesh | None:
-    """How variants are laid over these devices; None for JAX's default device alone."""
+    """The mesh over these devices; None for JAX's default device alone."""
     return None if devices == (jax.local_devices()[0],) else Mesh(np.array(devices), (AXIS,))

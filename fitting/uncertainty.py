@@ -1,4 +1,4 @@
-"""Covariance of a fit from the Gauss-Newton Hessian and the noise; what it means in words."""
+"""Covariance of a fit from the Gauss-Newton Hessian and the noise, and its meaning in words."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from fitting.programs import POSITION
 Floats = NDArray[np.float64]
 
 NORMAL_95 = 1.959963984540054  # quantile of the normal distribution for 95 % intervals
-SERIAL = 0.2  # correlation of neighbouring residuals above which they are no independent numbers
-POORLY = 0.02  # a relative standard deviation worth a remark
+SERIAL = 0.2  # correlation of neighbouring residuals above which they do not count as independent
+POORLY = 0.02  # relative standard deviation worth a remark
 
 
 class Uncertainty(NamedTuple):
-    """How sure a fit is."""
+    """The uncertainty of a fit."""
 
     covariance: Floats  # (p, p)
     information: Floats  # (p, p) of measurements and priors, as if noise were independent
-    condition: float  # of the information on relative parameters
+    condition: float  # condition number of the information on relative parameters
     serial: float  # correlation of neighbouring residuals, over all channels
 
 
@@ -31,7 +31,7 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
     """From residuals (n, m) and their derivatives (n, m, p) at theta, with an objective of known noise.
 
     Where neighbouring residuals are correlated the covariance is Newey and West's (1987), which counts what correlated
-    residuals repeat; else it is the inverse of the information.
+    residuals repeat; otherwise it is the inverse of the information.
     """
     assert objective.noise is not None
     sigma = np.array([objective.noise[c] for c in objective.channels])[objective.group_of]
@@ -54,7 +54,7 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
 
 
 def inverted(information: Floats) -> Floats:
-    """The inverse of an information matrix, infinite variances where it has none to give."""
+    """The inverse of an information matrix, with infinite variances where it is singular."""
     d = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(d, d))
     values = np.maximum(values, 1e-15)
@@ -62,7 +62,7 @@ def inverted(information: Floats) -> Floats:
 
 
 def serial_correlation(z: Floats, present: NDArray[np.bool_]) -> float:
-    """Of neighbouring residuals (n, m), over all columns."""
+    """Correlation of neighbouring residuals (n, m), over all columns."""
     both = present[1:] & present[:-1]
     squares = np.sum(z[present] ** 2)
     return float(np.sum((z[1:] * z[:-1])[both]) / squares) if squares > 0 and both.any() else 0.0
@@ -80,7 +80,7 @@ def _long_run(score: Floats, serial: float) -> Floats:
 
 
 def relative(span: Floats, values: Floats, covariance: Floats) -> Floats:
-    """The covariance of relative deviations, those of the logarithms; of the span of its bounds where a value is 0."""
+    """The covariance of relative deviations; relative to the span of the bounds where a value is 0."""
     scale = np.where(values == 0, span, values)
     return covariance / np.outer(scale, scale)
 
@@ -88,7 +88,7 @@ def relative(span: Floats, values: Floats, covariance: Floats) -> Floats:
 def in_words(
     names: tuple[str, ...], span: Floats, values: Floats, covariance: Floats, channels: tuple[str, ...]
 ) -> str:
-    """What the data fix and what they do not."""
+    """A sentence on which parameters the data determine and which they do not."""
     rel = relative(span, values, covariance)
     sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
     subject = "positions" if channels == (POSITION,) else f"{', '.join(channels)}"

@@ -1,4 +1,4 @@
-"""Amounts of treatments as options, the same for every command that takes them."""
+"""Command-line options for the amounts of treatments, shared by every command that takes them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Amount(NamedTuple):
-    """One option, and the amount that it stands for."""
+    """A command-line option and the treatment's amount that it sets."""
 
     flag: str
     kind: str  # of treatment

@@ -30,7 +30,7 @@ def demo(
     full: Annotated[bool, Option("--full", help="The paper's meshes CM and FM, and the spline, as well.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Simulate the virtual rig's cases, fit its springs, predict a treatment; beside measurements and the paper.
+    """Simulate the virtual rig's cases, fit its springs, predict a treatment; compare with measurements and the paper.
 
     Example: `pftwin demo --out demo`
     """

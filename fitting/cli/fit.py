@@ -136,7 +136,7 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
 
 
 def _check_posterior(objective: str) -> None:
-    """Refuses before a fit what could not be sampled after it: no likelihood, or no blackjax."""
+    """Refuses, before the fit, a posterior that could not be sampled after it: no likelihood, or no blackjax."""
     from fitting.posterior.sampling import accepting
 
     if objective == "paper":
@@ -166,7 +166,7 @@ def plan_experiment(
     noise: NoiseOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Say what an experiment can tell at best, before it is made, and what to measure besides.
+    """Say how precisely an experiment could determine the parameters, before it is made, and what else to measure.
 
     Example: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`
     """

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _MOST_ROWS = 40
 _MOST_VARIANTS = 1_000_000
-_BLOCK = 4096  # members that are simulated in one go: what Ctrl-C can lose
+_BLOCK = 4096  # members simulated in one block: at most this many are lost by Ctrl-C
 
 EstimateOption = Annotated[
     Path | None, Option("--estimate", metavar="FIT.json", help="Parameters that `pftwin fit` found.")

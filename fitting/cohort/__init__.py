@@ -1,4 +1,4 @@
-"""Many patients: fits and treatments of each, in units that survive a kill.
+"""Cohorts: fits and treatments of many patients, in units of work that survive a killed process.
 
 from fitting.cohort import read_cohort, run_cohort
 report = run_cohort(read_cohort("cohort.toml"), "results", resume=True)

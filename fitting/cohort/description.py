@@ -48,7 +48,7 @@ PatientName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"),
 
 
 class FitTable(Section):
-    """How tendons are fitted: the options of `pftwin fit`. What is left out is as there."""
+    """How tendons are fitted: the options of `pftwin fit`, with the same defaults."""
 
     free: Annotated[list[str], Field(min_length=1)] | None = Field(default=None, description="parameters")
     bounds: Positive | None = Field(default=None, description="to either side, as a share of the nominal value")
@@ -196,7 +196,7 @@ class Cohort:
 
 
 def read_cohort(path: str | os.PathLike[str], *, allow_outside: bool = False) -> Cohort:
-    """What a TOML file says of a cohort. Scene files are named, not read: a broken one is its patient's matter.
+    """What a TOML file says of a cohort. Scene files are not read here: a broken one is reported with its patient.
 
     Args:
         path: the file; relative paths in it start at its folder.
@@ -260,7 +260,7 @@ def _contact(table: PatientTable) -> str:
 
 
 def _check_names(table: CohortTable, document: Document) -> None:
-    """Case does not count: on many systems it does not in files' names."""
+    """Upper and lower case count as the same, as in the file names of many systems."""
     counts = Counter(p.name.lower() for p in table.patient)
     for i, patient in enumerate(table.patient):
         if (count := counts[patient.name.lower()]) > 1:

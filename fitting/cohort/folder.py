@@ -1,4 +1,4 @@
-"""The folder of a cohort's results: opened by one process at a time, cleared of what a killed one left, and checked."""
+"""A cohort's folder of results: locked by one process, cleared of a killed one's leftovers, and checked."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
 
 
 def check_room(folder: Path) -> None:
-    """Refuses a folder that could not take a file, before hours are spent on the file's content.
+    """Refuses a folder that cannot be written to, before hours are spent on what would be written.
 
     Raises:
         OutputError: it cannot be written to, or the disk is full.
@@ -82,7 +82,7 @@ def _found(folder: Path, cohort: str, resume: bool) -> Manifest:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """The system lets go of the lock when the process ends, however it ends."""
+    """The system releases the lock when the process ends, however it ends."""
     try:
         file = (folder / LOCK).open("w")
     except OSError as error:
@@ -92,7 +92,7 @@ def _locked(folder: Path) -> Iterator[None]:
             import fcntl
 
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:  # Windows: two processes at once do work twice, and no harm
+        except ImportError:  # Windows: two processes at once repeat work, which is harmless
             pass
         except BlockingIOError:
             remedy = "wait for it, or another folder with --out"
@@ -147,7 +147,7 @@ def check_cohort(cohort: Cohort, folder: str | os.PathLike[str] | None = None) -
 
 
 def _summary(manifest: Manifest, path: Path) -> FileFinding:
-    """A run that was killed may have left the summary before the last patient's."""
+    """A killed run may have left a summary that lacks the last patient."""
     try:
         digest = file_digest(path) if path.is_file() else None
     except OSError as error:

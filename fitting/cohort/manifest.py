@@ -1,6 +1,6 @@
 """Units of work with their keys, and manifest.json: every finished file, what failed, and why.
 
-A unit's key is of the content of all files that go in, the settings, and the versions.
+A unit's key is a hash of the content of all its input files, its settings and the software versions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Unit:
     patient: str
     kind: Literal["fit", "prediction"]
     file: str  # in the cohort's folder
-    key: str  # of all that the file's content depends on
+    key: str  # hash of everything that the file's content depends on
 
 
 def units_of(cohort: Cohort, patient: Patient) -> tuple[Unit, ...]:
@@ -50,7 +50,7 @@ def units_of(cohort: Cohort, patient: Patient) -> tuple[Unit, ...]:
 
 @cache
 def versions() -> dict[str, str]:
-    """Of pftwin and of JAX, whose compiler has a say in the last digits."""
+    """Versions of pftwin and of JAX, whose compiler affects the last digits."""
     from pftwin import __version__
 
     return {"pftwin": __version__, "jax": version("jax"), "jaxlib": version("jaxlib")}
@@ -90,7 +90,7 @@ def _inputs(patient: Patient, allow_outside: bool) -> dict[str, str]:
 
 def _digest(path: Path) -> str:
     try:
-        if (size := path.stat().st_size) > MESH_BYTES:  # no reader takes it, and says so
+        if (size := path.stat().st_size) > MESH_BYTES:  # its reader will report it
             return f"{size} bytes"
         return file_digest(path)
     except OSError as error:
@@ -124,12 +124,12 @@ class Failure:
     stage: str  # files, fit, prediction or summary
     error: str  # its kind
     message: str
-    traceback: str | None = None  # of what was not foreseen
+    traceback: str | None = None  # of an unforeseen error
 
 
 @dataclass(frozen=True)
 class Announced:
-    """The summary, which is written after the manifest: at any moment its checksum is the one or the other."""
+    """The summary, which is written after the manifest: at any moment its file matches one of these two checksums."""
 
     sha256: str
     before: str | None  # None: there was no summary
@@ -157,7 +157,7 @@ class Manifest:
         )
 
     def holds(self, unit: Unit, folder: Path) -> bool:
-        """Whether a unit is done: its file is there as it was written, with this key."""
+        """Whether a unit is done: its file exists, unchanged, and was made for this key."""
         entry = self.files.get(unit.file)
         return entry is not None and entry.key == unit.key and fault(entry, folder / unit.file) is None
 
@@ -211,13 +211,13 @@ def now() -> str:
 
 
 def _made(kind: type[Any], content: dict[str, Any]) -> Any:
-    """Fields that a later version may have added are passed over."""
+    """Ignores fields that a later version may have added."""
     known = {f.name for f in fields(kind)}
     return kind(**{k: v for k, v in content.items() if k in known})
 
 
 def _checked_name(name: str) -> str:
-    """A manifest may be a stranger's: it names files in its own folder alone."""
+    """Refuses file names that leave the manifest's folder: the manifest may come from a stranger."""
     parts = PurePosixPath(name).parts
     if len(parts) != 2 or parts[0] != PATIENTS or parts[1] == "..":
         raise ValueError(f"it names the file {name!r}")

@@ -1,4 +1,4 @@
-"""How far a cohort is, how long the rest will take, and what became of its patients."""
+"""A cohort's progress, the time left, and the outcome of each patient."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from fitting.cohort.manifest import Failure, Unit
 
 
 class CohortProgress(NamedTuple):
-    """Of one run: units that were done before do not count."""
+    """Progress of one run, without the units that earlier runs had done."""
 
     unit: Unit
-    share: float  # of the unit that is done
+    share: float  # share of the unit that is done
     ended: bool  # whether its file is written and recorded, or it has failed
     number: int  # of the unit, from 1
     of: int  # units that this run has to do
-    seconds: float  # that the unit has taken so far
+    seconds: float  # seconds spent on the unit so far
     left: float | None  # for all that is to be done, at the pace so far [s]; None before the first unit has ended
     failure: Failure | None = None
 
 
 class Pace:
-    """Means over the units of each kind: a fit and a prediction take different times."""
+    """Mean times of the units of each kind, since a fit and a prediction take different times."""
 
     def __init__(self, units: Sequence[Unit]) -> None:
         self.waiting, self.number, self.total = list(units), 0, len(units)
@@ -39,7 +39,7 @@ class Pace:
         self._began = time.perf_counter()
 
     def ended(self, unit: Unit, *, failed: bool) -> None:
-        """It has ended. After a failure the patient's further units will not be done, and its time says nothing."""
+        """A unit ends. After a failure the patient's other units are not run, and its time is not counted."""
         self._took = time.perf_counter() - self._began
         if not failed:
             self.times.setdefault(unit.kind, []).append(self._took)

@@ -1,4 +1,4 @@
-"""The loop over a cohort's units: each is computed, written, recorded; what fails does not stop the others."""
+"""The loop over a cohort's units: each is computed, written and recorded; a failure does not stop the others."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from pftwin.model.scene import Scene
 
-Tell = Callable[[float], None]  # how far a unit is: the share that is done
+Tell = Callable[[float], None]  # called with the share of a unit that is done
 
 
 class Work:
-    """What the loop over units needs to have done, by `fitting.fit_tendons` and `fitting.predict`."""
+    """Computes units, by `fitting.fit_tendons` and `fitting.predict`."""
 
     def __init__(self, cohort: Cohort) -> None:
         self.cohort = cohort
@@ -44,7 +44,7 @@ class Work:
 
         Raises:
             InputError: what `fitting.fit_tendons` refuses.
-            KeyboardInterrupt: Ctrl-C; half a fit is none.
+            KeyboardInterrupt: Ctrl-C; an unfinished fit is discarded.
         """
         from fitting.fit import fit_tendons, measured_of
 
@@ -105,7 +105,7 @@ def run_cohort(
     work: Work | None = None,
     progress: Callable[[CohortProgress], None] | None = None,
 ) -> CohortReport:
-    """Computes what a cohort's folder lacks: fits, predictions, the summary, the manifest.
+    """Computes whatever a cohort's folder still lacks: fits, predictions, the summary, the manifest.
 
     Args:
         cohort: what to compute.
@@ -116,8 +116,8 @@ def run_cohort(
         progress: called while units run, and when they end.
 
     Returns:
-        What became of each patient. Files that are broken, fits that find nothing, a disk that is full: all are in it,
-        and none stops the others.
+        The outcome of each patient. Broken files, failed fits and a full disk are reported there
+        and do not stop the other patients.
 
     Raises:
         InputError: results are there and `resume` is not given, or another process is at work there.
@@ -142,7 +142,7 @@ class _CohortRun:
         self.summary = SummaryFile(cohort, folder, manifest)
 
     def all(self) -> CohortReport:
-        """Plans, runs what is missing, and writes the summary after every patient."""
+        """Plans the units, runs those that are missing, and writes the summary after every patient."""
         began = time.perf_counter()
         missing = self._plan()
         self.pace = Pace(missing)
@@ -175,7 +175,7 @@ class _CohortRun:
         return missing
 
     def _patient(self, patient: Patient, units: list[Unit]) -> None:
-        """One unit after the other, until one fails."""
+        """Runs a patient's units in turn until one fails."""
         outcome = self.outcomes[patient.name]
         for unit in units:
             with self._caught(outcome, unit.kind):
@@ -191,7 +191,7 @@ class _CohortRun:
             outcome.status = "done"
 
     def _unit(self, patient: Patient, unit: Unit) -> None:
-        """Computes it, writes its file, takes it up in the manifest.
+        """Computes a unit, writes its file and records it in the manifest.
 
         Raises:
             PftwinError: it cannot be computed or written.
@@ -222,12 +222,12 @@ class _CohortRun:
         self.manifest.record(unit, self.folder, time.perf_counter() - began)
 
     def _check_inputs(self, patient: Patient, unit: Unit) -> None:
-        """Refuses a result of files that are no longer those of its key."""
+        """Refuses the result if the input files changed while it was computed."""
         if unit.key not in [u.key for u in units_of(self.cohort, patient)]:
             raise InputError("its files changed while it was computed", where=patient.name, remedy="--resume")
 
     def _saved(self) -> None:
-        """Writes the manifest; if the disk refuses, the next write holds the same."""
+        """Writes the manifest; if that fails, the next write includes the same entries."""
         with self._noted("manifest"):
             self.manifest.save(self.folder)
 
@@ -238,7 +238,7 @@ class _CohortRun:
 
     @contextmanager
     def _caught(self, outcome: Outcome, stage: str) -> Iterator[None]:
-        """Records a patient's failure; Ctrl-C is none."""
+        """Records a patient's failure; Ctrl-C does not count as one."""
         try:
             yield
         except Exception as error:

@@ -99,7 +99,7 @@ def read_store(path: Path) -> tuple[dict[str, Any], Dataset | None, Dataset | No
     return about, fit, prediction
 
 
-# Columns that every summary has; those of parameters, amounts and outcomes follow as they come, all float64.
+# Columns of every summary; those of parameters, amounts and outcomes follow, all float64.
 FIXED = {
     "patient": "string",
     "status": "string",  # done, failed, pending
@@ -119,7 +119,7 @@ Units = dict[str, str]
 
 
 def require_pyarrow() -> None:
-    """Refuses early: a summary is wanted at the end of a long run.
+    """Checks early for pyarrow, which is needed only at the end of a long run.
 
     Raises:
         MissingExtraError: pyarrow is not installed.
@@ -148,7 +148,7 @@ def rows_of(path: Path) -> tuple[list[Row], Units]:
 
 
 def table(rows: Iterable[Row], units: Mapping[str, str], about: Mapping[str, Any]) -> bytes:
-    """The Parquet file; what a row lacks is null there. Its metadata hold the columns' units and `about`."""
+    """The Parquet table, with null for what a row lacks; its metadata hold the columns' units and `about`."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -183,7 +183,7 @@ def _fitted(fit: Dataset, units: Units) -> Row:
 
 
 def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
-    """Of the estimate itself, and with samples the 95 % band of the draws."""
+    """Outcomes for the estimate and, with samples, the 95 % band of the draws."""
     from fitting.prediction.plots import facts
 
     found = facts(data)
@@ -203,7 +203,7 @@ def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
 
 
 def _there(value: Any) -> Any:
-    """Null where there is no number: NaN would spoil means in SQL."""
+    """Null instead of NaN, which would spoil means in SQL."""
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
@@ -225,7 +225,7 @@ class SummaryFile:
         self.units |= units
 
     def write(self, failures: dict[str, Failure]) -> None:
-        """Announces the summary in the manifest, then writes it; not at all where it is there already.
+        """Announces the summary in the manifest, then writes it, unless it is already there.
 
         Raises:
             OutputError: the manifest or the summary cannot be written.

@@ -1,1 +1,1 @@
-"""The demonstration: the virtual rig's cases beside measurements and the paper, its fit and its treatment."""
+"""The demonstration: the virtual rig's cases compared with measurements and the paper, a fit and a treatment."""

@@ -78,7 +78,7 @@ def run_demo(
 
 
 def _table(means: dict[str, Validation]) -> Sheet:
-    """The paper's Table 1, ours and theirs side by side where they have it."""
+    """The paper's Table 1, with the paper's figures beside ours where it reports them."""
     from pftwin.results.metrics import PAPER_TABLE_1
 
     title = (
@@ -99,7 +99,7 @@ def _table(means: dict[str, Validation]) -> Sheet:
 
 
 def _rows(means: dict[str, Validation]) -> list[tuple[ValidationRow, ...]]:
-    """The rows of all contacts, the paper's figures in them where it has any."""
+    """The rows of all contacts, with the paper's figures where it reports any."""
     from pftwin.results.metrics import PAPER_TABLE_1
 
     return list(zip(*(v.to_rows(c if c in PAPER_TABLE_1 else None) for c, v in means.items()), strict=True))

@@ -41,7 +41,7 @@ class PaperFigures(NamedTuple):
     """What the paper reports of its own rig."""
 
     errors: dict[str, float]  # of the fitted springs, without signs [% of the nominal value]
-    seconds: float  # that the fit took
+    seconds: float  # time of the fit
     table_2: dict[int, dict[str, float]]  # by case, and by the fields of `pftwin.results.metrics.Validation`
     outcomes: dict[int, str]
 
@@ -64,7 +64,7 @@ PAPER = PaperFigures(
 
 
 class Run(NamedTuple):
-    """A simulation of a case with some springs, beside what was measured of that case."""
+    """A simulation of a case with some springs, compared with the measurements of that case."""
 
     case: int
     springs: str  # "paper" or "likelihood": those of that fit; "nominal"; "straight lines"
@@ -75,7 +75,7 @@ class Run(NamedTuple):
 
     @property
     def as_measured(self) -> bool:
-        """Whether the patella dislocates or not, and comes back or not, as it was measured."""
+        """Whether the patella dislocates and comes back as it was measured to."""
         return same_outcome(self.predicted, self.measured)
 
     @property
@@ -154,7 +154,7 @@ def paper_study(*, dt: float = STEP, progress: Callable[[str], None] | None = No
 
 
 def compile_fit() -> float:
-    """Compiles the one program that both fits run, by a look at the nominal springs; the seconds that it took."""
+    """Compiles the program that both fits run by evaluating the nominal springs; returns the seconds it took."""
     from fitting.methods.problem import Problem
     from fitting.objective import Objective
     from fitting.parameters import free_parameters
@@ -163,7 +163,7 @@ def compile_fit() -> float:
     scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
     began = time.perf_counter()
     problem = Problem.of(scene, free_parameters(scene, SPRING_PARAMETERS), Objective.of(scene, measured))
-    problem.evaluator.prepare(None)  # as least squares does: derivatives come with every look
+    problem.evaluator.prepare(None)  # as least squares does: every evaluation has derivatives
     problem.prediction(problem.parameters.nominal, problem.evaluator.fine)
     return time.perf_counter() - began
 

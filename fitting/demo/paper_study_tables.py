@@ -1,4 +1,4 @@
-"""The study of the paper's section 2.6 in rows, words and files."""
+"""The study of the paper's section 2.6 as tables, sentences and files."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class SpringRow(NamedTuple):
 
 
 class OutcomeRow(NamedTuple):
-    """What becomes of the patella in a case."""
+    """Whether the patella dislocates in a case."""
 
     case: int
     springs: str
@@ -69,7 +69,7 @@ class OutcomeRow(NamedTuple):
 
 
 def table_2(study: PaperStudy) -> Iterator[Row]:
-    """Errors of the fitted springs, the time of the fit, and how far both cases are from what was measured."""
+    """Errors of the fitted springs, the time of the fit, and both cases' errors against the measurements."""
     none: dict[int, float | None] = dict.fromkeys(CASES)
     fitted = {fit: study.errors(fit) for fit in FITS}
     for i, name in enumerate(study.fits[FITS[0]].names):

@@ -24,7 +24,7 @@ class StraightSpring(NamedTuple):
 
     stiffness: float  # K [N/m]
     slack_length: float  # L0 [m]
-    misfit: float  # root mean square force by which what it stands for is off the line [N]
+    misfit: float  # root mean square distance of the fitted forces from the line [N]
 
 
 def straight_line(lengths: ArrayLike, forces: ArrayLike) -> StraightSpring:

@@ -1,4 +1,4 @@
-"""A genetic algorithm after Matlab's `ga`, ga-like where that is not published in full.
+"""A genetic algorithm after Matlab's `ga`, similar to it where that is not fully published.
 
 As published for problems with bounds: population 50 up to 5 variables, else 200; uniform creation; rank scaling with
 expectations in proportion to 1 / sqrt(rank); stochastic uniform selection; ceil(0.05 N) elite children; a fraction of
@@ -39,7 +39,7 @@ def default_population(parameters: int) -> int:
 
 
 def expectations(scores: Floats, parents: int) -> Floats:
-    """How many parents every member (N,) should be: in proportion to 1 / sqrt(rank), `parents` in all."""
+    """How often each member (N,) should become a parent: in proportion to 1 / sqrt(rank), `parents` in all."""
     ranks = np.empty(len(scores))
     ranks[np.argsort(np.where(np.isfinite(scores), scores, np.inf), kind="stable")] = np.arange(1, len(scores) + 1)
     total = np.sum(1 / np.sqrt(np.arange(1, len(scores) + 1)))
@@ -47,14 +47,14 @@ def expectations(scores: Floats, parents: int) -> Floats:
 
 
 def stochastic_uniform(expected: Floats, parents: int, random: Random) -> NDArray[np.intp]:
-    """Members chosen by equal steps along a line of their expectations, from a random first step; in random order."""
+    """Members chosen by equal steps along the line of their expectations from a random start, in random order."""
     wheel = np.cumsum(expected) / expected.sum()
     at = (random.uniform() + np.arange(parents)) / parents
     return random.permutation(np.minimum(np.searchsorted(wheel, at), len(expected) - 1))
 
 
 def scattered_crossover(first: Floats, second: Floats, random: Random) -> Floats:
-    """Children (M, p) that have every number from the one or the other parent."""
+    """Children (M, p) that inherit each number from one parent or the other."""
     return np.where(random.uniform(size=first.shape) < 0.5, first, second)
 
 
@@ -72,7 +72,7 @@ def mutation(parents: Floats, lower: Floats, upper: Floats, length: float, rando
 
 
 def elite_count(population: int) -> int:
-    """How many go on as they are."""
+    """How many members survive unchanged."""
     return math.ceil(ELITE * population)
 
 
@@ -99,7 +99,7 @@ def stalled(best: Floats) -> bool:
 
 
 class Generations(Method):
-    """What the methods share that evaluate one generation after the other."""
+    """Base of the methods that evaluate one generation after another."""
 
     options = ("population", "generations")
 

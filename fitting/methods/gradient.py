@@ -1,7 +1,7 @@
 """Gradient descent by reverse mode, for many parameters: optax's Adam from a few starts at once, then its L-BFGS.
 
 One gradient costs as much for a hundred parameters as for one. The derivatives are exact to first order only, and the
-objective has kinks where contact begins and ends; so Adam goes first, which minds them little.
+objective has kinks where contact begins and ends; so Adam goes first, which tolerates them.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Gradient(Method):
         return Request(self.problem.parameters.to_bounded(u), self.problem.evaluator.coarse, "gradient")
 
     def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
-        """One step of the method at work."""
+        """Takes one step of Adam or of L-BFGS."""
         assert answer.gradient is not None
         gradient = answer.gradient * self.problem.parameters.slope(request.theta)
         i = int(np.argmin(answer.value))
@@ -99,9 +99,9 @@ class Gradient(Method):
             best = self.problem.parameters.to_unbounded(state["best_theta"])
             state["u"], state["value"] = best[None], np.array([state["best_value"]])
             state["lbfgs"] = _leaves(_lbfgs().init(jnp.asarray(best)))
-            state["direction"] = np.zeros_like(best)  # a look at the point itself gives its gradient
+            state["direction"] = np.zeros_like(best)  # evaluating the point itself gives its gradient
             return
-        # The starts' objectives differ by orders of magnitude; Adam minds their gradients' direction alone.
+        # The starts' objectives differ by orders of magnitude; Adam uses the direction of their gradients alone.
         optimiser = _adam(self.adam_iterations)
         u, inner = jnp.asarray(state["u"]), _state_of(optimiser, state["u"], state["adam"])
         with lenient():

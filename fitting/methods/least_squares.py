@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 class Phase(NamedTuple):
-    """A stretch of the search."""
+    """A phase of the search, with its own step length and limits."""
 
     keep: int  # how many of the best go on
     fine: bool
@@ -32,10 +32,10 @@ class Phase(NamedTuple):
 
 PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 6, 1e3), Phase(4, True, 20, 1.0))
 _DAMPING = 1e-2  # to start with, of a diagonal's share
-_STUCK = 1e7  # a damping with which steps vanish
+_STUCK = 1e7  # damping at which steps vanish
 _LONGEST = 2.0  # step of an unbounded parameter: from the middle to 88 % of the range
 _FARTHEST = 16.0  # of an unbounded parameter: 1e-7 of the range from a bound
-_SAME = 1e-2  # share of the range within which two starts have met
+_SAME = 1e-2  # share of the range within which two starts count as one
 
 
 class LeastSquares(Method):
@@ -54,7 +54,7 @@ class LeastSquares(Method):
         return (self.starts, PHASES)
 
     def begin(self) -> State:
-        """All starts, not looked at yet."""
+        """All starts, not yet evaluated."""
         u = self.scattered_starts()
         n, k = u.shape
         return {

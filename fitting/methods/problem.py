@@ -1,4 +1,4 @@
-"""What every method of fitting sees, a function of the free parameters; a method's shape, and its state on disk.
+"""The problem that fitting methods solve, their common base class, and their checkpoints.
 
 A method asks for evaluations and receives their results; the loop runs on the host.
 """
@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 
 class Request(NamedTuple):
-    """What a method wants to know."""
+    """The evaluations that a method asks for."""
 
     theta: Floats  # (N, p)
     substeps: int
@@ -40,7 +40,7 @@ class Request(NamedTuple):
 
 
 class ProblemAnswer(NamedTuple):
-    """The objective, infinite where the prediction is not usable; gradient and Gauss-Newton Hessian as asked for."""
+    """The objective (infinite where the prediction is not usable), gradient and Gauss-Newton Hessian as requested."""
 
     value: Floats  # (N,)
     gradient: Floats | None = None  # (N, p)
@@ -64,7 +64,7 @@ class Problem:
         computed: tuple[str, ...] | None = None,
         devices: Devices = "all",
     ) -> Problem:
-        """With its own evaluator, which computes these channels on these devices."""
+        """A problem with its own evaluator, which computes these channels on these devices."""
         evaluator = Evaluator(scene, parameters, objective.channels, computed=computed, devices=devices)
         return Problem(scene, parameters, objective, evaluator)
 
@@ -94,7 +94,7 @@ class Problem:
         return self.evaluator.with_slopes(theta[None], substeps)
 
     def fingerprint(self, *settings: Any) -> str:
-        """A hash of all that decides the course of a fit: scene, parameters, measurements, and these settings."""
+        """A hash of everything that determines a fit's course: scene, parameters, measurements and these settings."""
         total = hashlib.sha256()
         arrays, fixed = eqx.partition(self.scene.unnamed(), eqx.is_array)
         texts = [jax.tree.structure(arrays), jax.tree.leaves(fixed), jax.tree.structure(fixed)]
@@ -106,16 +106,16 @@ class Problem:
         return total.hexdigest()
 
 
-State = dict[str, Any]  # arrays, numbers, texts and None: all that a method knows, so that a checkpoint holds it
+State = dict[str, Any]  # arrays, numbers, strings and None: everything a method knows, so that a checkpoint can hold it
 
 
 class Method(ABC):
-    """A search. All its randomness comes from the seed, and all it knows is in its state."""
+    """A search method. All its randomness comes from the seed, and its state holds everything it knows."""
 
     name: ClassVar[str]
     options: ClassVar[tuple[str, ...]]  # what a user may choose
     most_iterations: int
-    starts: int  # points that it begins from
+    starts: int  # number of points from which it begins
     widest: int | None = None  # the largest batch of plain values that it asks for; None: it asks for derivatives only
 
     def __init__(self, problem: Problem, seed: int) -> None:
@@ -127,41 +127,41 @@ class Method(ABC):
 
     @abstractmethod
     def ask(self, state: State) -> Request:
-        """What it wants evaluated next."""
+        """The evaluations that it needs next."""
 
     @abstractmethod
     def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
-        """Takes the answer in. Sets state["stopped"] to the reason when it ends."""
+        """Updates the state with the answer. Sets state["stopped"] to the reason when the search ends."""
 
     @abstractmethod
     def settings(self) -> tuple[Any, ...]:
-        """What decides its course besides problem and seed."""
+        """The settings that, with problem and seed, determine its course."""
 
     @abstractmethod
     def spread(self, state: State) -> float:
-        """How far apart the objective's values are: a measure of progress."""
+        """The range of the objective's values: a measure of progress."""
 
     def scattered_starts(self) -> Floats:
-        """The nominal point and others all over the box, as unbounded parameters (starts, p)."""
+        """The nominal point and others throughout the bounds, as unbounded parameters (starts, p)."""
         p = self.problem.parameters
         others = p.latin_hypercube(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
         return p.to_unbounded(np.concatenate([p.nominal[None], others]))
 
     @staticmethod
     def blank() -> State:
-        """What every state has."""
+        """The entries that every state has."""
         return {"best_value": float("inf"), "best_theta": None, "dropped": 0, "stopped": None}
 
 
 def range_of(values: Floats) -> float:
-    """From the least to the largest of the finite ones; infinite where there are none."""
+    """The range of the finite values; infinite where there are none."""
     finite = values[np.isfinite(values)]
     return float(np.ptp(finite)) if finite.size else np.inf
 
 
 @contextmanager
 def lenient() -> Iterator[None]:
-    """JAX's default rules for mixed types and ranks: libraries for optimisation need them."""
+    """JAX's default promotion of types and ranks, which optimisation libraries need."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
 
@@ -181,7 +181,7 @@ def save_checkpoint(path: Path, problem: str, state: dict[str, Any]) -> None:
 
 
 def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
-    """The state that was saved of this problem.
+    """Reads the saved state of this problem.
 
     Raises:
         InputError: no such file, no checkpoint, or one of another problem.
@@ -205,7 +205,7 @@ def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON has it; Python's decimal numbers give back the very same floats."""
+    """Plain JSON values; Python's decimal notation restores every float exactly."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):

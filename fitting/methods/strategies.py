@@ -1,6 +1,6 @@
-"""evosax's CMA-ES and differential evolution behind the same asking and telling. Needs the extra `evosax`.
+"""evosax's CMA-ES and differential evolution behind the same interface. Needs the extra `evosax`.
 
-They search the box scaled to unit sides; what they put outside is mirrored back at the bounds.
+They search the unit box; points outside it are mirrored back at the bounds.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SPREAD = 0.3  # of CMA-ES's first generation, as a share of the range
 
 @lru_cache(maxsize=8)
 def _algorithm(name: str, population: int, parameters: int) -> Any:
-    """One object for each kind, since its programs are compiled for it alone."""
+    """One object per kind, since its programs are compiled for that object."""
     try:
         from evosax import algorithms
     except ImportError as error:
@@ -70,7 +70,7 @@ class _Strategy(Generations):
         return Request(p.lower + (p.upper - p.lower) * mirrored(state["trial"]), self.problem.evaluator.coarse)
 
     def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
-        """Hands the fitness on; what is not finite ranks last."""
+        """Passes the fitness on; members without a finite one rank last."""
         value = np.where(np.isfinite(answer.value), answer.value, np.inf)
         finite = np.isfinite(value)
         fitness = jnp.asarray(np.where(finite, value, 1e30), dtype=float)

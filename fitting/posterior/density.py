@@ -1,11 +1,11 @@
-"""The posterior density of an estimate's parameters: a likelihood with the estimate's noise, its priors, its bounds.
+"""The posterior density of an estimate's parameters, from the estimate's noise, priors and bounds.
 
-It is exp(-|f|^2 / 2) within the bounds, f the residuals in units of their noise, priors among them. Noise that is taken
-to be independent makes it too sure where neighbouring residuals are correlated. There the density is tempered as the
+It is exp(-|f|^2 / 2) within the bounds, with f the residuals in units of their noise, priors included. Taking the noise
+as independent makes it too narrow where neighbouring residuals are correlated. There the density is tempered as the
 estimate's covariance C is (Newey and West): it is f(m + A (theta - m)) in place of f(theta), with m the estimate and A
 so that the curvature at m becomes that of C. This is the curvature adjustment of Ribatet, Cooley and Davison
 (arXiv:0911.5357); a profile of it is scaled as `fitting.profile_likelihood` scales its own.
-Priors are tempered along with the likelihood, as they are there.
+Priors are tempered along with the likelihood, as in that profile.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from pftwin.model.measured import Measured
 Floats = NDArray[np.float64]
 
 BLOCK = 128  # points whose residuals are held at once
-_SMALLEST = 1e-12  # eigenvalue of scaled information, relative to the largest: less is rounding
+_SMALLEST = 1e-12  # eigenvalues of the scaled information below this share of the largest are rounding
 
 
 class Seen(NamedTuple):
-    """A density at N points, and its residuals in a frame of p directions."""
+    """The density at N points, and its residuals along p directions."""
 
     theta: Floats  # (N, p)
     log_density: Floats  # (N,) up to a constant: -|f|^2 / 2
@@ -41,7 +41,7 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Density:
-    """The residuals whose squares make a posterior density; from `Density.of`."""
+    """A posterior density as a sum of squared residuals; made by `Density.of`."""
 
     problem: Problem
     centre: Floats  # m (p,)
@@ -50,10 +50,10 @@ class Density:
 
     @staticmethod
     def of(estimate: Estimate, measured: Measured | None) -> Density:
-        """The density that belongs to an estimate of a likelihood.
+        """The density of an estimate by likelihood.
 
         Raises:
-            InputError: as `likelihood_of`; parameters that the measurements do not fix at all.
+            InputError: as `likelihood_of`; parameters that the measurements leave open.
         """
         problem = likelihood_of(estimate, measured)
         centre = np.asarray(estimate.values, dtype=np.float64)
@@ -88,12 +88,12 @@ class Density:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Of the parameters."""
+        """Bounds of the parameters."""
         return self.problem.parameters.lower, self.problem.parameters.upper
 
 
 def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """In units of their noise, priors' last: (N, k), derivatives (N, k, p), and which motions could be simulated."""
+    """Residuals in units of their noise, priors' last (N, k), derivatives (N, k, p), and which are usable (N,)."""
     target, parameters = problem.objective, problem.parameters
     assert target.noise is not None
     seen = problem.evaluator.with_slopes(theta, problem.evaluator.fine)

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 _BINS = 40
 _TWICE = (1.0, 2.0)  # ellipses drawn of the estimate, in standard deviations
-_SIDE = 1.6  # of a panel [in]
+_SIDE = 1.6  # side of a panel [in]
 
 
 class PosteriorPlots:
@@ -117,7 +117,7 @@ def _pair(axes: Axes, e: Estimate, pair: tuple[int, int], scale: Floats, draws: 
 
 
 def _name(axes: Axes, i: int, j: int, labels: list[str]) -> None:
-    """Names and numbers at the left and below alone."""
+    """Labels only the panels at the left and at the bottom."""
     if i == len(labels) - 1:
         axes.set_xlabel(labels[j])
         axes.tick_params(axis="x", labelrotation=45)

@@ -1,4 +1,4 @@
-"""What sampling a posterior found, and how it compares with the estimate that it checks."""
+"""A sampled posterior, and how it compares with the estimate that it checks."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
-AGREES = 0.15  # of an interval's half width: ends that differ less confirm it
-_UNSOLVED = 0.02  # per draw: worth a remark
+AGREES = 0.15  # share of an interval's half width: ends that differ by less confirm the interval
+_UNSOLVED = 0.02  # share of draws above which it is worth a remark
 _MIXED, _ENOUGH = 1.02, 400  # R-hat at most, effective draws at least (Vehtari et al. 2021: 1.01, and 100 a chain)
 
 _PLAIN = (
@@ -42,12 +42,12 @@ class Posterior:
     log_density: Floats  # (chains, draws), up to a constant
     acceptance: Floats  # (chains,) share of accepted proposals
     r_hat: Floats  # (p,) rank-normalised and split
-    effective: Floats  # (p,) independent draws that these are worth: in the bulk or in the tails, whichever are fewer
+    effective: Floats  # (p,) effective sample size in the bulk or in the tails, whichever is smaller
     estimate: Estimate = field(repr=False)
-    tempered: bool  # as the estimate's covariance, where residuals are correlated
+    tempered: bool  # whether it was tempered to the estimate's covariance, for correlated residuals
     evaluations: int
-    outside: int  # further proposals that were beyond the bounds
-    unsolved: int  # further proposals that were not found
+    outside: int  # proposals rejected beyond the bounds
+    unsolved: int  # proposals for which no solution was found
     seed: int
     seconds: float
 
@@ -77,18 +77,18 @@ class Posterior:
 
     @property
     def disagreement(self) -> Floats:
-        """By how much the farther end of each interval is off the estimate's, as a share of its half width (p,)."""
+        """Largest difference of each interval's ends from the estimate's, as a share of the half width (p,)."""
         theirs = self.estimate.intervals
         half = np.maximum(0.5 * (theirs[:, 1] - theirs[:, 0]), 1e-300)
         return np.abs(self.intervals - theirs).max(axis=1) / half
 
     @property
     def converged(self) -> bool:
-        """Whether the chains agree with each other and are worth enough independent draws."""
+        """Whether the chains agree with each other and their effective sample sizes suffice."""
         return bool(self.r_hat.max() <= _MIXED and self.effective.min() >= _ENOUGH)
 
     def sentence(self) -> str:
-        """What the comparison says, in plain words."""
+        """The comparison in a sentence."""
         if not self.converged:
             return (
                 f"the chains tell little yet (R-hat {self.r_hat.max():.3f}, worth {self.effective.min():.0f} "
@@ -106,7 +106,7 @@ class Posterior:
         )
 
     def remarks(self) -> list[str]:
-        """What to keep in mind about the numbers."""
+        """Remarks that qualify the numbers."""
         out, e = [], self.estimate
         if e.synthetic:
             out.append("the measurements are synthetic")

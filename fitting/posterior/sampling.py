@@ -1,4 +1,4 @@
-"""Sampling the posterior of few parameters: a check of the intervals that an estimate reports.
+"""Samples the posterior of a few parameters, to check the intervals that an estimate reports.
 
     posterior = fitting.sample_posterior(estimate)
     print(posterior.sentence())
@@ -10,7 +10,7 @@ Q'f(theta) = eta, eta normal. Its density is
 
     |det Q' df/dtheta| exp(-|Q'f|^2 / 2),
 
-the posterior itself for linear f, and bent as the posterior is otherwise: "randomise, then optimise" (Bardsley,
+the posterior itself for linear f, and curved like the posterior otherwise: "randomise, then optimise" (Bardsley,
 Solonen, Haario and Laine 2014; arXiv:1903.00870 explains the geometry). First derivatives suffice. Proposals do not
 depend on where a chain is, so all are simulated side by side; blackjax's independence sampler then accepts or rejects
 them one after the other. An eta whose solution lies outside the bounds, or is not found, is dropped.
@@ -41,13 +41,13 @@ from pftwin.model.measured import Measured
 
 Floats = NDArray[np.float64]
 
-WARMUP = 25  # draws of each chain: proposals are independent, so chains forget their start within some
+WARMUP = 25  # of each chain: proposals are independent, so a chain forgets its start within a few draws
 _LEAST = {"draws": 8, "chains": 2, "warmup": 1}
-_TOLERANCE = 1e-2  # of Q'f - eta, in standard deviations: what is used is the density of the solution that was found
+_TOLERANCE = 1e-2  # of Q'f - eta, in standard deviations; the density used is that at the solution found
 _ITERATIONS = 12  # of Newton's method
-_MARGIN = 0.25  # of the range: how far beyond the bounds iterates may go
-_SHORTER = 0.4  # of a step that led to nothing better
-_FEWEST = 0.02  # share of solutions within the bounds, below which it is not worth while
+_MARGIN = 0.25  # share of the range by which iterates may leave the bounds
+_SHORTER = 0.4  # shortening of a step that did not improve
+_FEWEST = 0.02  # least share of solutions within the bounds for which sampling is attempted
 
 
 def sample_posterior(
@@ -115,13 +115,13 @@ def _diagnosed(draws: Floats) -> tuple[Floats, Floats]:
 
 
 class Proposals(NamedTuple):
-    """N independent proposals."""
+    """Independent proposals."""
 
     theta: Floats  # (N, p)
     log_density: Floats  # (N,) of the posterior, up to a constant
     log_proposal: Floats  # (N,) of the proposals, up to a constant
-    outside: int  # further ones beyond the bounds
-    unsolved: int  # further ones that were not found
+    outside: int  # rejected beyond the bounds
+    unsolved: int  # not solved
     evaluations: int
 
 
@@ -131,7 +131,7 @@ def proposals(
     """As many proposals as are wanted; `progress` is told how many there are.
 
     Raises:
-        InputError: next to no solution lies within the bounds.
+        InputError: too few solutions lie within the bounds.
     """
     start = density(density.centre[None])
     lower, upper = density.bounds
@@ -205,7 +205,7 @@ def _rows(seen: Seen, rows: NDArray[np.intp]) -> Seen:
 
 
 class Draws(NamedTuple):
-    """What was sampled."""
+    """The chains' draws."""
 
     theta: Floats  # (chains, draws, p)
     log_density: Floats  # (chains, draws), up to a constant
@@ -213,7 +213,7 @@ class Draws(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """A proposal, with what was computed of it beforehand."""
+    """A proposal with its precomputed densities."""
 
     theta: Any
     log_density: Any

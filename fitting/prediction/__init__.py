@@ -1,1 +1,1 @@
-"""What treatments would do: outcomes of many variants, with an estimate's uncertainty."""
+"""Predictions: outcomes of many variants of treatments, with an estimate's uncertainty."""

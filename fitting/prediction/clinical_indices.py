@@ -1,6 +1,6 @@
 """Clinical indices of a scene, as radiologists define them, as far as the scene has their landmarks.
 
-Where a landmark is not part of a scene the index is None with a reason; nothing is put in its place in silence.
+Where a scene lacks a landmark the index is None, with the reason; no substitute is used silently.
 
 TT-TG             Goutallier et al. 1978; Dejour et al. 1994, KSSTA 2:19; on MR images Schoettle
                   et al. 2006, Knee 13:26. It falls as the knee bends: Dietrich et al. 2014, KSSTA 22:214
@@ -33,9 +33,9 @@ from pftwin.model.scene import Scene
 
 Floats = NDArray[np.float64]
 
-LEVEL = 0.25  # of the groove's length from its proximal end: where trochleae are judged
-_NEAREST = np.radians(2.0)  # a recorded frame must come this near to a flexion that is asked for
-# What is usual of natural knees on X-rays, CT or MR images, in words: for readers, nothing is computed from it.
+LEVEL = 0.25  # section of the trochlea, as a share of the groove's length from its proximal end
+_NEAREST = np.radians(2.0)  # largest difference of a recorded flexion from the requested one
+# Usual values of natural knees on X-rays, CT or MR images: text for readers, not used in computations.
 USUAL = {
     "tt_tg": (
         "above some 15 to 20 mm abnormal in extension; healthy knees 15 +- 3 mm there, 10 +- 3 mm at 15 deg and "
@@ -52,7 +52,7 @@ USUAL = {
 
 
 class ClinicalIndex(NamedTuple):
-    """One index: its value (None where the scene cannot tell), its unit, and how it was taken or why it was not."""
+    """One index: its value (None where the scene cannot tell), its unit, and how it was measured or why it was not."""
 
     value: float | None
     unit: str
@@ -80,7 +80,7 @@ class ClinicalIndices:
     lateral_trochlear_inclination: ClinicalIndex  # [deg]
 
     def describe(self) -> str:
-        """One line each, with what the literature has as usual."""
+        """One line per index, with the usual values of the literature."""
         lines = []
         for name in self.__dataclass_fields__:
             index: ClinicalIndex = getattr(self, name)

@@ -1,6 +1,6 @@
-"""Members of a batch, simulated together: a compiled function of amounts, parameters and starts, run in chunks.
+"""Simulates members of a batch together: a compiled function of amounts, parameters and starts, run in chunks.
 
-Memory does not grow with the number of members: a chunk's trajectories are gone when its outcomes are there.
+Memory does not grow with the number of members: a chunk's trajectories are freed once its outcomes are computed.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from pftwin.dynamics.observe import observe_on_the_way
 from pftwin.dynamics.status import Status
 from pftwin.model.scene import Scene
 
-_NEAR = 48  # equilibria that are found from the scene's own start; all others start from the nearest of them
-_FEWEST = 16  # members of a chunk: fewer cost the same
+_NEAR = 48  # equilibria found from the scene's own start; all other searches start from the nearest of these
+_FEWEST = 16  # least members of a chunk: fewer cost as much
 Floats = NDArray[np.float64]
 
 
 class Recipe(NamedTuple):
-    """How a member is made of its numbers, and how it is run. Hashable where static, arrays elsewhere."""
+    """How a member's scene is made from its numbers, and how it is run. Static fields are hashable, others arrays."""
 
     scene: Scene
     treatment: Treatment
@@ -44,18 +44,18 @@ class Recipe(NamedTuple):
     trajectories: bool
 
     def made(self, amounts: Array, theta: Array) -> Scene:
-        """One member's scene: parameters first, then the treatment."""
+        """The scene of one member: parameters first, then the treatment."""
         scene = self.scene if self.fitted is None else self.fitted(self.scene, theta)
         return self.treatment.with_values(list(amounts))(scene)
 
     def course(self, scene: Scene) -> tuple[Course, CourseFrame]:
-        """How the member's motion goes, and what was seen of it."""
+        """The member's motion and its observations."""
         seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), substeps=self.substeps)
         return course_of(scene, seen, status, self.groove), seen
 
 
 class Members(NamedTuple):
-    """What members came out as: (n, ...) on the host."""
+    """Results of members, (n, ...) arrays on the host."""
 
     outcomes: dict[str, Floats]
     flags: NDArray[np.int64]  # (n, flags) frames with each of `FLAGS`
@@ -112,7 +112,7 @@ def run(
 
     def simulated(amounts: Floats, thetas: Floats, starts: Pose | None, progress: Any) -> Members:
         n = len(amounts)
-        size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # of few sizes, so that programs are shared
+        size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # few sizes, so that programs are shared
         if starts is None:
             starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
         pieces, piece = good_sizes(size)
@@ -134,7 +134,7 @@ def run(
 
 
 def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
-    """For every member a pose to start the search for equilibrium from, (n,); None: the scene's own."""
+    """For every member the pose from which to search for equilibrium, (n,); None: the scene's own."""
     if len(amounts) <= _NEAR:
         return None
     points = np.concatenate([amounts, thetas], axis=1)
@@ -153,7 +153,7 @@ def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
 
 
 def _spread_out(points: Floats, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Up to `count` points far from each other, each next the farthest (Gonzalez 1985); and whose is near."""
+    """Up to `count` points far apart by farthest-first traversal (Gonzalez 1985), and the nearest one to each point."""
     chosen, nearest = [0], np.zeros(len(points), dtype=np.int64)
     distance = np.sum((points - points[0]) ** 2, axis=1)
     while len(chosen) < min(count, len(points)) and distance.max(initial=0.0) > 0:

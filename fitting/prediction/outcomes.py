@@ -1,4 +1,4 @@
-"""What a treatment is judged by: outcome measures of a simulated motion, one number each, alike for one run and many.
+"""Outcome measures by which a treatment is judged: one number each, of one simulated motion or of many.
 
 They are written in JAX, so they can be mapped over variants and, where they are smooth, differentiated. Dislocation is
 as `pftwin.results.tracking` has it: the button's centre farther than a threshold from the bottom of its groove.
@@ -26,7 +26,7 @@ from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_line
 
 
 def groove_surface(scene: Scene) -> Surface:
-    """The surface that tells where a scene's groove is.
+    """The surface that defines a scene's groove.
 
     Raises:
         InputError: a scene without contact between button and trochlea, or with meshes alone.
@@ -51,7 +51,7 @@ class Groove(NamedTuple):
 
     @staticmethod
     def of(scene: Scene) -> Groove:
-        """Of a scene; on the host. A surface without a groove counts from its middle.
+        """The groove of a scene, on the host; for a surface without one, its middle.
 
         Raises:
             InputError: a scene without contact between button and trochlea.
@@ -65,7 +65,7 @@ class Groove(NamedTuple):
 
 
 class Course(NamedTuple):
-    """A motion as outcomes look at it: arrays over n recorded frames."""
+    """The quantities of a motion from which outcomes are computed: arrays over n recorded frames."""
 
     time: Array  # [s]
     flexion: Array  # of the knee [rad]
@@ -78,7 +78,7 @@ class Course(NamedTuple):
 
 
 class CourseFrame(NamedTuple):
-    """What a course is made of, of a frame or of all (leading axis n); forces and points as in `Course`."""
+    """Quantities of one frame or of all (leading axis n) from which a `Course` is made; forces and points as there."""
 
     center: Vec3  # of the button, femur frame [m]
     orientation: Quaternion  # of the patella in the femur
@@ -87,7 +87,7 @@ class CourseFrame(NamedTuple):
 
     @staticmethod
     def of(scene: Scene, seen: ObservedFrame) -> CourseFrame:
-        """Of what is seen of a scene with contact."""
+        """The frame of a state of a scene with contact."""
         contact = scene.contact
         assert contact is not None
         report = seen.effects[contact.name]
@@ -96,7 +96,7 @@ class CourseFrame(NamedTuple):
 
 
 def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) -> Course:
-    """What outcomes need of all frames seen, and their status (n,). Pure."""
+    """The course over all frames, from their observations and status (n,). Pure."""
     motion, chart = scene.motion, groove_surface(scene).chart
     u, v = chart.foot(chart.to_frame(seen.center))
     return Course(

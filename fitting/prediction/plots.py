@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 
 
 class OutcomeBand(NamedTuple):
-    """An outcome over variants: of the estimate itself, and the band around it (None without samples)."""
+    """An outcome over variants: for the estimate itself, and the band around it (None without samples)."""
 
     value: Floats
     low: Floats | None
@@ -37,12 +37,12 @@ class OutcomeBand(NamedTuple):
 
 
 def spread(values: DataArray) -> OutcomeBand:
-    """Over samples: sample 0, and the 2.5 and 97.5 % quantiles of all that did not fail."""
+    """Sample 0, and the 2.5 and 97.5 % quantiles over all samples that did not fail."""
     if "sample" not in values.dims:
         return OutcomeBand(np.asarray(values.values, dtype=np.float64), None, None)
     drawn = values.isel(sample=slice(1, None))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # where no draw has a value there is no band
+        warnings.simplefilter("ignore", RuntimeWarning)  # no band where no draw has a value
         low, high = np.nanquantile(drawn.values, BAND, axis=drawn.get_axis_num("sample"))
     return OutcomeBand(values.isel(sample=0).values, low, high)
 
@@ -59,19 +59,19 @@ def _amounts(data: Dataset) -> list[str]:
 
 
 def _by_estimate(data: Dataset) -> Dataset:
-    """Without the draws."""
+    """The prediction without the draws."""
     return data.isel(sample=0) if "sample" in data.dims else data
 
 
 def called(data: Dataset, name: str) -> str:
-    """An amount's name, without its treatment's where one treatment alone has it."""
+    """An amount's name, without the treatment's where that is unambiguous."""
     short = name.rpartition("_")[2]
     alike = [n for n in amount_names(data) if n.endswith(f"_{short}")]
     return short if len(alike) == 1 else name.replace("_", " ")
 
 
 def shown(data: Dataset, name: str) -> tuple[Floats, str]:
-    """An amount as people read it, and its unit: lengths in millimetres, shares in percent."""
+    """An amount in the unit shown to readers, and that unit: lengths in millimetres, shares in percent."""
     values, unit = data[name].values, data[name].attrs["units"]
     scale, unit = (100.0, "%") if unit == "1" else as_read(unit)
     return scale * values, unit
@@ -132,7 +132,7 @@ def _note(data: Dataset) -> str:
 
 
 def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]]]:
-    """Rows of each line, by what they share: scene and the amounts other than the first."""
+    """Rows of each line, by the scene and the amounts that they share: all but the first."""
     others = names[1:]
     scenes = list(dict.fromkeys(data["scene"].values))
     kept = []
@@ -145,7 +145,7 @@ def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]
             kept.append(
                 (", ".join([*([str(scene)] if len(scenes) > 1 else []), *said]) or str(scene), np.flatnonzero(same))
             )
-    if len(kept) > _MOST_LINES:  # a few all over the range
+    if len(kept) > _MOST_LINES:  # a few throughout the range
         kept = [kept[i] for i in np.linspace(0, len(kept) - 1, _MOST_LINES).round().astype(int)]
     return kept
 
@@ -221,7 +221,7 @@ def _dislocation(data: Dataset, i: int) -> str:
 
 
 def finding(data: Dataset) -> str:
-    """What the whole comes to, in a sentence or two."""
+    """The main finding, in a sentence or two."""
     first = _by_estimate(data)
     failed, out = first["failed"].values, first["dislocations"].values > 0
     fine = ~failed & ~out

@@ -1,4 +1,4 @@
-"""What treatments would do: grids and lists of them in one batch, an estimate's uncertainty pushed through."""
+"""Predicts outcomes of treatments, in one batch, and propagates an estimate's uncertainty to them."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from pftwin.results.tracking import DISLOCATED
 if TYPE_CHECKING:
     from xarray import Dataset
 
-STEP = 2.5e-3  # [s]: on case 1 peak forces are 2 % above those at 1 ms; at 5 ms, where the path still is right, 25 %
-CHUNK = 256  # members: where a step of the whole chunk stays in a core's cache
+STEP = 2.5e-3  # [s]: peak forces of case 1 are 2 % above those at 1 ms; at 5 ms, where the path is still right, 25 %
+CHUNK = 256  # members for which a step of the whole chunk stays in a core's cache
 _COURSE_LIMIT = 4096  # members whose trajectories are kept: some 50 MB per thousand
 Floats = NDArray[np.float64]
 
 
 class Fitted(Protocol):
-    """What a prediction needs of an estimate; `fitting.Estimate` has it."""
+    """The part of an estimate that a prediction needs; `fitting.Estimate` has it."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -39,7 +39,7 @@ class Fitted(Protocol):
 
     @property
     def apply(self) -> Callable[..., Scene]:
-        """Of a scene, and of values (p,) if others than the estimated ones are meant: the scene with them."""
+        """A function of a scene, and optionally of other values (p,), that gives the scene with them."""
         ...
 
     def samples(self, count: int, seed: int = 0) -> Floats:
@@ -110,7 +110,7 @@ def predict(
         scene = batch.scene
         check(scene)
         if estimate is not None:
-            check(estimate.apply(scene))  # refuses a scene that has no such parameters
+            check(estimate.apply(scene))  # refuses a scene without these parameters
         substeps, fitted = substeps_for(scene.motion.frame_interval, dt), None if estimate is None else estimate.apply
         groove = Groove.of(scene)
         recipe = Recipe(scene, batch.treatment, fitted, groove, substeps, float(threshold), trajectories)
@@ -159,7 +159,7 @@ _COURSES = {
     "force_medial": ("N", "normal force on the medial facet"),
     "force_lateral": ("N", "normal force on the lateral facet"),
 }
-_TROUBLE = (Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM)  # what makes a member's outcomes void
+_TROUBLE = (Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM)  # statuses that invalidate a member's outcomes
 
 
 def dataset(
@@ -236,7 +236,7 @@ def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: i
 
 
 def _shown(values: NDArray[Any], unit: str) -> tuple[NDArray[Any], str]:
-    """Angles in degrees, all else as it is."""
+    """Angles in degrees, all else unchanged."""
     return (_DEGREES * values, "deg") if unit == "rad" else (values, unit)
 
 

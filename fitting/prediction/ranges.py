@@ -35,7 +35,7 @@ def values(text: str, where: str) -> list[float]:
 
 
 def numbers(parts: list[str]) -> list[float]:
-    """None at all where one is no finite number."""
+    """An empty list if any is not a finite number."""
     try:
         found = [float(p) for p in parts]
     except ValueError:

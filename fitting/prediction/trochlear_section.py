@@ -13,8 +13,8 @@ from pftwin.geometry.patch.closest import Surface
 from pftwin.results.tracking import groove_line
 
 _SAMPLES = 401
-_LIFT = (0.02, 0.021)  # heights whose difference points out of the bone [m]
-_HALF_WIDTH = 0.020  # where a surface does not say how wide it is [m]
+_LIFT = (0.02, 0.021)  # two heights whose difference gives the direction out of the bone [m]
+_HALF_WIDTH = 0.020  # for a surface of unknown width [m]
 Floats = NDArray[np.float64]
 
 

@@ -1,4 +1,4 @@
-"""What treatments change: the extensor mechanism, the patella's button and strands, the trochlea."""
+"""The changes that treatments make: to the extensor mechanism, the patella's button and strands, the trochlea."""
 
 from __future__ import annotations
 
@@ -132,12 +132,12 @@ def mpfl_graft(
     return scene.with_effect(moved.stiffened(1 + stiffening).lengthened(-shortening))
 
 
-LOWEST_DEGREE = 4  # of a patch that can be deepened in its groove and stay as it is at its ridges
-_GRID = 61  # points to a side on which the shape is fitted
+LOWEST_DEGREE = 4  # least degree of a patch whose groove can be deepened while its ridges stay
+_GRID = 61  # points per side on which the shape is fitted
 
 
 def deepening_shape(surface: PolynomialPatch) -> NDArray[np.float64]:
-    """What a deepening by one metre adds to a patch's coefficients; on the host, once for a surface.
+    """The change of a patch's coefficients for a deepening by one metre; on the host, once per surface.
 
     The groove is lowered along its line and less and less towards the ridges, as (1 - d^2 / w^2)^2 with d the
     distance across the groove from its line and w that of the nearer edge of the patch: a smooth bump, flat at its

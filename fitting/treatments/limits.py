@@ -1,4 +1,4 @@
-"""Limits that a treatment has to keep, and the treatment that was found for them."""
+"""Limits that a treatment must meet, and the treatment found for them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pftwin.base.errors import InputError
 from pftwin.results.plots.quantities import as_read
 
 NO_NUMBER = ("dislocation_time", "dislocation_flexion", "re_engagement_time", "re_engagement_flexion")  # where none is
-_UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # what room is counted in where the bound is 0
-_UNITS = {  # in which people write limits, by the unit of the outcome
+_UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # scale of the margin where the bound is 0
+_UNITS = {  # units in which limits may be written, by the unit of the outcome
     "m": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
     "rad": {"deg": np.pi / 180, "rad": 1.0},
     "N": {"N": 1.0},
@@ -69,7 +69,7 @@ class Limit:
         return Limit(outcome, at_most=value) if sense == "<=" else Limit(outcome, at_least=value)
 
     def room(self, value: Any) -> Any:
-        """How far the value is on the right side; negative where the limit is broken."""
+        """The margin by which a value meets the limit; negative where it breaks it."""
         return self.at_most - value if self.at_most is not None else value - self.at_least
 
     def describe(self) -> str:
@@ -79,29 +79,29 @@ class Limit:
 
     @property
     def size(self) -> float:
-        """What its room is counted in, so that limits on different outcomes compare."""
+        """The scale of its margin, so that limits on different outcomes can be compared."""
         bound = self.at_most if self.at_most is not None else self.at_least
         return abs(float(bound or 0.0)) or _UNIT_SIZE.get(MEASURES[self.outcome].unit, 0.01)
 
 
 def in_units(outcome: str, value: float) -> str:
-    """An outcome's value as people read it: lengths in mm, angles in degrees."""
+    """An outcome's value in the units shown: lengths in mm, angles in degrees."""
     scale, unit = as_read(MEASURES[outcome].unit)
     return f"{scale * value:.4g} {unit}".removesuffix(" 1")
 
 
 @dataclass(frozen=True)
 class TreatmentPlan:
-    """What was found."""
+    """The result of an optimisation."""
 
     met: bool  # whether any amounts within the range meet all limits, in the share of draws that was asked for
-    treatment: Treatment  # the smallest that does; where none does, the one that comes nearest
-    outcomes: dict[str, float]  # with it, by the estimate, SI
+    treatment: Treatment  # the smallest that meets the limits; if none does, the one that comes nearest
+    outcomes: dict[str, float]  # outcomes with it, for the estimate, SI
     limits: tuple[Limit, ...]
     simulations: int
     samples: int = 0  # draws from the estimate's uncertainty
-    confidence: float = 0.0  # share of them in which all limits were to hold
-    share: float | None = None  # in which they do; None without draws
+    confidence: float = 0.0  # required share of draws in which all limits hold
+    share: float | None = None  # share of draws in which they hold; None without draws
 
     def describe(self) -> str:
         """In a sentence or two."""

@@ -25,8 +25,8 @@ from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import DISLOCATED
 
-_GRID = {1: 41, 2: 15, 3: 8}  # points to a side, by the number of amounts
-_AT_ONCE = 8  # points of the grid whose draws are simulated together
+_GRID = {1: 41, 2: 15, 3: 8}  # grid points per side, by the number of amounts
+_AT_ONCE = 8  # grid points whose draws are simulated together
 Floats = NDArray[np.float64]
 
 
@@ -110,7 +110,7 @@ def optimise_treatment(
         if shares.max() > most:
             surest, most = part[int(np.argmax(shares))], float(shares.max())
         for k in part[shares >= (confidence if samples else 1.0) - 1e-9]:
-            if (search.room(amounts[k]) >= 0).all():  # by a simulation of its own
+            if (search.room(amounts[k]) >= 0).all():  # from a simulation of its own
                 best = amounts[k]
                 if not best.any():
                     return plan(True, best)
@@ -119,13 +119,13 @@ def optimise_treatment(
 
 
 def _below(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floats:
-    """Of a single amount, the one before it on the way from nothing, on the same side; else the least that there is."""
+    """For a single amount, the next smaller grid value on the same side of zero; else the smallest of the range."""
     before = [a for a in amounts[:k] if (a * amounts[k] >= 0).all()]
     return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
 
 
 def _room(data: Any, limits: tuple[Limit, ...]) -> Floats:
-    """Least room of all limits of every variant (and draw), in their sizes; minus infinity where one has no number."""
+    """Smallest scaled margin over all limits, of every variant (and draw); minus infinity without a value."""
     rooms = np.stack([lim.room(_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
     return np.where(np.isfinite(rooms), rooms, -np.inf)
 

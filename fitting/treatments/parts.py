@@ -1,4 +1,4 @@
-"""The parts of a scene that treatments change, and what is said where they are missing."""
+"""Finds the parts of a scene that treatments change; errors say what the scene has instead."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pftwin.model.scene import Scene
 Amount = Scalar | float
 
 PATELLAR_TENDON, QUADRICEPS, MPFL = "patellar_tendon", "quadriceps", "mpfl"
-LATERAL = ("lpfl", "lateral_retinaculum")  # names that lateral strands go by
+LATERAL = ("lpfl", "lateral_retinaculum")  # accepted names of the lateral strands
 
 
 def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> LineElement:
@@ -46,7 +46,7 @@ def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, bod
 
 
 def elastic(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> ElasticLine:
-    """As `line_element`, of one that has a stiffness and a slack length.
+    """As `line_element`, for one with a stiffness and a slack length.
 
     Raises:
         InputError: also one whose tension is prescribed.
@@ -89,7 +89,7 @@ def fitted_surface(scene: Scene, treatment: str) -> Surface:
 
 
 def toward(medial: Amount, distal: Amount, anterior: Amount) -> Vec3:
-    """The vector, in any of the knee's frames (x proximal, y lateral, z anterior)."""
+    """The vector in a knee's frame (x proximal, y lateral, z anterior)."""
     return Vec3(-distal, -medial, anterior)  # type: ignore[arg-type]
 
 

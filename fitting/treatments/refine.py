@@ -29,18 +29,18 @@ from pftwin.dynamics.frame_states import substeps_for
 from pftwin.model.scene import Scene
 
 _ITERATIONS = 30
-_ROOM = 1e-6  # of a limit's size: what the search keeps clear of it, so that its answer keeps the limit
+_ROOM = 1e-6  # safety margin of the search, as a share of a limit's scale, so that its answer meets the limit
 _HALVINGS = 12
-_NONE = -1e3  # room where there is no number
-_CLOSE = 1e-4  # of the effort: where halving ends
-_FINE = 1e-4  # of the grid's step, to which a single amount is found
+_NONE = -1e3  # margin where a value is missing
+_CLOSE = 1e-4  # relative change of the effort at which bisection ends
+_FINE = 1e-4  # tolerance of a single amount, as a share of the grid's step
 CHUNK = 64  # members at once: one program for the grid and for draws, which come in pieces of all sizes
 Floats = NDArray[np.float64]
 
 
 @eqx.filter_jit
 def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array, amounts: Array) -> Any:
-    """Outcomes at some amounts (draws,), and their derivatives by them (amounts, draws)."""
+    """Outcomes at given amounts (draws,), and their derivatives by the amounts (amounts, draws)."""
 
     def found(x: Array) -> Any:
         def one(theta: Array) -> Any:
@@ -49,13 +49,13 @@ def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array
 
         return batched(one)(thetas)
 
-    # Columns side by side: one pass of the loop serves them all.
+    # All columns in one pass of the time loop.
     push = jax.vmap(lambda t: jax.jvp(found, (amounts,), (t,)), out_axes=(None, 0))
     return push(jnp.eye(len(places), dtype=amounts.dtype))
 
 
 class Search:
-    """Simulations with derivatives, each amounts' kept.
+    """Simulations with derivatives, remembered by their amounts.
 
     Args:
         scene: untreated.
@@ -100,7 +100,7 @@ class Search:
 
     @property
     def count(self) -> int:
-        """Simulations so far."""
+        """The number of simulations so far."""
         return len(self._known) * (1 + self._draws)
 
     def _at(self, amounts: Floats) -> Any:
@@ -122,24 +122,24 @@ class Search:
         return {name: float(self._at(amounts)[0][name][0]) for name in MEASURES}
 
     def _rooms(self, amounts: Floats) -> Floats:
-        """Of each limit for the estimate and the draws, in its size (limits, 1 + draws)."""
+        """Scaled margins of each limit, for the estimate and the draws (limits, 1 + draws)."""
         found = self._at(amounts)[0]
         rooms = np.stack([lim.room(found[lim.outcome]) / lim.size for lim in self._limits])
         return np.where(np.isfinite(rooms), rooms, _NONE)
 
     def share(self, amounts: Floats) -> float:
-        """Of the draws: in how many all limits hold."""
+        """Share of the draws in which all limits hold."""
         return float((self._rooms(amounts)[:, 1:] >= 0).all(axis=0).mean())
 
     def room(self, amounts: Floats) -> Floats:
-        """Of each limit for the estimate, in its size; behind them, with draws, of the share that is needed."""
+        """Scaled margin of each limit for the estimate; with draws, then that of the required share."""
         rooms = self._rooms(amounts)
         if not self._draws:
             return rooms[:, 0]
         return np.append(rooms[:, 0], np.sort(rooms[:, 1:].min(axis=0))[-self._needed])
 
     def slope(self, amounts: Floats) -> Floats:
-        """(limits, amounts); with draws one row more, of the draw that decides whether the share is reached."""
+        """Derivatives (limits, amounts); with draws a row more, for the draw that decides the share."""
         slopes = self._at(amounts)[1]
         all_ = np.stack([(-1 if x.at_most is not None else 1) * slopes[x.outcome] / x.size for x in self._limits])
         rows = all_[:, :, 0]
@@ -184,7 +184,7 @@ def refined(search: Search, start: Floats, below: Floats, lower: Floats, upper: 
         constraints=[constraint],
         options={"maxiter": _ITERATIONS, "ftol": 1e-10},
     )
-    for amounts in tried:  # what was simulated on the way counts, wherever the search ended
+    for amounts in tried:  # every simulated point counts, wherever the search ended
         within = (amounts >= lower - 1e-12).all() and (amounts <= upper + 1e-12).all()
         if within and (search.room(amounts) >= 0).all() and effort(amounts, scale) < effort(best, scale):
             best = amounts
@@ -192,7 +192,7 @@ def refined(search: Search, start: Floats, below: Floats, lower: Floats, upper: 
 
 
 def _just_met(search: Search, best: Floats, below: Floats) -> Floats:
-    """Between a single amount that does not meet the limits and one that does: the smallest tried that does."""
+    """Bisects between a single amount that breaks the limits and one that meets them; the smallest tried that does."""
     from scipy.optimize import brentq
 
     met = {1.0: best}
@@ -210,7 +210,7 @@ def _just_met(search: Search, best: Floats, below: Floats) -> Floats:
 
 
 def _nearer(search: Search, best: Floats, least: Floats, scale: Floats) -> Floats:
-    """On the line from the least amounts to the best, where the limits are just met: for outcomes that jump."""
+    """Bisects on the line from the least amounts to the best, for outcomes that jump."""
     if (search.room(least) >= 0).all():
         return least
     low, high = 0.0, 1.0

@@ -1,4 +1,4 @@
-"""Treatments as values: their kinds, which changes by how much in which order, in words, over many amounts."""
+"""Treatments as values: kinds of changes with their amounts, in their order."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Way(NamedTuple):
     """One amount of a treatment."""
 
     unit: str  # "m", "rad" or "1"
-    more: str  # what a positive amount does, in words
+    more: str  # effect of a positive amount, in words
     less: str  # a negative one
 
     @property
@@ -90,7 +90,7 @@ class TreatmentStep(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)  # of the amounts; a dictionary's keys would be sorted by jit
     amounts: tuple[Scalar, ...]  # SI; a leading axis makes a batch of variants
     parts: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())  # named by the user
-    shape: Array | None = None  # what is prepared on the host for a trochleoplasty
+    shape: Array | None = None  # prepared on the host for a trochleoplasty
 
     def __call__(self, scene: Scene) -> Scene:
         """The scene with this change."""
@@ -138,7 +138,7 @@ class Treatment(eqx.Module):
         return Treatment((*self.steps, *after.steps))
 
     def __call__(self, scene: Scene) -> Scene:
-        """The treated scene, without measurements: what was measured is how the untreated knee moved.
+        """The treated scene, without measurements, since those are of the untreated knee.
 
         Raises:
             InputError: the scene lacks the part that a step changes.
@@ -148,7 +148,7 @@ class Treatment(eqx.Module):
         return replace(scene, measured=None) if self.steps else scene
 
     def prepared(self, scene: Scene) -> Treatment:
-        """The treatment with what it needs to know of an untreated scene, ready to be traced.
+        """The treatment with what it needs from the untreated scene, ready to be traced.
 
         Raises:
             InputError: the scene lacks a part that a step changes.
@@ -158,7 +158,7 @@ class Treatment(eqx.Module):
             shape = jnp.asarray(changes.deepening_shape(changes.patch_of(scene, "trochleoplasty")), dtype=float)
             steps = tuple(replace(s, shape=shape) if s.kind == "trochleoplasty" else s for s in steps)
         for step in steps:
-            step(scene)  # refuses what is not there
+            step(scene)  # refuses a part that is missing
         return Treatment(steps)
 
     @property
@@ -185,7 +185,7 @@ class Treatment(eqx.Module):
 
     @property
     def form(self) -> tuple[Any, ...]:
-        """What treatments must share to be run in one batch: kinds, amounts' names, and names of parts."""
+        """The structure that treatments must share to run in one batch: kinds, names of amounts, names of parts."""
         return tuple((s.kind, s.names, s.parts) for s in self.steps)
 
     def describe(self) -> str:

@@ -1,4 +1,4 @@
-"""Where the page is served, and which pages may speak to its server: the server's own.
+"""Where the page is served, and which pages may connect to its server: only its own.
 
 A browser lets every page that it shows, of whatever site, open a websocket to every address, this machine's own among
 them, and says in `Origin` whose page it is. A site can also give its name this machine's address (DNS rebinding): then

@@ -1,4 +1,4 @@
-"""Meshes on the page: the bones, and the moving parts of a knee, which are set to a frame. Femur frame, mm."""
+"""Meshes on the page: the bones and the moving parts of a knee at a frame. Femur frame, mm."""
 
 from __future__ import annotations
 

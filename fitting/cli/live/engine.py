@@ -1,4 +1,4 @@
-"""From values of the knobs to the whole motion, by a program that is compiled once for each contact."""
+"""Simulates the whole motion for given slider values, with one compiled program per contact."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is written on the page: its state, the outcome of a motion, and how long it took to compute. HTML."""
+"""The page's text as HTML: its state, the outcome of a motion, and how long it took to compute."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def report(
     browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Tell a fit or a result on one page that opens offline: scene, data quality, fit, treatment, figures, the knee.
+    """Report a fit or a result on one page that opens offline: scene, data quality, fit, treatment, figures, the knee.
 
     Example: `pftwin report fit.json --treatment variants.nc -o report.html`
     """
@@ -69,11 +69,11 @@ def report(
 
 
 def report_page(material: Material, command: str) -> ReportPage:
-    """The page of a report.
+    """Renders the page of a report.
 
     Args:
-        material: what there is to tell.
-        command: what the report was asked for with, for its settings.
+        material: what the page shows.
+        command: the command line, which the page repeats.
     """
     from fitting.cli.report import figures, tables
     from fitting.prediction.plots import finding

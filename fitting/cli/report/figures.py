@@ -46,7 +46,7 @@ class Picture:
 
 
 def case(material: Material) -> Picture:
-    """Path, tilt and force of all runs."""
+    """Path, tilt and contact force of all runs."""
     from pftwin.results.plots import case_figure
     from pftwin.results.plots.quantities import provenance
 
@@ -64,7 +64,7 @@ def case(material: Material) -> Picture:
 
 
 def courses(material: Material) -> Picture | str:
-    """Tilt, shift, rotation and force against knee flexion; of a knee that does not bend, why not."""
+    """Tilt, shift, rotation and force against knee flexion; if the knee does not bend, why there are none."""
     from pftwin.results.plots import against_flexion
 
     names = material.names
@@ -77,7 +77,7 @@ def courses(material: Material) -> Picture | str:
 
 
 def over_the_trochlea(material: Material) -> list[Picture]:
-    """The path of the last run in memory; none for a run from a file, which does not keep the surface as a function."""
+    """The path of the last simulated run over the trochlea; none for a run from a file, which lacks the surface."""
     from pftwin.results.result import Result
 
     here = [r for r in material.runs if isinstance(r.source, Result) and r.source.surface is not None]
@@ -88,7 +88,7 @@ def over_the_trochlea(material: Material) -> list[Picture]:
 
 
 def histories(material: Material) -> list[Picture]:
-    """The best objective against evaluations of every fit that took several steps."""
+    """The best objective against evaluations, for every fit of several steps."""
     found = []
     for name, estimate in material.estimates.items():
         if len({h["evaluations"] for h in estimate.history}) > 1:

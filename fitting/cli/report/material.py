@@ -1,4 +1,4 @@
-"""What a report is made of, read from a fit, from a result's file, or from the demo's folder."""
+"""What a report shows, read from a fit, a result's file, or the demo's folder."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class Material:
         return " and ".join(r.name for r in self.runs)
 
     def changed_since(self, e: Estimate) -> list[str]:
-        """Parameters whose values in the scene are not those that the fit began from: it may be another scene."""
+        """Parameters whose values in the scene differ from the fit's nominal ones: the scene may be another one."""
         if self.scene is None:
             return []
         here = [self.scene.get(name) for name in e.names]
         return [n for n, x, began in zip(e.names, here, e.nominal, strict=True) if abs(x - began) > 1e-6 * abs(began)]
 
     def doubts(self) -> list[str]:
-        """Where the prediction is not of the knee that the rest of the report is about."""
+        """Signs that the prediction belongs to another knee than the rest of the report."""
         data, estimate, out = self.treatment, self.estimate, []
         if data is None:
             return out
@@ -105,7 +105,7 @@ class Material:
 def gathered(
     source: Path, *, treatment: Path | None, scene: Path | None, case: int | None, contact: str | None
 ) -> Material:
-    """Reads everything; simulates what an estimate's report shows.
+    """Reads everything; simulates the nominal and the fitted motion of an estimate.
 
     Args:
         source: fit.json, the demo's folder, or a result.

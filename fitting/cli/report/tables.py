@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.model.scene import Scene
 
-# What a number of a unit is multiplied by for people, and the unit then.
+# Factor from each SI unit to the unit shown, and that unit.
 _PARAMETERS = {"m": (1e3, "mm"), "kg": (1e3, "g"), "m/s": (1e3, "mm/s"), "Pa": (1e-6, "MPa"), "m/s^2": (1.0, "m/s²")}
 _FORCES = {"m": (1e3, "mm"), "1": (1.0, "")}
 _RESIDUALS = {"orientation": (180 / np.pi, "deg"), "position": (1e3, "mm"), **dict.fromkeys("XYZ", (1e3, "mm"))}
@@ -98,7 +98,7 @@ def _value(leaf: Any, scale: float) -> str:
 
 
 def forces(run: ReportedRun) -> Sheet:
-    """Smallest, mean and largest force of the run's tendons and contacts, and its angles."""
+    """Smallest, mean and largest values of the run's tendon and contact forces and of its angles."""
     rows = []
     for name, variable in run.data.data_vars.items():
         unit = str(variable.attrs.get("units", ""))
@@ -131,7 +131,7 @@ def measurements(measured: Measured) -> Sheet:
 
 
 def residuals(name: str, e: Estimate) -> Sheet:
-    """What a fit left, by channel."""
+    """Residuals of a fit, by channel."""
     rows = []
     for channel in dict.fromkeys([*e.rmse, *e.noise]):
         scale, unit = _RESIDUALS.get(channel, (1.0, "N"))
@@ -190,7 +190,7 @@ def predicted(data: Dataset) -> Sheet:
 
 
 def reservations(data: Dataset) -> list[str]:
-    """What a reader of a prediction's table has to know."""
+    """Reservations to bear in mind when reading a prediction's table."""
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
     said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
@@ -233,7 +233,7 @@ def _cell(text: str) -> str:
 
 
 def versions(command: str, now: str) -> Sheet:
-    """What made this report; `command` is what it was asked for with."""
+    """Versions of the software that wrote this report, and the command line."""
     from importlib.metadata import version
 
     import jax

@@ -1,1 +1,1 @@
-"""What every other part stands on."""
+"""Foundations that all other packages use."""

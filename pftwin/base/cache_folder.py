@@ -18,7 +18,7 @@ from pftwin.base.errors import OutputError, PftwinWarning
 from pftwin.base.output import written_whole
 
 MOST = 500_000_000  # [bytes] in one kind's folder; beyond, the least recently used files go until half is left
-_chosen: list[Path] = []  # the folder, or nothing
+_chosen: list[Path] = []  # the folder in use, if any
 
 
 def use(folder: str | os.PathLike[str] | None) -> bool:
@@ -40,7 +40,7 @@ def use(folder: str | os.PathLike[str] | None) -> bool:
 
 
 def _unsafe(path: Path) -> str | None:
-    """What is wrong with a folder, or with those in it, as far as they exist."""
+    """Why a folder, or one of its existing subfolders, is unsafe."""
     for place in (path, path / "programs", path / "values", compiled_folder(path)):
         if hasattr(os, "getuid") and place.exists():
             found = place.stat()
@@ -81,7 +81,7 @@ def read(kind: str, key: str) -> bytes | None:
 
 
 def write(kind: str, key: str, body: bytes) -> None:
-    """Writes a file, whole or not at all. A folder that cannot be written to is worth a warning, no more."""
+    """Writes a file, whole or not at all. If the folder cannot be written to, a warning says so."""
     base = chosen()
     if base is None:
         return
@@ -98,7 +98,7 @@ def write(kind: str, key: str, body: bytes) -> None:
 
 
 def _make_room(place: Path) -> None:
-    with contextlib.suppress(FileNotFoundError):  # another process is at it
+    with contextlib.suppress(FileNotFoundError):  # another process is writing it
         files = sorted((path.stat().st_mtime, path.stat().st_size, path) for path in place.iterdir())
         total = sum(size for _, size, _ in files)
         limit = MOST if total <= MOST else MOST // 2

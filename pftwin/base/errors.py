@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class PftwinWarning(UserWarning):
-    """Something in the input deserves a look, but the answer stands."""
+    """Something in the input deserves attention, but the answer stands."""
 
 
 class PftwinError(Exception):

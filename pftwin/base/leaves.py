@@ -1,4 +1,4 @@
-"""Leaves of a scene: made from the host's numbers without a program for each of their shapes; their changes."""
+"""Makes leaves of a scene from the host's numbers, without compiling a program for each shape, and their tangents."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Tree = TypeVar("Tree")
 
 def number(value: ArrayLike) -> Scalar:
     """A number, or an array of them, in JAX's default float type."""
-    return jax.device_put(np.array(value, canonicalize_dtype(float)))  # a copy: JAX may look at the very memory
+    return jax.device_put(np.array(value, canonicalize_dtype(float)))  # a copy, since JAX may share the memory
 
 
 def vector(values: ArrayLike) -> Vec3:

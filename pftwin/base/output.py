@@ -73,7 +73,7 @@ def make_folder(folder: Path, remedy: str = "another folder") -> None:
 
 
 def remove_unfinished(folder: Path, names: re.Pattern[str], older: float = 0.0) -> None:
-    """Removes what a killed process has left of files that it had not finished (`written_whole`).
+    """Removes unfinished files (of `written_whole`) that a killed process left behind.
 
     Args:
         folder: where; nothing happens if it is not there.
@@ -95,24 +95,24 @@ def remove_unfinished(folder: Path, names: re.Pattern[str], older: float = 0.0) 
 
 
 def _on_disk(path: Path) -> None:
-    """Waits until what was written to a file, or changed in a folder, is no longer in memory alone."""
+    """Waits until changes of a file or folder have reached the disk."""
     try:
         handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     except PermissionError:
-        if path.is_dir():  # one that may be written to, not listed
+        if path.is_dir():  # a folder that may be written to but not listed
             return
         raise
     try:
         os.fsync(handle)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP) or not path.is_dir():  # not every file system can
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP) or not path.is_dir():  # not every file system supports it
             raise
     finally:
         os.close(handle)
 
 
 def _default_mode() -> int:
-    """What a file made by open() would get; temporary files are private otherwise."""
+    """The mode of a file made by open(); temporary files are private otherwise."""
     mask = os.umask(0)
     os.umask(mask)
     return 0o666 & ~mask

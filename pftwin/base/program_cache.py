@@ -43,7 +43,7 @@ _DEBUGGING = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_enable
 
 
 class Timed(NamedTuple):
-    """An answer and what it took."""
+    """An answer and the time it took."""
 
     answer: Any
     run: float  # [s]
@@ -123,7 +123,7 @@ class Program:
                 stored, example = unpacked(cache_folder.read("programs", key) or b"")
                 program = jax.jit(jax.export.deserialize(bytearray(stored)).call)
                 return program.lower(*arrays), jax.tree.structure(example)
-            with contextlib.suppress(ValueError, NotImplementedError, NotPlainError):  # what export does not support
+            with contextlib.suppress(ValueError, NotImplementedError, NotPlainError):  # not supported by export
                 exported = jax.export.export(jax.jit(flat))(*arrays)
                 example = jax.tree.unflatten(structures[0], range(structures[0].num_leaves))
                 stored = packed((np.frombuffer(exported.serialize(), np.uint8), example))
@@ -143,7 +143,7 @@ def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
         return function(*args)
     body = cache_folder.read("values", key)
     if body is not None:
-        with contextlib.suppress(Exception):  # whatever is wrong with it, it can be made anew
+        with contextlib.suppress(Exception):  # damaged: it is computed again
             return unpacked(body)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
@@ -157,13 +157,13 @@ def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
 
 
 def settings() -> tuple[Any, ...]:
-    """The settings of JAX that a block of code may have to itself (`with jax.enable_x64(True): ...`)."""
+    """JAX settings that a block of code may change for itself (`with jax.enable_x64(True): ...`)."""
     return tuple(getattr(jax.config, name) for name in _SETTINGS)
 
 
 @functools.cache
 def versions() -> str:
-    """Of the libraries that numbers come from."""
+    """Versions of the libraries that determine the numbers."""
     return ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
 
 
@@ -209,6 +209,6 @@ def _shape(array: Any) -> jax.ShapeDtypeStruct:
 def _kind_of(args: tuple[Any, ...]) -> tuple[_Kind, list[Any]]:
     """The arguments' kind, and those that are arrays."""
     fixed, arrays = split(args, _is_array)
-    # Before every run: plain tuples are hashed and compared in a tenth of the time of shapes.
+    # Runs before every call: plain tuples are hashed and compared in a tenth of the time of shapes.
     kinds = tuple((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in arrays)
     return _Kind(fixed, kinds, settings()), arrays

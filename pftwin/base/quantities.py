@@ -1,8 +1,8 @@
-"""What the numbers of an effect are: unit, bounds and short name, declared beside each field.
+"""Declarations of an effect's numbers: unit, bounds and short name, beside each field.
 
     stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))
 
-Whoever needs to know (checks, fits, scene files, reports) reads the declaration; nobody goes by a field's name. A
+Checks, fits, scene files and reports read the declaration; none of them goes by a field's name. A
 declaration holds for everything below its field that has none of its own: that of a vector for its three components.
 """
 
@@ -22,21 +22,21 @@ class Quantity(NamedTuple):
     """A physical quantity as a field declares it."""
 
     unit: str  # "" for a pure number
-    lower: float = -np.inf  # smallest value that has a meaning
+    lower: float = -np.inf  # smallest meaningful value
     upper: float = np.inf  # largest
     positive: bool = False  # whether 0 is excluded
-    alias: str = ""  # letter by which papers call it: with the number of its line element a short name, such as K1
+    alias: str = ""  # symbol in papers: with the number of its line element a short name, such as K1
     frame: str = ""  # of a point: "patella", or "body" for that of the effect's field `body`
-    words: str = ""  # for people; empty where the field's name says it
+    words: str = ""  # for readers; empty where the field's name says it
 
     @property
     def bounded(self) -> bool:
-        """Whether not every number will do."""
+        """Whether the declaration restricts the numbers."""
         return self.positive or self.lower > -np.inf or self.upper < np.inf
 
     @property
     def expected(self) -> str:
-        """The numbers that will do, in words."""
+        """The allowed numbers, in words."""
         if self.positive and self.upper == np.inf:
             return "a positive number"
         if self.lower == 0 and self.upper == np.inf:
@@ -47,12 +47,12 @@ class Quantity(NamedTuple):
         return " and ".join(words for words in (low, high) if words)
 
     def holds(self, values: Any) -> Any:
-        """Whether each of the values will do; they may be traced."""
+        """Whether each of the values is allowed; they may be traced."""
         low = values > 0 if self.positive else values >= self.lower
         return low & (values >= self.lower) & (values <= self.upper)
 
     def offender(self, values: np.ndarray) -> float | None:
-        """The value that is worst out of bounds; None where all will do. NaN is no matter of bounds."""
+        """The value farthest out of bounds; None if all are allowed. NaN is not judged here."""
         if values.size == 0:
             return None
         low, high = float(np.nanmin(values)), float(np.nanmax(values))

@@ -1,4 +1,4 @@
-"""Settings of the process that make the difference in speed and precision.
+"""Process-wide settings for speed and precision.
 
 The first use of a public name that computes (`pftwin.rig`, `pftwin.simulate`, ...) sets double precision and the fast
 CPU compilation, unless JAX has already started: then a warning says what is missing. `pftwin.configure()` is for other
@@ -64,7 +64,7 @@ class _Process:
 
 
 def use_defaults() -> None:
-    """What `configure()` sets, for programs that do not call it; once, and nothing after `configure`.
+    """Sets what `configure()` sets, once, for programs that do not call it; does nothing after `configure`.
 
     Warns:
         PftwinWarning: JAX has already started, or the user's own settings make it slow or imprecise.
@@ -104,7 +104,7 @@ def _double() -> bool:
 
 
 def _untested() -> str | None:
-    """Why the switches are not set: XLA ends a process that gives it one that it does not know."""
+    """Why the switches are not set: XLA aborts a process that passes it an unknown switch."""
     installed = version("jaxlib")
     if TESTED[0] <= tuple(int(n) for n in installed.split(".")[:2]) < TESTED[1]:
         return None
@@ -140,7 +140,7 @@ def configure(
     _set_flags(fast_cpu)
     if cpu_devices is not None:
         _count_cpu_devices(cpu_devices)
-    gc.freeze()  # the hundred thousand objects of these imports stay: never searched for garbage, nor when all ends
+    gc.freeze()  # the hundred thousand objects of these imports stay: exclude them from garbage collection
     if float64:
         jax.config.update("jax_enable_x64", True)
     elif _Process.float64_by_default:
@@ -150,7 +150,7 @@ def configure(
         from pftwin.base import cache_folder
 
         if cache_folder.use(cache_dir):
-            Path(cache_dir).mkdir(mode=0o700, parents=True, exist_ok=True)  # JAX would make it by the user's mask
+            Path(cache_dir).mkdir(mode=0o700, parents=True, exist_ok=True)  # JAX would use the default mode
             compiled = cache_folder.compiled_folder(Path(cache_dir).absolute())
             compiled.mkdir(mode=0o700, exist_ok=True)
             jax.config.update("jax_compilation_cache_dir", str(compiled))
@@ -164,7 +164,7 @@ def cores() -> int:
 
 
 def _count_cpu_devices(wanted: int | str) -> None:
-    """Tells JAX, which asks once, as it starts."""
+    """Tells JAX, which reads the setting once, as it starts."""
     import jax
 
     count = cores() if wanted == "all" else wanted
@@ -222,7 +222,7 @@ def default_cache_dir() -> str:
 
 
 def describe() -> dict[str, str | int]:
-    """What figures were measured on: processor, cores, versions, float type and date."""
+    """The setting of a measurement: processor, cores, versions, float type and date."""
     import jax
     import jax.numpy as jnp
 
@@ -253,7 +253,7 @@ def _cpu() -> str:
 
 
 def pin_to_one_core() -> str:
-    """Keeps this process on one core, before JAX starts its threads; says what was done."""
+    """Keeps this process on one core, if JAX has not started its threads; returns what was done."""
     if not hasattr(os, "sched_setaffinity"):
         return "not pinned: this system cannot"
     core = max(os.sched_getaffinity(0))

@@ -1,4 +1,4 @@
-"""Values as bytes that are data and nothing else: NumPy's npz, with a text in JSON for all that is no array.
+"""Values as bytes that hold data only: NumPy's npz for arrays, with a JSON text for everything else.
 
 Reading runs no code, as unpickling would: the text names types of pftwin, and of these only dataclasses and named
 tuples are made, by putting their fields in place without calling anything of theirs.
@@ -22,7 +22,7 @@ _ARRAYS = {"device": jax.Array, "array": np.ndarray, "number": np.generic}
 
 
 class NotPlainError(Exception):
-    """A value that cannot be written down as data, or told apart from another one in another process."""
+    """A value that cannot be stored as data, or not identified in another process."""
 
 
 def packed(value: Any) -> bytes:
@@ -42,7 +42,7 @@ def unpacked(body: bytes) -> Any:
     """The value again, array for array and bit for bit.
 
     Raises:
-        Exception: bytes that `packed` did not make or that were damaged; nothing else happens.
+        Exception: bytes that `packed` did not make or that were damaged; no code of theirs runs.
     """
     with np.load(io.BytesIO(body), allow_pickle=False) as file:
         arrays = [file[f"arr_{i}"] for i in range(len(file.files))]
@@ -59,7 +59,7 @@ def fingerprint(value: Any) -> str:
 
 
 def _node(value: Any, arrays: list[np.ndarray]) -> Any:
-    """What JSON has for it: its own numbers and texts, and for all else a list [kind, ...]."""
+    """A value's JSON: numbers and strings as they are, anything else as a list [kind, ...]."""
 
     def inner(values: Any) -> list[Any]:
         return [_node(v, arrays) for v in values]
@@ -72,7 +72,7 @@ def _node(value: Any, arrays: list[np.ndarray]) -> Any:
     if kind is dict:
         return ["dict", inner(value), inner(value.values())]
     if isinstance(value, tuple(_ARRAYS.values())):
-        weak = getattr(value, "weak_type", False)  # it would come back strong; a random key has no such thing
+        weak = getattr(value, "weak_type", False)  # it would lose its weak type; random keys have none
         if weak or jnp.issubdtype(value.dtype, jax.dtypes.extended) or value.dtype.kind not in "biufcUS":
             raise NotPlainError(f"an array of {'weak ' if weak else ''}{value.dtype}")
         arrays.append(np.asarray(value))
@@ -128,7 +128,7 @@ def _name_of(kind: type) -> str:
 
 
 def _type(name: str, base: type) -> Any:
-    """The type of pftwin's of that name; a module of pftwin's is imported for it, no other."""
+    """The type of that name in pftwin; only modules of pftwin are imported for it."""
     module, _, own = name.partition(":")
     if module.partition(".")[0] != "pftwin":
         raise TypeError(f"{module} is not pftwin's own")

@@ -139,14 +139,14 @@ class Quaternion(eqx.Module):
     def turned(self, v: Vec3) -> Quaternion:
         """self * exp(v) for the turn v within one time step: exact to 1e-12 up to 0.3 rad, a rotation for any v.
 
-        Without the transcendental functions and the square root of the general formulas, whose price counts there.
+        It avoids the transcendental functions and the square root of the general formulas, for speed.
         """
         s = v.squared_norm()
         w = 1 + s * (-1 / 8 + s * (1 / 384 - s * (1 / 46080)))
         k = 0.5 + s * (-1 / 48 + s * (1 / 3840 - s * (1 / 645120)))
         q = self * Quaternion(w, k * v.x, k * v.y, k * v.z)
         size = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
-        # 1 / sqrt(size) near 1, so that rounding does not add up from step to step; without a derivative to speak of.
+        # 1 / sqrt(size) near 1, so that rounding does not accumulate from step to step; its derivative is negligible.
         n = 1.5 - 0.5 * jax.lax.stop_gradient(size)
         return Quaternion(n * q.w, n * q.x, n * q.y, n * q.z)
 

@@ -25,10 +25,10 @@ SCENE_BYTES = 4 * MIB  # of scene files; the longest known has 40 kB
 MODEL_BYTES = 64 * MIB  # of OpenSim's models; whole bodies have 3 MB
 JSON_BYTES = 64 * MIB  # of estimates, checkpoints and strands; the checkpoint of 200 members on 50 parameters has 1 MB
 MESH_BYTES = 500_000_000  # of a mesh: two million triangles as text
-MESH_TRIANGLES = 2_000_000  # a hundred times what a knee's implant takes
+MESH_TRIANGLES = 2_000_000  # a hundred times the size of a knee implant's mesh
 RESULT_BYTES = 4_000_000_000  # of a result, in the file or unpacked: 10,000 variants of a second each have 2 GB
-RESULT_PACKED = 200  # times what a variable of a result takes in the file; drawings are packed 3 to 20 times
-RESULT_SMALL = 50_000_000  # bytes that a variable may be unpacked to however well it is packed
+RESULT_PACKED = 200  # largest ratio of unpacked to packed size of a variable; drawings are packed 3 to 20 times
+RESULT_SMALL = 50_000_000  # unpacked bytes of a variable that are allowed at any ratio
 
 _MISSING = {"", "nan", "-nan", "na", "n/a", "null", "-nan(ind)", "nan(ind)", "-1.#ind", "1.#qnan"}
 _TEXT_CONTROLS = {0x09, 0x0A, 0x0B, 0x0C, 0x0D, 0x1A}
@@ -46,7 +46,7 @@ def read_bytes(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES
         found = file.stat()
         if stat.S_ISDIR(found.st_mode):
             raise InputError("is a folder", where=file, expected="a file")
-        if not stat.S_ISREG(found.st_mode):  # it may have no end
+        if not stat.S_ISREG(found.st_mode):  # it might never end
             raise InputError("is a device or a pipe", where=file, expected="a file")
         if found.st_size > max_bytes:
             raise InputError(
@@ -121,7 +121,7 @@ def number(cell: str) -> float:
     if text.lower() in _MISSING:
         return float("nan")
     value = float(text)
-    if "_" in text or not np.isfinite(value):  # float() takes "1_000" and "inf", a measurement does not
+    if "_" in text or not np.isfinite(value):  # float() accepts "1_000" and "inf", which are no measurements
         raise ValueError(text)
     return value
 

@@ -1,4 +1,4 @@
-"""Functions that several programs, and several places of one program, evaluate: JAX traces them once."""
+"""Functions used in several programs, or several places of one program, that JAX traces only once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Fixed(NamedTuple):
-    """What is no array of a function's arguments."""
+    """The parts of a function's arguments that are not arrays."""
 
     structure: Any
     leaves: tuple[Hashable, ...]  # of every leaf None, or for one that is no array its type and itself
@@ -26,7 +26,7 @@ class Fixed(NamedTuple):
 
 
 def split(args: Any, is_array: Callable[[Any], bool] = eqx.is_array) -> tuple[Fixed, list[Any]]:
-    """Arguments apart: what decides a program, and the arrays that it takes."""
+    """Splits arguments into what determines a program and the arrays that it takes."""
     leaves, structure = jax.tree.flatten(args)
     arrays: list[Any] = []
     fixed: list[Hashable] = []
@@ -39,7 +39,7 @@ def split(args: Any, is_array: Callable[[Any], bool] = eqx.is_array) -> tuple[Fi
 
 
 def traced_once(function: F) -> F:
-    """JAX traces the function once for arguments of one kind, and repeats what it found wherever else it is called.
+    """JAX traces the function once for each kind of arguments and reuses the trace wherever else it is called.
 
     The programs are the same. Where contacts are traced this way, a process's second program is traced in half the
     time.

@@ -1,4 +1,4 @@
-"""What a laboratory measured of a patella, for comparison with a simulation."""
+"""Measurements of a patella's motion and forces, for comparison with a simulation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orie
 from pftwin.base.spatial import Quaternion
 from pftwin.files.mocap.tables import increasing_times
 
-SYNTHETIC = "the recorded motion is synthetic: a simulated knee's"  # said wherever such data show
+SYNTHETIC = "the recorded motion is synthetic: a simulated knee's"  # said wherever such data are shown
 _UNIT_TOLERANCE = 1e-3
 _FORCES = ("contact_force", "tibial_spring_force", "femoral_spring_force")
 
@@ -108,7 +108,7 @@ class Measured:
 
     @property
     def label(self) -> str:
-        """What figures call these data."""
+        """The label of these data in figures."""
         return "synthetic measurements" if self.synthetic else "measured"
 
 

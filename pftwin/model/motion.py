@@ -36,11 +36,11 @@ class Frame(eqx.Module):
         return Frame(Vec3.zero(), Quaternion.identity().rotation(), Vec3.zero(), Vec3.zero())
 
     def point(self, p: Vec3) -> Vec3:
-        """A point's place in the world from its local coordinates."""
+        """World coordinates of a point from its local ones."""
         return self.origin + self.rotation.apply(p)
 
     def to_local(self, p: Vec3) -> Vec3:
-        """A point's local coordinates from its place in the world."""
+        """Local coordinates of a point from its world ones."""
         return self.rotation.unapply(p - self.origin)
 
     def direction(self, v: Vec3) -> Vec3:
@@ -56,7 +56,7 @@ class Frame(eqx.Module):
         return self.velocity + self.angular_velocity.cross(p - self.origin)
 
     def slowed(self, factor: Scalar | float) -> Frame:
-        """The same place, other velocities: 0 stands still."""
+        """The same pose with velocities multiplied by a factor; 0 stands still."""
         return Frame(self.origin, self.rotation, factor * self.velocity, factor * self.angular_velocity)
 
     def relative_velocity(self, velocity: Vec3, at: Vec3) -> Vec3:
@@ -99,7 +99,7 @@ class SegmentMotion(eqx.Module):
         return SegmentMotion(*_leaves(poses.times, *splines))
 
     def at_speed(self, factor: float, start: float) -> SegmentMotion:
-        """The same poses, run through so many times as fast from a time on."""
+        """The same poses, passed through so many times as fast from a time on."""
         powers = factor ** np.arange(3.0, -1.0, -1.0)[:, None, None]
         knots, p, q = (np.asarray(a, float) for a in jax.tree.leaves(self))
         return SegmentMotion(*_leaves(start + (knots - start) / factor, powers * p, powers * q))
@@ -113,7 +113,7 @@ class SegmentMotion(eqx.Module):
     def frames(self, times: ArrayLike) -> Frame:
         """The frame at times of any shape [s]; its fields have that shape."""
         t = jnp.asarray(times, self.knots.dtype)
-        # The knots are uniform (`fit` sees to it), so the interval is found without a search.
+        # `fit` makes the knots uniform, so the interval is found without a search.
         spacing = (self.knots[-1] - self.knots[0]) / (self.knots.shape[0] - 1)
         interval = jnp.clip(jnp.floor((t - self.knots[0]) / spacing).astype(int), 0, self.knots.shape[0] - 2)
         return self.pieces(interval).frames(t)
@@ -195,7 +195,7 @@ class KneeMotion(eqx.Module):
         return KneeMotion(None if moving is None else fit(moving), fit(tibia), start, interval, times.size)
 
     def at_speed(self, factor: float) -> KneeMotion:
-        """The same poses, run through so many times as fast (on the host).
+        """The same poses, passed through so many times as fast (on the host).
 
         Raises:
             InputError: a factor that is not a positive number.

@@ -26,7 +26,7 @@ def tibia_position(motion: KneeMotion) -> Floats:
 def seen_from_femur(motion: KneeMotion, points: Floats) -> Floats:
     """Points of the world (k, 3), or (n, k, 3) at the recorded frames, in the femur's frame [m].
 
-    They come back as (n, k, 3) where the femur moves, and as they are where it is the world.
+    The result is (n, k, 3) where the femur moves; where it is the world, the points are returned unchanged.
     """
     if motion.femur is None:
         return points

@@ -1,4 +1,4 @@
-"""A scene: what is there. The patella as a rigid body, the guided motion, and the effects that act."""
+"""A scene: the patella as a rigid body, the guided motion, and the effects that act on the patella."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Scene(eqx.Module):
     motion: KneeMotion
     start: Pose  # of the patella frame in the world at the first frame: where the search for equilibrium begins
     name: str = eqx.field(static=True, default="scene")
-    synthetic: bool = eqx.field(static=True, default=False)  # whether its motion was made up: all that shows it says so
-    # What was measured of this motion; None where nothing was. A treated knee's is another motion: treatments drop it.
+    synthetic: bool = eqx.field(static=True, default=False)  # whether its motion was made up; outputs say so
+    # Measurements of this motion, if any. A treated knee moves differently, so treatments drop them.
     measured: Measured | None = eqx.field(static=True, default=None)
 
     def effect(self, name: str) -> Effect:
@@ -64,7 +64,7 @@ class Scene(eqx.Module):
         return self.effects.index(self.effect(name))
 
     def with_effect(self, effect: Effect) -> Scene:
-        """The scene with this effect in the place of the one of the same name, or added at the end."""
+        """The scene with this effect in place of the one of the same name, or added at the end."""
         names = [e.name for e in self.effects]
         effects = list(self.effects)
         if effect.name in names:
@@ -74,12 +74,12 @@ class Scene(eqx.Module):
         return dataclasses.replace(self, effects=tuple(effects))
 
     def without(self, name: str) -> Scene:
-        """The scene less one effect."""
+        """The scene without one effect."""
         gone = self.effect(name)
         return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not gone))
 
     def unnamed(self) -> Scene:
-        """The scene without what is no part of a program: scenes of one structure share what is compiled."""
+        """The scene without names and measurements, which no program depends on, so that like scenes share one."""
         return dataclasses.replace(self, name="", synthetic=False, measured=None)
 
     @property
@@ -130,7 +130,7 @@ def check(scene: Scene) -> None:
             raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
     leaves, structure = jax.tree.flatten(scene)
     values = [np.ones(0) if isinstance(a, Tracer) else np.asarray(a, dtype=float).ravel() for a in leaves]
-    # All at once, for this is done before every run; what is wrong is looked for where something is.
+    # All at once, since this runs before every simulation; only a failure is traced to its parameter.
     fine = bool(np.isfinite(np.concatenate([*values, np.ones(1)])).all())
     for declared, which in bounded_leaves(structure):
         fine = fine and declared.offender(np.concatenate([values[i] for i in which])) is None

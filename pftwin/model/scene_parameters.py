@@ -1,4 +1,4 @@
-"""The numbers of a scene by names that a person can write: "K1", "quadriceps.slack_length", "patella.mass"."""
+"""Access to the numbers of a scene by readable names: "K1", "quadriceps.slack_length", "patella.mass"."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 _SHORT = re.compile(r"^([A-Z])(\d+)(?:\.(strain|force))?$")
 _INDEXED = re.compile(r"^(.*)\[(\d+)\]$")
-_UNITS = {"strain": "", "force": "N"}  # of what a slack length may stand there as
+_UNITS = {"strain": "", "force": "N"}  # ways to express a slack length
 _OWN = ("patella", "start", "motion")  # parts of a scene that are no effects
 
 
 class NumberPlace(NamedTuple):
     """A number in a scene, or all numbers of one field.
 
-    `meaning` is "value" for the number itself. The slack length L0 of a line element may stand there as something else,
+    `meaning` is "value" for the number itself. The slack length L0 of a line element may be expressed otherwise,
     with L its length at the scene's start pose in the first frame: "strain" is (L - L0) / L0, "force" the tension of
     the line when held at that length.
     """
@@ -40,7 +40,7 @@ class NumberPlace(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As it may be written."""
+        """The name as a user may write it."""
         index = "" if self.index is None else f"[{self.index}]"
         ending = "" if self.meaning == "value" else f".{self.meaning}"
         return ".".join([self.owner, *self.path]) + index + ending
@@ -80,7 +80,7 @@ class Field(NamedTuple):
     owner: str
     path: tuple[str, ...]
     shape: tuple[int, ...]
-    quantity: Quantity | None  # what is declared of it
+    quantity: Quantity | None  # its declaration
 
 
 def start_length(scene: Scene, element: LineElement) -> Scalar:
@@ -138,7 +138,7 @@ def known(scene: Scene) -> dict[str, Field]:
 
 
 def get_value(scene: Scene, name: str) -> Any:
-    """What stands in a scene under a name: an array, or a `Vec3` of them.
+    """The value under a name in a scene: an array, or a `Vec3` of arrays.
 
     Raises:
         InputError: no such number.

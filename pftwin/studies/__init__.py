@@ -1,1 +1,1 @@
-"""Studies of scenes: what accuracy costs, what effects are worth, what is hard, what bears at given poses."""
+"""Studies of scenes: cost of accuracy, worth of effects, hard cases, contact at given poses."""

@@ -1,4 +1,4 @@
-"""What studies share in running their variants: one after the other until Ctrl-C, timed in turn, or compared."""
+"""Shared by studies: running variants until Ctrl-C, timing them in turn, and comparing motions."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def run_each(
     before: Callable[[int, V], Any] = lambda k, variant: None,
     after: Callable[[list[A]], Any] = lambda answers: None,
 ) -> list[A]:
-    """Answers of variants, one after the other; after an interrupt (Ctrl-C) those that there are.
+    """Answers of variants, one after the other; after an interrupt (Ctrl-C) those computed so far.
 
     Args:
         variants: what to run.
         run: runs one.
-        before: is told what comes, and how many were done.
-        after: gets all answers so far after each, to show progress or to put them where they are not lost.
+        before: called with the next variant and the number done.
+        after: called with all answers so far after each one, to show or store them.
 
     Raises:
         KeyboardInterrupt: interrupted before the first was done.
@@ -53,24 +53,24 @@ def run_each(
 
 @dataclass(frozen=True)
 class Cost:
-    """The time of a run, beside that of the first one measured with it."""
+    """The time of a run, and its ratio to that of the first one measured with it."""
 
     seconds: float  # median of all runs [s]
     ratio: float  # to the first: median of the rounds
-    spread: float  # of the ratio: half of what the middle half of the rounds covers
+    spread: float  # of the ratio: half the interquartile range of the rounds
 
 
 def time_in_turn(
     runs: Sequence[Callable[[], Any]], *, rounds: int = 9, seconds: float = 0.3, most: int = 60, own: bool = True
 ) -> list[Cost]:
-    """Times of runs that are compiled by a first call, one of each in turn, so that other work falls on all alike.
+    """Times runs in turn, after a first call that compiles them, so that other load affects all alike.
 
     Args:
         runs: each ends when its answer is there.
         rounds: at least so many.
         seconds: at least so long for each, but not more than `most` rounds.
         most: rounds.
-        own: whether on a CPU the process's own time counts, which other programs disturb less than the wall's clock.
+        own: whether to use process time on a CPU, which other programs disturb less than wall time.
     """
     clock = time.process_time if own and jax.default_backend() == "cpu" else time.perf_counter
 
@@ -103,7 +103,7 @@ class Difference(NamedTuple):
 
 
 def difference(result: Result, reference: Result, point: Floats) -> Difference:
-    """How far a motion is from another.
+    """The difference of a motion from another.
 
     Args:
         result: of the motion.
@@ -120,7 +120,7 @@ def difference(result: Result, reference: Result, point: Floats) -> Difference:
 
 
 def rms(a: Floats) -> float:
-    """Root of the mean square."""
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(a))))
 
 

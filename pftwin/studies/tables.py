@@ -24,7 +24,7 @@ class Column(NamedTuple):
     """A figure, or words, of every row."""
 
     key: str  # with its unit, as files have it
-    values: Sequence[Any]  # numbers, NaN where there is none; or words
+    values: Sequence[Any]  # numbers (NaN: none) or words
     unit: str = ""  # none: words
     long_name: str = ""
 

@@ -21,8 +21,8 @@ from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.tree import ROUNDING, depth_for, fit_discs, median_order
 from pftwin.geometry.bvh.triangle import Triangle
 
-ROUGH = 1e-7  # [m]: what single precision may be off by, several times over
-FLAT = 0.2  # [m]: no shell is rounder than that: single precision would not resolve it
+ROUGH = 1e-7  # [m]: several times the rounding of single precision
+FLAT = 0.2  # [m]: largest radius of a shell that single precision resolves
 Floats = NDArray[np.float64]
 
 

@@ -1,4 +1,4 @@
-"""The deepest corner of a mesh inside another: how far it is, along its own normal, below the other's surface.
+"""The deepest corner of a mesh inside another: its depth along its own normal below the other's surface.
 
 From a corner v of one mesh, with outward unit normal n there, a ray v - t n leaves the other body through one of its
 triangles at t: its depth. The largest is looked for on every facet of the other mesh. Both trees are gone down, some
@@ -24,7 +24,7 @@ from pftwin.geometry.bvh.tree import CANCELLED
 from pftwin.geometry.contact.contact_mesh import ContactMesh
 
 NODES = 1024  # pairs of nodes that there is room for, where steps down in both trees leave many behind
-LAST = 3  # steps that are gone depth first
+LAST = 3  # last steps, taken depth first
 ABOVE = 2  # levels of the triangles' tree that are left out: rays are tried on sixteen triangles at once
 
 
@@ -58,7 +58,7 @@ def depth_search(onto: ContactMesh, corners: CornerTree, limit: Scalar) -> Depth
 
 
 class _Stack(NamedTuple):
-    """Pairs of nodes yet to be looked at, and how deep a corner in them can be."""
+    """Pairs of nodes still to be searched, with bounds on the depth of their corners."""
 
     pairs: Queue  # pair times four, plus the number of steps that are left
     bounds: Queue  # float32 [m]
@@ -123,9 +123,9 @@ def _search(search: DepthSearch, X: Pose) -> Deepest:
 
 
 def _room(way: Descent) -> tuple[int, int]:
-    """Steps that are gone depth first, and pairs of nodes that there is room for before them.
+    """The number of steps taken depth first, and the capacity for pairs of nodes before them.
 
-    A mesh of a few large triangles is gone down in no more than one or two steps, from all corners at once: then there
+    A mesh of a few large triangles takes only one or two steps, from all corners at once: then there
     is room for all pairs.
     """
     alone, together = way.steps
@@ -190,7 +190,7 @@ def _ray(search: DepthSearch, X: Pose, pair: Array, best: _Best) -> _Best:
 # corners and a disc around a node's triangles bound the depth; both nodes' discs tell whether one is over the other.
 
 
-MOST_TILT = 0.4  # of normals against a shell's from which on it bounds nothing
+MOST_TILT = 0.4  # tilt of normals against a shell's above which it gives no bound
 
 
 def triangle_nodes(discs: Sequence[Array], limit: Array) -> list[Array]:

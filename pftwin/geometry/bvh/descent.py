@@ -1,4 +1,4 @@
-"""Going down two trees together: which pairs of leaves a test lets pass.
+"""Descends two trees together to the pairs of leaves that pass a test.
 
 A pair of nodes is replaced by the sixteen pairs of their descendants, two levels further down in both trees; where one
 tree is much deeper, first four levels down in that one alone. All sixteen are tested at once; those that pass are
@@ -45,7 +45,7 @@ class Descendants(NamedTuple):
 
 
 class Descent(eqx.Module):
-    """The volumes of two trees, laid out for going down: made once, before a loop."""
+    """The volumes of two trees, arranged for descent: made once, before a loop."""
 
     alone: tuple[tuple[Blocks, Blocks], ...]  # of the first steps, four levels down in one tree
     together: tuple[Blocks, Blocks]  # of all further steps, one after the other
@@ -62,7 +62,7 @@ class Descent(eqx.Module):
         return jnp.dtype(jnp.int32 if sum(self.depths) <= 29 else jnp.int64)
 
     def below(self, pair: Array, left: Array) -> Descendants:
-        """What is below a pair of nodes that is so many steps (1 or more) above the leaves."""
+        """The descendants of a pair of nodes that is a given number of steps (1 or more) above the leaves."""
         b_level = (self.depths[1] - TWO * left).astype(pair.dtype)
         i, j = pair >> b_level, pair & ((jnp.ones((), pair.dtype) << b_level) - 1)
         _, steps = self.steps
@@ -96,7 +96,7 @@ def steps_down(depths: tuple[int, int]) -> tuple[list[LevelStep], list[LevelStep
 
 
 def descent(a: Sequence[Array], b: Sequence[Array]) -> Descent:
-    """Laid out from the volumes of two trees' levels, each (2^l, components)."""
+    """Arranges the volumes of two trees' levels, each (2^l, components), for descent."""
     depths = len(a) - 1, len(b) - 1
     alone, together = steps_down(depths)
     blocks = [[_blocks(x[s.end[k]], s.many[k]) for s in (*alone, *together)] for k, x in enumerate((a, b))]

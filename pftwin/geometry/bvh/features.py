@@ -1,4 +1,4 @@
-"""What borders on a triangle's face, edges and corners: which way is out there, the mesh's rim, and the facets' seam.
+"""Outward normals at a triangle's face, edges and corners, and which of them lie on the rim or the facets' seam.
 
 The seven features of a triangle are numbered as in `pftwin.geometry.bvh.triangle`. Out at an edge is the mean of its
 two triangles' normals, at a corner that of all its triangles' by their angles: the only choice for which the side of
@@ -53,7 +53,7 @@ def _marked(faces: NDArray, of_face: NDArray, corners: NDArray, marked: NDArray,
 
 
 def _bordering(edges: Edges, label: NDArray) -> NDArray[np.bool_]:
-    """Of which edges the triangles, which bear labels (m,), are not all of one label."""
+    """Which edges have triangles of different labels (m,)."""
     lowest, highest = np.full(len(edges.corners), label.max()), np.full(len(edges.corners), label.min())
     np.minimum.at(lowest, edges.of_face.ravel(), np.repeat(label, 3))
     np.maximum.at(highest, edges.of_face.ravel(), np.repeat(label, 3))

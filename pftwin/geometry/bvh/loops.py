@@ -34,10 +34,10 @@ _WEIGHTS = (1 << np.arange(_BYTE)).astype(np.int32)
 
 
 class Queue(NamedTuple):
-    """Entries up to the count; what is behind them means nothing."""
+    """Entries up to the count; later ones are meaningless."""
 
     entries: Array  # (width + 8,) integers
-    count: Array  # () int32: how many were put in, which may be more than there was room for
+    count: Array  # () int32: how many were added, which may exceed the capacity
 
     @property
     def width(self) -> int:

@@ -20,9 +20,9 @@ from pftwin.geometry.bvh.tree import MeshTree, discs_overlap
 from pftwin.geometry.bvh.triangle import Triangle, meet
 
 LEAF = 4  # triangles in a leaf: sixteen pairs of triangles in a pair of leaves
-NODES = 2048  # pairs of nodes that there is room for
-CANDIDATES = 8192  # and of triangles that may meet
-MEETING = 512  # and of triangles that do
+NODES = 2048  # capacity for pairs of nodes
+CANDIDATES = 8192  # capacity for triangles that may meet
+MEETING = 512  # capacity for triangles that do
 
 
 class Pairs(NamedTuple):
@@ -39,7 +39,7 @@ class Pairs(NamedTuple):
 
 
 class PairListLengths(NamedTuple):
-    """How long the lists of a search are."""
+    """Capacities of the lists of a search."""
 
     nodes: int
     candidates: int
@@ -47,13 +47,13 @@ class PairListLengths(NamedTuple):
 
 
 class PairSearch(eqx.Module):
-    """Two trees, laid out for searches: made once, before a loop."""
+    """Two trees, arranged for searches: made once, before a loop."""
 
     a: MeshTree
     b: MeshTree
     way: Descent
     triangles: tuple[Array, Array]  # of both trees' leaves (leaves, 13, 4): with their planes
-    near: Scalar  # how near to a plane a triangle counts as reaching it [m]
+    near: Scalar  # distance within which a triangle counts as reaching a plane [m]
     room: PairListLengths = eqx.field(static=True)
 
     def meeting(self, X_AB: Pose) -> Pairs:

@@ -26,7 +26,7 @@ from pftwin.base.text_files import MESH_TRIANGLES
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 ROUNDING = 32 * float(np.finfo(np.float32).eps)  # of the largest coordinate: what single precision may be off
-CANCELLED = 1e-6  # what single precision may lose where a square is taken from one as large, and room
+CANCELLED = 1e-6  # rounding of a difference of squares in single precision, with a margin
 
 
 class MeshTree(eqx.Module):

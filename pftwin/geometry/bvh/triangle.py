@@ -1,4 +1,4 @@
-"""The point of a triangle nearest to a point, in closed form, with the derivatives of what it is: face, edge or corner.
+"""The point of a triangle nearest to a point, in closed form, with the derivatives of its face, edge or corner.
 
 Where it lies (C. Ericson, Real-Time Collision Detection, section 5.1.5) is decided without derivatives; from there the
 point is a projection onto the face or the edge, or the corner itself, which is differentiable with respect to all. The
@@ -39,7 +39,7 @@ class Triangle(eqx.Module):
 
 
 class OnTriangle(NamedTuple):
-    """Where the nearest point lies."""
+    """The nearest point of a triangle."""
 
     point: Vec3
     square: Scalar  # of the distance [m^2]

@@ -1,4 +1,4 @@
-"""A walk down a tree of fans: every leaf that may hold what is nearer than a limit, which the leaves may lower.
+"""Visits every leaf of a tree that may be nearer than a limit, which the leaves may lower.
 
 One node after the other, as in C: XLA makes a single function of such a loop on a CPU. Under vmap it would run to the
 slowest member and lose that; see `pftwin.geometry.bvh.loops`.
@@ -43,7 +43,7 @@ def walk(
     at_leaf: Callable[[T, Array], T],
     start: T,
 ) -> T:
-    """What the leaves made of `start`, the nearest child of a node before its siblings.
+    """Folds `at_leaf` over the leaves within the limit, from `start`; the nearest child of a node comes first.
 
     Args:
         bounds, rows, first: of the tree; see `Fans`.

@@ -1,4 +1,4 @@
-"""A tree in blocks of sixteen, for searches that take one node at a time and look at all its descendants at once.
+"""A tree in blocks of sixteen, for searches that test all descendants of a node at once.
 
 XLA makes one function of a whole loop on a CPU: a loop over nodes, with the sixteen discs of a node's descendants in as
 many lanes, tests a disc in a few nanoseconds. In a batch the members take turns (see `members`).
@@ -96,7 +96,7 @@ def squares(block: Array, point: Array) -> tuple[Array, Array]:
 # the smallest of all largest ones met so far. Of the triangles that are left the nearest is taken, in full precision.
 
 
-WIDTH = 1024  # nodes and triangles that may stay in the race: some ten times what an implant asks for
+WIDTH = 1024  # capacity for candidate nodes and triangles: some ten times an implant's need
 LAST = 16  # triangles compared in full precision at a time
 
 
@@ -177,7 +177,7 @@ def _among(rows: Array, point: Array, places: Array, first: Array, end: Array) -
 
 
 class BallListLengths(NamedTuple):
-    """How long the lists are."""
+    """Capacities of the lists."""
 
     cut: int  # triangles that the ball's surface may cut
     inside: int  # nodes wholly inside

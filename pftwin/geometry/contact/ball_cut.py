@@ -127,7 +127,7 @@ def ball_arcs(t: Triangle, radius: Scalar) -> BallArcs:
 
 
 class _Edge(NamedTuple):
-    """What one directed edge adds."""
+    """The contribution of one directed edge."""
 
     inside: Scalar  # share of its length inside the circle
     turned: Scalar  # angle under which the foot sees the rest [rad]

@@ -1,4 +1,4 @@
-"""Whether a point is behind a surface, and how far: by the solid angle under which it sees the surface's back.
+"""Whether a point is behind a surface, and its distance: by the solid angle under which it sees the surface's back.
 
 Inside a closed mesh that is all directions, outside none; in front of an open one it is negative. Close behind an open
 mesh it is half of all directions and tends to none with the distance: there the nearest point decides, which is not on
@@ -24,13 +24,13 @@ from pftwin.geometry.bvh.triangle import FACE, Triangle, closest_on_triangle
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 SHARE = 0.25  # of all directions: half of what is seen from close behind a plane
-SEEN = 1e-3  # of all directions: less is rounding, or too far away to matter
+SEEN = 1e-3  # of all directions: less is rounding, or too far away to count
 SAME = 1e-6  # share by which squares of distances to one point of two triangles may differ
 _EDGES = (0, 1, 2, 4, 1 | 4, 1 | 2, 2 | 4)  # bits of the edges that each feature of a triangle lies on
 
 
 class Behind(NamedTuple):
-    """Where a point is; how far and below what means nothing unless it is behind."""
+    """Whether a point is behind a surface; the other fields hold only if it is."""
 
     there: Array  # () bool: behind the surface
     depth: Scalar  # to the surface's nearest point [m]
@@ -95,7 +95,7 @@ class MutualPlace(NamedTuple):
 def mutual_place(
     mesh: SurfaceMesh, other: SurfaceMesh, position: NDArray[np.float64], matrix: NDArray[np.float64]
 ) -> MutualPlace:
-    """Look at two meshes.
+    """The position of one mesh relative to another.
 
     Args:
         mesh: whose surface has a back.

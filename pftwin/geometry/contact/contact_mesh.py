@@ -1,4 +1,4 @@
-"""A mesh made ready to touch another: its tree, which way is out at its corners, and its facets.
+"""A mesh prepared for contact with another: its tree, outward normals at its corners, and its facets.
 
 Medial and lateral facets of a groove have a tree each, below the two children of one root: which facet a triangle is on
 can be read from its place.

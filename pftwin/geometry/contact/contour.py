@@ -1,4 +1,4 @@
-"""Contact of two meshes as geometry: the closed curves in which they cross, and how deep one is inside the other.
+"""Contact of two meshes as geometry: the closed curves in which they cross, and the depth of one in the other.
 
 Michaud et al. 2024, section 2.4.1 (and Dopico et al. 2019, whom they follow): from the triangles that meet come the
 contours of contact; from each contour an averaged point and a direction, from the corners inside the largest
@@ -31,7 +31,7 @@ from pftwin.geometry.bvh.triangle import Triangle, crossing
 from pftwin.geometry.contact.contact_mesh import ContactMesh
 
 LIMIT = 5e-3  # [m]: no indentation is looked for beyond it
-FULL = 0.9  # share of the limit from which on there may be deeper corners
+FULL = 0.9  # share of the limit above which deeper corners may have been missed
 
 
 class ContourContact(NamedTuple):
@@ -53,11 +53,11 @@ class Contacts(NamedTuple):
         Array  # () bool: a contour ends on the rim of an open mesh, so the contact leads past it: the force is wrong
     )
     overflow: Array  # () bool: a search ran out of room, the contact may be wrong
-    too_deep: Array  # () bool: corners are as deep as is looked for, or deep without any triangles that meet
+    too_deep: Array  # () bool: corners reach the search limit, or are deep although no triangles meet
 
 
 class MeshPair(eqx.Module):
-    """Two meshes that may touch, laid out for searches: made once, before a loop."""
+    """Two meshes that may touch, arranged for searches: made once, before a loop."""
 
     a: ContactMesh
     b: ContactMesh

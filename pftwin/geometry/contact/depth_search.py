@@ -1,4 +1,4 @@
-"""Which of the button's triangles are in the femur's surface, and which of its triangles is nearest to each.
+"""Finds the button's triangles inside the femur's surface, and the femur's triangle nearest to each.
 
 Down the button's tree: for the ball about a piece of it, the point of the femur nearest to the middle tells whether the
 whole piece is outside. What is left in the end are leaves of a few triangles each; their centroids are brought to the

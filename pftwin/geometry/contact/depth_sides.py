@@ -1,7 +1,7 @@
 """The two sides of a contact by depths, as pytrees: the surface that is pressed into and the one that presses.
 
-The femur's surface is asked for the point nearest to another and for which way is out there; the button's triangles
-are what is asked about, by their centroids. Both may be open.
+The femur's surface gives the point nearest to another and the outward normal there; the button's triangles
+are queried, by their centroids. Both may be open.
 """
 
 from __future__ import annotations

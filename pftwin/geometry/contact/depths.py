@@ -1,4 +1,4 @@
-"""How deep the triangles of one mesh are in another: a list of fixed length, differentiable.
+"""Depths of the triangles of one mesh in another: a differentiable list of fixed length.
 
 A triangle's depth is the distance of its centroid from the nearest point of the other surface, counted as positive
 inside, where the surface's outward normal points away from it. What is nearest to the rim of an open surface is neither
@@ -22,8 +22,8 @@ from pftwin.geometry.contact.depth_search import centroid, find
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 
 T = TypeVar("T")
-REACH = 0.010  # [m] how deep triangles are looked for
-DEEPEST = 0.005  # [m] a depth that no joint bears: a wrong pose, scale or side
+REACH = 0.010  # [m] largest depth of the search
+DEEPEST = 0.005  # [m] an implausible depth: a wrong pose, scale or side
 ON_SURFACE = 1e-10  # [m] so near, the direction to the nearest point is the surface's own normal
 
 
@@ -38,7 +38,7 @@ class Depths(NamedTuple):
     normal: Vec3  # unit, out of the femur: minus the depth's gradient with respect to the point
     area: Scalar  # of the triangle [m^2]
     facet: Array | None  # int32: the label of the femur's nearest triangle
-    overflow: Array  # () bool: the list was too short; what is missing is not known
+    overflow: Array  # () bool: the list was too short, so some depths are missing
 
 
 def depths(

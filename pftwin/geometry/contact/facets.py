@@ -32,11 +32,11 @@ SPACING = 0.11  # of the fan's samples across the groove, in radii
 FAN = tuple(SPACING * k for k in range(-6, 7))  # their places, in radii from the sphere's centre
 LONGEST = 0.12  # radii: the longest Newton step
 MERGED, APART = 0.02, 0.20  # separations, in radii, between which one contact becomes two
-ASTRAY = 1.2  # spacings from the fan's minimum beyond which a followed point starts again
+ASTRAY = 1.2  # distance from the fan's minimum, in spacings, beyond which a followed point starts again
 
 
 class FollowedPoint(NamedTuple):
-    """Where a point that is followed was left, and moved along with the sphere since."""
+    """The last place of a followed point, moved along with the sphere since."""
 
     u: Scalar
     v: Scalar

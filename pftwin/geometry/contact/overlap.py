@@ -111,7 +111,7 @@ def _merged(
 
 DEPTH = 0.008  # radii: the indentation at which it is measured
 PLACES = 256  # on the mesh
-LEAST = 16  # places where the sphere fits, below which there is nothing to take a median of
+LEAST = 16  # least number of places where the sphere fits, for a median
 
 
 def effective_radius(mesh: SurfaceMesh, patch: PatchMesh, radius: float, near: ArrayLike | None = None) -> float:

@@ -1,4 +1,4 @@
-"""A mesh made ready for spheres: its facets, the border between them, and what the tree's nodes sum up to."""
+"""A mesh prepared for contact with spheres: its facets, their border, and sums over the tree's nodes."""
 
 from __future__ import annotations
 

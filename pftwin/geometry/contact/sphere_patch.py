@@ -1,4 +1,4 @@
-"""The patch of a mesh that lies inside a sphere: how much of each facet, how deep, and which way out.
+"""The patch of a mesh that lies inside a sphere: area, depth and normal of each facet's part.
 
 The sums over a patch are exact for the flat triangles that the mesh is of (`pftwin.geometry.contact.ball_cut`). Parts
 of the surface wholly inside are summed by the nodes of a tree, whose sums over area, first and second moments are known
@@ -27,14 +27,14 @@ from pftwin.geometry.contact.patch_mesh import CHUNK, PatchMesh, SeamDepth, seam
 
 
 class PatchSums(NamedTuple):
-    """What of each facet, medial and lateral, is inside the sphere."""
+    """Sums over the parts of each facet, medial and lateral, inside the sphere."""
 
     facets: tuple[BallCut, BallCut]  # with the sphere's centre as origin
     seam: SeamDepth
 
 
 class Patch(NamedTuple):
-    """The same with what cannot be differentiated."""
+    """The sums with flags that cannot be differentiated."""
 
     sums: PatchSums
     overflow: Array  # bool: the lists were too short, the sums lack something

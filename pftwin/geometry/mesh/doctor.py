@@ -1,9 +1,9 @@
-"""What is wrong with a mesh, in words and in figures, and the repairs that leave the surface what it is.
+"""Finds faults of meshes, describes them, and makes the repairs that keep the surface.
 
-Findings are of three kinds. What can be repaired without changing the surface is `safe`. What is reported and left as
-it is, because a repair would invent or remove surface, is `left`. With what is `fatal` no contact can be computed:
-which side is outside cannot be told, or the mesh is no surface there. A surface that is open is nothing to find fault
-with.
+Findings are of three kinds. A fault that can be repaired without changing the surface is `safe`. One that is only
+reported, because a repair would add or remove surface, is `left`. With a `fatal` one no contact can be computed:
+the outside is ambiguous, or the mesh is no surface there. An open surface is not a fault
+in itself.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from pftwin.geometry.mesh.topology import MeshPart, parts_of, repeated, turned_o
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What was found; coordinates and lengths in the mesh's own unit."""
+    """The findings; coordinates and lengths in the mesh's own unit."""
 
     source: str
     n_vertices: int  # after welding
     n_faces: int  # as the file has them
     longest_side: float
-    units: list[str]  # in which that is the size of a part of the knee, likeliest first
+    units: list[str]  # units in which the size suits a part of the knee, likeliest first
     parts: list[MeshPart]
     findings: list[MeshFinding]
     turn: NDArray[np.bool_]  # (m,) faces to turn, where that is safe
@@ -105,7 +105,7 @@ def examine_file(path: str | os.PathLike[str], *, units: str | None = None) -> D
 
 
 def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", units: str | None = None) -> Diagnosis:
-    """Look a mesh over.
+    """Examines a mesh.
 
     Args:
         vertices, faces: (n, 3) in any unit and (m, 3), as a file has them.
@@ -155,7 +155,7 @@ def repaired_file(path: str | os.PathLike[str], *, units: str | None = None) -> 
 def repaired(
     vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", units: str | None = None
 ) -> tuple[SurfaceMesh, Diagnosis]:
-    """The mesh with all that is safe repaired, in the unit it came in, and what the doctor finds in it afterwards.
+    """The mesh with all safe repairs, in its own unit, and the remaining findings.
 
     Holes, isolated parts and cavities stay as they are.
 
@@ -175,18 +175,18 @@ def repaired(
     return mesh, examine(mesh.vertices, mesh.faces, source=source, units=units)
 
 
-_DROPPED = "zero_area"  # left out without asking: the surface is the same
+_DROPPED = "zero_area"  # dropped silently, since the surface is the same
 
 
 class CheckedMesh(NamedTuple):
-    """A mesh and what is to be said about it."""
+    """A mesh and remarks about it."""
 
     mesh: SurfaceMesh
     notes: list[str]
 
 
 def checked_mesh(path: str | os.PathLike[str], *, units: str, repair: bool = False) -> CheckedMesh:
-    """Read a mesh file, have the mesh doctor look it over, and give the mesh in metres.
+    """Reads and examines a mesh file; the mesh is in metres.
 
     Args:
         path: STL, OBJ or PLY.
@@ -220,6 +220,6 @@ def _refuse(found: Diagnosis, severity: str, remedy: str) -> None:
 
 
 def _notes(found: Diagnosis, severities: tuple[str, ...]) -> list[str]:
-    """The rest of what the doctor says, lengths in the file's own unit; sizes have been looked at."""
+    """The remaining findings in words, lengths in the file's own unit; sizes are checked elsewhere."""
     said = [f for severity in severities for f in found.of(severity) if f.kind != "scale"]
     return [f"{found.source}: {f.words}" for f in said]

@@ -48,11 +48,11 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         _check_whole_stl(data, path)
     if kind == "ply":
         _check_whole_text_ply(data, path)
-    if kind == "obj":  # comments in odd encodings are no reason to refuse it
+    if kind == "obj":  # comments in other encodings are acceptable
         data = data.decode("utf-8", errors="replace").encode()
     try:
         loaded = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
-    except Exception as error:  # the readers raise whatever their parsing runs into
+    except Exception as error:  # the readers raise many kinds of exceptions
         raise InputError(
             f"not a readable {kind.upper()} mesh ({error})",
             where=path,
@@ -73,7 +73,7 @@ def _check_count(triangles: int, path: Path) -> None:
 
 
 def _check_whole_stl(data: bytes, path: Path) -> None:
-    """A binary STL says how many triangles follow and must keep that promise; a text STL must have its last line."""
+    """A binary STL must hold as many triangles as it announces; a text STL must have its last line."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
         _check_count(count, path)

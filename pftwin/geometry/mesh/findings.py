@@ -1,4 +1,4 @@
-"""What the mesh doctor may find, each with its words."""
+"""The faults that the mesh doctor looks for, and their descriptions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INWARD = -0.3  # mean cosine between normals and the way out from the middle, be
 
 @dataclass(frozen=True)
 class MeshFinding:
-    """One thing that is wrong, or worth knowing."""
+    """A fault or a remark."""
 
     kind: str  # "mixed_winding", "hole", ...
     severity: str  # "safe", "left" or "fatal"
@@ -34,7 +34,7 @@ def _found(kind: str, severity: str, words: str, places: NDArray) -> list[MeshFi
 def superfluous_triangles(
     points: NDArray, faces: NDArray, flat: NDArray[np.bool_], copies: NDArray[np.bool_], opposed: NDArray[np.bool_]
 ) -> list[MeshFinding]:
-    """Triangles without area, and those that are there twice, the same way or the other."""
+    """Triangles without area, and repeated ones in either orientation."""
 
     def found(which: NDArray[np.bool_], kind: str, severity: str, words: str) -> list[MeshFinding]:
         return _found(kind, severity, f"triangles {words}", points[faces[which]].mean(axis=1))
@@ -56,7 +56,7 @@ def crowded_edges(mesh: SurfaceMesh) -> list[MeshFinding]:
 
 
 def sides(mesh: SurfaceMesh, parts: list[MeshPart]) -> tuple[NDArray[np.bool_], list[MeshFinding]]:
-    """Faces to turn (m,), and what there is to say about sides."""
+    """Faces to turn (m,), and the findings about sides."""
     turned, one_sided, _ = agreement(mesh.faces)
     centers = mesh.vertices[mesh.faces].mean(axis=1)
     mixed = turned.copy()  # against their neighbours

@@ -15,7 +15,7 @@ from pftwin.geometry.mesh.topology import adjacent
 
 
 class Deviation(NamedTuple):
-    """How far an icosphere is from the sphere."""
+    """Deviation of an icosphere from the sphere."""
 
     deviation: float  # largest distance, in radii
     angle: float  # largest between neighbouring triangles [rad]
@@ -38,7 +38,7 @@ def icosphere(radius: float, frequency: int) -> SurfaceMesh:
 
 
 def icosphere_deviation(frequency: int) -> Deviation:
-    """What an icosphere is off."""
+    """The deviation of an icosphere from its sphere."""
     vertices, faces = _unit(frequency)
     mesh = SurfaceMesh(vertices, faces)
     normals = mesh.area_vectors / mesh.face_areas[:, None]

@@ -169,7 +169,7 @@ def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "
 
 
 def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Coincident vertices made one (to `COINCIDENT` of the size); as many faces as before."""
+    """Merges coincident vertices (within `COINCIDENT` of the size); the number of faces stays."""
     used = vertices[np.unique(faces)]
     grid = COINCIDENT * max(float(np.ptp(used, axis=0).max()), np.finfo(float).tiny)
     _, first, inverse = np.unique(np.round(vertices / grid), axis=0, return_index=True, return_inverse=True)
@@ -194,7 +194,7 @@ def compacted(mesh: SurfaceMesh) -> SurfaceMesh:
 
 
 def plausible_units(longest_side: float, size: tuple[float, float] = PLAUSIBLE) -> list[str]:
-    """The units in which a longest side (a bare number) is as long as a part of the knee should be, likeliest first."""
+    """The units in which a longest side (a bare number) suits a part of the knee, likeliest first."""
     low, high = size
     return [name for name, unit in UNITS.items() if low <= longest_side * unit <= high]
 

@@ -1,4 +1,4 @@
-"""How fine a mesh is: the paper's two resolutions by name, and meshes of the implant and the button in them.
+"""Mesh resolutions: the paper's two by name, and meshes of the implant and the button in them.
 
 Michaud et al. 2024 compare a coarse mesh (CM: deviation 0.1 mm, angle 1 deg) and a fine one (FM: 0.006 mm, 0.5 deg).
 What the angle is between is not said there, and whatever it is, it cannot have governed: a button whose neighbouring
@@ -23,7 +23,7 @@ _MOST_FREQUENCY = 300  # 1.8 million triangles
 
 
 class Resolution(NamedTuple):
-    """What a mesh may differ from the surface by."""
+    """The allowed deviation of a mesh from the surface."""
 
     deviation: float  # [m]
     angle: float | None = None  # [rad]; None: the deviation alone governs
@@ -65,7 +65,7 @@ def button_mesh(radius: float, fineness: Resolution) -> SurfaceMesh:
     for name, value in (("radius", radius), ("deviation", deviation), ("angle", 1.0 if angle is None else angle)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"found {value}", where=name, expected="a positive number")
-    # A first guess from a hexagonal net on the sphere, put right by what the icosphere is like.
+    # First guess from a hexagonal net on the sphere, then corrected by the icosphere's own deviation.
     frequency = max(1, math.floor(0.5 * math.sqrt(radius / deviation)))
     if angle is not None:
         frequency = max(frequency, math.floor(0.5 / angle))

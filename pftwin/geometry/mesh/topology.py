@@ -1,4 +1,4 @@
-"""How a mesh hangs together: the sides of its triangles, its edges, parts and boundary loops, superfluous triangles."""
+"""Topology of a mesh: orientation of its triangles, edges, parts, boundary loops, superfluous triangles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pftwin.geometry.mesh.mesh import COINCIDENT, SurfaceMesh
 
 
 class Agreement(NamedTuple):
-    """What it takes for neighbouring triangles to agree on their outside."""
+    """The changes that make neighbouring triangles agree on their outside."""
 
     turned: NDArray[np.bool_]  # (m,) the fewest triangles whose turning makes them agree
     one_sided: NDArray[np.bool_]  # (m,) triangles of parts where no choice does
@@ -178,7 +178,7 @@ def _loops(mesh: SurfaceMesh, boundary: NDArray[np.int64], size: float) -> tuple
 
 
 def zero_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which triangles are no higher over their longest side than vertices of the mesh may be apart and yet be one."""
+    """Which triangles have a height over their longest side within the tolerance of coincident vertices."""
     p = vertices[faces]
     sides = np.roll(p, -1, axis=1) - p
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
@@ -188,7 +188,7 @@ def zero_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArra
 
 
 def repeated(faces: NDArray[np.int64], looked_at: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Of the triangles looked at, (m,): copies of an earlier one that runs the same way, and those on their reverse."""
+    """Of the given triangles, (m,): copies of an earlier one in the same orientation, and those in the reverse one."""
     first = np.argmin(faces, axis=1)
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)  # smallest vertex first
     places = np.flatnonzero(looked_at)

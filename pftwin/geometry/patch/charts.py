@@ -1,4 +1,4 @@
-"""Charts: how two surface coordinates and a height make a point of space.
+"""Charts: maps from two surface coordinates and a height to points in space.
 
 A chart has a frame of its own, fixed in the femur. Coordinates (u, v, height) are metres in both charts, u along the
 groove, v medial-lateral, height out of the bone.
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Rotation, Scalar, Vec3
 
-WIDEST = 0.5  # angle about a cylinder's axis within which a tangent still says where the surface goes [rad]
+WIDEST = 0.5  # angle about a cylinder's axis within which a tangent approximates the surface [rad]
 
 
 class Jet(NamedTuple):
@@ -83,7 +83,7 @@ class PlaneChart(FramedChart):
         return c.x, c.y
 
     def longest_along(self, longest: Scalar) -> Scalar:
-        """How far a step of u may go that is to be no longer than so much [m]."""
+        """The longest step of u that moves a point by no more than a given length [m]."""
         return longest
 
     def normal(self, u: Scalar, f: Scalar, slope_u: Scalar, slope_v: Scalar) -> Vec3:
@@ -140,7 +140,7 @@ class CylindricalChart(FramedChart):
         return self.radius * jnp.arctan2(c.x, c.z), c.y
 
     def longest_along(self, longest: Scalar) -> Scalar:
-        """How far a step of u may go: not round the axis, however long a large sphere's steps are [m]."""
+        """The longest step of u, limited so that no step goes round the axis [m]."""
         return jnp.minimum(longest, WIDEST * self.radius)
 
     def normal(self, u: Scalar, f: Scalar, slope_u: Scalar, slope_v: Scalar) -> Vec3:

@@ -13,7 +13,7 @@ from jax.lax import stop_gradient
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.patch.charts import Chart, Jet
 
-SHORT = 0.5  # of the longest step: up to here a point counts as having arrived
+SHORT = 0.5  # share of the longest step below which a point counts as converged
 
 
 class SurfaceProfile(NamedTuple):
@@ -24,7 +24,7 @@ class SurfaceProfile(NamedTuple):
 
 
 class Surface(Protocol):
-    """Whatever gives a height with two derivatives over a chart: a polynomial patch, a spline, a smooth implant."""
+    """A height with two derivatives over a chart: a polynomial patch, a spline, a smooth implant."""
 
     smooth: ClassVar[bool]  # whether third derivatives have no jumps, so that an expansion holds across a whole step
 
@@ -59,13 +59,13 @@ class Surface(Protocol):
 
 
 class ClosestPoint(NamedTuple):
-    """Where a Newton step on the distance came out, and what the surface looks like there (chart frame)."""
+    """The result of a Newton step on the distance, and the surface's geometry there (chart frame)."""
 
     u: Scalar
     v: Scalar
     distance: Scalar  # from the surface to the point along the outward normal, negative inside the bone [m]
     normal: Vec3  # outward unit normal of the surface
-    step: Scalar  # length of the step in (u, v) that was taken: how far from converged the start was [m]
+    step: Scalar  # length of the step taken in (u, v): the start's distance from convergence [m]
     settled: (
         Scalar  # 1 if the step was short and its start in the basin of a minimum (positive definite Hessian), else 0
     )
@@ -125,7 +125,7 @@ FLATTEST = 0.1  # curvatures of the distance below this share of the tangents' o
 
 
 class Slope(NamedTuple):
-    """What goes downhill, and how far it may."""
+    """The slope and curvature of the distance, and the longest allowed steps."""
 
     gradient: tuple[Scalar, Scalar]
     hessian: tuple[Scalar, Scalar, Scalar]  # uu, uv, vv
@@ -134,14 +134,14 @@ class Slope(NamedTuple):
 
 
 class DescentStep(NamedTuple):
-    """A step, and how its equations were solved."""
+    """A step, and the solution of its equations."""
 
     du: Scalar
     dv: Scalar
     over_u: Scalar  # inverse pivots
     over_v: Scalar
     ratio: Scalar  # of the first equation that the second takes
-    convex: Scalar  # 1 where the Hessian is positive definite, else 0; a number, as a choice has no derivative
+    convex: Scalar  # 1 where the Hessian is positive definite, else 0; a number, since its derivative is not needed
 
 
 def _limited(x: Scalar, most: Scalar) -> Scalar:
@@ -151,7 +151,7 @@ def _limited(x: Scalar, most: Scalar) -> Scalar:
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def descend(slope: Slope, side: float) -> DescentStep:
-    """The step from where a slope was looked at.
+    """The step from the point of a given slope.
 
     Where the Hessian is positive definite it is Newton's, with pivots raised to `FLATTEST`; elsewhere curvatures are
     taken by their size, each coordinate for itself, with a small push along v to that side. Derivatives pass to the
@@ -178,7 +178,7 @@ def _descend_jvp(side: float, primals: tuple[Any], tangents: tuple[Any]) -> tupl
     ((gu, _), (huu, huv, hvv), gram, (along, across)), (dg, dh, _, dl) = slope, change
     step = descend(slope, side)
     du, dv, over_u, over_v, ratio, convex = step
-    free = -gu * over_u - ratio * dv  # du without its limit, which is what the equations have
+    free = -gu * over_u - ratio * dv  # du before limiting, as in the equations
     push = (1 - convex) * (side * PUSH)
     # What of the Hessian the two equations have: raised pivots hang on none of it, turned ones on it the other way.
     # The second pivot is hvv - ratio huv; where it is raised, its equation still has ratio huv = huv^2 / huu.

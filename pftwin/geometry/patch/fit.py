@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 Pair = tuple[float, float]
 SPLINE = "spline"
 TOLERANCE = 0.02e-3  # rms of the heights [m]
-SMOOTHING = 0.25e-3  # waves of less than some 2 pi times this length are damped [m]
+SMOOTHING = 0.25e-3  # wavelengths below some 2 pi times this length are damped [m]
 LONGEST_CELL, SHRINKING = 4e-3, 0.8  # the first attempt's cells [m], and how much shorter the next one's are
 FEWEST_VERTICES = 16  # as many as the coefficients of a single cell
 
 
 def parse_degree(name: str | int, *, others: str = "") -> int:
-    """The degree of "P5" or 5. `others`: what else the user could have said, for the message.
+    """The degree of "P5" or 5. `others`: other accepted words, for the message.
 
     Raises:
         InputError: anything else, or a degree below 1 or above 12.

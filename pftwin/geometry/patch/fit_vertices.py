@@ -38,7 +38,7 @@ class Vertices:
     source: str  # a name for messages
 
     def check_folds(self) -> None:
-        """Normals that point away from the chart's height mean more than one height for one (u, v)."""
+        """Refuses normals that point away from the chart's height: the surface is then folded over in (u, v)."""
         if self.normals is None:
             return
         local = _in_frame(self.chart, self.normals + as_vector(self.chart.origin))
@@ -70,7 +70,7 @@ def selected_vertices(
     weights: str,
     emphasis: Emphasis | None,
 ) -> Vertices:
-    """What a fit starts from; arguments and errors as in `fit_patch`."""
+    """The vertices of a fit; arguments and errors as in `fit_patch`."""
     from pftwin.geometry.patch.region import TrochlearRegion
 
     points, normals, areas, source = _of_surface(surface)
@@ -221,7 +221,7 @@ def quality(
 
 
 def _covered(a: Points, b: Points, where: str, kind: str, cells: int = 8) -> float:
-    """Share of the rectangle's cells that hold a vertex, out of as many cells as the vertices could fill.
+    """Share of the rectangle's cells that hold a vertex, relative to as many cells as there are vertices.
 
     Warns where that is little. `kind` is what the message calls the patch.
     """

@@ -1,4 +1,4 @@
-"""The pieces of the search for the trochlea: circle, axis of revolution, deepest points. Host side, numpy.
+"""Steps of the search for the trochlea: circle, axis of revolution, deepest points. Host side, numpy.
 
 Points and normals are in a frame with x proximal, y medial-lateral, z anterior; the axis is parallel to y through
 `center` = (x, z). Metres, radians.

@@ -30,7 +30,7 @@ FACING = 0.4  # least cosine between a vertex's normal and the direction away fr
 
 @dataclass(frozen=True, eq=False)
 class TrochlearRegion:
-    """Where a mesh is trochlea: everything in the mesh's own frame; lengths in metres, angles in radians.
+    """The trochlear region of a mesh, in the mesh's own frame; lengths in metres, angles in radians.
 
     The charts' axes are x proximal, y lateral for a right knee, z anterior (the plane chart's turned about y to the
     middle of the arc). Angles are about the axis, 0 anteriorly, positive proximally.

@@ -1,4 +1,4 @@
-"""The patellar button as a sphere: its center, its radius, and how far from its apex it is one."""
+"""The patellar button as a sphere: its center, its radius, and the extent of its spherical cap."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 _RING = 40  # vertices in a ring, at least
-_FLAT = 5.0  # a radius beyond this multiple of the mesh's size is no dome
+_FLAT = 5.0  # largest radius of a dome, in sizes of the mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class SphereFit:
 
 
 def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike | None = None) -> SphereFit:
-    """Fit a sphere to the domed part of a patellar button, and find where the dome stops being one.
+    """Fits a sphere to the domed part of a patellar button, and finds the edge of the dome.
 
     The cap grows ring by ring from the apex as long as a sphere through it fits each ring's rms within `tolerance`; the
     sphere is then fitted to its inner four fifths, which keeps a beginning flare out of the radius, and the cap's edge
@@ -117,7 +117,7 @@ def _axis(mesh: SurfaceMesh, axis: ArrayLike | None, tolerance: float) -> NDArra
 
 
 def _cap_size(mesh: SurfaceMesh, direction: NDArray, tolerance: float) -> int:
-    """Vertices of the convex cap about a direction; a flat back or a hollow is none."""
+    """The number of vertices of the convex cap about a direction; 0 for a flat back or a hollow."""
     order, rings = _rings(mesh.vertices, mesh.vertex_normals, direction)
     end = _grown(mesh.vertices[order], rings, tolerance)
     if not end:
@@ -160,7 +160,7 @@ def _sphere(points: NDArray) -> tuple[NDArray[np.float64], float]:
     q = (points - shift) / scale
     system = np.column_stack([2 * q, np.ones(len(q))])
     solution, _, rank, _ = np.linalg.lstsq(system, (q * q).sum(axis=1), rcond=1e-9)
-    if rank < 4:  # points in a plane: a sphere without end
+    if rank < 4:  # points in a plane: an infinite sphere
         normal = np.linalg.svd(q - q.mean(axis=0), full_matrices=False)[2][2]
         return shift + 1e6 * scale * normal, 1e6 * scale
     center, radius = solution[:3], float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.0)))

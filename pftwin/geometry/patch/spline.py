@@ -1,4 +1,4 @@
-"""A bicubic tensor-product spline over a chart: C2, as near to a mesh as one likes, at about a polynomial's price.
+"""A bicubic tensor-product spline over a chart: C2, as close to a mesh as needed, at about a polynomial's cost.
 
 A cell's height needs 4 x 4 numbers however many cells there are, and on uniform knots their place in a table is
 arithmetic. The table is made of the coefficients before a loop, a row for each cell: the sixteen coefficients of its
@@ -37,10 +37,10 @@ FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm rms of a
 
 
 class PreparedSpline(NamedTuple):
-    """What is made of a spline's coefficients before a loop."""
+    """Tables made from a spline's coefficients before a loop."""
 
     table: Array  # (n_u * n_v, 16): the coefficient of x^p y^q in column 4 p + q, x and y 0 to 1 in the cell
-    fan: PolynomialPatch  # what `profile` samples
+    fan: PolynomialPatch  # the polynomial that `profile` samples
 
 
 class SplinePatch(RectanglePatch):
@@ -110,7 +110,7 @@ class SplinePatch(RectanglePatch):
 def _cell(a: Scalar, n: int) -> tuple[Scalar, Scalar]:
     """Which of n cells holds a place within +-1, and where in the cell."""
     t = (a + 1) * (0.5 * n)
-    k = jnp.clip(t.astype(jnp.int32), 0, n - 1)  # whatever is not finite counts to some cell
+    k = jnp.clip(t.astype(jnp.int32), 0, n - 1)  # a place that is not finite falls into some cell
     return k, t - k.astype(t.dtype)
 
 
@@ -156,7 +156,7 @@ def _loaded_of_many(
 
 
 def _cubic(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """A cubic with its first and second derivative; what nobody asks for is not computed."""
+    """A cubic with its first and second derivative, each computed only if asked for."""
     steep = c[2] + c[3] * x
     return c[0] + x * (c[1] + x * steep), c[1] + x * (2 * steep + c[3] * x), 2 * steep + 4 * (c[3] * x)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pftwin.model.effects.line_elements import LineElement
 
 
-@dataclass(frozen=True)  # all are equal, so that programs are not compiled again for another
+@dataclass(frozen=True)  # all instances are equal, so that programs are not compiled again for another
 class Ground:
     """The frame of a fixed femur: the world itself, so every transformation is the identity and leaves no equation."""
 
@@ -79,7 +79,7 @@ class Instant(eqx.Module):
 
     @property
     def ends_a_step(self) -> bool:
-        """Whether this is the end of an implicit step, seen from where it starts, and not an instant looked at."""
+        """Whether this is the end of an implicit step, predicted from its start, rather than an observed instant."""
         return not isinstance(self.lookahead, float)
 
     def turn_in_femur(self) -> Rotation:
@@ -167,7 +167,7 @@ class Load(NamedTuple):
     stiff: tuple[StiffTerm, ...] = ()
     bed: AggregateStiffness | None = None
     drag: Drag | None = None
-    wrench: Wrench | None = None  # all that is not stiff; axes as in `total`
+    wrench: Wrench | None = None  # everything that is not stiff; axes as in `total`
     energy: Scalar | None = None  # stored [J]
     heat: Scalar | None = None  # dissipated inside the effect, beside what stiff terms and drag dissipate [W]
 
@@ -196,12 +196,12 @@ class Observable(NamedTuple):
 
 
 class Change(NamedTuple):
-    """An effect changed in one thing that it does, for studies of what that is worth."""
+    """An effect with one of its features changed, for studies of what that feature is worth."""
 
-    label: str  # what is left out or put in: changes of one label are made in all effects at once
+    label: str  # the feature: changes with one label are made in all effects at once
     effect: Effect  # with the change
     how: str  # in words
-    memory: Callable[[Any], Any] | None = None  # its memory from the unchanged effect's, where the two differ
+    memory: Callable[[Any], Any] | None = None  # converts the unchanged effect's memory, where the two differ
 
 
 class Effect(eqx.Module):
@@ -215,7 +215,7 @@ class Effect(eqx.Module):
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
         if "observe" in vars(cls) and "report" not in vars(cls):
-            cls.report = Effect.report  # a base class's own would go on showing what the base class shows
+            cls.report = Effect.report  # an inherited `report` would ignore this class's `observe`
 
     @abstractmethod
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
@@ -234,7 +234,7 @@ class Effect(eqx.Module):
         return memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """What a result should show of this effect, by the names in `observables`."""
+        """What a result shows of this effect, by the names in `observables`."""
         return {}
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
@@ -254,11 +254,11 @@ class Effect(eqx.Module):
         return {".".join(d.path): d.quantity for d in declarations(self) if d.quantity is not None}
 
     def simplifications(self) -> Iterable[Change]:
-        """What the effect would be without one thing that it does: its damping, its friction, its toe region."""
+        """The effect without one of its features: its damping, its friction, its toe region."""
         return ()
 
     def elaborations(self) -> Iterable[Change]:
-        """What the effect lacks and could have, with values from the literature."""
+        """The effect with a feature that it lacks, with values from the literature."""
         return ()
 
     def in_still_femur(self, femur: SegmentMotion) -> Effect | None:

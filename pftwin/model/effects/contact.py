@@ -1,4 +1,4 @@
-"""Contact between the patella's button and the femur: what the rest of the program asks of it, and what laws share."""
+"""Contact between the patella's button and the femur: its interface, and what its kinds share."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Contact(Effect):
     """
 
     name: str = eqx.field(static=True, kw_only=True, default="contact")
-    method: ClassVar[str] = ""  # how contact is found, in a word; empty where the surface's name says it
+    method: ClassVar[str] = ""  # how contact is found, in a word; empty where the surface's name implies it
 
     def contact_role(self) -> Contact:
         """Itself."""
@@ -62,7 +62,7 @@ class Contact(Effect):
 
     @abstractmethod
     def with_button_moved(self, by: Vec3) -> Self:
-        """With the button elsewhere on the patella, along the patella's axes [m]."""
+        """The contact with its button moved on the patella, along the patella's axes [m]."""
 
     @abstractmethod
     def button_radius(self) -> Scalar:
@@ -77,7 +77,7 @@ class Contact(Effect):
         return None
 
     def with_fitted_surface(self, surface: Surface) -> Self:
-        """With another surface in the place of `fitted_surface`."""
+        """The contact with another surface in place of `fitted_surface`."""
         raise NotImplementedError(f"{type(self).__name__} has no fitted surface")
 
     def femur_triangles(self) -> Array | None:
@@ -105,7 +105,7 @@ P = TypeVar("P", bound="ClosestPoint | FacetPoint")
 
 
 class ContactPush(NamedTuple):
-    """What a contact does, and what it remembers."""
+    """A contact's force, and what it remembers."""
 
     term: StiffTerm
     energy: Scalar  # stored [J]
@@ -186,7 +186,7 @@ class Touch(NamedTuple, Generic[P]):
 
     at: P
     indentation: Scalar  # [m]
-    share: Scalar  # of the law's force: 1, less where two contacts are nearly one, 0 where it is none
+    share: Scalar  # share of the law's force: 1, less where two contacts nearly coincide, 0 for no contact
     push: ContactPush
 
 
@@ -232,7 +232,7 @@ class ButtonSphere(Contact):
     def touch(
         self, now: Instant, at: P, normal: Vec3, rate: Scalar, approach_speed: Scalar | None, share: Scalar
     ) -> Touch[P]:
-        """The law at a nearest point, where the normal is in the femur's axes and `rate` that of the indentation."""
+        """The law's force at a nearest point; the normal is in the femur's axes, `rate` that of the indentation."""
         indentation = self.radius - at.distance
         return Touch(at, indentation, share, self.push(now, normal, indentation, rate, approach_speed, share))
 

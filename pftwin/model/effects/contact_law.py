@@ -67,7 +67,7 @@ class ContactLaw(eqx.Module):
         """The factor x [s/m]; None where the law has no damping."""
 
     def no_contact_yet(self, like: Scalar, contacts: int) -> Speeds:
-        """What there is to remember before anything has touched, in the float type of `like`."""
+        """The memory before anything has touched, in the float type of `like`."""
         return (jnp.zeros_like(like),) * contacts if self.remembers_approach else None
 
     def force(self, indentation: Scalar, rate: Scalar, approach_speed: Scalar | None = None) -> ContactForce:

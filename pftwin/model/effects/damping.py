@@ -28,5 +28,5 @@ class LinearDamping(Effect):
         return Load(drag=Drag(self.translational, self.rotational, velocity, spin)), memory
 
     def in_still_femur(self, femur: SegmentMotion) -> LinearDamping | None:
-        """None where the ground drags, which would move then."""
+        """None if it drags against the ground, which would then move."""
         return None if self.body == "ground" else self

@@ -31,8 +31,8 @@ from pftwin.model.effects.foundation_sums import Bedded, Pressures, sums
 class ElasticFoundation(ButtonMesh):
     """Two meshes with a layered elastic foundation between them.
 
-    A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. All together are
-    one bed of stiff terms.
+    A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. They are summed
+    into one aggregate stiffness.
     """
 
     femur: PressedSurface  # in the femur's frame
@@ -58,7 +58,7 @@ class ElasticFoundation(ButtonMesh):
     }
 
     def pressed(self, now: Instant) -> Bedded:
-        """Where the button is in the femur, and how both move."""
+        """The button's place in the femur, and the motion of both."""
         patella, femur = now.patella, now.femur
         velocity = femur.relative_velocity(patella.velocity, patella.position)
         spin = femur.relative_spin(patella.spin, patella.rotation)
@@ -75,7 +75,7 @@ class ElasticFoundation(ButtonMesh):
         )
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """All triangles' pushes as one bed."""
+        """The forces of all triangles, as one aggregate stiffness."""
         at = self.pressed(now)
         found = sums(at)[0]
         velocity, spin = Vec3.from_array(at.twist[:3]), Vec3.from_array(at.twist[3:])
@@ -111,7 +111,7 @@ class ElasticFoundation(ButtonMesh):
         return report, forces.energy
 
     def _swallowed(self, at: Bedded, found: Pressures) -> Array:
-        """Whether the button is deeper than is looked for: no triangle is in contact, and any of them is behind."""
+        """Whether the button is deeper than the search reaches: no triangle in contact, but some behind the surface."""
         middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0])))
         femur = self.femur
         return behind(femur.corners, femur.triangle, femur.rim_edges(), middle, found.area == 0).there

@@ -1,4 +1,4 @@
-r"""Layers on a rigid backing, pressed: from depth to pressure, its slope and the energy per area. Free of geometry.
+r"""Elastic layers on a rigid backing: pressure, its slope and energy per area from depth. Free of geometry.
 
 An elastic foundation is a bed of independent springs. A thin layer of modulus E, Poisson ratio nu
 and thickness h, bonded to a rigid backing, is confined: with K = E (1 - nu) / ((1 + nu) (1 - 2 nu)) it bears
@@ -28,9 +28,9 @@ from pftwin.base.errors import InputError
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
 
-SQUEEZED = 0.95  # of both thicknesses: deeper, the logarithmic law follows its tangent and so stays finite
-_MOST_STEPS = 40  # alike layers take 1, moduli a factor of 1000 apart 12 at most
-_CONVERGED = 1e4  # roundings: the last step squares what is left of the error
+SQUEEZED = 0.95  # share of both thicknesses beyond which the logarithmic law follows its tangent, to stay finite
+_MOST_STEPS = 40  # equal layers take 1, moduli a factor of 1000 apart at most 12
+_CONVERGED = 1e4  # multiples of rounding: the last step squares the remaining error
 
 
 class Layer(eqx.Module):

@@ -21,11 +21,11 @@ from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import REACH, Depths, depths_in
 from pftwin.model.effects.foundation_law import FoundationLaw
 
-PIECE = 16  # leaves of the button that are worked on at once
+PIECE = 16  # leaves of the button summed at once
 
 
 class Bedded(eqx.Module):
-    """A button in a femur's surface, and how both move."""
+    """A button in a femur's surface, and the motion of both."""
 
     femur: PressedSurface
     button: PressingSurface
@@ -116,14 +116,14 @@ def _together(one: Sums, other: Sums) -> Sums:
 
 def _piece(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     """Sums over some of the leaves."""
-    # The last piece begins early enough to be whole, and counts only what no other has counted.
+    # The last piece begins early enough to be full, and counts only leaves that no other piece has counted.
     first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))
     leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, min(PIECE, at.button.leaves)) for x in found[:2])
     number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
     there = (number >= start) & (number < found.total)
     d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there, overflow=jnp.zeros((), bool))
     rows = _unit_wrenches(at, d)
-    # Of every triangle, all zero where it is not in contact.
+    # Per triangle; all zero where it is not in contact.
     pressure, slope, stored = at.law.press(jnp.where(d.listed, d.depth, -1.0))
     elastic, stiffness = d.area * pressure, d.area * slope
     force = elastic - at.damping_time * stiffness * (at.twist @ rows)

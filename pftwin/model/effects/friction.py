@@ -71,7 +71,7 @@ class Sliding(NamedTuple):
 
 
 class WithFriction(ButtonSphere):
-    """What a contact of a sphere becomes with friction: every normal force is joined by a tangential one.
+    """Adds friction to a sphere's contact: each normal force is joined by a tangential one.
 
     For classes that derive from this and from a contact of a sphere, `frictionless`, whose normal forces are unilateral
     stiff terms, the medial facet's first.
@@ -105,15 +105,15 @@ class WithFriction(ButtonSphere):
         return self.frictionless(**{f.name: getattr(self, f.name) for f in dataclasses.fields(self.frictionless)})
 
     def remember(self, now: Instant) -> FrictionMemory:
-        """What the contact remembers, and no force before."""
+        """The contact's memory, and no previous force."""
         return self._first(now, self.alone().remember(now))
 
     def guess(self, now: Instant) -> FrictionMemory:
-        """What the contact guesses, and no force before."""
+        """The contact's guess, and no previous force."""
         return self._first(now, self.alone().guess(now))
 
     def refined(self, memory: FrictionMemory, trial: FrictionMemory) -> FrictionMemory:
-        """What the contact refines."""
+        """The contact's refined memory."""
         return memory._replace(contact=self.alone().refined(memory.contact, trial.contact))
 
     def _first(self, now: Instant, memory: Any) -> FrictionMemory:
@@ -159,7 +159,7 @@ class WithFriction(ButtonSphere):
             report[f"force_{axis}"] = report[f"force_{axis}"] + getattr(local, axis)
         absent = (0 * local.x, jnp.nan * local.x)
         for facet, (grip, speed) in zip(FACETS, [*((s.grip, s.speed) for s in slidings), absent], strict=False):
-            normal = report[f"force_{facet}"]  # as reported: a single contact belongs to one facet
+            normal = report[f"force_{facet}"]  # in the report a single contact belongs to one facet
             report |= {f"friction_{facet}": grip * normal, f"slip_speed_{facet}": jnp.where(normal > 0, speed, jnp.nan)}
         return report, energy
 

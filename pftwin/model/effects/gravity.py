@@ -31,7 +31,7 @@ class Gravity(Effect):
         return {"weight": self.mass * self.acceleration.norm()}
 
     def in_still_femur(self, femur: SegmentMotion) -> TurningGravity:
-        """Weight that keeps the direction that it really has at every instant."""
+        """Weight in its true direction at every instant, seen from the femur."""
         return TurningGravity(self.mass, self.acceleration, femur=femur, name=self.name)
 
 

@@ -49,8 +49,8 @@ def line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3) -> Lin
 class LineElement(Effect):
     """An effect along straight lines from its field `insertion` on the patella to `origin` on the guided `body` [m].
 
-    Subclasses declare these fields, in their own order among their fields, and how hard the lines pull. What others do
-    with a line of force (fit it, move or lengthen it in a treatment, draw it) they ask of it here.
+    Subclasses declare these fields, in their own order among their fields, and the tension. What other modules do
+    with a line of force (fit it, move or lengthen it in a treatment, draw it) goes through this interface.
     """
 
     elastic: ClassVar[bool] = False  # whether it has a stiffness and a slack length: see `ElasticLine`
@@ -74,7 +74,7 @@ class LineElement(Effect):
         return self.origin
 
     def with_origin_moved(self, by: Vec3) -> Self:
-        """With the other ends moved in their body's frame [m]."""
+        """The element with its other ends moved in their body's frame [m]."""
         return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
 
     def recentred(self, center_of_mass: Vec3) -> Self:
@@ -82,7 +82,7 @@ class LineElement(Effect):
         return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
 
     def in_still_femur(self, femur: SegmentMotion) -> Self | None:
-        """None where it is fixed to the ground, which would move then."""
+        """None if it is fixed to the ground, which would then move."""
         return None if self.body == "ground" else self
 
     def line_element(self) -> LineElement:
@@ -96,12 +96,12 @@ class LineElement(Effect):
         return None if jnp.ndim(x) == 0 else jnp.shape(x)[0]
 
     def line(self, now: Instant) -> Line:
-        """Where the lines run."""
+        """The lines at this instant."""
         return line_of_force(now, self.insertion, self.body, self.origin_at(now.time))
 
 
 class ElasticLine(LineElement):
-    """Lines that pull by how far they are stretched beyond the field `slack_length`, with the field `stiffness`."""
+    """Lines whose tension depends on their stretch beyond the field `slack_length`, with the field `stiffness`."""
 
     elastic: ClassVar[bool] = True
 
@@ -113,11 +113,11 @@ class ElasticLine(LineElement):
         def slack_length(self) -> Scalar: ...  # noqa: D102
 
     def lengthened(self, by: Scalar | float) -> Self:
-        """With a longer slack length [m]; of a group, every line's."""
+        """The element with a longer slack length [m]; in a group, that of every line."""
         return eqx.tree_at(lambda t: t.slack_length, self, self.slack_length + by)
 
     def stiffened(self, share: Scalar | float) -> Self:
-        """With its stiffness times a share."""
+        """The element with its stiffness multiplied by a share."""
         return eqx.tree_at(lambda t: t.stiffness, self, self.stiffness * share)
 
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
@@ -129,7 +129,7 @@ class ElasticLine(LineElement):
         raise self._unknown_tension()
 
     def held_tension(self, length: Scalar) -> Scalar:
-        """How hard it pulls when held at a length [m]: what `slack_length_for` takes.
+        """The tension when held at a length [m]: the inverse of `slack_length_for`.
 
         Raises:
             InputError: an effect that does not say.

@@ -33,7 +33,7 @@ from pftwin.model.effects.contact import (
 )
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 
-WIDE = 4  # times twice the largest triangle: a contour around more than that holds corners
+WIDE = 4  # multiple of twice the largest triangle: a contour around a larger area encloses corners
 
 
 class MeshContact(ButtonMesh):
@@ -44,9 +44,9 @@ class MeshContact(ButtonMesh):
     law: ContactLaw
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the patella's mesh; axes are the patella's
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
-    meshes: MeshPair | None = None  # laid out for the inner loop by `recentred`
+    meshes: MeshPair | None = None  # set by `recentred`: arrays laid out for the inner loop
     method: ClassVar[str] = "contours"
-    jumps: ClassVar[bool] = True  # where a corner or a triangle joins a contour
+    jumps: ClassVar[bool] = True  # the force jumps where a corner or a triangle joins a contour
     observables: ClassVar[dict[str, Observable]] = {
         **BY_FACET,
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),

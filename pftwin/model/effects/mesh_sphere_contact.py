@@ -88,7 +88,7 @@ class RoughMeshSphereContact(WithFriction, MeshSphereContact):
 
 
 def _shares(points: list[FacetPoint], radius: Scalar) -> list[Scalar]:
-    """What part of the law's force each facet's contact bears.
+    """The share of the law's force that each facet's contact bears.
 
     A nearest point on the seam, while the other facet is nearer, is no contact. Two that are both genuine bear all of
     the force where they are apart and half of it where they are one, as on a patch.

@@ -76,7 +76,7 @@ class MeshVolumeContact(ButtonSphere):
 
     @traced_once
     def touch(self, now: Instant, memory: Speeds) -> VolumeTouch:
-        """The overlap at this instant and what it does."""
+        """The overlap at this instant and its forces."""
         centre, velocity = self.centre_in_femur(now)
         found = overlap(sphere_patch(self.mesh, centre, self.radius), self.radius, self.effective_radius)
         speeds, s = memory or (None, None), found.merged
@@ -120,7 +120,7 @@ class MeshVolumeContact(ButtonSphere):
         return RoughMeshVolumeContact.of(self, friction)
 
     def recentred(self, center_of_mass: Vec3) -> Self:
-        """Sphere centre counted from the centre of mass; the mesh made ready for many looks."""
+        """Sphere centre counted from the centre of mass; the mesh prepared for repeated searches."""
         return eqx.tree_at(lambda e: e.mesh, super().recentred(center_of_mass), self.mesh.prepared())
 
     def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
@@ -156,6 +156,6 @@ class RoughMeshVolumeContact(WithFriction, MeshVolumeContact):
 
 
 def _together(a: StiffTerm, b: StiffTerm) -> StiffTerm:
-    """One term of two along the same direction."""
+    """Two terms along the same direction as one."""
     added = {name: getattr(a, name) + getattr(b, name) for name in ("force", "elastic", "stiffness", "damping")}
     return dataclasses.replace(a, **added)

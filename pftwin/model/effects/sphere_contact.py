@@ -22,7 +22,7 @@ from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch,
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
 
-SEARCH_STEPS = 10  # steps that find the contacts from nothing
+SEARCH_STEPS = 10  # iterations that find the contacts without a previous guess
 
 
 class ContactMemory(NamedTuple):
@@ -51,13 +51,13 @@ class SphereContact(ButtonSphere):
         return chart.to_frame(centre), chart.axes.unapply(velocity)
 
     def guess(self, now: Instant) -> ContactMemory:
-        """Both points below the sphere's centre, from where they find their way; no contact has begun yet."""
+        """Both points below the sphere's centre, from where the search continues; no contact has begun yet."""
         c, _ = self.centre_in_chart(now)
         foot = FollowedPoint(*self.surface.chart.foot(c), jnp.zeros_like(c.x))
         return ContactMemory((foot, foot), self.law.no_contact_yet(now.patella.position.x, 2))
 
     def remember(self, now: Instant) -> ContactMemory:
-        """Both points, found from nothing; no contact has begun yet."""
+        """Both points, found without a previous guess; no contact has begun yet."""
         c, _ = self.centre_in_chart(now)
 
         def improve(_: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> tuple[FollowedPoint, FollowedPoint]:
@@ -69,7 +69,7 @@ class SphereContact(ButtonSphere):
         return start._replace(places=jax.lax.fori_loop(0, SEARCH_STEPS, improve, start.places))
 
     def refined(self, memory: ContactMemory, trial: ContactMemory) -> ContactMemory:
-        """The look's points."""
+        """The memory with the trial's points."""
         return memory._replace(places=trial.places)
 
     @traced_once

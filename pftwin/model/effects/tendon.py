@@ -15,7 +15,7 @@ from pftwin.model.effects.base import Change, Instant, Load, Observable
 from pftwin.model.effects.line_elements import DAMPING, TOE, ElasticLine
 
 TOE_STRAIN = 0.06  # twice the reference strain of Blankevoort & Huiskes 1991, J Biomech Eng 113:263
-_NO_TOE = 1e-6  # a toe strain as good as none
+_NO_TOE = 1e-6  # a negligible toe strain
 _LINEAR = "linear from slack, the linear region as it is"
 
 

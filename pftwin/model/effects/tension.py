@@ -1,4 +1,4 @@
-"""Pulls of known size: muscles whose tension was measured or computed elsewhere."""
+"""Prescribed tensions: muscles whose tension was measured or computed elsewhere."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class PrescribedTension(LineElement):
 
     `tension` has shape (n_samples, n_lines), `origin` the same per coordinate, `insertion` (n_lines,). Between samples
     both are interpolated linearly; before the first and after the last they stay. A tension that depends on time alone
-    has no potential: `energy` is 0 and its work counts as the body's.
+    has no potential: `energy` is 0, and its work counts as external work.
     """
 
     tension: Scalar = eqx.field(metadata=quantity("N", at_least=0))
@@ -47,7 +47,7 @@ class PrescribedTension(LineElement):
         return self.at(time)[1]
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The pulls; their slopes are zero, so nothing of them is stiff."""
+        """The tensions' forces; their slopes are zero, so none of them is stiff."""
         tension, line = self.at(now.time)[0], self.line(now)
         zero = jnp.zeros_like(tension)
         term = line.term(tension, tension, zero, zero)

@@ -1,4 +1,4 @@
-r"""Tendons that are standard linear solids: stiffer the faster they are pulled, and slacker the longer they are held.
+r"""Tendons that are standard linear solids: they stiffen with the rate of stretch, and relax when held.
 
 A spring beside a spring and a dashpot in series, that cannot be pushed. With x the stretch beyond slack length, e the
 dashpot's and K0 = K + K1 the stiffness when pulled at once,
@@ -26,28 +26,28 @@ from pftwin.base.spatial import Scalar, Vec3
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.line_elements import ElasticLine, Line
 
-RELAXED = -1.0  # in place of the dashpot's stretch, which is never negative: relaxed at any length [m]
+RELAXED = -1.0  # stands for a dashpot relaxed at any length; a real stretch is never negative [m]
 
 
 class SolidPull(NamedTuple):
-    """What the solid does at an instant, or at the end of a step."""
+    """The solid's tension at an instant, or at the end of a step."""
 
     tension: Scalar  # [N]
-    stiffness: Scalar  # dF/dx: at once, or over the step with the dashpot that gives way meanwhile [N/m]
+    stiffness: Scalar  # dF/dx: instantaneous, or over a step in which the dashpot yields [N/m]
     energy: Scalar  # stored [J]
-    heat: Scalar  # rate at which the dashpot loses it, over a step its mean [W]
+    heat: Scalar  # power dissipated in the dashpot; over a step its mean [W]
     dashpot: Scalar  # e [m]
 
 
 class StandardLinearSolid(eqx.Module):
     """Its three constants."""
 
-    stiffness: Scalar  # K, when all is relaxed [N/m]
+    stiffness: Scalar  # K, fully relaxed [N/m]
     maxwell_stiffness: Scalar  # K1, of the spring in series with the dashpot [N/m]
-    relaxation_time: Scalar  # tau, of the tension under a stretch that is held [s]
+    relaxation_time: Scalar  # tau, of the relaxation of tension at a constant stretch [s]
 
     def resting(self, stretch: Scalar, dashpot: Scalar) -> Scalar:
-        """The dashpot's stretch, with `RELAXED` made a number."""
+        """The dashpot's stretch, with `RELAXED` replaced by its value."""
         return jnp.where(dashpot < 0, jnp.maximum(stretch, 0.0), dashpot)
 
     def at(self, stretch: Scalar, dashpot: Scalar) -> SolidPull:
@@ -130,14 +130,14 @@ class ViscoelasticTendon(ElasticLine):
         return jnp.maximum(self.line(now).length - self.slack_length, 0.0)
 
     def guess(self, now: Instant) -> Scalar:
-        """A dashpot that is relaxed whatever the length: an equilibrium is looked for among such."""
+        """A dashpot that is relaxed at any length, as in the search for equilibrium."""
         return RELAXED * jnp.ones_like(self.line(now).length)
 
     def load(self, now: Instant, memory: Scalar) -> tuple[Load, Scalar]:
         """Its pull, and the dashpot one step later.
 
-        That is where the present velocity leads in the step. What the step does to the velocity moves the dashpot
-        in the second order only, and what it does to the tension is in the stiffness.
+        The dashpot moves as the present velocity stretches it. The step's change of velocity affects the dashpot
+        to second order only; its effect on the tension is in the stiffness.
         """
         line = self.line(now)
         stretch = line.length - self.slack_length
@@ -151,7 +151,7 @@ class ViscoelasticTendon(ElasticLine):
         return self._load(line, pull), later.dashpot
 
     def _load(self, line: Line, pull: SolidPull) -> Load:
-        # The tension is all elastic: what the dashpot loses does not depend on how fast the ends move apart.
+        # The tension is all elastic: the dashpot's loss does not depend on the speed of the ends.
         term = line.term(pull.tension, pull.tension, pull.stiffness, jnp.zeros_like(pull.tension))
         return Load(stiff=(term,), energy=jnp.sum(pull.energy), heat=jnp.sum(pull.heat))
 

@@ -1,1 +1,1 @@
-"""What accuracy costs in time: contact models, integrators, steps and float types measured side by side on a scene."""
+"""The cost of accuracy in time: contact models, integrators, steps and float types measured side by side on a scene."""

@@ -30,7 +30,7 @@ from pftwin.studies.accuracy.programs import (
 )
 from pftwin.studies.runs import Difference, difference, rms, time_in_turn
 
-SceneOf = Callable[[str], Scene]  # from a contact's name, in JAX's present float type
+SceneOf = Callable[[str], Scene]  # makes a scene from a contact's name, in JAX's current float type
 GRADIENT_SUBSTEPS = 2
 
 
@@ -50,15 +50,15 @@ class AccuracyRow:
     dislocation_ms: float  # time of the first dislocation, less the converged run's
     measured_mm: float  # mean distance of the button's centre from the measurements
     real_time: float  # one run with all results, without its equilibrium: x real time
-    real_time_batch: float  # the same of each of 64 variants side by side: x real time of all together
+    real_time_batch: float  # 64 variants side by side: x real time, of all together
     compile_s: float  # tracing and compiling one run
-    gradient: float  # a run with four forward derivatives, in plain runs
+    gradient: float  # time of a run with four forward derivatives, in plain runs
     status: str
 
 
 @dataclass(frozen=True)
 class Converged:
-    """The run that errors of a contact model are taken from, and how far another integrator's is from it."""
+    """The reference run of a contact model, and its difference from another integrator's."""
 
     result: Result
     doubt_mm: float
@@ -66,14 +66,14 @@ class Converged:
 
 @contextlib.contextmanager
 def float_type(name: str) -> Iterator[None]:
-    """JAX in that precision."""
+    """JAX set to that precision."""
     with jax.enable_x64(name == "float64"):
         yield
 
 
 @contextlib.contextmanager
 def compiling_anew() -> Iterator[None]:
-    """Nothing comes from the folder of compiled programs: times of compiling are those of a first run."""
+    """The folder of compiled programs is not used, so that compile times are those of a first run."""
     from jax.experimental.compilation_cache import compilation_cache
 
     kept = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
@@ -87,7 +87,7 @@ def compiling_anew() -> Iterator[None]:
 
 
 def converged(scene: Scene, contact: str) -> Converged:
-    """By Newmark's method (on meshes by backward differences), with a second integrator to doubt it by; float64."""
+    """Newmark's method (on meshes backward differences), checked by a second integrator; float64."""
     mesh = contact in MESHES
     names = ("linear_implicit_bdf2", "linear_implicit") if mesh else ("newmark", "linear_implicit_bdf2")
     start, relaxed = settle(scene.unnamed())

@@ -1,4 +1,4 @@
-"""What is measured: contact models, integrators, float types and steps, and the functions whose times are taken."""
+"""The plan of measurements: contact models, integrators, float types and steps, and the functions to time."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from pftwin.dynamics.observe import Observation, observe, tracked_center
 from pftwin.model.scene import Scene
 
 VARIANTS = 64
-SPREAD = 0.02  # of the variants' mass, to either side
-COLUMNS = 4  # parameters that derivatives are taken by, at most
+SPREAD = 0.02  # range of the variants' mass, to either side
+COLUMNS = 4  # most parameters for derivatives
 FITTED = (".stiffness", ".slack_length")
 
 
@@ -86,16 +86,16 @@ def _parameters(scene: Scene) -> list[int]:
 
 SUBSTEPS = (1, 2, 5, 10, 20, 50)  # of 10 ms frames: 10 to 0.2 ms
 SHORT = (10, 20, 50, 100, 200)  # explicit steps are unstable in contact above 0.4 ms
-ADAPTIVE = (1, 2, 10)  # the solver chooses its own steps within these
+ADAPTIVE = (1, 2, 10)  # the solver chooses its own steps within these intervals
 REFERENCE = 256  # substeps of the converged run
 ON_MESHES = (1, 2, 5, 10, 20)  # 0.5 ms: what the meshes' facets cost is more than shorter steps gain
 REFERENCE_ON_MESHES = 100
-CYLINDER = "-cylinder"  # of a patch's name: over a cylinder instead of a plane
+CYLINDER = "-cylinder"  # ending of a patch's name: over a cylinder instead of a plane
 SMOOTH = ("P2", "P4", "P5", "P5-cylinder", "P8", "spline")
 MESHES = ("CM", "FM", "volume")
 COMMON = ("linear_implicit", "linear_implicit_bdf2", "newmark", "quasi_static")
 FURTHER = ("symplectic_euler", "diffrax:Tsit5")
-PAPERS = "ali3p"  # some hundred times slower than the rest: on P5 and on the coarse mesh
+PAPERS = "ali3p"  # some hundred times slower than the rest: measured on P5 and the coarse mesh only
 LONG = (1, 2, 5, 10)  # its steps, 1 ms as in the paper among them
 FLOATS = ("float64", "float32")
 
@@ -120,7 +120,7 @@ class MeasuredProgram(NamedTuple):
 
 
 def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence[str]) -> list[MeasuredProgram]:
-    """Everything with everything, batches and derivatives included.
+    """All combinations, with batches and derivatives.
 
     Raises:
         InputError: an unknown integrator or float type.

@@ -1,4 +1,4 @@
-"""Measures a plan on a scene, writes what was found, and keeps what was measured if something fails midway."""
+"""Measures a plan on a scene and writes the results; rows measured before a failure are kept."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def measure_all(
         plan: what to measure.
         scene_of: makes the scene with a contact, in JAX's present float type.
         measured: of the motion, if there are any.
-        tell: gets a line before each piece of work.
-        keep: gets all rows so far after each, to put them where they are not lost.
+        tell: called with a line before each piece of work.
+        keep: called with all rows so far after each one, to store them.
     """
     references: dict[str, Converged] = {}
 
@@ -61,7 +61,7 @@ def measure_all(
     with compiling_anew():
         found = run_each(plan, one, before=before, after=lambda pieces: keep([r for p in pieces for r in p]))
     if len(found) < len(plan):
-        raise KeyboardInterrupt  # `keep` has what was measured
+        raise KeyboardInterrupt  # `keep` has the measured rows
     models = {} if measured is None else {c: _against(r, measured) for c, r in references.items()}
     return AccuracyMeasured([row for piece in found for row in piece], references, models)
 

@@ -1,4 +1,4 @@
-"""The rows as columns, tables and figures: everything, the front of best settings, and a few recommendations."""
+"""The rows as columns, tables and figures: all settings, the front of the best, and recommendations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors that settings are recommended for [mm]
-ALIKE = 0.9  # ratio of two speeds that measuring again may turn around
+ALIKE = 0.9  # ratio of two speeds within the noise of measurements
 ABOUT = {
     "order": ("1", "order that the integrator declares"),
     "step_ms": ("ms", "step"),
@@ -55,7 +55,7 @@ def columns(rows: Sequence[AccuracyRow]) -> list[Column]:
 
 
 def read_csv(path: str | os.PathLike[str]) -> list[AccuracyRow]:
-    """Rows that were kept, of this version or of one that knew fewer columns: what it lacks is NaN.
+    """Rows that were kept, of this version or of one that knew fewer columns: missing values are NaN.
 
     Raises:
         InputError: no such file, or one without the columns that make a row.
@@ -121,7 +121,7 @@ def everything(rows: Sequence[AccuracyRow]) -> Sheet:
 
 
 def overview(rows: Sequence[AccuracyRow]) -> Sheet:
-    """What fits a terminal; the rest is in the files."""
+    """The columns that fit a terminal; the rest is in the files."""
     found, groups = [], []
     for r in rows:
         name = f"{r.contact}, {r.integrator}, {r.dtype}"

@@ -1,1 +1,1 @@
-"""What each effect of a scene costs and is worth: `pftwin explain` and `pftwin audit`."""
+"""Cost and worth of each effect of a scene: `pftwin explain` and `pftwin audit`."""

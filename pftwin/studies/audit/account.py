@@ -1,4 +1,4 @@
-"""What each part of a scene does along a motion: work, heat and the rates at which it gives way."""
+"""Work, heat and fastest rates of each part of a scene along a motion."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from pftwin.studies.audit.step import Rates, frame_time, guide_over, one_step, r
 
 
 class PartAccount(NamedTuple):
-    """What one part did over the run."""
+    """The account of one part over the run."""
 
     work: Scalar  # done on the patella [J]
     moved: Scalar  # the same, whichever way it went: the integral of the power's size [J]
-    heat: Scalar  # that it turned work and what it stores into [J]
+    heat: Scalar  # heat that it dissipated [J]
     fastest: Rates  # the largest of any step
 
 
 class Account(eqx.Module):
-    """The run."""
+    """The accounts of a run."""
 
     states: State  # at the recorded frames (leading axis n)
     status: Array  # (n,) bits of `Status`
@@ -46,7 +46,7 @@ class Account(eqx.Module):
 def account(scene: Scene, start: Solution, integrator: Integrator, substeps: int) -> Account:
     """The run from an equilibrium.
 
-    Power is taken at the end of every step, from loads looked at there: the works' sum differs from the change of
+    Power is taken at the end of every step, from the loads there: the sum of works differs from the change of
     kinetic energy by an error of first order in the step.
     """
     chosen, system, motion = integrator, System.of(scene), scene.motion
@@ -113,7 +113,7 @@ class EffectPart:
 
 
 def separable(effect: Effect) -> list[tuple[Change, Callable[[Any], Any]]]:
-    """What of an effect has a load of its own, with the way from the whole's memory to the rest's."""
+    """The separable part of an effect, and the conversion from the whole's memory to the rest's."""
     return [(c, c.memory) for c in effect.simplifications() if c.memory is not None]
 
 

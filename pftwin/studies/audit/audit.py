@@ -1,4 +1,4 @@
-"""What each effect of a scene is worth: the run changed by leaving it out, or by putting in what it lacks."""
+"""The worth of each effect of a scene: how the run changes without it, or with an effect that the scene lacks."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from pftwin.studies.runs import Cost, run_each, time_in_turn
 
 @dataclass(frozen=True)
 class Worth:
-    """One variant beside the scene."""
+    """One variant compared with the scene."""
 
     name: str
     kind: Kind
     sentence: str
     changes: Changes | None  # None where there is nothing to compare
     cost: float | None  # time that it takes, as a share of the scene's run; None where it ran beside others
-    spread: float | None  # of that: half of what the middle half of the rounds covers
-    outcome: str  # what became of the run, where it differs from the scene's own; empty where it does not
+    spread: float | None  # of that share: half the interquartile range of the rounds
+    outcome: str  # how the run's outcome differs from the scene's own; empty where it does not
     verdict: str
 
 
@@ -44,7 +44,7 @@ class Audit:
     step: float  # [s]
     tolerance: float  # of the tracked point's place [m]
     run_time: float | None  # of the scene's own run: median [s]; None where an interrupt came before times were taken
-    tracking: str | None  # what the patella does in the scene; None without a contact surface
+    tracking: str | None  # the patella's tracking in the scene; None without a contact surface
     status: str
     programs: int  # compiled: of motion and of equilibrium
     rows: tuple[Worth, ...]
@@ -53,7 +53,7 @@ class Audit:
 
     @property
     def interrupted(self) -> bool:
-        """Whether Ctrl-C came before all was done: the rows that there are hold, some or all without their times."""
+        """Whether Ctrl-C came before the end: the existing rows are valid, some or all without their times."""
         return self.run_time is None
 
     def to_dict(self) -> dict[str, Any]:

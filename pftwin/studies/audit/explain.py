@@ -1,4 +1,4 @@
-"""What each effect of a scene costs and does: equations, time, stiffness, energy."""
+"""Cost and action of each effect of a scene: equations, time, stiffness, energy."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class PartCost:
     name: str
     kind: str
     of: str | None  # the effect that it belongs to and is part of
-    equations: int  # that it adds to a step
-    share: float  # of a step's time that goes when it is left out
-    spread: float  # half of what the middle half of the rounds covers
-    longest_step: float  # of an explicit method with it alone, at the run's worst moment; inf: any [s]
+    equations: int  # equations that it adds to a step
+    share: float  # share of a step's time saved without it
+    spread: float  # half the interquartile range of the rounds
+    longest_step: float  # longest stable explicit step with it alone, at the run's worst moment; inf: any [s]
     stiff: bool  # whether that is less than the step
     work: float  # done on the patella over the run [J]
-    moved: float  # the same, whichever way it went [J]
-    heat: float  # that it made [J]
+    moved: float  # the same, taken absolutely [J]
+    heat: float  # heat that it dissipated [J]
 
 
 @dataclass(frozen=True)
@@ -51,21 +51,21 @@ class Explanation:
     parts: tuple[PartCost, ...]
     kinetic_change: float  # of the patella's kinetic energy over the run [J]
     status: Status
-    programs: int  # compiled for it
+    programs: int  # number of programs compiled
 
     @property
     def shared_equations(self) -> int:
-        """Of the step that no part adds by itself: inertia, guided motion, the step's own solution."""
+        """Equations of a step that belong to no part: inertia, guided motion, the step's own solution."""
         return self.equations - sum(p.equations for p in self.parts if p.of is None)
 
     @property
     def shared_time(self) -> float:
-        """Share of a step's time that no part takes by itself."""
+        """Share of a step's time that belongs to no part."""
         return 1 - sum(p.share for p in self.parts if p.of is None)
 
     @property
     def energy_gap(self) -> float:
-        """The effects' works less the change of kinetic energy: how far the account is off [J]."""
+        """The error of the account: the effects' works less the change of kinetic energy [J]."""
         return sum(p.work for p in self.parts if p.of is None) - self.kinetic_change
 
     def to_dict(self) -> dict[str, Any]:

@@ -28,7 +28,7 @@ _SHOWN = (
     ("contact_rms_N", "contact rms [N]"),
     ("tension_rms_N", "tension rms [N]"),
 )
-_LONG = 1.0  # [s]: steps beyond are no limit
+_LONG = 1.0  # [s] longer stable steps count as no limit
 
 
 def explanation_sheet(found: Explanation) -> Sheet:
@@ -145,7 +145,7 @@ def _percent(found: Audit, field: str) -> list[float]:
 
 
 def table(found: Audit) -> list[Column]:
-    """The figures between what was changed and what is said of it."""
+    """The columns of figures between the change and the verdict."""
     rows = found.rows
     first = Column("change", [r.kind for r in rows]), Column("what", [r.name for r in rows])
     tensions = Column("tension_of", [(r.changes.tension_of if r.changes else None) or "" for r in rows])
@@ -154,7 +154,7 @@ def table(found: Audit) -> list[Column]:
 
 
 def interruption(found: Audit) -> str:
-    """What is missing of an audit that was interrupted."""
+    """What an interrupted audit lacks."""
     missing = f"not run: {', '.join(found.missing)}" if found.missing else "all variants run"
     return f"interrupted; {missing}; times were not measured"
 
@@ -176,8 +176,8 @@ def dataset(found: Audit) -> Dataset:
 
 
 _COLOUR = {"left out": COLOURS[0], "put in": COLOURS[1], "changed": COLOURS[2], "yardstick": "0.55"}
-_MOST = 150.0  # [%]: times beyond are written out
-_LEAST = 1e-3  # [mm], [N]: changes below are drawn as if they were none
+_MOST = 150.0  # [%] longer times are written as numbers
+_LEAST = 1e-3  # [mm], [N] smaller changes are drawn as zero
 
 
 def audit_figure(found: Audit, title: str) -> Figure:
@@ -211,7 +211,7 @@ def audit_figure(found: Audit, title: str) -> Figure:
 
 
 def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> None:
-    """On a logarithmic axis, which starts where changes stop to matter."""
+    """Bars on a logarithmic axis that starts at the smallest change that matters."""
     ends = np.array(largest.values)
     high = max(10 * _LEAST, np.nanmax(ends, initial=_LEAST))
     axes.set_xscale("log")
@@ -236,7 +236,7 @@ def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> 
 
 
 def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Column) -> None:
-    """Shares beyond the axis are written out."""
+    """Bars of time; shares beyond the axis are written as numbers."""
     inside = [v for v in share.values if abs(v) <= _MOST]
     low, high = min(-10.0, *inside), max(10.0, *inside)
     margin = 0.15 * (high - low)
@@ -254,7 +254,7 @@ def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Colum
         if drawn == value:
             axes.errorbar(value, i, xerr=spread.values[i], color="black", linewidth=0.8, capsize=2)
         else:
-            # On the other side of the axis, where there is room.
+            # on the other side of the axis, where there is space
             side = {"ha": "left", "xytext": (4, 0)} if value < 0 else {"ha": "right", "xytext": (-4, 0)}
             axes.annotate(f"{value:+,.0f} %", (0, i), textcoords="offset points", va="center", fontsize=SMALL, **side)
     axes.grid(False, axis="y")

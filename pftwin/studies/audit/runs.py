@@ -1,4 +1,4 @@
-"""Variants run one by one, or side by side where only numbers differ, and how far each is from the scene's own run."""
+"""Runs variants one by one, or side by side where only numbers differ, and compares each with the scene's own run."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def run_side_by_side(
 ) -> list[VariantRun]:
     """Variants of the base in numbers only, each from its own equilibrium, in one program.
 
-    One whose search fails runs alone once more, by the base's program.
+    A variant whose search fails runs again alone, by the base's program.
 
     Raises:
         InputError: a parameter that cannot give a right answer.
@@ -102,7 +102,7 @@ def _result(scene: Scene, start: Solution, seen: Observation, relaxed: bool, int
     return Result.build(scene, start, seen, None, relaxed=relaxed, settings=settings, timing={})
 
 
-LOST = 0.1  # [m] from its own path: no patella goes so far
+LOST = 0.1  # largest plausible distance from its own path [m]
 
 
 @dataclass(frozen=True)
@@ -116,13 +116,13 @@ class Changes:
     tilt: float  # rms [rad]
     contact_rms: float | None  # of the button's contact force [N]; None where either has none
     contact_max: float | None  # [N]
-    tension_rms: float | None  # of the tension that changes most among those that both have [N]
+    tension_rms: float | None  # rms of the tension that changes most among those that both have [N]
     tension_max: float | None  # [N]
-    tension_of: str | None  # whose that is
+    tension_of: str | None  # the effect with that tension
 
 
 def lost(result: Result, own: Result) -> str | None:
-    """Why a run gives no figures to compare; None where it does. `own` is the scene's run."""
+    """Why a run cannot be compared; None if it can. `own` is the scene's run."""
     if not result.equilibrium.converged and own.equilibrium.converged:
         return "no equilibrium to start from"
     if Status.NOT_FINITE in result.status:

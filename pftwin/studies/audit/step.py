@@ -31,7 +31,7 @@ def guide_over(piece: MotionPiece, began: Scalar, step: Scalar) -> GuideAt:
 
 
 def step_length(motion: KneeMotion, substeps: int) -> Scalar:
-    """Of so many steps between two frames [s]."""
+    """Length of a step, for so many between two frames [s]."""
     return jnp.asarray(motion.frame_interval / substeps, dtype=float)
 
 
@@ -41,13 +41,13 @@ def frame_time(motion: KneeMotion, index: Scalar) -> Scalar:
 
 
 def one_step(system: System, state: State, guide_at: GuideAt, step: Scalar, integrator: Integrator) -> State:
-    """The state one step later; no account is kept."""
+    """The state one step later, without a ledger."""
     return integrator.advance(system, state, guide_at, step, None)[0]
 
 
 @Program
 def through_frames(scene: Scene, states: State, integrator: Integrator, substeps: int) -> Scalar:
-    """All steps of a run, every frame from its own given state; a number that all of them enter."""
+    """Runs all steps, each frame from its own given state; returns a number that depends on all of them."""
     system, motion = System.of(scene), scene.motion
     step = step_length(motion, substeps)
 
@@ -63,7 +63,7 @@ def through_frames(scene: Scene, states: State, integrator: Integrator, substeps
     return jax.lax.fori_loop(0, motion.n_frames - 1, one_frame, jnp.zeros((), float))
 
 
-# A call is what is in it, however JAX's versions name it.
+# Counts the body of a call, whatever JAX's version names it.
 _CALLS = ("pjit", "jit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "checkpoint", "remat")
 
 
@@ -88,7 +88,7 @@ def _givens(scene: Scene, integrator: Integrator) -> tuple[System, State, Motion
 
 
 def count(jaxpr: Jaxpr) -> int:
-    """Equations of which the results come; a call counts as what is in it, a loop as its body."""
+    """Equations that contribute to the results; a call counts as its content, a loop as its body."""
     needed = {v for v in jaxpr.outvars if isinstance(v, Var)}
     found = 0
     for eqn in reversed(jaxpr.eqns):

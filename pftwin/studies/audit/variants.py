@@ -1,4 +1,4 @@
-"""The variants that an audit runs: what a scene can do without, what it lacks and could have, other inertia."""
+"""The variants of an audit: effects left out, effects added, other inertia."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ KINDS: tuple[Kind, ...] = get_args(Kind)  # in the order of tables
 
 @dataclass(frozen=True)
 class Variant:
-    """What is changed, and the scene with the change."""
+    """A change, and the scene with it."""
 
     name: str
     kind: Kind
     sentence: str
     scene: Scene
     alike: bool = False  # whether only numbers differ, so that it is run side by side with its like
-    integrator: Integrator | None = None  # in the place of the scene's
+    integrator: Integrator | None = None  # in place of the scene's
     refine: int = 1  # how many steps there are for each one
 
 
 @dataclass(frozen=True)
 class NotApplicable:
-    """What cannot be left out or put in here, and why."""
+    """A change that does not apply here, and why."""
 
     name: str
     kind: Kind

@@ -1,1 +1,1 @@
-"""Contact at recorded poses: what presses where, frame by frame, without simulating anything."""
+"""Contact at recorded poses: pressure maps frame by frame, without a simulation."""

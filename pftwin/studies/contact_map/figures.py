@@ -145,7 +145,7 @@ def dataset(found: ContactMap, button: SurfaceMesh, settings: dict[str, Any]) ->
 
 
 def compressed(data: Dataset) -> dict[str, dict[str, Any]]:
-    """How the maps are written: most of them are empty."""
+    """Compression of the maps in files: most of their values are empty."""
     return {name: {"zlib": True, "complevel": 4} for name in ("depth", "pressure") if name in data}
 
 

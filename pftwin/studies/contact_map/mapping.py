@@ -26,7 +26,7 @@ from pftwin.geometry.mesh.mesh import PLAUSIBLE, UNITS, SurfaceMesh, load_mesh, 
 from pftwin.model.effects.foundation_law import FoundationLaw
 from pftwin.studies.runs import run_each
 
-BAND = 1e-3  # [m] how far from the femur a triangle's distance is still told
+BAND = 1e-3  # distance from the femur up to which depths are computed [m]
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -55,7 +55,7 @@ class ContactMap:
 
     @property
     def too_deep(self) -> NDArray[np.bool_]:
-        """(n,) whether a triangle is deeper than any joint bears: no contact of these two parts is meant."""
+        """(n,) whether a triangle is deeper than plausible in a joint: the two parts then do not belong together."""
         return self.largest_depth > DEEPEST
 
 
@@ -76,7 +76,7 @@ def map_contact(
         law: pressure over depth.
         poses: of the button's frame in the femur's.
         triangles: of the button's mesh.
-        band: how far outside triangles are still told how far [m].
+        band: distance outside the femur up to which triangles' depths are given [m].
         progress: told after each frame how many frames are done, and of how many.
 
     Returns:
@@ -114,7 +114,7 @@ def _frame(
     quaternion: Array,
     band: float,
 ) -> dict[str, Array]:
-    """One frame; the list has room for every triangle, so nothing is lost."""
+    """The contact of one frame; the list holds every triangle, so none is lost."""
     at = Vec3.from_array(position)
     found = depths(button, femur, at, Quaternion.from_array(quaternion).rotation(), band=band)
     answer = law.press(jnp.where(found.listed, found.depth, -1.0))
@@ -157,7 +157,7 @@ def _spread(frame: dict[str, np.ndarray], key: str, triangles: int, otherwise: f
     return whole
 
 
-_LOOKS = 5  # frames that are looked at before anything is computed
+_LOOKS = 5  # frames checked before anything is computed
 
 
 def load_pair(
@@ -243,5 +243,5 @@ def status(found: ContactMap) -> NDArray[np.int32]:
 
 
 def _look(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries, k: int) -> MutualPlace:
-    """How they lie to each other in a frame."""
+    """How button and femur lie to each other in a frame."""
     return mutual_place(femur, button, poses.positions[k], poses.matrices()[k])

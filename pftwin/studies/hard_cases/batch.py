@@ -25,7 +25,7 @@ from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, Rest, compil
 
 
 class CaseBatch(NamedTuple):
-    """Cases of one structure, one behind the other along the leading axis of every array."""
+    """Cases of one structure, stacked along the leading axis of every array."""
 
     cases: tuple[HardCase, ...]
     scenes: Scene
@@ -35,7 +35,7 @@ def built(case: HardCase, contact: str) -> Scene:
     """The case as a scene that may be simulated.
 
     Raises:
-        InputError: what the case is refused with.
+        InputError: the case is refused.
     """
     knee = case.builder()
     scene = knee.scene(contact_on(knee, contact), case.name)
@@ -60,7 +60,7 @@ def batches(cases: Sequence[HardCase], contact: str) -> tuple[list[CaseBatch], d
 
 
 def stacked(trees: Sequence[Any]) -> Any:
-    """Values of one structure as one, with a leading axis.
+    """Values of one structure, stacked along a leading axis.
 
     Raises:
         InputError: values of several structures, by the first that differs.
@@ -103,17 +103,17 @@ def part(batch: CaseBatch, which: list[int]) -> CaseBatch:
     return CaseBatch(tuple(batch.cases[k] for k in which), jax.tree.map(lambda a: a[at], batch.scenes))
 
 
-LARGEST = 2000  # steps of a run that is looked at: side by side all take as many as the longest
-AGREE = {"float64": 1e-10, "float32": 1e-4}  # of poses side by side with different mates [m, quaternion components]
+LARGEST = 2000  # steps of the runs compared: side by side all take as many as the longest
+AGREE = {"float64": 1e-10, "float32": 1e-4}  # of poses, beside other batch mates [m, quaternion components]
 
 
 def batch_mates(
     batch: CaseBatch, starts: Any, substeps: Any, plain: CaseRun, method: CaseIntegrator, dtype: str
 ) -> dict[str, str]:
-    """By case: what differs.
+    """By case: how its result depends on the rest of the batch.
 
     All cases run side by side (`jax.vmap`), in reversed order with every second one NaN in all its numbers, and then
-    with the others NaN. What is left has to be what the undisturbed batch, in its own order, gives.
+    with the others NaN. The remaining results must equal those of the undisturbed batch in its own order.
     """
     if not method.side_by_side:
         return {}
@@ -141,7 +141,7 @@ def batch_mates(
 
 
 def _poisoned(scenes: Any, which: Any) -> Any:
-    """Numbers of the chosen members made NaN; whole numbers, which are a mesh's order, stay."""
+    """The batch with all numbers of the chosen members NaN; integers, which order a mesh, stay."""
 
     def spoil(a: Any) -> Any:
         if not eqx.is_inexact_array(a):
@@ -164,7 +164,7 @@ def starts_of(batch: CaseBatch, dtype: str) -> Starts:
     search, nothing = compiled(rest, double), jnp.zeros((n, len(PARAMETERS)))
     found: Rest = search(batch.scenes, nothing)
     scenes, wanted = batch.scenes, np.array([not c.released for c in batch.cases])
-    lost = ~_converged(found.equilibrium) & wanted  # one that is let go stays where it was put
+    lost = ~_converged(found.equilibrium) & wanted  # a patella released from its start pose keeps that pose
     if lost.any():
         there = compiled(relaxed, double)(scenes)
         usable = lost & ~thrown(scenes.start, there)
@@ -210,7 +210,7 @@ def _wrong(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) 
         reference = derivatives.differences(np.stack(sides[0]), np.stack(sides[1]))
     for k, case in enumerate(batch.cases):
         if case.released or not converged[k]:
-            continue  # a search that fails is a flag of every frame
+            continue  # a failed search flags every frame
         words = derivatives.not_finite(columns[k][None], np.array([True]))
         if words is None and case.expected.smooth and reference is not None:
             words = derivatives.disagree(columns[k], reference[k], dtype)

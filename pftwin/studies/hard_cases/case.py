@@ -1,4 +1,4 @@
-"""What a hard case is, which integrators run it, and where a kind of contact has no answer and says so (page.md)."""
+"""Hard cases, the integrators that run them, and the stated limits of each kind of contact (page.md)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from pftwin.studies.hard_cases.knee import KneeNumbers
 
 NOTHING = Status.OK
 RELEASED = Status.START_NOT_IN_EQUILIBRIUM
-UNKNOWN = (  # what a simulation may refuse itself with
+UNKNOWN = (  # flags by which a simulation refuses its own result
     Status.NOT_FINITE | Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
 )
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What has to come out, beside what holds of every case (see `pftwin.studies.hard_cases.invariants`).
+    """The expected outcome, beside what holds for every case (see `pftwin.studies.hard_cases.invariants`).
 
-    Flags of geometry are not listed: those of no contact and of deep indentation have to be there where an
-    exhaustive search for the nearest point says so, and nowhere else.
+    Geometric flags are not listed: those of no contact and of deep indentation must appear where an
+    exhaustive search for the nearest point finds them, and nowhere else.
     """
 
-    must: Status = NOTHING  # flags that some frame has
+    must: Status = NOTHING  # flags that some frame must have
     may: Status = NOTHING  # flags that frames may have
     smooth: bool = False  # whether derivatives have to agree with finite differences
     symmetric: bool = False  # about the femur's plane y = 0
@@ -48,24 +48,24 @@ class HardCase:
     builder: Callable[[], KneeNumbers]
     expected: Expected = Expected()
     step: float = 1e-3  # [s]
-    released: bool = False  # starts where it is put, at rest, and not in its equilibrium
-    contacts: tuple[str, ...] = CONTACTS  # that it can be had with
+    released: bool = False  # released at rest from the scene's start pose, not from its equilibrium
+    contacts: tuple[str, ...] = CONTACTS  # kinds of contact that it exists for
     group: str = "short"  # cases of one group have motions of one length and meshes of one structure
-    unmended: str | None = None  # where it fails, and what is known of that
+    unmended: str | None = None  # known failures, and their reasons
 
 
 class CaseIntegrator(NamedTuple):
     """An integrator, and how it is used here."""
 
     name: str  # as `pftwin.dynamics.integrators` has it
-    longest_step: float = 1.0  # that the matrix gives it [s]
+    longest_step: float = 1.0  # in the matrix [s]
     most_steps: int | None = None  # of a run: cases that need more are left out; None: no limit
-    may_refuse: bool = False  # whether it may say that a step is too long for a case, where the case does not
-    inertia: bool = True  # without: energy is the stored one alone, and equilibria that end are told by a flag
+    may_refuse: bool = False  # whether it may flag a step as too long where the case does not expect it
+    inertia: bool = True  # without it energy is the stored one alone, and the end of a branch is flagged
     only: tuple[str, ...] | None = None  # kinds of contact that it runs with; None: all
     float32: bool = True
-    differentiated_on: tuple[str, ...] | None = None  # kinds of contact with which derivatives are looked at; None: all
-    side_by_side: bool = True  # whether batches of it are looked at too
+    differentiated_on: tuple[str, ...] | None = None  # kinds of contact with which derivatives are checked; None: all
+    side_by_side: bool = True  # whether its batches are checked too
 
 
 QUICK = (*PATCHES, "volume")  # derivatives on contours take tens of minutes but for the linearly implicit steps
@@ -78,7 +78,7 @@ INTEGRATORS = (
     ),  # a batch compiles for minutes
     CaseIntegrator("symplectic_euler", longest_step=1e-4, may_refuse=True, differentiated_on=QUICK),
     CaseIntegrator("diffrax:Tsit5", may_refuse=True, only=("P5",), float32=False),
-    # By volume its derivatives were not there after 40 minutes, most of it compiling.
+    # Its derivatives by volume take more than 40 minutes, most of it compiling.
     CaseIntegrator("quasi_static", may_refuse=True, inertia=False, side_by_side=False, differentiated_on=PATCHES),
     # Some 0.3 ms a step, and so few steps; undamped, as Newmark's method.
     CaseIntegrator(
@@ -94,16 +94,16 @@ INTEGRATORS = (
 
 
 def method_named(name: str) -> CaseIntegrator:
-    """The entry of `INTEGRATORS`, or any other integrator with its default settings."""
+    """The integrator of that name in `INTEGRATORS`, or any other with its default settings."""
     return next((m for m in INTEGRATORS if m.name == name), CaseIntegrator(name))
 
 
 class KnownRefusal(NamedTuple):
-    """What runs on a kind of contact may refuse themselves with."""
+    """Flags by which runs on a kind of contact may refuse their own result."""
 
     flags: Status = Status.OK
-    at_rim: Status = Status.OK  # and where they have said by then that a contact reaches over the rim of an open mesh
-    without_inertia: str | None = None  # words with which integrators without inertia are refused
+    at_rim: Status = Status.OK  # once a contact reaches over the rim of an open mesh, which is flagged too
+    without_inertia: str | None = None  # words of the error for integrators without inertia
 
 
 _NONE = KnownRefusal()
@@ -116,5 +116,5 @@ LIMITS = {
 
 
 def limit_of(contact: str) -> KnownRefusal:
-    """What runs on a kind of contact may refuse themselves with."""
+    """Flags by which runs on a kind of contact may refuse their own result."""
     return LIMITS.get(contact, _NONE)

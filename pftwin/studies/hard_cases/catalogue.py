@@ -1,4 +1,4 @@
-"""The catalogue of cases, as cases.toml has it."""
+"""The catalogue of cases, read from cases.toml."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ KNEES = {
         quadriceps=TendonNumbers(156, 0.06, (0.02, 0, -0.008), (0.1, 0.0, RADIUS - 0.02)),
         patellar_tendon=TendonNumbers(156, 0.06, (-0.02, 0, -0.008), (-0.1, 0.0, RADIUS - 0.02)),
     ),
-    # A button of triangles comes down on one of them: on a corner it would stand, and fall to a side by rounding.
+    # A button of triangles lands on one of them: on a corner it would balance, and fall to a side by rounding.
     "on_mesh": replace(FREE, ground=GROUNDS["floor"], start=(0.004, 0.006, RADIUS + 5e-4), turn=(0.0, 0.087, 0.0)),
 }
 _NAMED: dict[str, Mapping[str, Any]] = {
@@ -78,7 +78,7 @@ def _knee(entry: dict[str, Any]) -> KneeNumbers:
 
 
 def _changed(value: Any, change: dict[str, Any]) -> Any:
-    """A dataclass with some fields others, those of its own dataclasses by tables of their fields."""
+    """A dataclass with changed fields; nested dataclasses are changed by tables of their fields."""
 
     def field(key: str, new: Any) -> Any:
         if isinstance(new, dict):

@@ -1,4 +1,4 @@
-"""The kinds of contact that cases run with, all of one kind with arrays of one shape: they are stacked into a batch."""
+"""The kinds of contact that cases run with; all of one kind have arrays of one shape, so that they can be stacked."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ MESHES = ("contours", "volume")
 CONTACTS = (*PATCHES, *MESHES)
 
 BUTTON = 8  # frequency of the button's icosphere: 1,280 triangles
-_CORNERS, _EDGES = 64, 64  # places that every femur's mesh has
-_NOWHERE = -1e3  # [m] where an edge lies that fills a place
+_CORNERS, _EDGES = 64, 64  # capacity of every femur's mesh
+_NOWHERE = -1e3  # [m] where padding edges lie
 
 
 def contact_on(knee: KneeNumbers, kind: str) -> Effect:
     """The contact of that kind for a knee.
 
     Raises:
-        InputError: a surface that cannot be.
+        InputError: an impossible surface.
     """
     law, center, radius = knee.law.flores(), vector(knee.center), number(knee.radius)
     if kind in PATCHES:
@@ -57,7 +57,7 @@ def _button(radius: float, float64: bool) -> ContactMesh:
 
 
 def _padded_corners(made: ContactMesh, mesh: SurfaceMesh) -> ContactMesh:
-    """With as many corners as every other mesh: the last ones are there again."""
+    """The mesh padded to the capacity of corners by repeating the last ones."""
     tree = made.corners
     count = len(mesh.vertices)
     order = np.argsort(np.asarray(tree.index), kind="stable")
@@ -68,7 +68,7 @@ def _padded_corners(made: ContactMesh, mesh: SurfaceMesh) -> ContactMesh:
 
 
 def _padded_edges(made: PatchMesh) -> PatchMesh:
-    """With as many edges of border and rim as every other mesh: the rest are points far away."""
+    """The mesh padded to the capacity of border and rim edges by points far away."""
     return eqx.tree_at(lambda m: (m.seam, m.rim), made, (_edges(made.seam), _edges(made.rim)))
 
 

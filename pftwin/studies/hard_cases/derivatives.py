@@ -1,8 +1,8 @@
-"""Derivatives of runs: finite everywhere, and those of finite differences where the motion is smooth.
+"""Checks derivatives of runs: finite everywhere, and equal to finite differences where the motion is smooth.
 
-A motion that hurries apart from its neighbours, as a button of few triangles that rolls from corner to corner, grows a
-change of 10 nm at its start to micrometres within a tenth of a second: no difference tells its derivative then. Where
-the parameters' changes are quartered and the differences are others, they are no measure, nor in any frame after it.
+A motion that diverges from its neighbours, as a button of few triangles that rolls from corner to corner, amplifies a
+change of 10 nm at its start to micrometres within a tenth of a second: finite differences then fail. Where
+quartering the parameters' changes alters the differences, that frame and all later ones are not compared.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from pftwin.studies.hard_cases.programs import PARAMETERS
 Floats = NDArray[np.float64]
 
 CHANGE = 1e-5  # of a parameter, in its unit, to either side
-FINER = 0.25  # of it, where differences and derivatives differ
-SHARE = 0.02  # of a column's largest entry that a derivative may be off
-LEAST = {"float64": 1e-7, "float32": 1e-4}  # [m or quaternion component per unit] below which nothing is said
-SHARE_IN_SINGLE = 0.10  # of float32's from float64's finite differences
+FINER = 0.25  # share of it that is tried where differences and derivatives disagree
+SHARE = 0.02  # tolerance of a derivative, as a share of its column's largest entry
+LEAST = {"float64": 1e-7, "float32": 1e-4}  # [m or quaternion component per unit] smaller differences are not judged
+SHARE_IN_SINGLE = 0.10  # tolerance of float32 derivatives against float64 differences
 
 
 def changes(share: float = 1.0) -> Floats:
-    """(2, 4, 4): the parameters' changes, ahead and back, a row for each parameter; or a share of them."""
+    """(2, 4, 4): the parameters' changes, forward and backward, a row for each parameter; or a share of them."""
     return share * CHANGE * np.stack([np.eye(len(PARAMETERS)), -np.eye(len(PARAMETERS))])
 
 
@@ -32,7 +32,7 @@ def differences(ahead: Floats, back: Floats, share: float = 1.0) -> Floats:
 
 
 def settled(coarse: Floats, fine: Floats) -> Floats:
-    """Finite differences (n, 7, 4) by changes of two sizes as one: NaN from the first frame on at which they differ."""
+    """Finite differences (n, 7, 4) that agree for two sizes of change: NaN from the first frame where they differ."""
     size = np.maximum.accumulate(np.abs(fine).max(axis=1), axis=0)
     off = np.abs(fine - coarse).max(axis=1)
     unsettled = np.logical_or.accumulate(~(off <= 0.5 * SHARE * size + LEAST["float64"]), axis=0)
@@ -40,7 +40,7 @@ def settled(coarse: Floats, fine: Floats) -> Floats:
 
 
 def not_finite(slopes: Floats, until: NDArray[np.bool_]) -> str | None:
-    """Whether a derivative (n, 7, 4) is not finite, among the frames that count."""
+    """Whether a derivative (n, 7, 4) is not finite in a frame that counts."""
     bad = ~np.isfinite(slopes).all(axis=1) & until[:, None]
     if not bad.any():
         return None
@@ -49,7 +49,7 @@ def not_finite(slopes: Floats, until: NDArray[np.bool_]) -> str | None:
 
 
 def disagree(slopes: Floats, reference: Floats, dtype: str) -> str | None:
-    """Whether derivatives (..., 7, 4) differ from finite differences, of which NaN is no measure."""
+    """Whether derivatives (..., 7, 4) differ from finite differences where those are not NaN."""
     share = SHARE if dtype == "float64" else SHARE_IN_SINGLE
     rows = reference.reshape(-1, len(PARAMETERS))
     known = np.isfinite(rows)

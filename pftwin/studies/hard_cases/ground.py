@@ -1,4 +1,4 @@
-"""What the button lies on: a height over a plane, as a patch of any kind or a mesh of few triangles, some broken."""
+"""The surface under the button: a height over a plane, as a patch of any kind or a coarse, perhaps broken mesh."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pftwin.geometry.patch.spline import SplinePatch
 Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats], Floats]
 
-CYLINDER = " cylinder"  # what a patch's name ends with where it lies over a cylinder
+CYLINDER = " cylinder"  # ending of a patch's name: over a cylinder
 CELLS = (8, 8)  # of the spline
 SAMPLES = 41  # along each side of the rectangle, for fits
 MESH = (3, 4)  # cells of the mesh along and across: 12 triangles on each facet
@@ -36,7 +36,7 @@ class TiltedGround:
     half: tuple[float, float] = (0.024, 0.020)  # of the rectangle [m]
     tilt: float = 0.0  # of the plane's normal from z towards -x [rad]
     above: float = 0.0  # of the plane's origin along its normal from the femur's [m]
-    met: bool = False  # whether cases count nanometres from its middle: a polynomial is then exact there
+    met: bool = False  # whether cases count nanometres from its middle, so that a polynomial must be exact there
 
     def axes(self) -> Floats:
         """(3, 3): the plane's axes in the femur's frame, by columns."""
@@ -79,12 +79,12 @@ def patch_on(ground: TiltedGround, kind: str) -> PolynomialPatch | SplinePatch:
 
 
 def axis_below(ground: TiltedGround, kind: str) -> float:
-    """How far below the plane the patch's coordinates are counted from: over a cylinder from its axis [m]."""
+    """Depth below the plane of the origin of the patch's coordinates: over a cylinder that of its axis [m]."""
     return _depth(ground) if kind.endswith(CYLINDER) else 0.0
 
 
 def _depth(ground: TiltedGround) -> float:
-    """How far a cylinder's axis lies below the plane [m]: far enough that no angle of the rectangle is wide."""
+    """Depth of a cylinder's axis below the plane [m], large enough for small angles within the rectangle."""
     return max(0.026, 1.2 * ground.half[0])
 
 
@@ -102,7 +102,7 @@ def _fitted(ground: TiltedGround, name: str, round_: bool) -> tuple[Floats, tupl
     if round_:
         depth = _depth(ground)
         u, h = depth * np.arctan2(u, depth + h), np.hypot(u, depth + h)
-    low, high = float(u[0].max()), float(u[-1].min())  # where every strip has samples
+    low, high = float(u[0].max()), float(u[-1].min())  # chosen so that every strip has samples
     half = 0.5 * (high - low), ground.half[1]
     center = 0.5 * (high + low), 0.0
     a, b = (x / size if size > 0 else 0 * x for x, size in ((u - center[0], half[0]), (v, half[1])))
@@ -112,7 +112,7 @@ def _fitted(ground: TiltedGround, name: str, round_: bool) -> tuple[Floats, tupl
 
 
 def _polynomial(a: Floats, b: Floats, h: Floats, degree: int, met: bool) -> Floats:
-    """Coefficients of the polynomial nearest to heights over the samples, or to those of all that meet the middle's."""
+    """Coefficients of the polynomial nearest to heights over the samples, or nearest with the middle's height exact."""
     basis = np.stack([a.ravel() ** i * b.ravel() ** j for i, j in exponents(degree)], axis=1)
     if not met:
         return np.asarray(np.linalg.lstsq(basis, h.ravel(), rcond=None)[0], np.float64)
@@ -141,7 +141,7 @@ def mesh_on(ground: TiltedGround, cells: tuple[int, int] = MESH) -> SurfaceMesh:
     """A grid's triangles, normals out of the bone, in the femur's frame.
 
     Raises:
-        InputError: an odd number of cells across: none lies on the border of the facets.
+        InputError: an odd number of cells across, which puts no edge on the border of the facets.
     """
     n_u, n_v = (n + 1 for n in cells)
     if cells[1] % 2:
@@ -186,7 +186,7 @@ GROUNDS = {
     "shoulders": TiltedGround(_step_down, (0.03, 0.03)),
     "edge": TiltedGround(TROCHLEA.height, (0.012, 0.012)),
     "no_width": TiltedGround(TROCHLEA.height, (0.024, 0.0)),
-    # Long enough that it lies on it: flat, the trochlea's own rectangle ends 13 mm short of its equilibrium.
+    # Long enough for the button: flat, the trochlea's own rectangle ends 13 mm short of the equilibrium.
     "nearly_flat": replace(TROCHLEA, height=SHALLOW.height, half=(0.06, 0.03)),
     "nearly_vertical": TiltedGround(lambda u, v: np.sqrt(v**2 + 0.004**2) * np.tan(np.radians(80)), (0.02, 0.012)),
 }
@@ -200,7 +200,7 @@ Change = Callable[[Vertices, Faces], tuple[Vertices, Faces]]
 
 
 def _doctored(change: Change) -> Callable[[TiltedGround], SurfaceMesh]:
-    """The ground's mesh, changed, and repaired as far as a repair leaves the surface what it is."""
+    """The ground's mesh with a defect, and repaired as far as a repair keeps the surface."""
 
     def made(ground: TiltedGround) -> SurfaceMesh:
         plain = mesh_on(ground)
@@ -254,7 +254,7 @@ def _one_triangle(ground: TiltedGround) -> SurfaceMesh:
 
 
 def _wide(ground: TiltedGround) -> SurfaceMesh:
-    """A mesh that goes on where a patch does: by its edge a small button would roll over the rim on its way to rest."""
+    """A mesh that continues like a patch, so that a small button does not roll over its rim on the way to rest."""
     return mesh_on(replace(ground, half=(0.03, 0.03)))
 
 

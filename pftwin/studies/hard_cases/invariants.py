@@ -1,4 +1,4 @@
-"""What holds of every run, and what single cases expect: each check gives None, or what is wrong in a few words."""
+"""What must hold for every run, and what single cases expect: each check gives None, or the fault in a few words."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pftwin.studies.hard_cases.knee import KneeNumbers
 from pftwin.studies.hard_cases.programs import CaseRun
 
 Floats = NDArray[np.float64]
-GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags that are checked by themselves
+GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with checks of their own
 
 
 class Tolerance(NamedTuple):
     """By float type."""
 
     unit: float  # of the quaternion's length
-    created: float  # energy from nowhere, as a share of the largest that moves; times the milliseconds of longer steps
-    least: float  # and energy below which nothing is said [J]
+    created: float  # unexplained energy, as a share of the largest kinetic one; times a longer step's ms
+    least: float  # smaller energies are not judged [J]
     place: float  # of depths found in two ways [m]
     symmetric: float  # [m] and of quaternion components
-    same: float  # of two runs that have to be one [m] and of quaternion components
+    same: float  # of two runs that must agree [m] and of quaternion components
     still: float  # [m] of what must not move
 
 
@@ -46,7 +46,7 @@ class Look(NamedTuple):
     tolerance: Tolerance
     step: float  # [s]
     depth: Floats  # (n,) of the button in the surface, by exhaustive search [m]
-    inertia: bool = True  # whether the motion has any: what moves then has kinetic energy
+    inertia: bool = True  # whether the motion has inertia, and so kinetic energy
 
     @property
     def flags(self) -> NDArray[np.int64]:
@@ -58,12 +58,12 @@ class Look(NamedTuple):
         return np.asarray(self.run.seen.effects["contact"][name], dtype=np.float64)
 
     def kinetic(self) -> Floats:
-        """(n,) energy of the motion [J]; none in a motion without inertia, whatever its rates are."""
+        """(n,) kinetic energy [J]; zero in a motion without inertia."""
         seen = np.asarray(self.run.seen.kinetic_energy, np.float64)
         return seen if self.inertia else 0.0 * seen
 
     def clean(self) -> NDArray[np.bool_]:
-        """(n,) frames before the first that the run refuses itself."""
+        """(n,) whether a frame is before the first that the run itself refuses."""
         return np.cumsum(self.flags & int(UNKNOWN)) == 0
 
     def indentation(self) -> Floats:
@@ -72,7 +72,7 @@ class Look(NamedTuple):
 
 
 def finite(look: Look) -> str | None:
-    """All that is observed, in all frames; facets' own reports are NaN where they have no contact."""
+    """All observations are finite in all frames; facets' own reports may be NaN without contact."""
     states = look.run.states
     arrays = [states.position.array(), states.orientation.array(), states.velocity.array(), states.spin.array()]
     arrays += [look.run.ledger.work, look.run.ledger.heat, look.run.seen.kinetic_energy, look.report("force")]
@@ -88,14 +88,14 @@ def unit_quaternion(look: Look) -> str | None:
 
 
 def flags_allowed(look: Look) -> str | None:
-    """Flags that a case must have, and none but those it may have; those of geometry are checked by themselves."""
+    """The run has the required flags and only allowed ones; geometric flags have a check of their own."""
     every = Status(int(np.bitwise_or.reduce(look.flags)))
     expected = look.case.expected
     if expected.must & ~every:
         return f"flag missing: {(expected.must & ~every).describe()}"
     allowed = expected.may | expected.must | GEOMETRY
     if not look.inertia:
-        allowed |= Status.SNAPPED  # told, not wrong
+        allowed |= Status.SNAPPED  # reported, so not wrong
     more = every & ~allowed
     return f"flag not expected: {more.describe()}" if more else None
 
@@ -103,7 +103,7 @@ def flags_allowed(look: Look) -> str | None:
 def energy(look: Look) -> str | None:
     """T + V - work never rises: not above its start, nor above what is left of it at any later frame.
 
-    Heat can only lower it, so the account of heat plays no part.
+    Heat can only lower it, so heat is not counted.
     """
     seen, ledger = look.run.seen, look.run.ledger
     stored = [np.asarray(v, np.float64) for v in seen.potential_energy.values()]
@@ -113,7 +113,7 @@ def energy(look: Look) -> str | None:
     parts = [kinetic, *(v - v[0] for v in stored), work]
     scale = max((float(np.abs(p[clean]).max(initial=0.0)) for p in parts), default=0.0)
     created = (left - np.minimum.accumulate(left)).max(initial=0.0)
-    longer = max(1.0, look.step / 1e-3)  # the account of work is of first order in the step
+    longer = max(1.0, look.step / 1e-3)  # the ledger's work is of first order in the step
     bound = look.tolerance.created * longer * scale + look.tolerance.least
     return f"{created:.2g} J from nowhere, {100 * created / scale:.1f} % of the largest" if created > bound else None
 
@@ -129,13 +129,13 @@ def penetration(look: Look) -> str | None:
     available = total[0] + np.maximum(work, 0.0) - sum(others)
     clean = look.clean()
     scale = float(np.max(np.abs(total[clean]), initial=0.0))
-    over = (0.5 * stored - available)[clean]  # two halves of one contact count once
+    over = (0.5 * stored - available)[clean]  # the two halves of one contact count once
     worst = over.max(initial=0.0)
     return f"indentation stores {worst:.2g} J too much" if worst > look.tolerance.least + 0.02 * scale else None
 
 
 def place(look: Look) -> str | None:
-    """Force where the exhaustive search says that the button touches, and nowhere else; and as deep as it says."""
+    """Force exactly where the exhaustive search finds contact, and at the depth that it finds."""
     depth, found, force = look.depth, look.indentation(), look.report("force")
     clean, near = look.clean(), look.tolerance.place * max(1.0, look.knee.radius / 0.022)
     near = near + (0.0105 * look.knee.radius if look.contact == "contours" else 0.0)  # its flat triangles
@@ -143,7 +143,7 @@ def place(look: Look) -> str | None:
     if distant.any():
         return f"force at a distance of {1e3 * -depth[distant].min():.2g} mm"
     if look.contact in ("contours", "volume"):  # their indentation is another one than the nearest point's
-        # The law's damping takes all force off on the way out: an indentation without force is none that was missed.
+        # The law's damping can cancel the force on the way out, so an indentation without force is not a miss.
         missed = clean & (force <= 0) & ~(found > 0) & (depth > np.maximum(near, DEEPEST * look.knee.radius))
         return f"no force {1e3 * depth[missed].max():.2g} mm deep" if missed.any() else None
     off = np.where(clean & ((depth > near) | (found > near)), np.abs(np.nan_to_num(found) - depth), 0.0)
@@ -154,7 +154,7 @@ def place(look: Look) -> str | None:
 
 
 def geometry_flags(look: Look) -> str | None:
-    """NO_CONTACT and DEEP_INDENTATION where the exhaustive search says so."""
+    """NO_CONTACT and DEEP_INDENTATION exactly where the exhaustive search finds them."""
     depth, clean = look.depth, look.clean()
     near = look.tolerance.place * max(1.0, look.knee.radius / 0.022)
     if look.contact in ("contours", "volume"):
@@ -162,7 +162,7 @@ def geometry_flags(look: Look) -> str | None:
     none, deep = ((look.flags & int(f)) > 0 for f in (Status.NO_CONTACT, Status.DEEP_INDENTATION))
     limit = DEEPEST * look.knee.radius
     wrong = {
-        # The law's damping takes all force off on the way out: an indentation without force is none that was missed.
+        # The law's damping can cancel the force on the way out, so an indentation without force is not a miss.
         "says no contact, touches": clean & none & (depth > near) & ~(look.indentation() > 0),
         "touches nothing, does not say so": clean & ~none & (depth < -near),
         "too deep, does not say so": clean & ~deep & (depth > limit + 2 * near),
@@ -176,7 +176,7 @@ def geometry_flags(look: Look) -> str | None:
 
 def symmetric(look: Look) -> str | None:
     """A scene symmetric about y = 0 stays so."""
-    if not look.case.expected.symmetric or look.contact in ("contours", "volume"):  # a mesh's diagonals are not
+    if not look.case.expected.symmetric or look.contact in ("contours", "volume"):  # a mesh's diagonals differ
         return None
     p, q = (np.asarray(a, np.float64)[look.clean()] for a in _poses(look))
     off = max(np.abs(p[:, 1]).max(initial=0.0), np.abs(q[:, [1, 3]]).max(initial=0.0))
@@ -184,7 +184,7 @@ def symmetric(look: Look) -> str | None:
 
 
 def still(look: Look) -> str | None:
-    """What has to stay where it is does."""
+    """What must not move stays in place."""
     if not look.case.expected.still:
         return None
     p, q = (np.asarray(a, np.float64) for a in _poses(look))

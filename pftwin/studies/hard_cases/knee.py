@@ -1,7 +1,7 @@
 """The small knee that every case varies: a patella with its button, two tendons, weight, and a tibia that moves.
 
-What a case changes is a number, never the structure: scenes on one kind of contact are stacked into one batch, and a
-tendon that a case does without hangs slack.
+Cases change numbers, never the structure: scenes on one kind of contact are stacked into one batch, and a
+tendon that a case lacks hangs slack.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def flexed(degrees: Floats, positions: Floats | None = None) -> PoseSeries:
 
 
 def flexion(n: int, speed: float = 1.0) -> Floats:
-    """(n,) From 45 to 65 deg and back in 0.9 s, at another speed in as much less [deg]."""
+    """(n,) From 45 to 65 deg and back in 0.9 s, proportionally faster at another speed [deg]."""
     return 45 + 20 * np.sin(2 * np.pi * speed * np.arange(n) / RATE / 1.8) ** 2
 
 
@@ -118,7 +118,7 @@ class KneeNumbers:
         """The scene with a contact that was made for it.
 
         Raises:
-            InputError: numbers, a motion or a surface that cannot be.
+            InputError: impossible numbers, motion or surface.
         """
         inertia = tuple(i * self.mass / MASS for i in INERTIA)
         effects = (
@@ -194,7 +194,7 @@ def bumpy(coefficients: np.ndarray) -> TiltedGround:
 
 
 def drawn(seed: int) -> KneeNumbers:
-    """A knee at random: every number is within what the rest of the catalogue has."""
+    """A random knee, with every number in the range of the catalogue."""
     random = np.random.default_rng(seed)
     quadriceps, tendon = (
         replace(

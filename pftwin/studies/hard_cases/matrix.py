@@ -33,12 +33,12 @@ from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, compiled, de
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
 
 DTYPES = ("float64", "float32")
-MOST_LOOKS = 200  # frames of a run whose depth is searched for
+MOST_LOOKS = 200  # frames of a run for which the depth is searched
 Say = Callable[[str], None]
 
 
 class Selection(NamedTuple):
-    """What of the matrix to run."""
+    """The part of the matrix to run."""
 
     contacts: tuple[str, ...] = CONTACTS
     integrators: tuple[CaseIntegrator, ...] = INTEGRATORS
@@ -55,8 +55,8 @@ def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say
 
     Args:
         cases: from `pftwin.studies.hard_cases.catalogue`.
-        selection: contacts, integrators, float types; whether to differentiate and to look at batches side by side.
-        say: is told what is being done.
+        selection: contacts, integrators, float types; whether to check derivatives and batches.
+        say: called with the current step.
 
     Returns:
         A cell for each case, contact, integrator and float type for which there is such a scene.
@@ -78,7 +78,7 @@ def _of_contact(
     references: dict[tuple[str, str], NDArray[np.float64]],
     say: Say,
 ) -> list[Cell]:
-    """All integrators, in the settings of one float type; finite differences are left for the other."""
+    """Runs all integrators in one float type; finite differences are kept for the other."""
     stacks, refused = batches(cases, contact)
     methods = [m for m in selection.integrators if m.only is None or contact in m.only]
     methods = [m for m in methods if m.float32 or dtype == "float64"]
@@ -109,7 +109,7 @@ def _refusal(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, e
 
 
 def _unfit(case: HardCase, batch: CaseBatch, contact: str, method: CaseIntegrator, dtype: str) -> Cell:
-    """An integrator that has to say that it has no answer with this contact."""
+    """Cells of an integrator that must refuse this contact."""
     words = limit_of(contact).without_inertia or ""
     try:
         integrator_from_text(method.name).refuse_unfit(batch.scenes.effects)
@@ -142,7 +142,7 @@ def _run_batch(
             found = _references(batch, columns, lambda p: forward(batch.scenes, starts.chosen, substeps, p))
             references.update({(c.name, method.name): found[k] for k, c in enumerate(batch.cases)})
     mates: dict[str, str] = {}
-    if selection.mates and n > 1 and contact in PATCHES:  # meshes' searches side by side compile for minutes
+    if selection.mates and n > 1 and contact in PATCHES:  # batched mesh searches compile for minutes
         mates = batch_mates(batch, starts.chosen, substeps, plain, method, dtype)
     runs = {c.name: member(plain, k) for k, c in enumerate(batch.cases)}
     cells = []
@@ -163,7 +163,7 @@ def _run_batch(
 
 
 def _depths(batch: CaseBatch, plain: CaseRun, float64: bool) -> NDArray[np.float64]:
-    """(cases, frames): by exhaustive search, NaN at the frames of long motions that are passed over."""
+    """(cases, frames): by exhaustive search; NaN at frames of long motions that are skipped."""
     frames = plain.seen.status.shape[1]
     looked = np.arange(0, frames, max(1, frames // MOST_LOOKS))
     centers = jax.tree.map(lambda a: a[:, looked], plain.seen.center)

@@ -31,7 +31,7 @@ from pftwin.geometry.patch.polynomial import PolynomialPatch
 from pftwin.model.effects.contact import Contact
 from pftwin.model.scene import Scene
 
-# Compiled without LLVM's optimisations, which takes a third of the time: the runs are short.
+# Compiled without LLVM's optimisations in a third of the time, since the runs are short.
 OPTIONS = {"xla_backend_optimization_level": 0}
 PARAMETERS = ("quadriceps stiffness", "patellar tendon's slack length", "height of the surface", "contact stiffness")
 UNITS = (1.0, 1e-2, 1e-3, 1.0)  # of the parameters' changes: relative, [m], [m], relative
@@ -41,12 +41,12 @@ class Rest(eqx.Module):
     """A scene's start."""
 
     equilibrium: Solution
-    released: Solution  # where the scene puts the patella, not in equilibrium
+    released: Solution  # the scene's start pose, not in equilibrium
     slopes: Array  # (7, 4) of the equilibrium's position and quaternion by `PARAMETERS`
 
 
 class CaseRun(eqx.Module):
-    """What came out of a run; leading axis: frames."""
+    """The results of a run; leading axis: frames."""
 
     states: State
     seen: Observation
@@ -69,7 +69,7 @@ def varied(scene: Scene, p: Array) -> Scene:
             scene.effects[button].law.contact_stiffness * (1 + UNITS[3] * p[3]),  # pyright: ignore
         ),
     )
-    assert scene.contact is not None  # every case has one
+    assert scene.contact is not None  # every case has a first tendon
     return scene.with_effect(_raised(scene.contact, UNITS[2] * p[2]))
 
 
@@ -89,7 +89,7 @@ def poses(states: State | Pose) -> Array:
 
 
 def _columns(function: Callable[[Array], Array]) -> Array:
-    """Derivatives by p at p = 0, the parameters' axis last; one column after the other, compiled like one."""
+    """Derivatives by p at p = 0, the parameters' axis last; columns in a loop, compiled once."""
     zero = jnp.zeros(len(PARAMETERS))
     columns = jax.lax.map(lambda d: jax.jvp(function, (zero,), (d,))[1], jnp.eye(len(PARAMETERS)))
     return jnp.moveaxis(columns, 0, -1)
@@ -112,13 +112,13 @@ def rest(scene: Scene, p: Array) -> Rest:
 
 
 def relaxed(scene: Scene) -> Pose:
-    """Where the damped relaxation ends: a start for another search."""
+    """The end of the damped relaxation: a start for another search."""
     pose = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
     return Pose(pose.apply(-scene.patella.center_of_mass), pose.orientation)
 
 
 def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: Integrator) -> CaseRun:
-    """A simulation with its ledger, and all that is looked at."""
+    """A simulation with its ledger and all observations."""
     changed = varied(scene, p)
     path = frame_states(changed, integrator=integrator, substeps=substeps, start=start, ledger=True)
     assert path.ledger is not None
@@ -133,7 +133,7 @@ def depths(scene: Scene, centers: Vec3) -> Array:
 
 
 def slopes(scene: Scene, start: Solution, substeps: Array, integrator: Integrator) -> Array:
-    """(n, 7, 4): derivatives of the frames' poses by `PARAMETERS`, from a start that stays."""
+    """(n, 7, 4): derivatives of the frames' poses by `PARAMETERS`, from a fixed start."""
 
     def path(p: Array) -> Array:
         return poses(frame_states(varied(scene, p), integrator=integrator, substeps=substeps, start=start).states)
@@ -145,7 +145,7 @@ def slopes(scene: Scene, start: Solution, substeps: Array, integrator: Integrato
 def compiled(
     function: Callable[..., Any], float64: bool, side_by_side: bool = False, **fixed: str
 ) -> Callable[..., Any]:
-    """A program over the leading axis of all arguments; one for each float type, whose settings have to be in force."""
+    """A program over the leading axis of all arguments; one for each float type, whose settings must be in force."""
 
     def each(*args: Any) -> Any:
         if side_by_side:
@@ -157,7 +157,7 @@ def compiled(
 
 SAMPLES = 61  # along each side of a square about the point below the centre
 WIDE = 1.5  # half that square's side at first, in radii
-ZOOMS = 4  # times that the square is drawn closer about the nearest sample
+ZOOMS = 4  # times that the square shrinks around the nearest sample
 
 
 def depth_everywhere(button: Contact, center: Vec3) -> Array:

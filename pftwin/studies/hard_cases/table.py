@@ -32,7 +32,7 @@ def counts(cells: Iterable[Cell]) -> Counter[str]:
 
 
 def named(cases: Sequence[HardCase]) -> Sheet:
-    """The cases, and what is hard about them."""
+    """The cases and their difficulties."""
     return Sheet("hard cases", ("case", "what is hard"), tuple((c.name, c.about) for c in cases))
 
 
@@ -55,7 +55,7 @@ def by_case(cells: Sequence[Cell]) -> Sheet:
 
 
 def _failing(cells: Sequence[Cell]) -> list[str]:
-    """Names of the cases that fail somewhere, each once."""
+    """Names of the cases with a failure, each once."""
     return list(dict.fromkeys(c.case for c in cells if c.outcome == "fail"))
 
 
@@ -119,12 +119,12 @@ _EXPECTED = "what pftwin hard-cases --json has written"
 
 
 class KeptPiece(NamedTuple):
-    """Cells that were run in one go."""
+    """Cells of one run."""
 
     rows: tuple[Cell, ...]
-    seconds: float  # compiling included
+    seconds: float  # with compiling
     machine: dict[str, Any]  # as `pftwin.base.runtime.describe` has it, date included
-    quick: bool  # neither derivatives nor batches side by side
+    quick: bool  # whether derivatives and batches were left out
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -145,7 +145,7 @@ def read_piece(path: Path) -> KeptPiece:
 
 
 def read_pieces(path: Path) -> list[KeptPiece]:
-    """A piece, or all that lie in a folder as *.json, from the oldest to the newest.
+    """A piece, or all *.json pieces of a folder, from the oldest to the newest.
 
     Raises:
         InputError: no such file, another one's content, or a folder without a piece.
@@ -159,7 +159,7 @@ def read_pieces(path: Path) -> list[KeptPiece]:
 
 
 def merged(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
-    """All cells, each once: of the last piece that has it.
+    """All cells, each from the last piece that has it.
 
     Args:
         pieces: from the oldest to the newest.
@@ -176,7 +176,7 @@ def merged(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> lis
 
 
 def runs(pieces: Sequence[KeptPiece]) -> Sheet:
-    """Rows of what each piece ran and when."""
+    """Rows of the pieces: what was run, when and where."""
     rows = []
     for piece in pieces:
         names = (
@@ -192,9 +192,9 @@ def runs(pieces: Sequence[KeptPiece]) -> Sheet:
 def results(
     cases: Sequence[HardCase], contact: str = "P5", integrator: str = "linear_implicit"
 ) -> dict[str, Result | InputError]:
-    """What comes out of each case that there is with a kind of contact, in float64: a result, or what refused it.
+    """The result or the refusal of each case that exists with a kind of contact, in float64.
 
-    Unlike `pftwin.simulate` it lets go, where a case says so, of a patella that is not in equilibrium. The programs and
+    Unlike `pftwin.simulate` it can release a patella that is not in equilibrium, where a case says so. The programs and
     the steps are those of `run_matrix`; of several cases at once they are compiled once.
     """
     method, found = method_named(integrator), {}

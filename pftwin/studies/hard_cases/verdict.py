@@ -1,4 +1,4 @@
-"""What is said of one cell of the matrix: pass, fail or refused, and why."""
+"""The verdict on one cell of the matrix: pass, fail or refused, and why."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pftwin.studies.hard_cases.programs import CaseRun
 
 REFUSES = (
     Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
-)  # what says that a run, or its step, is not to be trusted
+)  # flags of a run, or a step, that is not to be trusted
 
 
 class Cell(NamedTuple):
@@ -30,19 +30,19 @@ class Cell(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What there is to judge one case by."""
+    """The evidence on which one case is judged."""
 
     runs: dict[str, CaseRun]  # of the whole batch, on the host
     slopes: NDArray[np.float64] | None  # (n, 7, 4)
     reference: NDArray[np.float64] | None  # float64's finite differences, likewise
-    start: str | None  # what is wrong with its equilibrium
-    mates: str | None  # what depends on the batch
+    start: str | None  # faults of its equilibrium
+    mates: str | None  # dependence on the batch
     depth: NDArray[np.float64]  # (n,) by exhaustive search [m]
     step: float  # [s]
 
 
 def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, evidence: Evidence) -> Cell:
-    """Pass; fail with the first thing that is wrong; refused where the run itself says that its step is too long."""
+    """Pass; fail with the first fault; refused where the run itself flags its step as too long."""
     run, tolerance = evidence.runs[case.name], TOLERANCES[dtype]
     look = Look(case, case.builder(), contact, run, tolerance, evidence.step, evidence.depth, method.inertia)
 
@@ -60,7 +60,7 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
 
 
 def _at_limit(look: Look) -> bool:
-    """Whether what a run refuses itself with first is a limit of its kind of contact, after nothing unexpected."""
+    """Whether a run first refuses itself by a known limit of its kind of contact, with nothing unexpected before."""
     limit, first = limit_of(look.contact), int(np.argmax((look.flags & int(UNKNOWN)) > 0))
     until = Status(int(np.bitwise_or.reduce(look.flags[: first + 1])))
     own = limit.flags | (limit.at_rim if Status.LEFT_PATCH in until else Status.OK)
@@ -69,7 +69,7 @@ def _at_limit(look: Look) -> bool:
 
 
 def _refused(look: Look, every: Status, cell: object) -> Cell:
-    """A run that refuses itself: in words at or before the first frame that is not finite, and right until then."""
+    """A run that refuses itself must do so by the first frame that is not finite, and be right until then."""
     flags = look.flags
     lost, said = (flags & int(Status.NOT_FINITE)) > 0, (flags & int(REFUSES)) > 0
     first = np.argmax(lost) if lost.any() else len(flags)
@@ -77,7 +77,7 @@ def _refused(look: Look, every: Status, cell: object) -> Cell:
         return cell("fail", f"not finite from frame {first}, and nothing said before")  # pyright: ignore
     skipped = {"finite", "flags_allowed", "at_end", "still"}
     if every & Status.ENERGY_FROM_NOWHERE:
-        skipped |= {"energy", "penetration"}  # the run says so itself, by what it is of its largest energy
+        skipped |= {"energy", "penetration"}  # the run flags it by the share of its largest energy
     wrong = [w for check in CHECKS if check.__name__ not in skipped and (w := check(look)) is not None]
     if wrong:
         return cell("fail", "before it refuses itself: " + "; ".join(wrong))  # pyright: ignore
@@ -85,7 +85,7 @@ def _refused(look: Look, every: Status, cell: object) -> Cell:
 
 
 def _same(look: Look, evidence: Evidence) -> str | None:
-    """The motion of another case."""
+    """The motion must equal that of another case."""
     other = look.case.expected.same_as
     if other is None:
         return None
@@ -95,7 +95,7 @@ def _same(look: Look, evidence: Evidence) -> str | None:
 
 
 def _slopes(look: Look, evidence: Evidence, dtype: str) -> str | None:
-    """Derivatives: finite in all frames that count, and right where the motion is smooth."""
+    """Derivatives must be finite in all frames that count, and right where the motion is smooth."""
     if evidence.slopes is None:
         return None
     own = np.asarray(evidence.slopes, np.float64)

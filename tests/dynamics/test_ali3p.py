@@ -24,6 +24,8 @@ from scenes import (
     record,
     settled,
     state_at,
+    still_guide,
+    still_guide_at,
     system,
     tendon,
 )
@@ -296,6 +298,33 @@ def test_derivatives_by_the_guided_motion(fixed):
     reverse = jax.jit(jax.grad(lambda theta: shown(theta) @ jnp.arange(1.0, 7.0)), compiler_options=OPTIMISED)(zero)
     np.testing.assert_allclose(reverse, np.asarray(forward) @ np.arange(1.0, 7.0), rtol=1e-8)
     assert np.abs(difference).max(1).min() > 1e-3
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+def test_derivatives_of_a_top_on_a_tendon_are_difference_quotients(mode):
+    """By mass and initial spin, of place and spin, and of the multipliers that keep the top rigid."""
+    pull = tendon(300.0, 0.05, insertion=(0.004, 0.002, 0.001), origin=(0.0, 0.01, 0.06))
+
+    def ends(theta):
+        top = system(pull, mass=MASS * theta[0], inertia=(2e-5, 5e-5, 6e-5))
+        state = ALI3P().begin(top, state_at(top, (0, 0, 0), spin=(0.3, 12.0 * theta[1], 0.2)), still_guide(), J(2e-3))
+
+        def one(now, _):
+            return ALI3P().advance(top, now, still_guide_at, J(2e-3), None)[0], None
+
+        after = jax.lax.scan(one, state, None, length=5)[0]
+        held = after.carried.multipliers[0, :6]
+        return jnp.concatenate([1e2 * after.position.array(), after.spin.array(), held])
+
+    at, h = J([1.0, 1.0]), 1e-3
+    value = jax.jit(ends)
+    difference = np.stack([(value(at + h * d) - value(at - h * d)) / (2 * h) for d in jnp.eye(2)], axis=-1)
+    assert np.abs(difference[:3]).max() > 1e-2
+    assert np.abs(difference[6:]).max() > 0.1
+    derivative = jax.jit(mode(ends))(at)
+    np.testing.assert_allclose(derivative[:6], difference[:6], rtol=1e-6, atol=1e-6)
+    # The search for the multipliers stops at a speed of 1e-9 m/s, which is what a difference quotient sees of them.
+    np.testing.assert_allclose(derivative[6:], difference[6:], atol=1e-3)
 
 
 def test_the_penalty_changes_nothing_but_the_iterations():

@@ -35,8 +35,8 @@ class Mutant:
         return f"{self.before} -> {self.after}"
 
     def text_of_line(self, text: str) -> str:
-        """What stands in the line of the file where it begins."""
-        return text.splitlines()[self.line - 1].strip()
+        """The code in the line of the file where it begins: a comment may be reworded."""
+        return text.splitlines()[self.line - 1].split("  # ")[0].strip()
 
 
 def mutants(text: str) -> list[Mutant]:

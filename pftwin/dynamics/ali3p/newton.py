@@ -117,8 +117,8 @@ def _solved_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     tangent = jax.vmap(along)(jnp.eye(6, dtype=place.dtype))  # (6, n, 12)
     rest = jax.jvp(residual, (second_rate, moving), (per_metre * known, changes))[1]
     steps = jnp.linalg.solve((tangent[:, 0] @ basis).T, -(rest[0] @ basis))
-    left = rest + jnp.einsum("k,kni->ni", steps, tangent)
+    unbalanced = rest + jnp.einsum("k,kni->ni", steps, tangent)
     change = (per_metre * known).at[0].add(per_metre * (basis @ steps))
     mass = jnp.broadcast_to(jnp.diag(masses(given.bodies.system)), (len(place), 12, 12))
-    holding = constrained(mass, jacobian(place, given.to), given.scale(), -left, jnp.zeros_like(left))[1]
+    holding = constrained(mass, jacobian(place, given.to), given.scale(), -unbalanced, jnp.zeros_like(rest))[1]
     return (second_rate, multipliers, left), (change, holding, jnp.zeros_like(left))

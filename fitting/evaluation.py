@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fitting import programs
 from fitting.parameters import Parameters
-from fitting.programs import POSITION, columns_of, widths
+from fitting.programs import POSITION, channel_widths, columns_of
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.frame_states import substeps_for
@@ -118,7 +118,7 @@ class Evaluator:
     @property
     def widths(self) -> tuple[int, ...]:
         """Columns of each channel."""
-        return widths(self.channels)
+        return channel_widths(self.channels)
 
     def values(self, theta: Floats, substeps: int) -> Prediction:
         """Predictions for (N, p) parameters."""
@@ -149,7 +149,7 @@ class Evaluator:
             part = slice(i, i + width)
             full, cotangents = (_filled(a[part], width) for a in (theta, pulls))
             numbers = jnp.asarray(full, dtype=float), self.guesses(full), jnp.asarray(cotangents, dtype=float)
-            found = programs.pulled(program, self._plain_scene, substeps, *numbers)
+            found = programs.loss_gradients(program, self._plain_scene, substeps, *numbers)
             parts.append(np.asarray(found)[: len(theta[part])])
         return prediction, np.concatenate(parts)
 
@@ -198,7 +198,7 @@ class Evaluator:
         """Values (N, n, c), slopes (N, n, c, p) or None, whether in equilibrium at the start (N,), starting poses."""
         args = (self._program, self._plain_scene, jnp.asarray(substeps), jnp.asarray(theta, dtype=float), guesses)
         if not slopes:
-            values, poses, found = programs.plain(*args)
+            values, poses, found = programs.predictions(*args)
             return np.asarray(values), None, np.asarray(found), poses
         (values, poses, found), columns = programs.with_slopes(*args)
         return np.asarray(values), np.moveaxis(np.asarray(columns), 0, -1), np.asarray(found), poses

@@ -17,7 +17,7 @@ from fitting.methods.problem import Problem
 from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters, free_parameters
 from fitting.programs import ORIENTATION, POSITION, channels_of
-from fitting.uncertainty import in_words, inverted, percent
+from fitting.uncertainty import in_words, inverse_information, percent
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
@@ -119,10 +119,10 @@ def plan_experiment(
     information, unfelt = _information(scene, parameters, wanted, sigma, tuple(use))
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
     base = sum(information[c] for c in use) + prior
-    covariance = inverted(base)
+    covariance = inverse_information(base)
     scale = np.where(parameters.nominal == 0, 1.0, np.abs(parameters.nominal))
     values = np.linalg.eigvalsh(base * np.outer(scale, scale))
-    additions = {c: np.sqrt(np.diagonal(inverted(base + information[c]))) / scale for c in more}
+    additions = {c: np.sqrt(np.diagonal(inverse_information(base + information[c]))) / scale for c in more}
     return ExperimentPlan(
         parameters.names,
         parameters.nominal,
@@ -207,7 +207,7 @@ def profile_likelihood(
     theta = _conditional(problem, estimate, i, held, iterations)
     at, values = problem.normal(np.asarray(estimate.values)[None]), problem.normal(theta).value
     deviance = 2 * (values - min(float(at.value[0]), float(np.min(values))))
-    deviance *= inverted(at.hessian[0])[i, i] / estimate.covariance[i, i]
+    deviance *= inverse_information(at.hessian[0])[i, i] / estimate.covariance[i, i]
     return LikelihoodProfile(name, held, deviance, theta, _crossings(held, deviance))
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import Prediction
-from fitting.programs import ORIENTATION, POSITION, widths
+from fitting.programs import ORIENTATION, POSITION, channel_widths
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
@@ -96,7 +96,7 @@ class Objective:
         if loss not in LOSSES:
             raise InputError(f"no loss {loss!r}", where="loss", expected=f"one of: {', '.join(LOSSES)}")
         _check_times(scene, measured)
-        data = _chosen(scene, measured, kind, use, springs)
+        data = _chosen_channels(scene, measured, kind, use, springs)
         channels = tuple(data)
         if noise is not None:
             _check_noise(noise, channels)
@@ -243,7 +243,7 @@ class Objective:
     def _columns(self) -> Iterator[tuple[str, slice, slice]]:
         """Every channel with its columns among the predictions' and among the residuals."""
         column = row = 0
-        for channel, width in zip(self.channels, widths(self.channels), strict=True):
+        for channel, width in zip(self.channels, channel_widths(self.channels), strict=True):
             rows = 3 if channel == ORIENTATION else width
             yield channel, slice(column, column + width), slice(row, row + rows)
             column, row = column + width, row + rows
@@ -267,7 +267,7 @@ def _rho_slope(z: Floats, loss: str) -> Floats:
     return 1 / np.sqrt(1 + z) if loss == "soft_l1" else np.ones_like(z)
 
 
-def _chosen(
+def _chosen_channels(
     scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
 ) -> dict[str, Floats]:
     """The measured channels that are compared, (n, columns) each."""

@@ -24,7 +24,7 @@ from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.batch.sharding import AXIS, SPLIT, shard_over
 from pftwin.dynamics.frame_states import scan_observations, starting_equilibrium
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.observe import placed
+from pftwin.dynamics.observe import instant_and_frame
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import NumberPlace, numbered_elements
@@ -39,22 +39,24 @@ def channels_of(scene: Scene) -> tuple[str, ...]:
     return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *tensions)
 
 
-def widths(channels: tuple[str, ...]) -> tuple[int, ...]:
+def channel_widths(channels: tuple[str, ...]) -> tuple[int, ...]:
     """Columns of each: position 3, orientation 4 (a unit quaternion), forces 1."""
     return tuple({POSITION: 3, ORIENTATION: 4}.get(c, 1) for c in channels)
 
 
 def columns_of(channels: tuple[str, ...], among: tuple[str, ...]) -> NDArray[np.intp]:
     """Indices of some channels' columns among those of more channels."""
-    ends = np.cumsum(widths(among))
-    columns = {c: np.arange(end - n, end) for c, n, end in zip(among, widths(among), ends, strict=True)}
+    ends = np.cumsum(channel_widths(among))
+    columns = {c: np.arange(end - n, end) for c, n, end in zip(among, channel_widths(among), ends, strict=True)}
     return np.concatenate([columns[c] for c in channels])
 
 
 _COLUMNS = PartitionSpec(None, AXIS)
 
 
-def _laid(mesh: Mesh | None, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
+def _sharded(
+    mesh: Mesh | None, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT
+) -> Any:
     """function(shared, *each), sharded over the mesh's devices; None: JAX's default device."""
     return function(shared, *each) if mesh is None else shard_over(mesh, function, shared, each, out)
 
@@ -68,7 +70,7 @@ def _predicted(
     guides = Guide.sample(motion, motion.frame_times())
 
     def columns(state: State, _: Ledger | None, index: Scalar) -> Array:
-        now, patella, center = placed(scene, state, jax.tree.map(lambda a: a[index], guides))
+        now, patella, center = instant_and_frame(scene, state, jax.tree.map(lambda a: a[index], guides))
         turn = patella.orientation
         found: list[Scalar] = []
         for channel in channels:
@@ -105,18 +107,18 @@ class FitProgram(NamedTuple):
 
 
 @eqx.filter_jit
-def plain(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
+def predictions(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
     """Values (N, n, c), starting poses, and whether those are equilibria (N,), of parameters (N, p)."""
 
     def batch(shared: tuple[Scene, Array], thetas: Array, near: Pose) -> Any:
         return batched(lambda t, g: program.predicted(shared[0], t, g, shared[1]))(thetas, near)
 
-    return _laid(program.mesh, batch, (scene, substeps), (theta, guesses))
+    return _sharded(program.mesh, batch, (scene, substeps), (theta, guesses))
 
 
 @eqx.filter_jit
 def with_slopes(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
-    """As `plain`, and the derivatives (p, N, n, c). Columns outside, variants inside: the fastest order in memory."""
+    """As `predictions`, and derivatives (p, N, n, c). Columns outside, variants inside: the fastest order in memory."""
 
     def pushed(shared: tuple[Scene, Array], thetas: Array, near: Pose) -> Any:
         def batch(some: Array) -> Any:
@@ -130,11 +132,13 @@ def with_slopes(program: FitProgram, scene: Scene, substeps: Array, theta: Array
         (values, rest), (slopes, _) = jax.vmap(push, out_axes=(None, 0))(directions)
         return (values, *rest), slopes
 
-    return _laid(program.mesh, pushed, (scene, substeps), (theta, guesses), (SPLIT, _COLUMNS))
+    return _sharded(program.mesh, pushed, (scene, substeps), (theta, guesses), (SPLIT, _COLUMNS))
 
 
 @eqx.filter_jit
-def pulled(program: FitProgram, scene: Scene, substeps: int, theta: Array, guesses: Pose, pulls: Array) -> Array:
+def loss_gradients(
+    program: FitProgram, scene: Scene, substeps: int, theta: Array, guesses: Pose, pulls: Array
+) -> Array:
     """Gradients (N, p) of sum(pull * prediction) by reverse mode, for pulls (N, n, c); the steps' number is fixed."""
 
     def loss(theta: Array, shared: Scene, guess: Pose, pull: Array) -> Array:
@@ -143,7 +147,7 @@ def pulled(program: FitProgram, scene: Scene, substeps: int, theta: Array, guess
     def batch(shared: Scene, *rows: Any) -> Array:
         return jax.vmap(lambda t, guess, pull: jax.grad(loss)(t, shared, guess, pull))(*rows)
 
-    return _laid(program.mesh, batch, scene, (theta, guesses, pulls))
+    return _sharded(program.mesh, batch, scene, (theta, guesses, pulls))
 
 
 def mesh_of(devices: tuple[Any, ...]) -> Mesh | None:

@@ -40,7 +40,7 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
     precision = np.diag(parameters.prior_terms(theta)[2])
     information = np.einsum("tmp,tmq->pq", a, a) + precision
     serial = serial_correlation(z, present)
-    inverse = inverted(information)
+    inverse = inverse_information(information)
     if serial > SERIAL:
         score = np.einsum("tmp,tm->tp", a, z)
         middle = _long_run(score - score.mean(axis=0), serial) + precision
@@ -53,7 +53,7 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
     return Uncertainty(0.5 * (covariance + covariance.T), information, condition, serial)
 
 
-def inverted(information: Floats) -> Floats:
+def inverse_information(information: Floats) -> Floats:
     """The inverse of an information matrix, with infinite variances where it is singular."""
     d = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(d, d))

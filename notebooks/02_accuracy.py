@@ -50,7 +50,7 @@ from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies.accuracy.programs import MeasuredProgram
 from pftwin.studies.accuracy.run import measure_all
 from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended, work_precision
-from pftwin.studies.tables import short
+from pftwin.studies.tables import short_number
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 scene, measured = pftwin.rig.case(1, contact="P5"), pftwin.rig.measured(1)
@@ -92,7 +92,7 @@ table(
         [
             r.integrator,
             f"{r.step_ms:g}",
-            *map(short, (r.position_rms_mm, r.position_max_mm, r.force_rms_n, r.real_time)),
+            *map(short_number, (r.position_rms_mm, r.position_max_mm, r.force_rms_n, r.real_time)),
         ]
         for r in found.rows
     ],
@@ -143,7 +143,9 @@ Markdown(advice(found.rows).grid())
 # %%
 worst = {name: next(r for r in found.rows if (r.integrator, r.step_ms) == (name, 10.0)) for name in METHODS}
 for name, r in worst.items():
-    print(f"{name:22s} at 10 ms: {short(r.position_rms_mm)} mm rms, {short(r.position_max_mm)} mm at most")
+    print(
+        f"{name:22s} at 10 ms: {short_number(r.position_rms_mm)} mm rms, {short_number(r.position_max_mm)} mm at most"
+    )
 assert all(r.position_max_mm >= r.position_rms_mm for r in found.rows)
 
 # %% [markdown]
@@ -176,7 +178,7 @@ work_precision(kept, "Case 1 of the virtual rig (synthetic), P5: the full study"
 best = front(kept)
 table(
     ["setting", "error, rms, mm", "largest, mm", "x real time"],
-    [[described(r), *map(short, (r.position_rms_mm, r.position_max_mm, r.real_time))] for r in best],
+    [[described(r), *map(short_number, (r.position_rms_mm, r.position_max_mm, r.real_time))] for r in best],
 )
 
 # %% [markdown]

@@ -110,13 +110,13 @@ def treated(scene: Scene, given: Given) -> Scene:
 
     words = []
     for kind, amounts in by_kind(given).items():
-        shown = {a.name: _only(values(text, a.flag), a) for a, text in amounts}
+        shown = {a.name: _sole_amount(values(text, a.flag), a) for a, text in amounts}
         scene = Treatment.of(kind, {n: KINDS[kind].amounts[n].from_shown(v) for n, v in shown.items()})(scene)
         words += [f"{a.flag.removeprefix('--')} {shown[a.name]:g} {a.unit}" for a, _ in amounts]
     return dataclasses.replace(scene, name=", ".join([scene.name, *words]))
 
 
-def _only(found: list[float], amount: Amount) -> float:
+def _sole_amount(found: list[float], amount: Amount) -> float:
     if len(found) > 1:
         raise InputError(
             f"{len(found)} values", where=amount.flag, expected="one", remedy="pftwin treat runs through many"

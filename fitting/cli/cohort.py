@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from pftwin.base.sheet import Sheet
-from pftwin.cli.exit_codes import flagged, keeping
+from pftwin.cli.exit_codes import exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import allow_outside
-from pftwin.cli.terminal import JsonOption, check_outputs, present, progress, start_computing, tell, written
+from pftwin.cli.terminal import JsonOption, check_outputs, present, progress, start_computing, tell, written_line
 
 if TYPE_CHECKING:
     from fitting.cohort.description import Cohort
@@ -42,7 +42,7 @@ def cohort(
     folder = described.output if out_dir is None else out_dir
     why = _check(described, folder, json) if check else _run(described, folder, resume, json)
     if why:
-        flagged(why)
+        exit_flagged(why)
 
 
 def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str:
@@ -51,7 +51,10 @@ def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str
     from fitting.cohort.run import run_cohort
 
     files = [folder / NAME, folder / SUMMARY]
-    with keeping(*files), progress(f"{len(described.patients)} patients: checking what is there") as shown:
+    with (
+        report_written_on_interrupt(*files),
+        progress(f"{len(described.patients)} patients: checking what is there") as shown,
+    ):
 
         def show(p: CohortProgress) -> None:
             left = "" if p.left is None or p.left < 1.0 else f"about {_duration(p.left)} left"
@@ -72,7 +75,7 @@ def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str
     failures = [(o.patient, o.failure.stage, o.failure.message) for o in report.failed if o.failure is not None]
     tables = [Sheet("failed", ("patient", "at", "why"), tuple(failures))] if failures else []
     facts = {"cohort": described.name, **report.to_dict(), "files": there}
-    present(facts, summary, written(there), *tables, json=json)
+    present(facts, summary, written_line(there), *tables, json=json)
     if report.sound:
         return ""
     parts = [f"{failed} of {total} patients failed"] if failed else []

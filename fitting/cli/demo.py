@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from pftwin.base.sheet import Sheet
-from pftwin.cli.exit_codes import keeping
+from pftwin.cli.exit_codes import report_written_on_interrupt
 from pftwin.cli.terminal import (
     JsonOption,
     check_folder,
@@ -39,7 +39,7 @@ def demo(
     start_computing()
     from fitting.demo.cases import run_demo
 
-    with keeping(folder):
+    with report_written_on_interrupt(folder):
         with progress("simulating") as shown:
             outcome, parts = run_demo(folder, shown, full=full)
         show(*parts, json=json)

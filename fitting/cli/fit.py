@@ -9,9 +9,9 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.cli.exit_codes import Interrupted, keeping
+from pftwin.cli.exit_codes import Interrupted, report_written_on_interrupt
 from pftwin.cli.scenes import SceneOptions, on_scene
-from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, working, written
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
@@ -73,7 +73,7 @@ def fit(
     if posterior is not None:
         _check_posterior(objective)
     options: dict[str, Any] = {} if starts is None else {"starts": starts}
-    with keeping(checkpoint), progress(f"{method}: compiling") as shown:
+    with report_written_on_interrupt(checkpoint), progress(f"{method}: compiling") as shown:
 
         def tell(p: Progress) -> None:
             shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
@@ -95,7 +95,7 @@ def fit(
             **options,
         )
     interrupted = estimate.reason.startswith("interrupted")
-    with keeping(output, checkpoint):
+    with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior
         _report(estimate, output, json, figures=figures and not interrupted, posterior=draws)
     if interrupted:
@@ -109,12 +109,12 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
 
     def draw(found: Estimate | Posterior) -> None:
         if figures:
-            with working("drawing"):
+            with spinner("drawing"):
                 files.extend(str(p) for p in found.plot.save(output.with_suffix("")))
 
     draw(estimate)
     if posterior is not None:  # the estimate is on disk already
-        found = _sampled(estimate, posterior, output)
+        found = _sample_posterior(estimate, posterior, output)
         facts["posterior"] = found.to_dict()
         said = [found.summary()]
         draw(found)
@@ -131,20 +131,20 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
         rows,
         words=(0, 5),
     )
-    lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *said, written(files)]
+    lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *said, written_line(files)]
     present({**facts, "files": files}, sheet, *lines, json=json)
 
 
 def _check_posterior(objective: str) -> None:
     """Refuses, before the fit, a posterior that could not be sampled after it: no likelihood, or no blackjax."""
-    from fitting.posterior.sampling import accepting
+    from fitting.posterior.sampling import chain_runner
 
     if objective == "paper":
         raise InputError("the paper's objective is no likelihood", where="--posterior", remedy="--objective likelihood")
-    accepting()
+    chain_runner()
 
 
-def _sampled(estimate: Estimate, draws: int, output: Path) -> Posterior:
+def _sample_posterior(estimate: Estimate, draws: int, output: Path) -> Posterior:
     """Samples with progress on stderr, and adds the posterior to the estimate's file."""
     import json
 
@@ -177,7 +177,7 @@ def plan_experiment(
     from fitting.programs import channels_of
 
     channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
-    with working("linearising the motion"):
+    with spinner("linearising the motion"):
         found = plan(chosen.scene, free=names_in(free), use=channels, noise=levels)
     deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
     sheet = Sheet(

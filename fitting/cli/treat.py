@@ -12,7 +12,7 @@ from fitting.prediction.ranges import values
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli import terminal
-from pftwin.cli.exit_codes import Interrupted, flagged
+from pftwin.cli.exit_codes import Interrupted, exit_flagged
 from pftwin.cli.scenes import SceneOptions, on_scene
 
 if TYPE_CHECKING:
@@ -60,13 +60,13 @@ def treat(
     variants = _variants(numbers)
     found = _loaded(estimate)
     chosen = knee.load()
-    from fitting.prediction.plots import facts, finding, outcome_figure
+    from fitting.prediction.plots import facts, main_finding, outcome_figure
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
 
     draws = samples if found is not None else 0
     data, whole = _predicted(chosen.scene, variants, found, samples=draws, seed=seed, dt=dt)
-    with terminal.working("writing"):
+    with terminal.spinner("writing"):
         save_dataset(data, output)
         if not whole:
             raise Interrupted(output)
@@ -74,12 +74,12 @@ def treat(
         if figure and data.sizes["variant"] > 1:
             drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
             files += save_figure(drawn, output.with_suffix(""))
-    said = finding(data)
+    said = main_finding(data)
     told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
-    terminal.present(told, _sheet(data), said, data.attrs.get("note", ""), terminal.written(files), json=json)
+    terminal.present(told, _sheet(data), said, data.attrs.get("note", ""), terminal.written_line(files), json=json)
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
     if failed := int(own.sum()):
-        flagged(f"{failed} of {data.sizes['variant']} variants could not be simulated")
+        exit_flagged(f"{failed} of {data.sizes['variant']} variants could not be simulated")
 
 
 @with_amounts("FROM:TO", ", within these limits")
@@ -121,7 +121,7 @@ def optimise(
     found = _loaded(estimate)
     chosen = knee.load()
     treatment, ranges = _treatment(pairs)
-    with terminal.working("searching"):
+    with terminal.spinner("searching"):
         plan = optimise_treatment(
             chosen.scene,
             stated,
@@ -147,9 +147,9 @@ def optimise(
         ("limit", "value", "holds"),
         tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
     )
-    terminal.present(facts, sheet, plan.describe(), *notes, terminal.written(files), json=json)
+    terminal.present(facts, sheet, plan.describe(), *notes, terminal.written_line(files), json=json)
     if not plan.met:
-        flagged("no amount within the range meets the limits")
+        exit_flagged("no amount within the range meets the limits")
 
 
 def _treatment(
@@ -188,10 +188,10 @@ def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **o
         except KeyboardInterrupt:
             if not blocks:
                 raise
-    return _together(blocks, count), len(blocks) == -(-count // size)
+    return _joined_blocks(blocks, count), len(blocks) == -(-count // size)
 
 
-def _together(blocks: list[Dataset], count: int) -> Dataset:
+def _joined_blocks(blocks: list[Dataset], count: int) -> Dataset:
     """Blocks of variants as one dataset, whose title says if some are missing."""
     import numpy as np
     import xarray

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fitting.cohort.description import Cohort
-from fitting.cohort.manifest import NAME, PATIENTS, SUMMARY, Manifest, fault, file_digest, units_of
+from fitting.cohort.manifest import NAME, PATIENTS, SUMMARY, Manifest, file_digest, file_fault, units_of
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.output import make_folder, remove_unfinished
 
@@ -37,7 +37,7 @@ def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
     """
     make_folder(folder, _ANOTHER)
     with _locked(folder):
-        manifest = _found(folder, cohort, resume)
+        manifest = _existing_or_new(folder, cohort, resume)
         for place, unfinished in _UNFINISHED.items():
             remove_unfinished(folder / place, unfinished)
         manifest.save(folder)
@@ -60,7 +60,7 @@ def check_room(folder: Path) -> None:
         raise OutputError(f"{folder}: cannot be written to: {error.strerror or error}") from error
 
 
-def _found(folder: Path, cohort: str, resume: bool) -> Manifest:
+def _existing_or_new(folder: Path, cohort: str, resume: bool) -> Manifest:
     """The manifest that is there, or a new one."""
     if not (folder / NAME).exists():
         if there := [name for name in (PATIENTS, SUMMARY) if (folder / name).exists()]:
@@ -120,7 +120,7 @@ def check_cohort(cohort: Cohort, folder: str | os.PathLike[str] | None = None) -
     manifest = Manifest.load(place)
     found: dict[str, FileFinding] = {}
     for name, entry in manifest.files.items():
-        wrong = fault(entry, place / name)
+        wrong = file_fault(entry, place / name)
         found[name] = FileFinding(name, LEFT_OVER if wrong is None else DAMAGED, wrong or "")
     asked: list[FileFinding] = []
     for patient in cohort.patients:

@@ -159,7 +159,7 @@ class Manifest:
     def holds(self, unit: Unit, folder: Path) -> bool:
         """Whether a unit is done: its file exists, unchanged, and was made for this key."""
         entry = self.files.get(unit.file)
-        return entry is not None and entry.key == unit.key and fault(entry, folder / unit.file) is None
+        return entry is not None and entry.key == unit.key and file_fault(entry, folder / unit.file) is None
 
     def save(self, folder: Path) -> None:
         """Writes it.
@@ -183,16 +183,16 @@ class Manifest:
         try:
             if content["format"] != FORMAT:
                 raise ValueError(f"its format is {content['format']!r}")
-            files = {_checked_name(name): _made(Entry, entry) for name, entry in content["files"].items()}
-            failures = {name: _made(Failure, failure) for name, failure in content["failures"].items()}
-            summary = None if content["summary"] is None else _made(Announced, content["summary"])
+            files = {_checked_name(name): _known_fields(Entry, entry) for name, entry in content["files"].items()}
+            failures = {name: _known_fields(Failure, failure) for name, failure in content["failures"].items()}
+            summary = None if content["summary"] is None else _known_fields(Announced, content["summary"])
             return Manifest(str(content["cohort"]), files, failures, summary)
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             remedy = "another folder (--out); or, to compute everything anew, empty this one"
             raise InputError(f"no manifest: {error}", where=path, expected=_EXPECTED, remedy=remedy) from None
 
 
-def fault(entry: Entry, path: Path) -> str | None:
+def file_fault(entry: Entry, path: Path) -> str | None:
     """What is wrong with a finished file, in words; None if nothing is."""
     try:
         size = path.stat().st_size
@@ -210,7 +210,7 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _made(kind: type[Any], content: dict[str, Any]) -> Any:
+def _known_fields(kind: type[Any], content: dict[str, Any]) -> Any:
     """Ignores fields that a later version may have added."""
     known = {f.name for f in fields(kind)}
     return kind(**{k: v for k, v in content.items() if k in known})

@@ -159,7 +159,7 @@ def table(rows: Iterable[Row], units: Mapping[str, str], about: Mapping[str, Any
         kind = pa.type_for_alias(FIXED.get(name, "float64"))
         metadata = {"units": units[name]} if name in units else None
         fields.append(pa.field(name, kind, metadata=metadata))
-        columns.append(pa.array([_there(row.get(name)) for row in listed], kind))
+        columns.append(pa.array([_null_for_nan(row.get(name)) for row in listed], kind))
     metadata = {"units": json.dumps(dict(units)), **{k: str(v) for k, v in about.items()}}
     whole = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata))
     out = io.BytesIO()
@@ -202,7 +202,7 @@ def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
         yield row
 
 
-def _there(value: Any) -> Any:
+def _null_for_nan(value: Any) -> Any:
     """Null instead of NaN, which would spoil means in SQL."""
     return None if isinstance(value, float) and math.isnan(value) else value
 

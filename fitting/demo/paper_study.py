@@ -23,7 +23,7 @@ from fitting.demo.straight_springs import (
     recorded_pulls,
 )
 from fitting.fit import SPRING_PARAMETERS, fit_tendons
-from pftwin.results.tracking import Tracking, follow, groove_offset
+from pftwin.results.tracking import Tracking, find_dislocations, groove_offset
 
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
@@ -186,5 +186,5 @@ def simulated(case: int, springs: str, theta: np.ndarray, dt: float = STEP) -> R
     assert predicted is not None
     assert result.surface is not None
     _, offset = groove_offset(result.surface, measured.center)
-    seen = follow(measured.times, offset, result.knee.flexion)
+    seen = find_dislocations(measured.times, offset, result.knee.flexion)
     return Run(case, springs, result, validate(result, measured), predicted, seen)

@@ -90,7 +90,7 @@ def children_of(
     return elite, np.concatenate([crossing, mutation(members[rest], lower, upper, length, random)])
 
 
-def stalled(best: Floats) -> bool:
+def has_stalled(best: Floats) -> bool:
     """Whether the best of the generations so far has hardly changed over the last 50."""
     if len(best) <= STALL or not np.isfinite(best[-STALL - 1 :]).all():
         return False
@@ -229,4 +229,4 @@ class Genetic(Generations):
             length = state["length"][k] * (4.0 if better else 0.25)
             state["length"][k] = min(1.0, max(_SHORTEST, length))
         bests.append(now)
-        state["over"][k] = stalled(np.array(bests))
+        state["over"][k] = has_stalled(np.array(bests))

@@ -14,7 +14,7 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, lenient, range_of
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of, standard_promotion
 
 Floats = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ class Gradient(Method):
         # The starts' objectives differ by orders of magnitude; Adam uses the direction of their gradients alone.
         optimiser = _adam(self.adam_iterations)
         u, inner = jnp.asarray(state["u"]), _state_of(optimiser, state["u"], state["adam"])
-        with lenient():
+        with standard_promotion():
             updates, inner = optimiser.update(jnp.asarray(np.where(alive[:, None], gradient, 0.0)), inner, u)
         state["adam"], state["u"] = _leaves(inner), np.asarray(u + updates)
 
@@ -123,7 +123,7 @@ class Gradient(Method):
         optimiser = _lbfgs()
         point = jnp.asarray(at[i])
         inner = _state_of(optimiser, at[i], state["lbfgs"])
-        with lenient():
+        with standard_promotion():
             updates, inner = optimiser.update(jnp.asarray(gradient[i]), inner, point)
         direction = np.asarray(updates)
         longest = np.abs(direction).max()

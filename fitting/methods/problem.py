@@ -160,7 +160,7 @@ def range_of(values: Floats) -> float:
 
 
 @contextmanager
-def lenient() -> Iterator[None]:
+def standard_promotion() -> Iterator[None]:
     """JAX's default promotion of types and ranks, which optimisation libraries need."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.methods.genetic import Generations, stalled
-from fitting.methods.problem import Problem, ProblemAnswer, Request, State, lenient
+from fitting.methods.genetic import Generations, has_stalled
+from fitting.methods.problem import Problem, ProblemAnswer, Request, State, standard_promotion
 from pftwin.base.errors import MissingExtraError
 
 Floats = NDArray[np.float64]
@@ -30,7 +30,7 @@ def _algorithm(name: str, population: int, parameters: int) -> Any:
     except ImportError as error:
         raise MissingExtraError("evosax", extra="evosax", feature=f"the method {name!r}") from error
     kind = algorithms.CMA_ES if name == "cma_es" else algorithms.DifferentialEvolution
-    with lenient():  # evosax mixes types and ranks
+    with standard_promotion():  # evosax mixes types and ranks
         return kind(population_size=population, solution=jnp.zeros(parameters))
 
 
@@ -42,7 +42,7 @@ class _Strategy(Generations):
     ) -> None:
         super().__init__(problem, seed, population, generations)
         self._algorithm = _algorithm(self.name, self.population, len(problem.parameters))
-        with lenient():
+        with standard_promotion():
             self._params = self._algorithm.default_params
             if self.name == "cma_es":
                 self._params = self._params.replace(std_init=jnp.asarray(_SPREAD))
@@ -53,7 +53,7 @@ class _Strategy(Generations):
         first = random.uniform(size=(self.population, len(self.problem.parameters)))
         state = {**self.blank(), "leaves": None, "trial": first, "bests": [], "scores": np.zeros(0), "generation": 0}
         if self.name == "cma_es":
-            with lenient():
+            with standard_promotion():
                 mean = jnp.asarray(self.problem.parameters.share(self.problem.parameters.nominal), dtype=float)
                 self._store(state, self._algorithm.init(self._key(0, 0), mean, self._params))
             state["trial"] = None
@@ -62,7 +62,7 @@ class _Strategy(Generations):
     def ask(self, state: State) -> Request:
         """The next population."""
         if state["trial"] is None:
-            with lenient():
+            with standard_promotion():
                 trial, inner = self._algorithm.ask(self._key(state["generation"], 1), self._inner(state), self._params)
             self._store(state, inner)
             state["trial"] = np.asarray(trial, dtype=np.float64)
@@ -75,7 +75,7 @@ class _Strategy(Generations):
         finite = np.isfinite(value)
         fitness = jnp.asarray(np.where(finite, value, 1e30), dtype=float)
         trial, key = jnp.asarray(state["trial"], dtype=float), self._key(state["generation"], 2)
-        with lenient():
+        with standard_promotion():
             if state["leaves"] is None:
                 inner = self._algorithm.init(key, trial, fitness, self._params)
             else:
@@ -88,7 +88,7 @@ class _Strategy(Generations):
         if finite.any() and value.min() < state["best_value"]:
             state["best_value"], state["best_theta"] = float(value.min()), request.theta[int(np.argmin(value))].copy()
         state["bests"].append(state["best_value"])
-        found, over = bool(np.isfinite(state["best_value"])), stalled(np.array(state["bests"]))
+        found, over = bool(np.isfinite(state["best_value"])), has_stalled(np.array(state["bests"]))
         state["stopped"] = self.reason_to_stop(found=found, over=over, generations=state["generation"])
 
     def _key(self, generation: int, purpose: int) -> Any:
@@ -106,7 +106,7 @@ class _Strategy(Generations):
 @lru_cache(maxsize=8)
 def _structure(name: str, population: int, parameters: int) -> Any:
     algorithm = _algorithm(name, population, parameters)
-    with lenient():
+    with standard_promotion():
         params, key = algorithm.default_params, jax.random.key(0)
         if name == "cma_es":
             return jax.tree.structure(algorithm.init(key, jnp.zeros(parameters), params))

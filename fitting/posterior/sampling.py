@@ -32,7 +32,7 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from fitting.estimate import Estimate
-from fitting.methods.problem import lenient
+from fitting.methods.problem import standard_promotion
 from fitting.posterior.density import BLOCK, Density, Seen
 from fitting.posterior.result import Posterior
 from fitting.uncertainty import SERIAL
@@ -78,7 +78,7 @@ def sample_posterior(
     for name, value in (("draws", draws), ("chains", chains), ("warmup", warmup)):
         if not (isinstance(value, int) and value >= _LEAST[name]):
             raise InputError(f"found {value!r}", where=name, expected=f"a whole number, at least {_LEAST[name]}")
-    accepting()  # says what is missing before anything is compiled
+    chain_runner()  # says what is missing before anything is compiled
     began, count = time.perf_counter(), (draws + warmup) * chains
     density = Density.of(estimate, measured)
     report = None if progress is None else lambda done: progress(done, count)
@@ -109,7 +109,7 @@ def _diagnosed(draws: Floats) -> tuple[Floats, Floats]:
     def all_of(x: Array) -> tuple[Array, ...]:
         return diagnostics.rhat(x), diagnostics.ess_bulk(x), diagnostics.ess_tail(x)
 
-    with lenient():
+    with standard_promotion():
         r_hat, bulk, tail = (np.asarray(a).reshape(-1) for a in all_of(jnp.asarray(draws, dtype=float)))
     return r_hat, np.minimum(bulk, tail)
 
@@ -229,14 +229,14 @@ def sampled(theta: Floats, log_density: Floats, log_proposal: Floats, *, chains:
     )
     first, rest = jax.tree.map(lambda a: a[:, 0], points), jax.tree.map(lambda a: a[:, 1:], points)
     keys = jax.random.split(jax.random.key(seed), rest.log_density.shape)
-    with lenient():
-        found, accepted = accepting()(keys, first, rest)
+    with standard_promotion():
+        found, accepted = chain_runner()(keys, first, rest)
     kept, level, rate = (np.asarray(a)[:, max(warmup - 1, 0) :] for a in (found.theta, found.log_density, accepted))
     return Draws(kept, level, rate.mean(axis=1))
 
 
 @cache
-def accepting() -> Callable[[Array, _Point, _Point], tuple[_Point, Array]]:
+def chain_runner() -> Callable[[Array, _Point, _Point], tuple[_Point, Array]]:
     """A compiled function that runs chains over proposals: from keys, starts (chains,) and proposals (chains, n).
 
     Raises:

@@ -20,7 +20,7 @@ from fitting.treatments import Treatment
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.batched import good_sizes
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
-from pftwin.dynamics.batch.member import FLAGS, sensible
+from pftwin.dynamics.batch.member import FLAGS, scene_is_valid
 from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.observe import observe_on_the_way
@@ -63,7 +63,7 @@ class Members(NamedTuple):
     courses: dict[str, Floats]  # (n, frames, ...), where trajectories are wanted
 
 
-def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
+def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
     """A member's outcomes."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
     at, seen = recipe.course(scene)
@@ -77,11 +77,11 @@ def _one(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
             "force_medial": at.force[0],
             "force_lateral": at.force[1],
         }
-    return measure(at, recipe.threshold), flags, sensible(scene), courses
+    return measure(at, recipe.threshold), flags, scene_is_valid(scene), courses
 
 
 @eqx.filter_jit
-def _settle(recipe: Recipe, amounts: Array, thetas: Array) -> tuple[Pose, Array]:
+def _member_equilibria(recipe: Recipe, amounts: Array, thetas: Array) -> tuple[Pose, Array]:
     """Equilibria from the scene's own start: poses of the patella's frame, and whether they are ones."""
 
     def one(a: Array, theta: Array) -> tuple[Pose, Array]:
@@ -120,7 +120,9 @@ def run(
         shared, rows = sharding.shared(recipe), (np.asarray(amounts, float), np.asarray(thetas, float), starts)
 
         def computed(some: Chunk) -> Members:
-            return Members(*sharding.taken(sharding.run(_one, shared, some, sharding.placed(rows, some)), some))
+            return Members(
+                *sharding.taken(sharding.run(_member_outcomes, shared, some, sharding.placed(rows, some)), some)
+            )
 
         return sharding.over(computed, n, feeding_threads(devices), progress)
 
@@ -142,7 +144,9 @@ def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
     points = points[:, spread > 0] / spread[spread > 0]
     chosen, nearest = _spread_out(points, _NEAR)
     padded = np.resize(chosen, _NEAR)
-    poses, good = jax.tree.map(np.asarray, _settle(recipe, jnp.asarray(amounts[padded]), jnp.asarray(thetas[padded])))
+    poses, good = jax.tree.map(
+        np.asarray, _member_equilibria(recipe, jnp.asarray(amounts[padded]), jnp.asarray(thetas[padded]))
+    )
     if not good.any():
         return None
     usable = good[: len(chosen)]

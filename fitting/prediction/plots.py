@@ -36,7 +36,7 @@ class OutcomeBand(NamedTuple):
     high: Floats | None
 
 
-def spread(values: DataArray) -> OutcomeBand:
+def central_and_range(values: DataArray) -> OutcomeBand:
     """Sample 0, and the 2.5 and 97.5 % quantiles over all samples that did not fail."""
     if "sample" not in values.dims:
         return OutcomeBand(np.asarray(values.values, dtype=np.float64), None, None)
@@ -63,14 +63,14 @@ def _by_estimate(data: Dataset) -> Dataset:
     return data.isel(sample=0) if "sample" in data.dims else data
 
 
-def called(data: Dataset, name: str) -> str:
+def short_name(data: Dataset, name: str) -> str:
     """An amount's name, without the treatment's where that is unambiguous."""
     short = name.rpartition("_")[2]
     alike = [n for n in amount_names(data) if n.endswith(f"_{short}")]
     return short if len(alike) == 1 else name.replace("_", " ")
 
 
-def shown(data: Dataset, name: str) -> tuple[Floats, str]:
+def in_shown_unit(data: Dataset, name: str) -> tuple[Floats, str]:
     """An amount in the unit shown to readers, and that unit: lengths in millimetres, shares in percent."""
     values, unit = data[name].values, data[name].attrs["units"]
     scale, unit = (100.0, "%") if unit == "1" else as_read(unit)
@@ -97,7 +97,7 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
     if not names or np.ptp(data[names[0]].values) == 0:
         raise InputError("no amount varies", where="outcome_figure", expected="a grid of amounts")
     own = given_axes(axes, len(_PANELS), "one for each of " + ", ".join(p[0] for p in _PANELS))
-    axis = f"{names[0].replace('_', ' ')} [{shown(data, names[0])[1]}]"
+    axis = f"{names[0].replace('_', ' ')} [{in_shown_unit(data, names[0])[1]}]"
     with house_style():
         if own is None:
             figure = Figure(figsize=(PAGE, 5.8))
@@ -141,7 +141,10 @@ def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]
         for name, value in zip(others, values, strict=True):
             same = same & (data[name].values == value)
         if same.any():
-            said = [f"{n.rpartition('_')[2]} {shown(data, n)[0][same][0]:g} {shown(data, n)[1]}" for n in others]
+            said = [
+                f"{n.rpartition('_')[2]} {in_shown_unit(data, n)[0][same][0]:g} {in_shown_unit(data, n)[1]}"
+                for n in others
+            ]
             kept.append(
                 (", ".join([*([str(scene)] if len(scenes) > 1 else []), *said]) or str(scene), np.flatnonzero(same))
             )
@@ -155,14 +158,14 @@ def _draw(
 ) -> None:
     from pftwin.results.plots.style import BAND, COLOURS
 
-    x = shown(data, amount)[0][rows]
+    x = in_shown_unit(data, amount)[0][rows]
     rows, x = rows[np.argsort(x, kind="stable")], np.sort(x)
     part, colour = data.isel(variant=rows), COLOURS[which % len(COLOURS)]
-    value, low, high = spread(scale * part[outcome])
+    value, low, high = central_and_range(scale * part[outcome])
     axes.plot(x, value, color=colour, label=label, marker=".", markersize=4)
     if low is not None and high is not None:
         axes.fill_between(x, low, high, color=colour, **BAND)
-    out = spread(part["dislocations"]).value > 0
+    out = central_and_range(part["dislocations"]).value > 0
     axes.plot(x[out], value[out], linestyle="none", marker="x", markersize=7, color=colour)
 
 
@@ -178,11 +181,11 @@ _COLUMNS = (
 def rows(data: Dataset) -> tuple[list[str], list[list[str]]]:
     """Headings and cells; with samples, each outcome with its 95 % band."""
     names = amount_names(data)
-    headings = [f"{called(data, n)} [{shown(data, n)[1]}]" for n in names]
+    headings = [f"{short_name(data, n)} [{in_shown_unit(data, n)[1]}]" for n in names]
     several = len(set(data["scene"].values)) > 1
     headings = [*(["scene"] if several else []), *headings, "dislocation", *(c[2] for c in _COLUMNS)]
-    amounts = [shown(data, n)[0] for n in names]
-    outcomes = [(spread(scale * data[name]), form) for name, scale, _, form in _COLUMNS]
+    amounts = [in_shown_unit(data, n)[0] for n in names]
+    outcomes = [(central_and_range(scale * data[name]), form) for name, scale, _, form in _COLUMNS]
     lines = []
     for i in range(data.sizes["variant"]):
         cells = [_band(found, i, form) for found, form in outcomes]
@@ -220,7 +223,7 @@ def _dislocation(data: Dataset, i: int) -> str:
     return said
 
 
-def finding(data: Dataset) -> str:
+def main_finding(data: Dataset) -> str:
     """The main finding, in a sentence or two."""
     first = _by_estimate(data)
     failed, out = first["failed"].values, first["dislocations"].values > 0
@@ -233,7 +236,7 @@ def finding(data: Dataset) -> str:
     elif not fine.any():
         parts.append("no variant tracks")
     elif one:
-        amount, unit = shown(data, names[0])
+        amount, unit = in_shown_unit(data, names[0])
         order = np.argsort(np.abs(amount), kind="stable")
         last_out = np.flatnonzero(~fine[order]).max()
         what = names[0].replace("_", " ")
@@ -255,6 +258,6 @@ def facts(data: Dataset) -> dict[str, Any]:
     units = {n: str(data[n].attrs["units"]) for n in [*amounts, *outcomes]}
     columns = {n: first[n].values.tolist() for n in ["scene", "treatment", *amounts, *outcomes]}
     drawn = [n for n in outcomes if n != "failed"] if "sample" in data.dims else []
-    bands = {name: list(spread(data[name])[1:]) for name in drawn}
+    bands = {name: list(central_and_range(data[name])[1:]) for name in drawn}
     variants = [{n: values[i] for n, values in columns.items()} for i in range(data.sizes["variant"])]
     return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands}

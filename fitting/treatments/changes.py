@@ -18,10 +18,10 @@ from fitting.treatments.parts import (
     QUADRICEPS,
     Amount,
     contact_of,
+    direction_in_knee,
     elastic,
     fitted_surface,
     line_element,
-    toward,
 )
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion, Rotation, Vec3
@@ -54,7 +54,7 @@ def tibial_tuberosity_transfer(
         InputError: no such tendon on the tibia.
     """
     found = line_element(scene, tendon, "tibial_tuberosity_transfer", body="tibia")
-    return scene.with_effect(found.with_origin_moved(toward(medialisation, distalisation, anteriorisation)))
+    return scene.with_effect(found.with_origin_moved(direction_in_knee(medialisation, distalisation, anteriorisation)))
 
 
 def patellar_tendon_length_change(scene: Scene, lengthening: Amount = 0.0, *, tendon: str = PATELLAR_TENDON) -> Scene:
@@ -92,7 +92,9 @@ def button_position(
         InputError: a scene without a button.
     """
     contact = contact_of(scene, "button_position")
-    return scene.with_effect(contact.with_button_moved(toward(medialisation, distalisation, anteriorisation)))
+    return scene.with_effect(
+        contact.with_button_moved(direction_in_knee(medialisation, distalisation, anteriorisation))
+    )
 
 
 def lateral_release(scene: Scene, release: Amount = 0.0, *, strands: str | tuple[str, ...] = LATERAL) -> Scene:
@@ -128,7 +130,7 @@ def mpfl_graft(
         InputError: the scene has no such strands on the femur.
     """
     found = elastic(scene, strands, "mpfl_graft", body="femur")
-    moved = found.with_origin_moved(toward(0.0, -proximalisation, anteriorisation))
+    moved = found.with_origin_moved(direction_in_knee(0.0, -proximalisation, anteriorisation))
     return scene.with_effect(moved.stiffened(1 + stiffening).lengthened(-shortening))
 
 
@@ -246,7 +248,9 @@ def femoral_component_translation(
         InputError: a scene without a trochlea.
     """
     chart = fitted_surface(scene, "femoral_component_translation").chart
-    return _with_chart(scene, chart.origin + toward(medialisation, distalisation, anteriorisation), chart.axes)
+    return _with_chart(
+        scene, chart.origin + direction_in_knee(medialisation, distalisation, anteriorisation), chart.axes
+    )
 
 
 def _with_chart(scene: Scene, origin: Vec3, axes: Rotation) -> Scene:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fitting.prediction.predicting import STEP, Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, TreatmentPlan
-from fitting.treatments.refine import CHUNK, Search, refined
+from fitting.treatments.refine import CHUNK, Search, refine
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import DISLOCATED
@@ -87,7 +87,7 @@ def optimise_treatment(
     scale = np.maximum(np.abs(lower), np.abs(upper))
     amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
     options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
-    room = _room(predict(scene, search.treated(amounts), estimate, **options), wanted)
+    room = _smallest_margin(predict(scene, search.treated(amounts), estimate, **options), wanted)
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
 
@@ -105,7 +105,7 @@ def optimise_treatment(
         shares = np.ones(len(part))
         if samples:
             data = predict(scene, search.treated(amounts[part]), estimate, samples=samples, seed=seed, **options)
-            shares = (_room(data, wanted)[:, 1:] >= 0).mean(axis=1)
+            shares = (_smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
             simulated += len(part) * (1 + samples)
         if shares.max() > most:
             surest, most = part[int(np.argmax(shares))], float(shares.max())
@@ -114,17 +114,17 @@ def optimise_treatment(
                 best = amounts[k]
                 if not best.any():
                     return plan(True, best)
-                return plan(True, refined(search, best, _below(amounts, k, lower, upper), lower, upper, scale))
+                return plan(True, refine(search, best, _next_smaller(amounts, k, lower, upper), lower, upper, scale))
     return plan(False, amounts[surest])
 
 
-def _below(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floats:
+def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floats:
     """For a single amount, the next smaller grid value on the same side of zero; else the smallest of the range."""
     before = [a for a in amounts[:k] if (a * amounts[k] >= 0).all()]
     return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
 
 
-def _room(data: Any, limits: tuple[Limit, ...]) -> Floats:
+def _smallest_margin(data: Any, limits: tuple[Limit, ...]) -> Floats:
     """Smallest scaled margin over all limits, of every variant (and draw); minus infinity without a value."""
     rooms = np.stack([lim.room(_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
     return np.where(np.isfinite(rooms), rooms, -np.inf)

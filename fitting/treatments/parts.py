@@ -88,7 +88,7 @@ def fitted_surface(scene: Scene, treatment: str) -> Surface:
     return surface
 
 
-def toward(medial: Amount, distal: Amount, anterior: Amount) -> Vec3:
+def direction_in_knee(medial: Amount, distal: Amount, anterior: Amount) -> Vec3:
     """The vector in a knee's frame (x proximal, y lateral, z anterior)."""
     return Vec3(-distal, -medial, anterior)  # type: ignore[arg-type]
 

@@ -39,7 +39,9 @@ Floats = NDArray[np.float64]
 
 
 @eqx.filter_jit
-def _looked(recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array, amounts: Array) -> Any:
+def _outcomes_and_derivatives(
+    recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array, amounts: Array
+) -> Any:
     """Outcomes at given amounts (draws,), and their derivatives by the amounts (amounts, draws)."""
 
     def found(x: Array) -> Any:
@@ -114,7 +116,9 @@ class Search:
                 self._known[key] = members.outcomes, None
             else:
                 numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
-                self._known[key] = jax.tree.map(np.asarray, _looked(self._recipe, self._places, *numbers))
+                self._known[key] = jax.tree.map(
+                    np.asarray, _outcomes_and_derivatives(self._recipe, self._places, *numbers)
+                )
         return self._known[key]
 
     def outcomes(self, amounts: Floats) -> dict[str, float]:
@@ -158,7 +162,7 @@ class Search:
         return self._treatment.with_values(values)
 
 
-def refined(search: Search, start: Floats, below: Floats, lower: Floats, upper: Floats, scale: Floats) -> Floats:
+def refine(search: Search, start: Floats, below: Floats, lower: Floats, upper: Floats, scale: Floats) -> Floats:
     """The smallest amounts near a start that meets the limits; the start where nothing smaller does.
 
     `below` is, of a single amount, the nearest smaller one that was tried and does not meet them.
@@ -188,7 +192,7 @@ def refined(search: Search, start: Floats, below: Floats, lower: Floats, upper: 
         within = (amounts >= lower - 1e-12).all() and (amounts <= upper + 1e-12).all()
         if within and (search.room(amounts) >= 0).all() and effort(amounts, scale) < effort(best, scale):
             best = amounts
-    return _nearer(search, best, np.clip(0.0 * best, lower, upper), scale)
+    return _bisect_toward(search, best, np.clip(0.0 * best, lower, upper), scale)
 
 
 def _just_met(search: Search, best: Floats, below: Floats) -> Floats:
@@ -209,7 +213,7 @@ def _just_met(search: Search, best: Floats, below: Floats) -> Floats:
     return met[min(met)]
 
 
-def _nearer(search: Search, best: Floats, least: Floats, scale: Floats) -> Floats:
+def _bisect_toward(search: Search, best: Floats, least: Floats, scale: Floats) -> Floats:
     """Bisects on the line from the least amounts to the best, for outcomes that jump."""
     if (search.room(least) >= 0).all():
         return least

@@ -190,7 +190,7 @@ class Treatment(eqx.Module):
 
     def describe(self) -> str:
         """In words, with amounts as people read them."""
-        return "; ".join(_words(step) for step in self.steps) or "no treatment"
+        return "; ".join(_step_text(step) for step in self.steps) or "no treatment"
 
     __str__ = describe
 
@@ -207,7 +207,7 @@ def _number(value: ArrayLike, where: str) -> Scalar:
     return jnp.asarray(value, dtype=float)
 
 
-def _words(step: TreatmentStep) -> str:
+def _step_text(step: TreatmentStep) -> str:
     """One step: "tibial tuberosity 10 mm medially, 5 mm distally"."""
     kind = KINDS[step.kind]
     said = [_amount(kind.amounts[name], value) for name, value in zip(step.names, step.amounts, strict=True)]

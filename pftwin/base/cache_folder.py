@@ -21,7 +21,7 @@ MOST = 500_000_000  # [bytes] in one kind's folder; beyond, the least recently u
 _chosen: list[Path] = []  # the folder in use, if any
 
 
-def use(folder: str | os.PathLike[str] | None) -> bool:
+def use_cache_folder(folder: str | os.PathLike[str] | None) -> bool:
     """Caches in this folder from now on; None: not at all.
 
     Returns:

@@ -26,9 +26,9 @@ from jax.core import Tracer
 
 import pftwin
 from pftwin.base import cache_folder
-from pftwin.base.serialization import NotPlainError, fingerprint, packed, unpacked
+from pftwin.base.serialization import NotPlainError, fingerprint, from_bytes, to_bytes
 from pftwin.base.text_files import MESH_BYTES
-from pftwin.base.traced_once import Fixed, split
+from pftwin.base.traced_once import Fixed, split_arguments
 
 T = TypeVar("T")
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy", "trimesh")
@@ -120,13 +120,13 @@ class Program:
         flat.__name__ = self._function.__name__
         if key is not None:
             with contextlib.suppress(Exception):  # damaged or missing: it is made anew
-                stored, example = unpacked(cache_folder.read("programs", key) or b"")
+                stored, example = from_bytes(cache_folder.read("programs", key) or b"")
                 program = jax.jit(jax.export.deserialize(bytearray(stored)).call)
                 return program.lower(*arrays), jax.tree.structure(example)
             with contextlib.suppress(ValueError, NotImplementedError, NotPlainError):  # not supported by export
                 exported = jax.export.export(jax.jit(flat))(*arrays)
                 example = jax.tree.unflatten(structures[0], range(structures[0].num_leaves))
-                stored = packed((np.frombuffer(exported.serialize(), np.uint8), example))
+                stored = to_bytes((np.frombuffer(exported.serialize(), np.uint8), example))
                 cache_folder.write("programs", key, stored)
                 return jax.jit(exported.call).lower(*arrays), structures[0]
         return jax.jit(flat).lower(*arrays), structures[-1]
@@ -144,7 +144,7 @@ def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
     body = cache_folder.read("values", key)
     if body is not None:
         with contextlib.suppress(Exception):  # damaged: it is computed again
-            return unpacked(body)
+            return from_bytes(body)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         value = function(*args)
@@ -152,7 +152,7 @@ def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
         warnings.warn_explicit(w.message, w.category, w.filename, w.lineno)
     if not warned and _key(function, args, files) == key:  # the files are still those that were read
         with contextlib.suppress(NotPlainError):
-            cache_folder.write("values", key, packed(value))
+            cache_folder.write("values", key, to_bytes(value))
     return value
 
 
@@ -208,7 +208,7 @@ def _shape(array: Any) -> jax.ShapeDtypeStruct:
 
 def _kind_of(args: tuple[Any, ...]) -> tuple[_Kind, list[Any]]:
     """The arguments' kind, and those that are arrays."""
-    fixed, arrays = split(args, _is_array)
+    fixed, arrays = split_arguments(args, _is_array)
     # Runs before every call: plain tuples are hashed and compared in a tenth of the time of shapes.
     kinds = tuple((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in arrays)
     return _Kind(fixed, kinds, settings()), arrays

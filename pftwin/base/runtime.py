@@ -149,7 +149,7 @@ def configure(
     if cache_dir is not None:
         from pftwin.base import cache_folder
 
-        if cache_folder.use(cache_dir):
+        if cache_folder.use_cache_folder(cache_dir):
             Path(cache_dir).mkdir(mode=0o700, parents=True, exist_ok=True)  # JAX would use the default mode
             compiled = cache_folder.compiled_folder(Path(cache_dir).absolute())
             compiled.mkdir(mode=0o700, exist_ok=True)

@@ -25,7 +25,7 @@ class NotPlainError(Exception):
     """A value that cannot be stored as data, or not identified in another process."""
 
 
-def packed(value: Any) -> bytes:
+def to_bytes(value: Any) -> bytes:
     """A value of plain types, arrays, and pftwin's own dataclasses and named tuples of these.
 
     Raises:
@@ -38,7 +38,7 @@ def packed(value: Any) -> bytes:
     return file.getvalue()
 
 
-def unpacked(body: bytes) -> Any:
+def from_bytes(body: bytes) -> Any:
     """The value again, array for array and bit for bit.
 
     Raises:
@@ -55,7 +55,7 @@ def fingerprint(value: Any) -> str:
     Raises:
         NotPlainError: as `packed`.
     """
-    return hashlib.sha256(packed(value)).hexdigest()
+    return hashlib.sha256(to_bytes(value)).hexdigest()
 
 
 def _node(value: Any, arrays: list[np.ndarray]) -> Any:

@@ -25,7 +25,7 @@ class Fixed(NamedTuple):
         return jax.tree.unflatten(self.structure, leaves)
 
 
-def split(args: Any, is_array: Callable[[Any], bool] = eqx.is_array) -> tuple[Fixed, list[Any]]:
+def split_arguments(args: Any, is_array: Callable[[Any], bool] = eqx.is_array) -> tuple[Fixed, list[Any]]:
     """Splits arguments into what determines a program and the arrays that it takes."""
     leaves, structure = jax.tree.flatten(args)
     arrays: list[Any] = []
@@ -51,6 +51,6 @@ def traced_once(function: F) -> F:
 
     @functools.wraps(function)
     def traced(*args: Any) -> Any:
-        return of_arrays(*split(args))
+        return of_arrays(*split_arguments(args))
 
     return cast(F, traced)

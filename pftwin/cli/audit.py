@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from pftwin.base.errors import InputError
-from pftwin.cli.exit_codes import Interrupted, keeping
+from pftwin.cli.exit_codes import Interrupted, report_written_on_interrupt
 from pftwin.cli.scenes import RunOptions, on_scene
-from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present, show, working, written
+from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present, show, spinner, written_line
 
 if TYPE_CHECKING:
     from pftwin.studies.audit.audit import Audit
@@ -31,7 +31,7 @@ def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: JsonOpt
     from pftwin.studies.audit.explain import explain as look
     from pftwin.studies.audit.report import explanation_sheet
 
-    with working(f"running {chosen.scene.name} with and without each effect"):
+    with spinner(f"running {chosen.scene.name} with and without each effect"):
         found = look(chosen.scene, integrator=knee.method, dt=knee.dt or 1e-3)
     facts = {"contact": chosen.contact, **found.to_dict(), "machine": describe()}
     present(facts, explanation_sheet(found), json=json, markdown=markdown)
@@ -64,14 +64,14 @@ def audit(
     from pftwin.studies.audit.audit import audit as weigh
     from pftwin.studies.audit.report import audit_sheet
 
-    with working(f"running {chosen.scene.name} with every effect left out in turn"):
+    with spinner(f"running {chosen.scene.name} with every effect left out in turn"):
         found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=knee.method, dt=knee.dt or 1e-3)
     files = [] if out_dir is None else _write(found, out_dir)
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in files]}
     present({**found.to_dict(), **about}, audit_sheet(found), json=json, markdown=markdown)
     if found.interrupted:
         raise Interrupted(*files, *([Path(json)] if json not in (None, "-") else []))
-    show(written(files), json=json)
+    show(written_line(files), json=json)
 
 
 def _write(found: Audit, folder: Path) -> list[Path]:
@@ -83,7 +83,7 @@ def _write(found: Audit, folder: Path) -> list[Path]:
     from pftwin.studies.tables import to_csv
 
     csv, netcdf, *figures = files = [folder / f"audit.{kind}" for kind in ("csv", "nc", "png", "svg")]
-    with keeping(*files):
+    with report_written_on_interrupt(*files):
         folder.mkdir(parents=True, exist_ok=True)
         write_text(csv, to_csv(table(found)))
         save_dataset(dataset(found), netcdf)

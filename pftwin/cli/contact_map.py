@@ -9,7 +9,7 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli import terminal
-from pftwin.cli.exit_codes import Interrupted, flagged, keeping
+from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 
 if TYPE_CHECKING:
     from pftwin.files.mocap.poses import PoseSeries
@@ -62,7 +62,7 @@ def contact_map(
     from pftwin.studies.contact_map.figures import compressed, dataset, map_figure
     from pftwin.studies.contact_map.mapping import check_outcome, check_sides, load_pair, map_contact
 
-    with terminal.working("reading"):
+    with terminal.spinner("reading"):
         thigh, button = load_pair(femur, patella, units=units, patella_units=patella_units)
         relative = _poses(poses, bodies, start, end)
         check_sides(thigh, button, relative)
@@ -85,15 +85,15 @@ def contact_map(
     }
     if missing:
         settings["title"] = f"contact at given poses (interrupted: {found.times.size} of {relative.times.size} frames)"
-    with keeping(output, figure):
+    with report_written_on_interrupt(output, figure):
         if output is not None:
             data = dataset(found, button, {**settings, "source": f"pftwin {__version__}"})
-            with terminal.working("writing"):
+            with terminal.spinner("writing"):
                 save_dataset(data, output, encoding=compressed(data))
         if missing:
             raise Interrupted(*([] if output is None else [output]))
         if figure is not None:
-            with terminal.working("drawing"):
+            with terminal.spinner("drawing"):
                 title = f"{patella.name} on {femur.name}, {law} foundation"
                 terminal.save_picture(map_figure(found, thigh, button, title), figure)
     f = _facts(found)
@@ -102,9 +102,9 @@ def contact_map(
         f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
     )
     files = [path for path in (output, figure) if path is not None]
-    terminal.present({**settings, **f}, summary, terminal.written(files), json=json)
+    terminal.present({**settings, **f}, summary, terminal.written_line(files), json=json)
     if deep := int(found.too_deep.sum()):
-        flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
+        exit_flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
 
 
 def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw:

@@ -10,9 +10,9 @@ from typing import Annotated
 from typer import Option
 
 from pftwin.base.sheet import Sheet
-from pftwin.cli.exit_codes import flagged
+from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.installation import Extra, Finding, cache, extras, packages, python
-from pftwin.cli.terminal import JsonOption, check_outputs, present, show, start_computing, working
+from pftwin.cli.terminal import JsonOption, check_outputs, present, show, spinner, start_computing
 
 FRAMES = 61  # of the self-test: 0.6 s of case 1
 MOST_CREATED = 0.04  # energy that no effect accounts for, as a share of the work done: 0.018 with steps of 1 ms
@@ -36,14 +36,14 @@ def doctor(
 
     folder = Path(default_cache_dir())
     optional: list[Extra] = []
-    with working("looking"):
+    with spinner("looking"):
         findings = _checked("installation", lambda: [python(), *packages()])
         if all(f.sound for f in findings):
             optional = extras()
         findings += _checked("cache", lambda: [cache(folder)])
         findings += _checked("devices", _computing)
     if not quick and all(f.sound for f in findings):
-        with working("simulating half a second of the virtual rig"):
+        with spinner("simulating half a second of the virtual rig"):
             findings += _checked("simulation", self_test)
     broken = [f for f in findings if not f.sound]
     facts = {
@@ -64,7 +64,7 @@ def doctor(
         parts.append(Sheet("optional parts", headings, rows))
     present(facts, *parts, json=json)
     if broken:
-        flagged("; ".join(f"{f.name}: {f.found}" for f in broken))
+        exit_flagged("; ".join(f"{f.name}: {f.found}" for f in broken))
     show("sound", json=json)
 
 

@@ -11,7 +11,7 @@ from typer import Argument, Option
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli import terminal
-from pftwin.cli.exit_codes import flagged
+from pftwin.cli.exit_codes import exit_flagged
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
@@ -34,7 +34,7 @@ def init(
     from pftwin.rig.scene_template import write_example
 
     terminal.start_computing()
-    with terminal.working(f"writing the example to {folder}"):
+    with terminal.spinner(f"writing the example to {folder}"):
         files = write_example(folder, case)
     following = f"next: pftwin simulate {folder / 'scene.toml'} -o knee.nc"
     terminal.present({"files": [str(p) for p in files]}, *(f"written: {p}" for p in files), following, json=json)
@@ -65,7 +65,7 @@ def export(
         check_format(path)
     terminal.check_outputs(*output, json)
     for path in output:
-        with terminal.working(f"writing {path}"):
+        with terminal.spinner(f"writing {path}"):
             write(result, path)
     sizes = {str(p): p.stat().st_size for p in output}
     lines = (f"written: {path} ({size / 1e6:.2f} MB)" for path, size in sizes.items())
@@ -99,7 +99,7 @@ def view(
     terminal.check_outputs(page, json)
     from pftwin.results.viewer import view as draw
 
-    with terminal.working("drawing"):
+    with terminal.spinner("drawing"):
         draw(list(zip(names, results, strict=True)) if names else results, html=page)
     size = page.stat().st_size
     facts = {"results": [str(p) for p in results], "file": str(page), "bytes": size}
@@ -139,33 +139,33 @@ def import_model(
     from pftwin.files.interchange.osim_toml import rows
 
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
-    with terminal.working(f"reading {model}"):
+    with terminal.spinner(f"reading {model}"):
         found = import_osim(model, folder, motion=motion, bend=bend, side=side, **bodies, geometry=geometry or ())
-    trouble = _trouble(found)
+    trouble = _import_problem(found)
     facts = {
         "files": [str(p) for p in found.files],
         "notes": found.notes,
         "not_imported": [part._asdict() for part in found.left_out],
         "trouble": trouble,
     }
-    cells = tuple((kind, _shortened(names), why) for kind, names, why in rows(found.left_out))
+    cells = tuple((kind, _shorten_names(names), why) for kind, names, why in rows(found.left_out))
     sheet = Sheet("not imported", ("what", "names", "why"), cells)
-    terminal.present(facts, *found.notes, sheet, terminal.written(found.files), json=json)
+    terminal.present(facts, *found.notes, sheet, terminal.written_line(found.files), json=json)
     if trouble is not None:
-        flagged(trouble)
+        exit_flagged(trouble)
     terminal.show(f"next: pftwin simulate {found.scene} -o knee.nc", json=json)
 
 
-def _shortened(names: str) -> str:
+def _shorten_names(names: str) -> str:
     return names if len(names) <= _MOST_NAMES else f"{names[:_MOST_NAMES]} ... ({names.count(',') + 1})"
 
 
-def _trouble(found: Imported) -> str | None:
+def _import_problem(found: Imported) -> str | None:
     """Why the scene cannot be loaded as it is; None where it can."""
     terminal.start_computing()
     from pftwin.files.scene_file import load_scene_file
 
-    with terminal.working("loading the scene"):
+    with terminal.spinner("loading the scene"):
         try:
             scene = load_scene_file(found.scene).scene
         except InputError as error:

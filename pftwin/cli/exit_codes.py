@@ -37,7 +37,7 @@ def code_of(error: PftwinError) -> ExitCode:
     return ExitCode.BAD_INPUT if isinstance(error, _REFUSALS) else ExitCode.FLAGGED
 
 
-def flagged(why: str) -> NoReturn:
+def exit_flagged(why: str) -> NoReturn:
     """Ends a command whose outcome is written and shown but cannot be relied on; says why on stderr."""
     tell(f"flagged: {why}", "yellow")
     raise typer.Exit(ExitCode.FLAGGED)
@@ -53,7 +53,7 @@ def check_trust(result: Result) -> None:
 
     told = Status.NO_CONTACT | Status.LEFT_PATCH | Status.SNAPPED
     if doubts := result.status & ~told:
-        flagged(f"{result.scene_name}: {doubts.describe()}")
+        exit_flagged(f"{result.scene_name}: {doubts.describe()}")
 
 
 class Interrupted(KeyboardInterrupt):
@@ -65,7 +65,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 @contextmanager
-def keeping(*files: Path | None) -> Iterator[None]:
+def report_written_on_interrupt(*files: Path | None) -> Iterator[None]:
     """After Ctrl-C, reports which of these files the work inside has written."""
     present = [f for f in files if f is not None]
     before = {f: _version(f) for f in present}

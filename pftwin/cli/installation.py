@@ -7,7 +7,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pftwin.cli.terminal import may_write, nearest
+from pftwin.cli.terminal import may_write, nearest_existing
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -79,7 +79,9 @@ def cache(folder: Path) -> Finding:
     """The folder of compiled programs: how large, and whether it can be written to."""
     sizes = [f.stat().st_size for f in folder.rglob("*") if f.is_file()] if folder.is_dir() else []
     words = f"{folder}: {len(sizes)} files, {sum(sizes) / 1e6:.1f} MB"
-    return Finding("cache", words, may_write(nearest(folder)), "set PFTWIN_CACHE to a folder that can be written to")
+    return Finding(
+        "cache", words, may_write(nearest_existing(folder)), "set PFTWIN_CACHE to a folder that can be written to"
+    )
 
 
 def _requirements(package: str, extra: str | None = None) -> list[Requirement]:

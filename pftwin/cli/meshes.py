@@ -11,7 +11,7 @@ from typer import Argument, Option
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli import terminal
-from pftwin.cli.exit_codes import flagged
+from pftwin.cli.exit_codes import exit_flagged
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.doctor import Diagnosis
@@ -45,7 +45,7 @@ def doctor_mesh(
     if repair is not None:
         check_format(repair)
     terminal.check_outputs(repair, json)
-    with terminal.working(f"examining {mesh}"):
+    with terminal.spinner(f"examining {mesh}"):
         found = examine_file(mesh, units=units)
     facts, parts = found.facts(), list[Sheet | str](_description(found, units))
     if found.findings:
@@ -59,14 +59,14 @@ def doctor_mesh(
         from pftwin.geometry.mesh.doctor import repaired_file
         from pftwin.geometry.mesh.mesh import save_mesh
 
-        with terminal.working("repairing"):
+        with terminal.spinner("repairing"):
             healed, after = repaired_file(mesh, units=units)
         save_mesh(healed, repair)  # numbers as they are: the unit stays the file's
         facts["repaired"] = {**after.facts(), "file": str(repair)}
         parts.append(f"written: {repair}, {after.n_faces} triangles: {after.verdict}")
     terminal.present(facts, *parts, json=json)
     if found.of("fatal"):
-        flagged(f"{mesh}: {found.verdict}")
+        exit_flagged(f"{mesh}: {found.verdict}")
 
 
 def _description(found: Diagnosis, units: str | None) -> Iterator[str]:
@@ -120,17 +120,17 @@ def fit_surface(
     from pftwin.geometry.patch.fit import fit_named
     from pftwin.geometry.patch.region import trochlear_region
 
-    with terminal.working(f"reading {mesh}"):
+    with terminal.spinner(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
-    with terminal.working("looking for the trochlea"):
+    with terminal.spinner("looking for the trochlea"):
         limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
         region = trochlear_region(surface, **directions, half_width=1e-3 * half_width, angles=limits)
-    with terminal.working("fitting"):
+    with terminal.spinner("fitting"):
         fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
     if output is not None:
         from pftwin.results.plots.region import plot_region
 
-        with terminal.working("drawing"):
+        with terminal.spinner("drawing"):
             terminal.save_picture(plot_region(region, surface), output)
     facts = {
         "mesh": str(mesh),
@@ -149,7 +149,7 @@ def fit_surface(
         ),
         words=(),
     )
-    terminal.present(facts, sheet, terminal.written([] if output is None else [output]), json=json)
+    terminal.present(facts, sheet, terminal.written_line([] if output is None else [output]), json=json)
 
 
 def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:

@@ -13,7 +13,7 @@ from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli.plugins import with_options
-from pftwin.cli.terminal import start_computing, tell, working
+from pftwin.cli.terminal import spinner, start_computing, tell
 
 if TYPE_CHECKING:
     from pftwin.dynamics.integrator import Integrator
@@ -33,7 +33,7 @@ allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
 _CONTACTS = "P2|P4|P5|spline|CM|FM|volume"
 
 
-def _offered(incomplete: str) -> list[str]:
+def _complete_contact(incomplete: str) -> list[str]:
     """Contacts that complete what was typed, for the shell."""
     return [name for name in _CONTACTS.split("|") if name.lower().startswith(incomplete.lower())]
 
@@ -43,7 +43,7 @@ ContactOption = Annotated[
     Option(
         "--contact",
         metavar=_CONTACTS,
-        autocompletion=_offered,
+        autocompletion=_complete_contact,
         help="Patch fitted to the mesh, or with --case meshes: P5 if left out.",
     ),
 ]
@@ -99,7 +99,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
     if scene is not None:
         from pftwin.files.scene_file import load_scene_file
 
-        with working(f"reading {scene}"):
+        with spinner(f"reading {scene}"):
             loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get())
         for note in loaded.notes:
             tell(note, "dim")
@@ -107,7 +107,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
     from pftwin import rig
 
     assert case is not None
-    with working(f"preparing case {case} of the virtual rig"):
+    with spinner(f"preparing case {case} of the virtual rig"):
         name = contact or "P5"
         return Chosen(rig.case(case, contact=name), name)
 
@@ -161,7 +161,7 @@ def simulated(chosen: Chosen, knee: RunOptions, tolerance: str | None = None) ->
     from pftwin.dynamics.simulate import simulate
 
     scene, began, method = chosen.scene, time.perf_counter(), knee.method
-    with working(f"compiling and simulating {scene.name}"):
+    with spinner(f"compiling and simulating {scene.name}"):
         result = simulate(scene, integrator=method, dt=knee.dt, tolerance=tolerance)
         first = time.perf_counter() - began
         if tolerance is None:  # the run that was chosen for a tolerance is a warm one

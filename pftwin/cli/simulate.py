@@ -11,10 +11,10 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.cli.exit_codes import check_trust, flagged, keeping
+from pftwin.cli.exit_codes import check_trust, exit_flagged, report_written_on_interrupt
 from pftwin.cli.plugins import with_scene_changes
 from pftwin.cli.scenes import RunOptions, SceneOptions, ToleranceOption, on_scene, simulated
-from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, working, written
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, spinner, written_line
 
 
 @with_scene_changes
@@ -39,7 +39,7 @@ def simulate(
     chosen = knee.load()
     chosen = chosen if change is None else replace(chosen, scene=change(chosen.scene))
     result, first = simulated(chosen, knee, tolerance)
-    with keeping(*files), working("writing"):
+    with report_written_on_interrupt(*files), spinner("writing"):
         for path in files:
             {".nc": result.save, ".csv": result.to_csv, ".sto": result.to_sto}[path.suffix.lower()](path)
     facts = {
@@ -56,7 +56,7 @@ def simulate(
         "dtype": result.dtype,
         "files": [str(p) for p in files],
     }
-    present(facts, result.summary(), written(files), json=json)
+    present(facts, result.summary(), written_line(files), json=json)
     check_trust(result)
 
 
@@ -71,7 +71,7 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     from pftwin.dynamics.simulate import equilibrium as solve
 
     name = chosen.scene.name
-    with working(f"solving for the equilibrium of {name}"):
+    with spinner(f"solving for the equilibrium of {name}"):
         report = solve(chosen.scene)
     reported = [(f"{e} {key}", v) for e, seen in report.effects.items() for key, v in seen.items() if v.ndim == 0]
     rows = (
@@ -84,7 +84,7 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     facts = {"scene": name, "contact": chosen.contact, **report.to_dict()}
     present(facts, f"{name}: {report.description}", sheet, json=json)
     if not report.converged:
-        flagged(f"{name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
+        exit_flagged(f"{name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
 
 
 @on_scene

@@ -11,7 +11,7 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli import terminal
-from pftwin.cli.exit_codes import Interrupted, flagged, keeping
+from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside
 
 if TYPE_CHECKING:
@@ -54,21 +54,21 @@ def accuracy(
     terminal.check_outputs(json)
     terminal.start_computing()
     from pftwin.base.runtime import describe
-    from pftwin.studies.accuracy.programs import COMMON, FLOATS, chosen, everything
+    from pftwin.studies.accuracy.programs import COMMON, FLOATS, chosen, full_table
     from pftwin.studies.accuracy.run import measure_all, write
     from pftwin.studies.accuracy.table import advice, overview
 
     if full and (contact or integrator or dtype):
         raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
     source = _source(scene, case)
-    plan = everything() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
-    with keeping(folder / "accuracy.csv"), terminal.working("measuring"):
+    plan = full_table() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
+    with report_written_on_interrupt(folder / "accuracy.csv"), terminal.spinner("measuring"):
         found = measure_all(plan, source.scene_of, source.measured, _tell, lambda rows: _keep(rows, folder))
     synthetic = source.measured is not None and source.measured.synthetic
     about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}
     paths = write(found, folder, source.title, about)
     facts = {"about": about, "rows": [asdict(r) for r in found.rows], "files": [str(p) for p in paths]}
-    terminal.present(facts, overview(found.rows), advice(found.rows), terminal.written(paths), json=json)
+    terminal.present(facts, overview(found.rows), advice(found.rows), terminal.written_line(paths), json=json)
 
 
 def _tell(line: str) -> None:
@@ -175,7 +175,7 @@ def hard_cases(
 
     cases = tuple(case_named(n) for n in case) if case else catalogue()
     if list_:
-        terminal.show(table.named(cases), json=json)
+        terminal.show(table.named_cases(cases), json=json)
         return
     for name in integrator or ():
         integrator_from_text(name)
@@ -188,7 +188,7 @@ def hard_cases(
     )
     found = [piece for path in from_ for piece in table.read_pieces(path)] if from_ else [_run(cases, chosen, json)]
     order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
-    cells = table.merged(found, order)
+    cells = table.merged_pieces(found, order)
     if markdown is not None:
         from pftwin.base.text_files import write_text
 
@@ -196,7 +196,7 @@ def hard_cases(
     terminal.show(table.summary(cells), json=json)
     if failed := table.counts(cells)["fail"]:
         terminal.show(table.reasons(cells, "fail"), json=json)
-        flagged(f"{failed} of {len(cells)} cells fail")
+        exit_flagged(f"{failed} of {len(cells)} cells fail")
 
 
 def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> KeptPiece:

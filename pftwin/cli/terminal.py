@@ -67,13 +67,13 @@ def present(facts: Any, *parts: Sheet | str, json: str | None, markdown: bool = 
     show(*parts, json=json, markdown=markdown)
 
 
-def written(paths: Sequence[Path | str]) -> str:
+def written_line(paths: Sequence[Path | str]) -> str:
     """The line that names the files of a command; empty if there are none."""
     return f"written: {', '.join(map(str, paths))}" if paths else ""
 
 
 @contextmanager
-def working(what: str) -> Iterator[None]:
+def spinner(what: str) -> Iterator[None]:
     """A spinner on stderr while something takes its time; nothing where stderr is no terminal."""
     with err().status(f"{what} ..."):
         yield
@@ -162,11 +162,11 @@ def check_folder(folder: Path) -> None:
     """Refuses a folder that does not exist and cannot be made, or cannot be written to; makes nothing."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; try: another name for the folder")
-    if not may_write(there := nearest(folder)):
+    if not may_write(there := nearest_existing(folder)):
         raise OutputError(f"{folder}: cannot be made: no permission to write in {there}")
 
 
-def nearest(folder: Path) -> Path:
+def nearest_existing(folder: Path) -> Path:
     """The folder, or the nearest place above it that exists."""
     there = folder.absolute()
     return next(place for place in (there, *there.parents) if place.exists())

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pftwin.base.spatial import Pose, Scalar, safe_sqrt
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.state import Guide, System
-from pftwin.dynamics.static_load import Surroundings, look_around, moved, residual, still
+from pftwin.dynamics.static_load import Surroundings, displaced_pose, look_around, patella_at_rest, residual
 
 REACH = 2e-3  # longest step [m]
 SEARCH_STEPS = 4  # evaluations that turn rough memories into exact ones before the pose moves
@@ -128,7 +128,7 @@ def _size(r: list[Scalar]) -> Scalar:
 def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     """One Newton iteration; a pose that meets the tolerance stays."""
     searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
-    there = look_around(system, lambda d: still(guide, moved(at.pose, d)), at.memories, at.residual)
+    there = look_around(system, lambda d: patella_at_rest(guide, displaced_pose(at.pose, d)), at.memories, at.residual)
     r, stiffness = there.residual(), there.tangent()
     size = _size(r)
     caution = _caution(at, size)
@@ -141,7 +141,7 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     done = ((size < 0.01 * tolerance) | floor) & ~searching
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
-    return _Iterate(moved(at.pose, d), there.memories, size, stiffness, rounding, at.count + 1, done, caution)
+    return _Iterate(displaced_pose(at.pose, d), there.memories, size, stiffness, rounding, at.count + 1, done, caution)
 
 
 def _caution(at: _Iterate, size: Scalar) -> Scalar:
@@ -152,12 +152,12 @@ def _caution(at: _Iterate, size: Scalar) -> Scalar:
 
 def _start(system: System, guide: Guide, guess: Pose) -> _Iterate:
     zero = jnp.zeros_like(guess.position.x)
-    memories = system.guess(still(guide, guess))
+    memories = system.guess(patella_at_rest(guide, guess))
     stiffness = jnp.zeros((6, 6), zero.dtype)
     return _Iterate(guess, memories, zero + jnp.inf, stiffness, zero, jnp.zeros((), int), jnp.array(False), zero + 1.0)
 
 
-def unsolved(system: System, guide: Guide, guess: Pose) -> Solution:
+def initial_solution(system: System, guide: Guide, guess: Pose) -> Solution:
     """A solution before the search: of the same structure, so that what goes on from one can be compiled ahead."""
     return _start(system, guide, guess).solution()
 
@@ -195,6 +195,6 @@ def _solve_equilibrium_jvp(primals: Any, tangents: Any) -> tuple[Solution, Solut
     ridge = RIDGE * jnp.trace(solution.stiffness) * jnp.eye(6, dtype=dr.dtype)
     d = list(jnp.linalg.solve(solution.stiffness + ridge, dr))
     zeros = [jnp.zeros_like(a) for a in d]
-    _, change = jax.jvp(lambda *step: moved(solution.pose, list(step)), zeros, d)
+    _, change = jax.jvp(lambda *step: displaced_pose(solution.pose, list(step)), zeros, d)
     none = jax.tree.map(lambda a: None if not eqx.is_inexact_array(a) else jnp.zeros_like(a), solution)
     return solution, eqx.tree_at(lambda s: s.pose, none, change)

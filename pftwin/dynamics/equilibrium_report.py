@@ -58,7 +58,7 @@ class EquilibriumReport:
             relaxed: whether damped relaxation had to help.
             there: pose of the patella in the femur and observables; by default they are looked up.
         """
-        pose, seen = on_host(_look(scene.unnamed(), solution.pose) if there is None else there)
+        pose, seen = on_host(_observe_at(scene.unnamed(), solution.pose) if there is None else there)
         # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
         solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
         turn = _row(guess.orientation)
@@ -143,7 +143,7 @@ class EquilibriumReport:
 
 
 @Program
-def _look(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
+def _observe_at(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
     """Pose of the patella in the femur and observables, with the patella at rest at a pose of its centre of mass."""
     system, guide = System.of(scene), first_guide(scene)
     now = guide.instant(Patella.at_rest(pose.position, pose.orientation), 0.0)

@@ -13,7 +13,7 @@ from jaxtyping import Array
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose, Scalar
-from pftwin.dynamics.equilibrium import Solution, solve_equilibrium, unsolved
+from pftwin.dynamics.equilibrium import Solution, initial_solution, solve_equilibrium
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
@@ -53,7 +53,7 @@ def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
 
 def start_before_search(scene: Scene) -> Solution:
     """An unsolved `Solution` of the structure that `starting_equilibrium` returns, without the search."""
-    return unsolved(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
+    return initial_solution(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
 
 
 def _of_center(scene: Scene, pose: Pose) -> Pose:

@@ -97,7 +97,7 @@ class Integrator(ABC):
         return eqx.tree_at(lambda s: self.diagnostics(s).residual, state, left)
 
 
-def carrying(state: State, carried: Any) -> State:
+def with_carried(state: State, carried: Any) -> State:
     """The state with what an integrator carries to the next step."""
     return eqx.tree_at(lambda s: s.carried, state, carried, is_leaf=lambda x: x is None)
 

@@ -44,14 +44,14 @@ class Ledger(eqx.Module):
             looked: the patella's velocities at which the loads were evaluated; by default those of `before`.
         """
         seen = Twist(before.velocity, before.spin) if looked is None else looked
-        velocity, spin = _middle(before.velocity, after.velocity), _middle(before.spin, after.spin)
+        velocity, spin = _midpoint(before.velocity, after.velocity), _midpoint(before.spin, after.spin)
         work, heat, forces = self.work, self.heat, None if applied is None else iter(applied)
         for load in loads:
             if load.wrench is not None and load.energy is None:
                 w = load.wrench
                 work = work + step * (w.force.dot(velocity) + w.moment.dot(spin))
             if load.drag is not None:
-                put_in, lost = _dragged(load.drag, seen, before, after, Twist(velocity, spin), at)
+                put_in, lost = _drag_power(load.drag, seen, before, after, Twist(velocity, spin), at)
                 work, heat = work + step * put_in, heat + step * lost
             if load.bed is not None:
                 put_in, lost = _bedded(load.bed, seen, Twist(velocity, spin), at, step)
@@ -68,7 +68,7 @@ class Ledger(eqx.Module):
         return Ledger(work, heat)
 
 
-def _dragged(drag: Drag, seen: Twist, before: State, after: State, mean: Twist, at: float) -> tuple[Scalar, Scalar]:
+def _drag_power(drag: Drag, seen: Twist, before: State, after: State, mean: Twist, at: float) -> tuple[Scalar, Scalar]:
     """Power that the moving medium puts in and power lost, with the drag's force at the instant `at` of the step."""
     moving, turning = seen.linear - drag.velocity, seen.angular - drag.spin
     ahead = [
@@ -88,5 +88,5 @@ def _bedded(bed: AggregateStiffness, seen: Twist, mean: Twist, at: float, step: 
     return bed.force @ guided, (elastic - bed.force) @ twist
 
 
-def _middle(a: Vec3, b: Vec3) -> Vec3:
+def _midpoint(a: Vec3, b: Vec3) -> Vec3:
     return 0.5 * (a + b)

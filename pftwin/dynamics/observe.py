@@ -49,7 +49,7 @@ class ObservedFrame(NamedTuple):
 def observe(scene: Scene, path: FrameStates) -> Observation:
     """The observables of every recorded frame. Pure: jit and vmap apply."""
     chosen = path.integrator
-    look, guides = _look(scene, path.integrator)
+    look, guides = _frame_observer(scene, path.integrator)
     # A loop compiles as quickly as a single frame.
     seen = map_rows(lambda at: look(at[0], at[1], path.step), (path.states, guides))
     energies = None
@@ -86,7 +86,7 @@ def observe_on_the_way(
         What is kept (n_frames, ...), the status (n_frames,), and the equilibrium at the start.
     """
     chosen = integrator
-    look, guides = _look(scene, integrator)
+    look, guides = _frame_observer(scene, integrator)
     step = scene.motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
 
     def at(state: State, books: Ledger | None, index: Scalar) -> tuple[Any, Array, Any, Any]:
@@ -100,7 +100,7 @@ def observe_on_the_way(
     return found, status_of_all(status, start, energies, step, snaps), start
 
 
-def placed(scene: Scene, state: State, guide: Guide) -> tuple[Instant, Pose, Vec3]:
+def instant_and_frame(scene: Scene, state: State, guide: Guide) -> tuple[Instant, Pose, Vec3]:
     """The instant that effects take, the patella's frame in the femur's, and the tracked point there [m]."""
     now, turn = guide.instant(state.patella(), 0.0), state.orientation
     origin = now.femur.to_local(state.position - turn.rotate(scene.patella.center_of_mass))
@@ -119,14 +119,14 @@ def tracked_center(scene: Scene, states: State) -> Vec3:
     return center if femur is None else femur.frames(scene.motion.frame_times()).to_local(center)
 
 
-def _look(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], ObservedFrame], Guide]:
+def _frame_observer(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], ObservedFrame], Guide]:
     """A function of (state, guided bodies, step) to a frame's observables; and the guided bodies at all frames."""
     system = System.of(scene)
     # Exact frame times, so that the last frame is not extrapolated by rounding.
     times = scene.motion.frame_times()
 
     def look(state: State, guide: Guide, step: Scalar) -> ObservedFrame:
-        now, patella, center = placed(scene, state, guide)
+        now, patella, center = instant_and_frame(scene, state, guide)
         reports = {e.name: e.report(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
         seen = {name: shown for name, (shown, _) in reports.items()}
         stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}

@@ -43,10 +43,10 @@ def relax(system: System, guide: Guide, pose: Pose) -> Pose:
     return Pose(state.position, state.orientation)
 
 
-def thrown(before: Pose, after: Pose) -> np.ndarray:
+def ended_far_away(before: Pose, after: Pose) -> np.ndarray:
     """Whether relaxation ended too far away, or not finite, to be a start. Runs on the host."""
-    way = np.asarray(after.position.array()) - np.asarray(before.position.array())
-    return ~(np.linalg.norm(way, axis=-1) < THROWN)
+    displacement = np.asarray(after.position.array()) - np.asarray(before.position.array())
+    return ~(np.linalg.norm(displacement, axis=-1) < THROWN)
 
 
 def come_to_rest(system: System, state: State, guide: Guide, moves: Scalar) -> State:

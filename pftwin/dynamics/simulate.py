@@ -29,7 +29,7 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2, LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
-from pftwin.dynamics.relaxation import relax, thrown
+from pftwin.dynamics.relaxation import ended_far_away, relax
 from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Path, coarsest, settings_of, tolerance_in_metres
@@ -60,13 +60,13 @@ def _run(
     return observe(scene, path), path.ledger
 
 
-def settle(scene: Scene) -> tuple[Timed, bool]:
+def settle_first_frame(scene: Scene) -> tuple[Timed, bool]:
     """The equilibrium at the first frame, and whether the damped relaxation helped to find it."""
     found = _solve.timed(scene)
     if _converged(found.answer):
         return found, False
     tried = [found, _relaxed.timed(scene)]
-    if not thrown(scene.start, tried[-1].answer):
+    if not ended_far_away(scene.start, tried[-1].answer):
         # A scene that starts there is one of the same structure: nothing is compiled again.
         tried.append(_solve.timed(eqx.tree_at(lambda s: s.start, scene, tried[-1].answer)))
     run, preparation = (sum(t[i] for t in tried) for i in (1, 2))
@@ -75,7 +75,7 @@ def settle(scene: Scene) -> tuple[Timed, bool]:
 
 
 def prepare_relaxation(scene: Scene) -> None:
-    """Compiles the fallback of `settle` for scenes of this structure ahead of time."""
+    """Compiles the fallback of `settle_first_frame` for scenes of this structure ahead of time."""
     _relaxed.prepare(scene.unnamed())
 
 
@@ -131,13 +131,15 @@ def simulate(
     if tolerance is not None:
         if dt is not None:
             raise InputError("found both dt and tolerance", where="simulate", expected="one of them")
-        return _within(scene, tolerance_in_metres(tolerance), integrator or BDF2(), bool(energy_budget))
+        return _simulate_within_tolerance(
+            scene, tolerance_in_metres(tolerance), integrator or BDF2(), bool(energy_budget)
+        )
     chosen = checked_integrator(integrator or LinearImplicit(), "simulate")
     chosen.refuse_unfit(scene.effects)
     substeps = substeps_for(scene.motion.frame_interval, 1e-3 if dt is None else dt)
     plain = scene.unnamed()
     ahead = _compiled_side_by_side(plain, chosen, substeps, bool(energy_budget))
-    start, relaxed = settle(plain)
+    start, relaxed = settle_first_frame(plain)
     ran = _run.timed(plain, start.answer, chosen, substeps, bool(energy_budget))
     return _result(scene, start, relaxed, ran, ahead, {"integrator": chosen.text, **_step(scene, substeps)})
 
@@ -157,7 +159,7 @@ def refuse_traced(scene: Scene, verb: str, pure: str) -> None:
         )
 
 
-def _within(scene: Scene, tolerance: float, integrator: Integrator, energy: bool) -> Result:
+def _simulate_within_tolerance(scene: Scene, tolerance: float, integrator: Integrator, energy: bool) -> Result:
     """Runs with the longest steps that hold a tolerance; one program serves every number of steps.
 
     BDF2 is the default: least work for errors between 0.3 and 0.0001 mm (docs/accuracy.md).
@@ -165,7 +167,7 @@ def _within(scene: Scene, tolerance: float, integrator: Integrator, energy: bool
     chosen = checked_integrator(integrator, "simulate")
     chosen.refuse_unfit(scene.effects)
     plain = scene.unnamed()
-    start, relaxed = settle(plain)
+    start, relaxed = settle_first_frame(plain)
     spent = 0.0
 
     def run(n: int) -> tuple[Timed, Path, bool]:
@@ -216,5 +218,5 @@ def equilibrium(scene: Scene) -> EquilibriumReport:
 
     refuse_traced(scene, "equilibrium", "trajectory")
     check(scene)
-    solution, relaxed = settle(scene.unnamed())
+    solution, relaxed = settle_first_frame(scene.unnamed())
     return EquilibriumReport.build(scene, solution.answer, relaxed)

@@ -126,9 +126,9 @@ def acceleration(system: System, spin: Vec3, loads: list[Load]) -> Twist:
     return Twist((1 / system.mass) * total.force, Vec3(m.x / i.x, m.y / i.y, m.z / i.z))
 
 
-def moved(state: State, way: Twist, velocity: Twist) -> State:
+def displaced_state(state: State, displacement: Twist, velocity: Twist) -> State:
     """The state displaced, with other velocities; memories stay."""
-    position, orientation = state.position + way.linear, state.orientation.turned(way.angular)
+    position, orientation = state.position + displacement.linear, state.orientation.turned(displacement.angular)
     return State(position, orientation, velocity.linear, velocity.angular, state.memories, state.carried)
 
 

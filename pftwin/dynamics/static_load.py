@@ -21,12 +21,12 @@ from pftwin.model.effects.base import AggregateStiffness, Drag, Instant, Patella
 LEVER = 0.02  # turns moments into forces and angles into lengths: about the patella's half width [m]
 
 
-def still(guide: Guide, pose: Pose) -> Instant:
+def patella_at_rest(guide: Guide, pose: Pose) -> Instant:
     """The patella at rest at a pose."""
     return guide.instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
 
 
-def moved(pose: Pose, d: list[Scalar]) -> Pose:
+def displaced_pose(pose: Pose, d: list[Scalar]) -> Pose:
     """The pose displaced by d: metres in the world, and rotation about the body's axes as angle * lever."""
     turn = Quaternion.from_rotation_vector((1 / LEVER) * Vec3(*d[3:]))
     return Pose(pose.position + Vec3(*d[:3]), (pose.orientation * turn).normalised())
@@ -40,7 +40,7 @@ def components(w: Wrench) -> list[Scalar]:
 
 def residual(system: System, guide: Guide, pose: Pose, memories: tuple[Any, ...]) -> list[Scalar]:
     """Components of all loads together; 0 in an equilibrium."""
-    loads, _ = system.loads(still(guide, pose), memories)
+    loads, _ = system.loads(patella_at_rest(guide, pose), memories)
     return components(sum((load.total() for load in loads), start=Wrench.zero()))
 
 

@@ -16,7 +16,7 @@ from pftwin.model.scene import Scene
 if TYPE_CHECKING:
     from pftwin.dynamics.equilibrium import Solution
 
-FARTHEST = 0.25  # share of the button's radius; a longer way within one step may jump over a contact
+FARTHEST = 0.25  # share of the button's radius; a longer displacement within one step may jump over a contact
 MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is exact
 MOST_CREATED = 0.02  # created energy as a share of the largest change of energy; for steps above 1 ms, per ms
 MOST_SO_FAR = 0.2  # and as a share of the largest change so far

@@ -150,7 +150,7 @@ def _computed(
         contact_force=Vec3(*(report.get(f"force_{axis}", nothing) for axis in "xyz")),
         contact_force_medial=report.get("force_medial", nothing),
         contact_force_lateral=report.get("force_lateral", nothing),
-        tensions={n: _summed(seen.effects[n]["tension"]) for n in lines if "tension" in seen.effects[n]},
+        tensions={n: _sum_over_lines(seen.effects[n]["tension"]) for n in lines if "tension" in seen.effects[n]},
         lengths={n: seen.effects[n]["length"] for n in lines if "length" in seen.effects[n]},
         kinetic_energy=seen.kinetic_energy,
         stored_energy=seen.potential_energy,
@@ -161,7 +161,7 @@ def _computed(
     )
 
 
-def _summed(tension: Array) -> Array:
+def _sum_over_lines(tension: Array) -> Array:
     """(n,) from (n,) or (n, lines)."""
     return tension.reshape(len(tension), -1).sum(axis=1)
 

@@ -117,7 +117,7 @@ def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:
     Raises:
         OutputError: as `save_dataset`.
     """
-    columns, units = flattened(data)
+    columns, units = flat_columns(data)
     table = Table(data["time"].values, tuple(columns), np.stack([*columns.values()], axis=1), units)
     write_csv(check_place(path), table)
 
@@ -129,7 +129,7 @@ def save_sto(data: Dataset, path: str | os.PathLike[str]) -> None:
         OutputError: as `save_dataset`.
     """
     title = str(data.attrs.get("title", "pftwin result")).replace("\n", " ")
-    write_storage(path, title, data["time"].values, flattened(data)[0])
+    write_storage(path, title, data["time"].values, flat_columns(data)[0])
 
 
 def write_storage(
@@ -151,7 +151,7 @@ def write_storage(
     write_text(check_place(path), "\n".join([*head, *lines]) + "\n")
 
 
-def flattened(data: Dataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def flat_columns(data: Dataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Columns (n,) and their units by name: components get _x, _y, _z, quaternions _qw ... _qz, elements _1, _2 ..."""
     columns: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}

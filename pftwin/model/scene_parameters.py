@@ -49,7 +49,7 @@ class NumberPlace(NamedTuple):
         """Its unit; empty for a pure number."""
         if self.meaning != "value":
             return _UNITS[self.meaning]
-        declared = known(scene)[".".join([self.owner, *self.path])].quantity
+        declared = named_arrays(scene)[".".join([self.owner, *self.path])].quantity
         return "" if declared is None else declared.unit
 
     def read(self, scene: Scene) -> Scalar:
@@ -108,7 +108,7 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
     index = None
     if match := _INDEXED.match(full):
         full, index = match.group(1), int(match.group(2))
-    numbers = known(scene)
+    numbers = named_arrays(scene)
     if full not in numbers:
         raise _unknown(scene, name)
     owner, path, shape, _ = numbers[full]
@@ -127,7 +127,7 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
     return [NumberPlace(owner, path, i, meaning) for i in (range(shape[0]) if index is None else [index])]
 
 
-def known(scene: Scene) -> dict[str, Field]:
+def named_arrays(scene: Scene) -> dict[str, Field]:
     """Every array of numbers in a scene, by name."""
     out = {}
     for owner, value in (*((n, getattr(scene, n)) for n in _OWN), *((e.name, e) for e in scene.effects)):
@@ -181,14 +181,14 @@ def with_value(scene: Scene, name: str, value: Any) -> Scene:
 def _one_place(scene: Scene, name: str) -> NumberPlace:
     """The place of a name, that of a whole field included."""
     full, _ = _long_name(scene, name)
-    if full in (numbers := known(scene)) and numbers[full].shape:
+    if full in (numbers := named_arrays(scene)) and numbers[full].shape:
         return NumberPlace(numbers[full].owner, numbers[full].path, None, "value")
     return find(scene, name)[0]
 
 
 def _vector(scene: Scene, name: str) -> tuple[str, tuple[str, ...]] | None:
     """Owner and path of a vector of three fields x, y, z."""
-    found = known(scene).get(f"{name}.x")
+    found = named_arrays(scene).get(f"{name}.x")
     return None if found is None else (found.owner, found.path[:-1])
 
 
@@ -255,7 +255,7 @@ def _follow(value: Any, path: tuple[str, ...]) -> Any:
 
 
 def _unknown(scene: Scene, name: str) -> InputError:
-    names = [n for n, f in known(scene).items() if f.owner != "motion"]
+    names = [n for n, f in named_arrays(scene).items() if f.owner != "motion"]
     elements = numbered_elements(scene)
     short = [f"{k}{i + 1}" for i, e in enumerate(elements) if e.count is None for k in _aliases(e)]
     near = difflib.get_close_matches(name, [*names, *short], 1, cutoff=0.0)

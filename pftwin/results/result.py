@@ -224,7 +224,7 @@ class Result:
         """
         if self.groove is None:
             return None
-        return tracking.follow(self.times, self.groove[1], self.knee.flexion, threshold=threshold)
+        return tracking.find_dislocations(self.times, self.groove[1], self.knee.flexion, threshold=threshold)
 
     def __repr__(self) -> str:
         return f"Result({self._facts()[0]})\n  " + "\n  ".join(self._facts()[1:])

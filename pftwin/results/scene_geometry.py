@@ -49,7 +49,7 @@ def has_rectangle(surface: Any) -> bool:
 def fitted_surface(surface: Surface) -> Mesh:
     """A smooth surface over the rectangle to which it was fitted."""
     lines = [np.linspace(low, high, ALONG) for low, high in _rectangle(surface)]
-    return _sampled(surface, *lines)
+    return _grid_mesh(surface, *lines)
 
 
 def continuation(surface: Surface, points: NDArray[np.float64]) -> Mesh | None:
@@ -63,7 +63,7 @@ def continuation(surface: Surface, points: NDArray[np.float64]) -> Mesh | None:
         grown = grown or c.min() < low or c.max() > high
         before, beyond = (np.linspace(*ends, 2 + int(np.ptp(ends) / STEP)) for ends in ((first, low), (high, last)))
         lines.append(np.unique(np.concatenate([before, np.linspace(low, high, ALONG), beyond])))
-    return _sampled(surface, *lines, outside=True) if grown else None
+    return _grid_mesh(surface, *lines, outside=True) if grown else None
 
 
 def indexed(corners: ArrayLike) -> Mesh:
@@ -79,7 +79,7 @@ def _rectangle(surface: Any) -> list[tuple[float, float]]:
     return [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
 
 
-def _sampled(surface: Any, u: NDArray[np.float64], v: NDArray[np.float64], *, outside: bool = False) -> Mesh:
+def _grid_mesh(surface: Any, u: NDArray[np.float64], v: NDArray[np.float64], *, outside: bool = False) -> Mesh:
     """The mesh of a grid; of its cells outside the surface's rectangle alone, if so wanted."""
     from pftwin.geometry.patch.tessellate import points_and_normals
 
@@ -88,14 +88,14 @@ def _sampled(surface: Any, u: NDArray[np.float64], v: NDArray[np.float64], *, ou
     a, b, c, d = k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]
     cells = np.ones(a.shape, dtype=bool)
     if outside:
-        inside = [_within(x, *ends) for x, ends in zip((u, v), _rectangle(surface), strict=True)]
+        inside = [_intervals_between(x, *ends) for x, ends in zip((u, v), _rectangle(surface), strict=True)]
         cells = ~np.logical_and.outer(*inside)
     faces = np.stack([a[cells], b[cells], c[cells], a[cells], c[cells], d[cells]], axis=1).reshape(-1, 3)
     used, which = np.unique(faces, return_inverse=True)
     return points.reshape(-1, 3)[used], which.reshape(-1, 3)
 
 
-def _within(lines: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_]:
+def _intervals_between(lines: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_]:
     """Which intervals between grid lines lie between two of them."""
     middle = 0.5 * (lines[1:] + lines[:-1])
     return (middle > low) & (middle < high)

@@ -110,7 +110,7 @@ def read_rows(path: str | os.PathLike[str], row: Callable[..., R], expected: str
         raise InputError(f"no such rows in it: {error}", where=path, expected=expected) from error
 
 
-def short(value: float) -> str:
+def short_number(value: float) -> str:
     """Two digits, or whole above a hundred; a dash for what is not known."""
     if not np.isfinite(value):
         return "-"

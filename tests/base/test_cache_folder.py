@@ -14,9 +14,9 @@ from pftwin.base.errors import PftwinWarning
 @pytest.fixture
 def place(tmp_path):
     before = folder.chosen()
-    folder.use(tmp_path)
+    folder.use_cache_folder(tmp_path)
     yield tmp_path
-    folder.use(before)
+    folder.use_cache_folder(before)
 
 
 def test_what_was_kept_is_read(place):
@@ -27,7 +27,7 @@ def test_what_was_kept_is_read(place):
 
 
 def test_without_a_folder_nothing_is_kept(place):
-    folder.use(None)
+    folder.use_cache_folder(None)
     folder.write("things", "a", b"content")
     assert folder.read("things", "a") is None
     assert list(place.iterdir()) == []

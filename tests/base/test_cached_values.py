@@ -28,14 +28,14 @@ def worried(path: str) -> int:
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     before = folder.chosen()
-    folder.use(tmp_path / "kept")
+    folder.use_cache_folder(tmp_path / "kept")
     # Functions of a test are code from elsewhere; here they stand for pftwin's own.
     for function in (size, worried):
         monkeypatch.setattr(function, "__module__", "pftwin.tested")
     monkeypatch.setattr(values, "_source", lambda: "source")
     CALLS.clear()
     yield tmp_path
-    folder.use(before)
+    folder.use_cache_folder(before)
 
 
 def test_a_value_is_derived_once(place):
@@ -87,14 +87,14 @@ def test_warnings_come_every_time(place):
 
 def test_code_from_elsewhere_is_not_cached(tmp_path):
     before = folder.chosen()
-    folder.use(tmp_path / "kept")
+    folder.use_cache_folder(tmp_path / "kept")
     try:
         file = tmp_path / "a.txt"
         file.write_text("four")
         CALLS.clear()
         assert [cached(size, str(file), files=[file]) for _ in range(2)] == [4, 4]
     finally:
-        folder.use(before)
+        folder.use_cache_folder(before)
     assert len(CALLS) == 2
     assert not (tmp_path / "kept").exists()
 

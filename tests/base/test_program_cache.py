@@ -136,9 +136,9 @@ class TestChanges:
 def place(tmp_path, monkeypatch):
     monkeypatch.setattr(pftwin, "imported_at", np.inf)  # whoever edits the source while this runs
     before = folder.chosen()
-    folder.use(tmp_path)
+    folder.use_cache_folder(tmp_path)
     yield tmp_path
-    folder.use(before)
+    folder.use_cache_folder(before)
 
 
 def test_arrays_are_variables_and_all_else_is_fixed(place):

@@ -20,7 +20,7 @@ import fitting
 import pftwin
 from pftwin.base import cache_folder as folder
 from pftwin.base.errors import PftwinWarning
-from pftwin.base.serialization import NotPlainError, fingerprint, packed, unpacked
+from pftwin.base.serialization import NotPlainError, fingerprint, from_bytes, to_bytes
 
 
 def content(text: object, *arrays: np.ndarray) -> bytes:
@@ -38,14 +38,14 @@ def content(text: object, *arrays: np.ndarray) -> bytes:
     ],
 )  # fmt: skip
 def test_plain_values_come_back(value):
-    again = unpacked(packed(value))
+    again = from_bytes(to_bytes(value))
     assert again == value
     assert type(again) is type(value)
 
 
 @pytest.mark.parametrize("array", [np.arange(6.0).reshape(2, 3), np.zeros((0, 3)), np.array([True]), np.array(1j)])
 def test_arrays_come_back(array):
-    again = unpacked(packed([array, array]))
+    again = from_bytes(to_bytes([array, array]))
     np.testing.assert_array_equal(again[0], array)
     assert again[0].dtype == array.dtype
     assert again[0].shape == array.shape
@@ -54,12 +54,12 @@ def test_arrays_come_back(array):
 
 def test_arrays_of_jax_come_back():
     strong = jnp.asarray(2.0, dtype=float)
-    assert unpacked(packed([strong]))[0].aval == strong.aval
+    assert from_bytes(to_bytes([strong]))[0].aval == strong.aval
 
 
 def test_a_scene_comes_back():
     scene = small_scene(11)
-    again = unpacked(packed(scene))
+    again = from_bytes(to_bytes(scene))
     assert type(again) is type(scene)
     assert again.name == scene.name
     assert jax.tree.structure(again) == jax.tree.structure(scene)
@@ -77,7 +77,7 @@ class Colour(enum.Enum):
 )
 def test_what_is_not_plain_is_not_kept(value):
     with pytest.raises(NotPlainError):
-        packed([value])
+        to_bytes([value])
 
 
 class Sprung:
@@ -98,7 +98,7 @@ def test_a_pickle_in_a_kept_file_is_not_run(tmp_path):
     np.savez(array, np.array([Sprung(tmp_path / "run")], dtype=object))
     for body in (sprung, array.getvalue()):
         with pytest.raises(ValueError, match="allow_pickle="):
-            unpacked(body)
+            from_bytes(body)
     assert not (tmp_path / "run").exists()
 
 
@@ -118,14 +118,14 @@ def test_a_pickle_in_a_kept_file_is_not_run(tmp_path):
 )
 def test_no_other_type_is_made(node):
     with pytest.raises((ValueError, TypeError, KeyError, IndexError, AttributeError, ImportError)):
-        unpacked(content(node, np.zeros(1)))
+        from_bytes(content(node, np.zeros(1)))
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b.replace(b"0123", b"0124")])
 def test_damaged_bytes_are_noticed(damage):
-    body = packed(["text 0123", np.arange(100.0)])
+    body = to_bytes(["text 0123", np.arange(100.0)])
     with pytest.raises((ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile)):
-        unpacked(damage(body))
+        from_bytes(damage(body))
 
 
 def test_values_that_differ_have_fingerprints_that_differ():
@@ -163,10 +163,10 @@ class TestWhoseFolder:
     def _as_before(self):
         before = folder.chosen()
         yield
-        folder.use(before)
+        folder.use_cache_folder(before)
 
     def test_it_is_made_for_its_owner_alone(self, tmp_path):
-        assert folder.use(tmp_path / "kept")
+        assert folder.use_cache_folder(tmp_path / "kept")
         folder.write("values", "a", b"content")
         assert [p.stat().st_mode & 0o777 for p in (tmp_path / "kept", tmp_path / "kept" / "values")] == [0o700] * 2
 
@@ -176,12 +176,12 @@ class TestWhoseFolder:
         (tmp_path / "kept" / "programs").mkdir(parents=True)
         (tmp_path / "kept" / which).chmod(mode)
         with pytest.warns(PftwinWarning, match=r"others can write to .*nothing is kept.*chmod"):
-            assert not folder.use(tmp_path / "kept")
+            assert not folder.use_cache_folder(tmp_path / "kept")
         assert folder.chosen() is None
 
     def test_one_of_another_user_is_not_used(self, tmp_path, monkeypatch):
         owner = tmp_path.stat().st_uid
         monkeypatch.setattr("os.getuid", lambda: owner + 1)
         with pytest.warns(PftwinWarning, match="belongs to another user"):
-            assert not folder.use(tmp_path)
+            assert not folder.use_cache_folder(tmp_path)
         assert folder.chosen() is None

@@ -20,7 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from pftwin.dynamics.batch.member import Task, moved, settled
+from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion
 from pftwin.dynamics.batch.sharding import Sharding, piece_for
 from pftwin.dynamics.frame_states import frame_states, starting_state, substeps_for
 from pftwin.dynamics.state import Guide, System
@@ -93,11 +93,11 @@ def _parts(scene: Scene, most: int, said: str) -> list[Row]:
     spread, task = Sharding(device, piece, piece), _task(scene)
     shared, chunk = spread.shared(task), next(spread.chunks(min(piece, most)))
     own = spread.placed(amounts(chunk.members), chunk)
-    start = spread.run(settled, shared, chunk, (own,))
+    start = spread.run(member_equilibrium, shared, chunk, (own,))
     works: dict[str, Callable[[], Any]] = {
-        "equilibrium": lambda: spread.run(settled, shared, chunk, (own,)),
+        "equilibrium": lambda: spread.run(member_equilibrium, shared, chunk, (own,)),
         "steps": lambda: spread.run(_stepped, shared, chunk, (own, start)),
-        "steps and frames": lambda: spread.run(moved, shared, chunk, (own, start)),
+        "steps and frames": lambda: spread.run(member_motion, shared, chunk, (own, start)),
     }
     out = []
     for name, work in works.items():
@@ -119,7 +119,7 @@ def kernels_of_step(scene: Scene, count: int) -> int:
     def begun(row: Any) -> Any:
         one = task.change(scene, row)
         first = Guide.sample(one.motion, jnp.asarray(one.motion.start_time, dtype=float))
-        return chosen.begin(System.of(one), starting_state(one, settled(task, row)), first, step)
+        return chosen.begin(System.of(one), starting_state(one, member_equilibrium(task, row)), first, step)
 
     def advanced(row: Any, state: Any) -> Any:
         one = task.change(scene, row)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.dynamics.integrators import LinearImplicit
-from pftwin.dynamics.simulate import settle
+from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.state import State
 from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.scene import Scene
@@ -59,7 +59,7 @@ def rows(*, meshes: tuple[str, ...] = ("volume",)) -> list[Row]:
 def _path(scene: Scene) -> State:
     """States of the scene's own run at the frames."""
     plain = scene.unnamed()
-    return account(plain, settle(plain)[0].answer, INTEGRATOR, SUBSTEPS).states
+    return account(plain, settle_first_frame(plain)[0].answer, INTEGRATOR, SUBSTEPS).states
 
 
 def _growing(whole: Scene) -> dict[str, Scene]:

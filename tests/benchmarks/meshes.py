@@ -16,7 +16,7 @@ import numpy as np
 
 import pftwin
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.dynamics.simulate import settle
+from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.geometry.contact.contact_mesh import contact_mesh
 from pftwin.geometry.contact.contour import mesh_pair
 from pftwin.geometry.contact.mesh_facets import lateral_of_groove
@@ -151,7 +151,7 @@ def _motions() -> list[Row]:
     out = []
     for name, wanted in MOTIONS.items():
         scene = pftwin.rig.case(1, contact=name)
-        given = settle(scene.unnamed())[0].answer
+        given = settle_first_frame(scene.unnamed())[0].answer
         paths = {n: np.asarray(_path(scene, n, given)().array()) for n in (100, 10, 5)}
         for n in (5, 10):
             rms = float(np.sqrt(np.mean(np.sum((paths[n] - paths[100]) ** 2, axis=-1))))

@@ -116,7 +116,7 @@ def of_parts(size: int) -> list[Row]:
     """Writing parts of so many members, reading them back, and joining them."""
     import pftwin
     from pftwin.dynamics.batch.part_files import BatchIndex, read_part, write_part
-    from pftwin.dynamics.batch.parts import joined
+    from pftwin.dynamics.batch.parts import concatenated_parts
 
     scene = pftwin.rig.case(2, contact="P5")
     members = pftwin.simulate_batch(pftwin.Variants(scene, transferred, amounts(size)), devices=1, **SETTINGS)
@@ -126,7 +126,7 @@ def of_parts(size: int) -> list[Row]:
         written = [_seconds(lambda u=u: write_part(folder, u, index.key, members)) for u in range(PARTS)]
         taken = [_seconds(lambda u=u: there.append(read_part(folder, u, index, like=members))) for u in range(PARTS)]
         on_disk = sum(p.stat().st_size for p in folder.iterdir()) / (PARTS * size)
-    together = [_seconds(lambda: joined(there)) for _ in range(5)]
+    together = [_seconds(lambda: concatenated_parts(there)) for _ in range(5)]
     note, found = f"{on_disk:.0f} bytes a variant on the disk, {members.nbytes / size:.0f} in memory", []
     for what, all_of_them, parts in (("written", written, 1), ("read", taken, 1), ("joined", together, PARTS)):
         seconds = statistics.median(all_of_them) / parts

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from pftwin.base.errors import InputError, MissingExtraError, OutputError, PftwinError
 from pftwin.cli import app
-from pftwin.cli.exit_codes import ExitCode, Interrupted, code_of, keeping
+from pftwin.cli.exit_codes import ExitCode, Interrupted, code_of, report_written_on_interrupt
 from pftwin.geometry.mesh.mesh import SurfaceMesh, save_mesh
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "command_line.md"
@@ -93,7 +93,7 @@ def test_what_is_kept_is_what_was_written_anew(tmp_path):
     old.write_text("from before")
 
     def cut_short():
-        with keeping(old, new, never, None):
+        with report_written_on_interrupt(old, new, never, None):
             new.write_text("now")
             raise KeyboardInterrupt
 

@@ -226,7 +226,7 @@ def test_contact_map_keeps_the_frames_that_are_done(tmp_path, monkeypatch):
     from pftwin.studies.contact_map import mapping
 
     write_plate_and_ball(tmp_path, [4e-4, 5e-4, 6e-4])
-    monkeypatch.setattr(mapping, "_spread", stopping_at(5, mapping._spread))
+    monkeypatch.setattr(mapping, "_on_whole_mesh", stopping_at(5, mapping._on_whole_mesh))
     monkeypatch.chdir(tmp_path)
     parts = ["--femur", "plate.stl", "--patella", "ball.stl", "--poses", "poses.csv", "--units", "m"]
     assert "saved so far: map.nc" in interrupted("contact-map", *parts, "-o", "map.nc", "--figure", "map.png")

@@ -34,7 +34,7 @@ from toy_mesh_scenes import CONTOURS
 from toy_scene_files import load
 
 from pftwin.dynamics.ali3p import newton as ali3p_newton
-from pftwin.dynamics.ali3p.bodies import driven
+from pftwin.dynamics.ali3p.bodies import driven_targets
 from pftwin.dynamics.ali3p.natural_coordinates import (
     LENGTH,
     constraints,
@@ -103,7 +103,7 @@ def followed(held):
     motion = held[0].motion
 
     def at(time):
-        return driven(lambda part: Guide.sample(motion, time + (part - 1) * 1e-3), J(1e-3))
+        return driven_targets(lambda part: Guide.sample(motion, time + (part - 1) * 1e-3), J(1e-3))
 
     return jax.jit(jax.vmap(at))(J(motion.times))
 

@@ -66,7 +66,7 @@ def test_a_fresh_step_forgets_the_past():
     start = state_at(FREE, (0, 0, 1), (v, 0, 0))
     begun = BDF2().begin(FREE, start, still_guide(), J(STEP))
     past = Twist(vec(-5.0, 4.0, 3.0), vec(1.0, 2.0, 3.0))
-    carried = eqx.tree_at(lambda s: (s.carried.way, s.carried.change), begun, (past, past))
+    carried = eqx.tree_at(lambda s: (s.carried.displacement, s.carried.change), begun, (past, past))
     for state in (begun, carried):
         after = BDF2().advance(FREE, state, still_guide_at, J(STEP), None)[0]
         np.testing.assert_allclose(after.position.array(), [v * STEP, 0, 1 - G * STEP**2], rtol=1e-12)

@@ -18,7 +18,7 @@ from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
 from pftwin.dynamics.equilibrium import solve_equilibrium
 from pftwin.dynamics.integrators import Newmark
 from pftwin.dynamics.state import System
-from pftwin.dynamics.static_load import LEVER, look_around, moved, still
+from pftwin.dynamics.static_load import LEVER, displaced_pose, look_around, patella_at_rest
 from pftwin.model.effects.base import Effect, Instant, Load
 
 
@@ -68,14 +68,19 @@ def test_the_tangent_of_a_load_at_rest_is_its_difference_quotient_with_all_its_a
 
     @jax.jit
     def seen(like):
-        there = look_around(sys, lambda d: still(guide, moved(pose, d)), sys.guess(still(guide, pose)), like)
+        there = look_around(
+            sys,
+            lambda d: patella_at_rest(guide, displaced_pose(pose, d)),
+            sys.guess(patella_at_rest(guide, pose)),
+            like,
+        )
         return there.tangent(), there.residual()
 
     @jax.jit
     def load(d):
         """By a rotation vector and displacement, written out."""
         turn = Quaternion.from_rotation_vector((1 / LEVER) * Vec3.from_array(d[3:]))
-        at = still(guide, Pose(pose.position + Vec3.from_array(d[:3]), pose.orientation * turn))
+        at = patella_at_rest(guide, Pose(pose.position + Vec3.from_array(d[:3]), pose.orientation * turn))
         total = [e.load(at, None)[0].total() for e in sys.effects]
         return sum(jnp.concatenate([w.force.array(), w.moment.array() / LEVER]) for w in total)
 

@@ -8,7 +8,7 @@ import numpy as np
 from scenes import J, still_guide, system, tendon, vec
 
 from pftwin.base.spatial import Pose, Quaternion
-from pftwin.dynamics.static_load import LEVER, look_around, moved, still
+from pftwin.dynamics.static_load import LEVER, displaced_pose, look_around, patella_at_rest
 from pftwin.model.effects.damping import LinearDamping
 
 HERE = Pose(vec(0.01, -0.02, 0.03), Quaternion.from_rotation_vector(vec(0.2, -0.1, 0.3)))
@@ -30,11 +30,11 @@ def line_of(insertion, origin):
 def test_stiffness_and_viscosity_are_the_springs_and_the_drags():
     lines = [tendon(k, 0.05, c, on, to, name=f"spring {i}") for i, (k, c, on, to) in enumerate(SPRINGS)]
     body = system(*lines, LinearDamping(J(DRAG), J(TURNING_DRAG), "ground"))
-    memories = body.remember(still(still_guide(), HERE))
+    memories = body.remember(patella_at_rest(still_guide(), HERE))
 
     @jax.jit
     def seen(like):
-        around = look_around(body, lambda d: still(still_guide(), moved(HERE, d)), memories, like)
+        around = look_around(body, lambda d: patella_at_rest(still_guide(), displaced_pose(HERE, d)), memories, like)
         return jnp.array(around.convex()), jnp.array(around.viscosity()), jnp.array(around.residual())
 
     convex, viscosity, residual = seen(J(1.0))

@@ -12,12 +12,12 @@ from scenes import march, state_at, system
 
 from pftwin.base.spatial import Scalar, Vec3, Wrench
 from pftwin.dynamics.integrators import QuasiStatic
-from pftwin.dynamics.quasi_static.stability import NEUTRAL, stable
+from pftwin.dynamics.quasi_static.stability import NEUTRAL, is_stable
 from pftwin.model.effects.base import Effect, Instant, Load
 from pftwin.model.effects.damping import LinearDamping
 
 J = jnp.asarray
-_stable = jax.jit(stable)
+_stable = jax.jit(is_stable)
 
 
 def tangent(block, others=(500.0, 2e3, 6e4, 1.5e6)) -> jax.Array:

@@ -12,9 +12,9 @@ from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution, tolerance_of, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide, starting_equilibrium
 from pftwin.dynamics.state import System
-from pftwin.dynamics.static_load import moved, residual
+from pftwin.dynamics.static_load import displaced_pose, residual
 from pftwin.studies.hard_cases import case_named
-from pftwin.studies.hard_cases.batch import built
+from pftwin.studies.hard_cases.batch import built_scene
 
 CASES = ("contact_hard", "button_of_1_m")
 
@@ -37,9 +37,9 @@ def singles():
     steps = jnp.asarray(np.random.default_rng(1).normal(0, 3e-8, (64, 6)).astype(np.float32))
     with jax.enable_x64(False):
         search, beside = jax.jit(starting_equilibrium), jax.jit(load)
-        places = jax.jit(jax.vmap(lambda pose, step: moved(pose, list(step)), in_axes=(None, 0)))
+        places = jax.jit(jax.vmap(lambda pose, step: displaced_pose(pose, list(step)), in_axes=(None, 0)))
         for name in CASES:
-            scene = built(case_named(name), "P5").unnamed()
+            scene = built_scene(case_named(name), "P5").unnamed()
             solution = search(scene)
             args = scene, solution.memories, places(solution.pose, steps)
             found[name], given[name] = (solution, np.asarray(beside(*args))), doubled(args)

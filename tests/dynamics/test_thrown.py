@@ -7,7 +7,7 @@ import numpy as np
 from scenes import vec
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.dynamics.relaxation import THROWN, thrown
+from pftwin.dynamics.relaxation import THROWN, ended_far_away
 
 PUT = Pose(vec(0.0, 0.0, 0.05), Quaternion.identity())
 
@@ -17,19 +17,22 @@ def at(x: float) -> Pose:
 
 
 def test_it_is_a_matter_of_the_way() -> None:
-    assert not thrown(PUT, PUT)
-    assert not thrown(PUT, at(0.9 * THROWN))
-    assert thrown(PUT, at(1.1 * THROWN))
+    assert not ended_far_away(PUT, PUT)
+    assert not ended_far_away(PUT, at(0.9 * THROWN))
+    assert ended_far_away(PUT, at(1.1 * THROWN))
     turned = Pose(PUT.position, Quaternion.from_rotation_vector(vec(0.0, np.pi, 0.0)))
-    assert not thrown(PUT, turned)  # a small button rolls half a turn before it rests
+    assert not ended_far_away(PUT, turned)  # a small button rolls half a turn before it rests
 
 
 def test_nowhere_is_no_start() -> None:
-    assert thrown(PUT, at(np.nan))
+    assert ended_far_away(PUT, at(np.nan))
 
 
 def test_of_a_stack_it_tells_which() -> None:
     zero = jnp.zeros(2)
     upright = Quaternion(zero + 1, zero, zero, zero)
     put = Pose(Vec3(zero, zero, zero), upright)
-    assert thrown(put, Pose(Vec3(jnp.asarray([0.0, 2 * THROWN]), zero, zero), upright)).tolist() == [False, True]
+    assert ended_far_away(put, Pose(Vec3(jnp.asarray([0.0, 2 * THROWN]), zero, zero), upright)).tolist() == [
+        False,
+        True,
+    ]

@@ -12,9 +12,9 @@ from fitting.methods.genetic import (
     default_population,
     elite_count,
     expectations,
+    has_stalled,
     mutation,
     scattered_crossover,
-    stalled,
     stochastic_uniform,
 )
 from fitting.methods.problem import ProblemAnswer
@@ -126,11 +126,11 @@ def test_the_same_seed_breeds_the_same_children(seed):
 
 
 def test_stalling_looks_at_fifty_generations():
-    assert not stalled(np.ones(STALL))
-    assert stalled(np.ones(STALL + 1))
+    assert not has_stalled(np.ones(STALL))
+    assert has_stalled(np.ones(STALL + 1))
     falling = np.linspace(2, 1, STALL + 1)
-    assert not stalled(falling)
-    assert not stalled(np.full(STALL + 1, np.inf))
+    assert not has_stalled(falling)
+    assert not has_stalled(np.full(STALL + 1, np.inf))
 
 
 def test_matlabs_population():

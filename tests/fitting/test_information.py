@@ -14,7 +14,7 @@ from fitting import identifiability
 from fitting.evaluation import Prediction
 from fitting.identifiability import _crossings as crossings
 from fitting.methods.problem import Problem
-from fitting.programs import widths
+from fitting.programs import channel_widths
 from pftwin.model.measured import Measured
 
 FRAMES, FREE = 41, ("K1", "L1", "K2")
@@ -26,14 +26,14 @@ SIZE = np.array([156.0, 0.1432, 629.0])
 def slopes_of(channel):
     """(frames, columns, p) of a channel, reacting to each parameter's own share."""
     random = np.random.default_rng(ALL.index(channel))
-    return 1e-3 * random.normal(size=(FRAMES, widths((channel,))[0], 3)) / SIZE
+    return 1e-3 * random.normal(size=(FRAMES, channel_widths((channel,))[0], 3)) / SIZE
 
 
 class LinearEvaluator:
     """In the place of simulations."""
 
     def __init__(self, scene, parameters, channels):
-        self.channels, self.fine, self.widths = channels, 1, widths(channels)
+        self.channels, self.fine, self.widths = channels, 1, channel_widths(channels)
 
     def prepare(self, widest):
         pass

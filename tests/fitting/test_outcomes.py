@@ -16,7 +16,7 @@ from fitting.prediction.outcomes import MEASURES, Course, dislocated, measure, o
 from pftwin import rig, simulate
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
-from pftwin.results.tracking import follow
+from pftwin.results.tracking import find_dislocations
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -113,12 +113,12 @@ def test_another_threshold_moves_the_margin_and_the_dislocations(threshold, marg
     assert float(found["dislocations"]) == times
     assert float(found["largest_offset"]) == pytest.approx(0.030)
     assert float(found["largest_lateral_offset"]) == pytest.approx(0.012)
-    assert len(follow(np.arange(8.0), np.array(offset), threshold=threshold).events) == times
+    assert len(find_dislocations(np.arange(8.0), np.array(offset), threshold=threshold).events) == times
 
 
 @pytest.mark.parametrize(("offset", "times"), [(0.0199, 0), (0.0201, 1)])
 def test_by_default_20_mm_are_a_dislocation(offset, times):
-    assert len(follow(np.arange(3.0), np.array([0.0, offset, 0.0])).events) == times
+    assert len(find_dislocations(np.arange(3.0), np.array([0.0, offset, 0.0])).events) == times
     assert float(measured(made_up([0.0, offset, 0.0]))["dislocations"]) == times
 
 
@@ -134,7 +134,7 @@ def test_the_outcomes_of_a_result_take_the_threshold(result):
 @given(st.lists(st.one_of(st.floats(-0.04, 0.04), st.just(float("nan"))), min_size=12, max_size=12))
 def test_dislocated_frames_are_those_of_tracking(offset):
     y = np.array(offset)
-    np.testing.assert_array_equal(left(jnp.asarray(y)), follow(np.arange(12.0), y).dislocated)
+    np.testing.assert_array_equal(left(jnp.asarray(y)), find_dislocations(np.arange(12.0), y).dislocated)
 
 
 def test_a_run_that_blew_up_has_no_outcomes():

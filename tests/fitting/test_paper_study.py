@@ -27,7 +27,7 @@ from fitting.demo.paper_study_tables import facts, notes, outcome_rows, save, sp
 from fitting.demo.straight_springs import nearest_line, recorded_line, recorded_pulls
 from fitting.estimate import Estimate
 from pftwin import rig
-from pftwin.results.tracking import follow
+from pftwin.results.tracking import find_dislocations
 
 NAMES = ("K1", "L1", "K2", "L2")
 PUBLISHED = np.array([156.0, 0.1432, 629.0, 0.0714])
@@ -129,8 +129,8 @@ def test_pathology_and_treatment_are_predicted_as_measured(study, nominal):
 
 def test_a_wrong_outcome_is_called_wrong(study, nominal):
     times = np.linspace(0.0, 1.0, 101)
-    never, stays = follow(times, 0 * times), follow(times, np.where(times > 0.5, 0.03, 0.0))
-    returns = follow(times, np.where((times > 0.3) & (times < 0.6), 0.03, 0.0))
+    never, stays = find_dislocations(times, 0 * times), find_dislocations(times, np.where(times > 0.5, 0.03, 0.0))
+    returns = find_dislocations(times, np.where((times > 0.3) & (times < 0.6), 0.03, 0.0))
     outcomes = (never, stays, returns)
     assert [[same_outcome(a, b) for b in outcomes] for a in outcomes] == np.eye(3, dtype=bool).tolist()
     wrong = nominal[PATHOLOGY]._replace(predicted=nominal[TREATMENT].predicted)

@@ -11,7 +11,7 @@ from small_scene import small_scene
 import fitting
 import pftwin
 from fitting.evaluation import Evaluator
-from fitting.posterior.sampling import accepting
+from fitting.posterior.sampling import chain_runner
 from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.files.result_files import load_dataset
 from pftwin.model.measured import Measured
@@ -176,7 +176,7 @@ def test_the_papers_objective_has_no_posterior(estimate):
 
 
 def test_the_missing_extra_is_named(estimate, monkeypatch):
-    accepting.cache_clear()
+    chain_runner.cache_clear()
     monkeypatch.setitem(sys.modules, "blackjax.mcmc", None)
     with pytest.raises(MissingExtraError, match=r"pftwin\[posterior\]"):
         fitting.sample_posterior(estimate)

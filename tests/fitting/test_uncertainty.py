@@ -8,7 +8,7 @@ from linear_problems import NOMINAL, design, objective, parameters, scaled
 from scipy.linalg import toeplitz
 from scipy.optimize import curve_fit
 
-from fitting.uncertainty import inverted, serial_correlation, uncertainty
+from fitting.uncertainty import inverse_information, serial_correlation, uncertainty
 
 SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
 
@@ -121,6 +121,6 @@ def test_serial_correlation_skips_what_was_not_measured():
 def test_an_inverse_of_unlike_units():
     a = np.array([[1e9, 10.0, 0], [10.0, 1e-6, 0], [0, 0, 4.0]])
     exact = np.array([[1e-6 / 900, -10 / 900, 0], [-10 / 900, 1e9 / 900, 0], [0, 0, 0.25]])
-    np.testing.assert_allclose(inverted(a), exact, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(inverse_information(a), exact, rtol=1e-6, atol=1e-12)
     with np.errstate(over="ignore"):
-        assert inverted(np.diag([1.0, 0.0]))[1, 1] > 1e200
+        assert inverse_information(np.diag([1.0, 0.0]))[1, 1] > 1e200

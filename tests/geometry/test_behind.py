@@ -11,7 +11,7 @@ from mesh_samples import point
 
 from pftwin.geometry.bvh.features import features_of
 from pftwin.geometry.bvh.tree import build_tree
-from pftwin.geometry.contact.behind import Behind, _back, behind
+from pftwin.geometry.contact.behind import Behind, _back_solid_angle, behind
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -75,7 +75,7 @@ def test_it_says_how_far():
 
 def test_the_solid_angle_of_a_square():
     tree = build_tree(square())
-    share = _back(tree.triangles, tree.source_index(), point(J([0.0, 0.0, -0.05])))
+    share = _back_solid_angle(tree.triangles, tree.source_index(), point(J([0.0, 0.0, -0.05])))
     alpha = 0.1 / 0.05  # half side over height: 4 asin(alpha^2 / (1 + alpha^2))
     assert float(share) == pytest.approx(np.arcsin(alpha**2 / (1 + alpha**2)) / np.pi, rel=1e-12)
 

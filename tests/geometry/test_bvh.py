@@ -15,7 +15,7 @@ from mesh_samples import corners_of, point, soup
 from pftwin.base import cache_folder
 from pftwin.base.errors import InputError
 from pftwin.geometry.bvh import tree
-from pftwin.geometry.bvh.tree import MeshTree, build_tree, joined, tree_arrays
+from pftwin.geometry.bvh.tree import MeshTree, build_tree, joined_tree, tree_arrays
 from pftwin.geometry.bvh.wide import NearestTriangle, nearest_wide, wide_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.rig.contacts import implant_mesh
@@ -101,14 +101,14 @@ def test_a_tree_is_built_in_no_time_and_found_again(tmp_path, monkeypatch):
     monkeypatch.undo()
     before = cache_folder.chosen()
     try:
-        cache_folder.use(tmp_path)
+        cache_folder.use_cache_folder(tmp_path)
         first = build_tree(mesh)
         assert len(list((tmp_path / "values").iterdir())) == 1
         again = build_tree(mesh)
         build_tree(mesh, leaf=8)
         assert len(list((tmp_path / "values").iterdir())) == 2
     finally:
-        cache_folder.use(before)
+        cache_folder.use_cache_folder(before)
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -135,7 +135,7 @@ def test_meshes_without_a_tree():
 def test_two_trees_under_one_root_are_searched_one_at_a_time():
     meshes = soup(1, 60), soup(2, 9)  # the second has leaves without triangles of their own
     trees = [build_tree(m, leaf=1, depth=6) for m in meshes]
-    both = joined(trees)
+    both = joined_tree(trees)
     points = np.random.default_rng(0).uniform(-0.07, 0.07, (20, 3))
     for k in range(2):
         found = searched(both, points, half=k)

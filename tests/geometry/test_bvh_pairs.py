@@ -114,7 +114,7 @@ def test_a_batch_is_what_its_members_are(search):
 
 @pytest.mark.parametrize("room", [PairListLengths(8, 8192), PairListLengths(2048, 16), PairListLengths(2048, 8192, 8)])
 def test_overflow_is_flagged_where_room_is_short(search, room):
-    search = PairSearch(search.a, search.b, search.way, search.triangles, search.near, room)
+    search = PairSearch(search.a, search.b, search.descent, search.triangles, search.near, room)
     assert one_by_one(search, on_the_groove(4, 0.3e-3)).overflow.all()
 
 

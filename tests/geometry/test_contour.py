@@ -11,7 +11,7 @@ from height_meshes import grid, plate
 from mesh_contacts import RADIUS, at, lateral, member, mesh_pair, on_the_groove
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.geometry.bvh.triangle import Triangle, crossing, meet
+from pftwin.geometry.bvh.triangle import Triangle, crossing, triangles_cross
 from pftwin.geometry.contact.contact_mesh import contact_mesh
 from pftwin.geometry.contact.contour import Contacts, MeshPair
 from pftwin.geometry.mesh.icosphere import icosphere
@@ -178,7 +178,7 @@ def test_crossings_of_random_triangles_lie_on_both():
     rng = np.random.default_rng(4)
     a, b = (Triangle.of_rows(jnp.asarray(rng.normal(size=(2000, 9)))) for _ in range(2))
     segment = crossing(a, b)
-    np.testing.assert_array_equal(segment.crossing, meet(a, b))
+    np.testing.assert_array_equal(segment.crossing, triangles_cross(a, b))
     assert 100 < int(segment.crossing.sum()) < 1900
     for end in (segment.start, segment.end):
         for t in (a, b):

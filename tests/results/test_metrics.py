@@ -217,7 +217,7 @@ def test_a_surface_without_groove_counts_from_its_middle():
 def test_dislocation_and_re_engagement():
     t = 0.1 * np.arange(9)
     offset = 1e-3 * np.array([0, 2, 11, 9.9, 12, 7, 5.9, 2, -10.1])
-    out = tracking.follow(t, offset, np.radians(10.0 * np.arange(9)), threshold=0.010)
+    out = tracking.find_dislocations(t, offset, np.radians(10.0 * np.arange(9)), threshold=0.010)
     np.testing.assert_array_equal(out.dislocated, [0, 0, 1, 1, 1, 1, 0, 0, 1])
     first, last = out.events
     assert (first.time, first.re_engaged_at, first.side) == pytest.approx((0.2, 0.6, "lateral"))
@@ -232,17 +232,17 @@ def test_dislocation_and_re_engagement():
 
 
 def test_normal_tracking_and_missing_frames():
-    assert tracking.follow(np.arange(3), np.zeros(3)).describe() == "normal tracking"
-    assert tracking.follow(np.arange(3), np.zeros(3)).re_engaged is None
-    gap = tracking.follow(np.arange(4), [0.011, np.nan, np.nan, 0.001], threshold=0.010)
+    assert tracking.find_dislocations(np.arange(3), np.zeros(3)).describe() == "normal tracking"
+    assert tracking.find_dislocations(np.arange(3), np.zeros(3)).re_engaged is None
+    gap = tracking.find_dislocations(np.arange(4), [0.011, np.nan, np.nan, 0.001], threshold=0.010)
     np.testing.assert_array_equal(gap.dislocated, [1, 1, 1, 0])
 
 
 def test_tracking_refuses_what_it_cannot_judge(result):
     with pytest.raises(InputError, match="a positive distance"):
-        tracking.follow(np.arange(3), np.zeros(3), threshold=0.0)
+        tracking.find_dislocations(np.arange(3), np.zeros(3), threshold=0.0)
     with pytest.raises(InputError, match="offsets of shape"):
-        tracking.follow(np.arange(3), np.zeros(2))
+        tracking.find_dislocations(np.arange(3), np.zeros(2))
     assert dataclasses.replace(result, surface=None).dislocations() is None
 
 

@@ -12,7 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.spatial import Quaternion
 from pftwin.studies.runs import difference, rms, run_each
-from pftwin.studies.tables import Column, read_csv, short, to_csv, to_dataset
+from pftwin.studies.tables import Column, read_csv, short_number, to_csv, to_dataset
 
 
 def stopping(at: int):
@@ -110,4 +110,4 @@ def test_a_sheet_escapes_what_would_break_it():
 
 @pytest.mark.parametrize(("value", "said"), [(0.1234, "0.12"), (99.4, "99"), (1234.5, "1,234"), (np.nan, "-")])
 def test_figures_in_two_digits(value, said):
-    assert short(value) == said
+    assert short_number(value) == said

@@ -97,7 +97,7 @@ def own_pages(host: str, also: Collection[str] = ()) -> Allowed:
 
 
 @contextmanager
-def guarded(allowed: Allowed) -> Iterator[None]:
+def guarded_servers(allowed: Allowed) -> Iterator[None]:
     """Servers that viser starts inside this context admit only allowed connections; viser has no setting for it.
 
     Raises PftwinError if viser started none in the way that is guarded.

@@ -10,7 +10,7 @@ import typer
 from typer import Option
 
 from pftwin.cli.scenes import CaseOption, SceneArgument, chosen_scene
-from pftwin.cli.terminal import show, tell, working
+from pftwin.cli.terminal import show, spinner, tell
 
 if TYPE_CHECKING:
     from pftwin.model.scene import Scene
@@ -56,7 +56,7 @@ def app(
         return chosen.scene if name == own else chosen_scene(scene, case, name).scene
 
     engine = Engine(load, contacts_of(case, chosen.contact))
-    with working(f"compiling {chosen.scene.name}, half a minute the first time"):
+    with spinner(f"compiling {chosen.scene.name}, half a minute the first time"):
         engine.prepare(own)
     server = LiveServer(engine, host, port, origins)
     try:

@@ -71,9 +71,9 @@ class Curves:
         times = self._after.times
         mark = np.full_like(times, np.nan)
         mark[k] = series[1][k]
-        return times, _at(times, self._before.times, series[0]), series[1], mark
+        return times, _interpolated(times, self._before.times, series[0]), series[1], mark
 
 
-def _at(times: Floats, own: Floats, values: Floats) -> Floats:
+def _interpolated(times: Floats, own: Floats, values: Floats) -> Floats:
     """Values at other times, interpolated where they differ."""
     return values if own.shape == times.shape and np.allclose(own, times) else np.interp(times, own, values)

@@ -9,7 +9,7 @@ from pftwin.results.viewer import bones
 from pftwin.results.viewer.bones import METAL
 from pftwin.results.viewer.knee import darker, paler
 from pftwin.results.viewer.recorded import Recorded
-from pftwin.results.viewer.shapes import Shape, arrow, ellipsoid
+from pftwin.results.viewer.shapes import Shape, arrow_shape, ellipsoid
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -107,7 +107,7 @@ class DrawnKnee:
             if name.startswith("at "):
                 self._moved[name] = self._mesh(name, ellipsoid([0, 0, 0], [POINT] * 3), self._code)
             else:
-                self._moved[name] = self._mesh(name, arrow(), darker(self._code, 0.35))
+                self._moved[name] = self._mesh(name, arrow_shape(), darker(self._code, 0.35))
         for name in [n for n in others if n.startswith("way ") and n not in shown.paths]:
             others[name].visible = False
         for name, way in shown.paths.items():

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from fitting.cli.live.knobs import neutral, turned, usable
+from fitting.cli.live.knobs import neutral, scene_with_knobs, usable_knobs
 from fitting.cli.live.motion import Floats, ShownMotion
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
@@ -52,7 +52,7 @@ class Engine:
         self._models: dict[str, LiveModel] = {}
         self._preparing = threading.Lock()  # two threads cannot trace at once
         self._first = load(contacts[0])
-        self.knobs, self.missing = usable(self._first)
+        self.knobs, self.missing = usable_knobs(self._first)
 
     def ready(self, contact: str) -> bool:
         """Whether this contact is compiled."""
@@ -72,7 +72,7 @@ class Engine:
                 raise InputError(f"found {shown}", where="contact", expected=f"one of: {', '.join(self.contacts)}")
             began = time.perf_counter()
             scene = self._first if contact == self.contacts[0] else self._load(contact)
-            rest, still = turned(scene, self.knobs, neutral(self.knobs)), Still(scene)
+            rest, still = scene_with_knobs(scene, self.knobs, neutral(self.knobs)), Still(scene)
             _simulated(rest, UNTREATED, still)  # compiles this, and the small programs of what is shown
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still)
@@ -86,7 +86,7 @@ class Engine:
         Raises InputError for values that are not allowed, and for a motion without an equilibrium or with lost frames.
         """
         model = self._models[contact]
-        answer = _simulated(turned(model.scene, self.knobs, values), TREATED, model.still)
+        answer = _simulated(scene_with_knobs(model.scene, self.knobs, values), TREATED, model.still)
         answer.refuse_if_lost(unlike=model.before)
         return answer
 

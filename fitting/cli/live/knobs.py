@@ -89,7 +89,7 @@ def neutral(knobs: tuple[Knob, ...] = KNOBS) -> dict[str, float]:
     return {k.name: k.neutral for k in knobs}
 
 
-def usable(scene: Scene) -> tuple[tuple[Knob, ...], dict[str, str]]:
+def usable_knobs(scene: Scene) -> tuple[tuple[Knob, ...], dict[str, str]]:
     """The knobs for which a scene has the parts, and by group why it lacks the others."""
     found, reasons = [], {}
     for knob in KNOBS:
@@ -102,7 +102,7 @@ def usable(scene: Scene) -> tuple[tuple[Knob, ...], dict[str, str]]:
     return tuple(found), reasons
 
 
-def turned(scene: Scene, knobs: tuple[Knob, ...], values: Mapping[str, float]) -> Scene:
+def scene_with_knobs(scene: Scene, knobs: tuple[Knob, ...], values: Mapping[str, float]) -> Scene:
     """The scene with every knob applied, neutral ones too, so that all values share one compiled program."""
     for knob in knobs:
         scene = knob.change(scene, knob.checked(values.get(knob.name)))

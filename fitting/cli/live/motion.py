@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.results.viewer.knee import REST, held, line_ends
+from pftwin.results.viewer.knee import REST, gaps_filled, line_ends
 from pftwin.results.viewer.recorded import FEW, Recorded
-from pftwin.results.viewer.shapes import MM, Matrices, Shape, apart, at_points, of_arrows, path, tubes
+from pftwin.results.viewer.shapes import MM, Matrices, Shape, at_points, of_arrows, path, spaced_points, tubes
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -117,16 +117,16 @@ class Shown:
         A force is drawn by an arrow of length 1 along z.
         """
         found = {"patella": ShownTrack.of(self.recorded.patella), "tibia": ShownTrack.of(self.recorded.tibia)}
-        for push in self.recorded.pushes:
-            here = push.present
+        for arrow in self.recorded.contact_arrows:
+            here = arrow.present
             if not here.any():
                 continue
-            points = held(push.points, here)
-            if push.touches:
-                found[f"at {push.name}"] = ShownTrack.of(at_points(points), here)
-            if push.forces is not None:
-                along = held(push.forces, here) * (10 / self.newtons)
-                found[f"on {push.name}"] = ShownTrack.of(of_arrows(points, along), here)
+            points = gaps_filled(arrow.points, here)
+            if arrow.touches:
+                found[f"at {arrow.name}"] = ShownTrack.of(at_points(points), here)
+            if arrow.forces is not None:
+                along = gaps_filled(arrow.forces, here) * (10 / self.newtons)
+                found[f"on {arrow.name}"] = ShownTrack.of(of_arrows(points, along), here)
         return found
 
     @cached_property
@@ -147,17 +147,17 @@ class Shown:
     def paths(self) -> dict[str, Shape]:
         """The path of each contact point, "way FACET"."""
         found = {}
-        for push in self.recorded.pushes:
-            points = MM * np.where(push.present[:, None], push.points, np.nan)
-            taken = apart(points, REST)
-            if push.touches and taken.sum() > 1:
-                found[f"way {push.name}"] = path(points[taken | ~push.present], 0.5)
+        for arrow in self.recorded.contact_arrows:
+            points = MM * np.where(arrow.present[:, None], arrow.points, np.nan)
+            taken = spaced_points(points, REST)
+            if arrow.touches and taken.sum() > 1:
+                found[f"way {arrow.name}"] = path(points[taken | ~arrow.present], 0.5)
         return found
 
     @cached_property
     def touched(self) -> Floats:
         """All contact points (k, 3) [m]."""
-        return np.concatenate([*(p.points for p in self.recorded.pushes if p.touches), np.empty((0, 3))])
+        return np.concatenate([*(p.points for p in self.recorded.contact_arrows if p.touches), np.empty((0, 3))])
 
     def drawn_now(self) -> Shown:
         """The same with every array computed, so that the thread that simulates does it and not the one that draws."""

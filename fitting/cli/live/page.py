@@ -42,9 +42,9 @@ class Page:
         self.state = self._gui.add_html("")
         self.knobs = self._sliders(engine)
         self._model(engine)
-        self.pace = self._gui.add_html(words.pace(Clock(), Clock(), 0.0))
+        self.pace = self._gui.add_html(words.pace_text(Clock(), Clock(), 0.0))
         self._views(model)
-        self._gui.add_html(words.boxed(self._legend(model)))
+        self._gui.add_html(words.with_margins(self._legend(model)))
         panel = self._gui.add_panel()
         with panel.add_tab("Motion"):
             self._playing(model)
@@ -81,7 +81,7 @@ class Page:
     def number(self, k: int, at: float) -> None:
         """Writes the numbers of a time, and marks it in the curves."""
         both = [self._before.recorded, self._after.recorded]
-        self._numbers.content = words.boxed(readout(both, [BEFORE, AFTER], at))
+        self._numbers.content = words.with_margins(readout(both, [BEFORE, AFTER], at))
         self._curves.mark(k)
 
     def _legend(self, model: LiveModel) -> str:

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Collection, Iterator
 from typing import Any
 
-from fitting.cli.live.access import check_address, guarded, own_pages
+from fitting.cli.live.access import check_address, guarded_servers, own_pages
 from fitting.cli.live.engine import Engine
 from fitting.cli.live.session import Session
 from fitting.cli.live.threads import Worker
@@ -57,7 +57,7 @@ class LiveServer:
                 del verbose
                 return None
 
-        with _silent(), guarded(own_pages(host, origins)):
+        with _viser_silenced(), guarded_servers(own_pages(host, origins)):
             self._server = Private(host=host, port=port, verbose=False)
         self.host, self.port = host, int(self._server.get_port())
         loop = self._server.get_event_loop()
@@ -82,7 +82,7 @@ class LiveServer:
         """Closes the pages, the server and the threads."""
         for session in self.sessions:
             session.close()
-        with _silent():
+        with _viser_silenced():
             self._server.stop()
         self._simulating.stop()
         self._preparing.stop()
@@ -153,7 +153,7 @@ def _quiet_about_broken_messages() -> None:
 
 
 @contextlib.contextmanager
-def _silent() -> Iterator[None]:
+def _viser_silenced() -> Iterator[None]:
     """Suppresses the box that viser prints: the command says where the page is."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

@@ -110,7 +110,7 @@ class Session:
 
     def refuse(self, why: str) -> None:
         """Says why nothing new is drawn."""
-        self._say(words.refused(why))
+        self._say(words.refusal_text(why))
 
     def close(self) -> None:
         """Frees what belongs to the client, who has left."""
@@ -163,7 +163,7 @@ class Session:
             self._client.flush()
             self.motions.add(moved - began)
             self.drawings.add(time.perf_counter() - began)
-            self._page.pace.content = words.pace(self.motions, self.drawings, after.seconds)
+            self._page.pace.content = words.pace_text(self.motions, self.drawings, after.seconds)
             if self._wanted != contact:
                 self._page.state.content = words.waiting(self._wanted, contact)
 

@@ -64,7 +64,7 @@ def outcome(answer: ShownMotion) -> str:
     return state(tone, f"Dislocation: {word}", f"{sentence(answer.tracking)} {doubts}")
 
 
-def refused(why: str) -> str:
+def refusal_text(why: str) -> str:
     """Why values gave no motion to draw."""
     return state("bad", f"Not drawn: {why}", "The drawing and the curves are those of the last values that worked.")
 
@@ -84,7 +84,7 @@ def comparison(before: ShownMotion, after: ShownMotion) -> str:
     return _written("comparison", rows)
 
 
-def pace(motions: Clock, drawings: Clock, seconds: float) -> str:
+def pace_text(motions: Clock, drawings: Clock, seconds: float) -> str:
     """How long the page takes."""
     rows = {
         "slider to new motion": motions.words(),
@@ -94,7 +94,7 @@ def pace(motions: Clock, drawings: Clock, seconds: float) -> str:
     return _written("pace", rows)
 
 
-def boxed(content: str) -> str:
+def with_margins(content: str) -> str:
     """HTML of the viewer with the page's margins."""
     return f"<div style='padding:2px 12px'>{content}</div>"
 

@@ -13,7 +13,7 @@ from typer import Argument, Option
 from fitting.cli.pages import template
 from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.cli.scenes import CaseOption, ContactOption
-from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, start_computing, working
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, spinner, start_computing
 
 if TYPE_CHECKING:
     from fitting.cli.report.material import Material
@@ -50,13 +50,13 @@ def report(
     check_suffix(output, [".html", ".htm"], "the page is HTML")
     check_outputs(output, json)
     start_computing()
-    from fitting.cli.report.material import gathered
+    from fitting.cli.report.material import gather_material
     from pftwin.base.text_files import write_text
 
-    material = gathered(source, treatment=treatment, scene=scene, case=case, contact=contact)
+    material = gather_material(source, treatment=treatment, scene=scene, case=case, contact=contact)
     given = {"--treatment": treatment, "--scene": scene, "--case": case, "--contact": contact}
     options = [part for name, value in given.items() if value is not None for part in (name, str(value))]
-    with working("drawing"):
+    with spinner("drawing"):
         page, viewer = report_page(material, shlex.join(["pftwin", "report", str(source), *options, "-o", output.name]))
         write_text(output, page)
     size = output.stat().st_size
@@ -76,12 +76,12 @@ def report_page(material: Material, command: str) -> ReportPage:
         command: the command line, which the page repeats.
     """
     from fitting.cli.report import figures, tables
-    from fitting.prediction.plots import finding
+    from fitting.prediction.plots import main_finding
 
     now = tables.stamp(datetime.now(UTC))
 
     def page(view: str, no_view: str = "") -> str:
-        about = {"m": material, "t": tables, "f": figures, "finding": finding, "command": command, "now": now}
+        about = {"m": material, "t": tables, "f": figures, "finding": main_finding, "command": command, "now": now}
         return template("report.html").render(**about, view=view, no_view=no_view)
 
     try:

@@ -115,7 +115,7 @@ def correlation(e: Estimate) -> Picture:
 
 def outcomes(data: Dataset) -> list[Picture]:
     """Outcomes of a prediction against the amount of the treatment; none where no amount varies."""
-    from fitting.prediction.plots import amount_names, finding, outcome_figure
+    from fitting.prediction.plots import amount_names, main_finding, outcome_figure
 
     names = amount_names(data)
     if not names or np.ptp(data[names[0]].values) == 0:
@@ -123,7 +123,7 @@ def outcomes(data: Dataset) -> list[Picture]:
     what = names[0].replace("_", " ")
     alternative = (
         "Four outcomes (largest offset from the groove, peak contact force, mean tilt, share of force on the "
-        f"medial facet) against {what}. {sentence(finding(data))} The numbers are in the table above."
+        f"medial facet) against {what}. {sentence(main_finding(data))} The numbers are in the table above."
     )
     return [Picture(outcome_figure(data), alternative, f"Predicted outcomes against {what}.")]
 

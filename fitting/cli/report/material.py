@@ -12,7 +12,7 @@ import numpy as np
 from fitting.cli.report.run import ReportedRun
 from pftwin.base.errors import InputError
 from pftwin.cli.scenes import Chosen, chosen_scene
-from pftwin.cli.terminal import working
+from pftwin.cli.terminal import spinner
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -102,7 +102,7 @@ class Material:
         return list(dict.fromkeys(said))
 
 
-def gathered(
+def gather_material(
     source: Path, *, treatment: Path | None, scene: Path | None, case: int | None, contact: str | None
 ) -> Material:
     """Reads everything; simulates the nominal and the fitted motion of an estimate.
@@ -150,7 +150,7 @@ def _of_estimate(path: Path, given: Chosen | None) -> Material:
     chosen = _scene_of(estimate, given, path)
     estimate.nominal_scene, estimate.measured = chosen.scene, chosen.measured
     scenes = {"nominal": chosen.scene, "fitted": estimate.scene}
-    with working("compiling and simulating"):
+    with spinner("compiling and simulating"):
         runs = [ReportedRun.of_result(simulate(scene), name) for name, scene in scenes.items()]
     title = f"Fitted knee: {estimate.scene_name}"
     return Material(path, title, {"the fit": estimate}, chosen, runs, files=[path])

@@ -39,7 +39,7 @@ def masses(system: System) -> Array:
     return jnp.repeat(each, 3)
 
 
-def guided(guide: Guide) -> tuple[Array, Array]:
+def guided_coordinates(guide: Guide) -> tuple[Array, Array]:
     """Coordinates of the bodies that recorded motions drive, and their rates (n, 12): zeros for the first body."""
     frames = [guide.tibia] if guide.femur is None else [guide.tibia, guide.femur]
     place = [coordinates(f.origin, f.rotation) for f in frames]
@@ -48,11 +48,11 @@ def guided(guide: Guide) -> tuple[Array, Array]:
     return jnp.stack([nothing, *place]), jnp.stack([nothing, *rate])
 
 
-def driven(guide_at: GuideAt, step: Scalar) -> Driven:
+def driven_targets(guide_at: GuideAt, step: Scalar) -> Driven:
     """What the bodies are to follow at the step's end."""
 
     end = jnp.ones_like(step)
-    (place, rate), (_, change) = jax.jvp(lambda part: guided(guide_at(part)), (end,), (end,))
+    (place, rate), (_, change) = jax.jvp(lambda part: guided_coordinates(guide_at(part)), (end,), (end,))
     return Driven(place, rate, change / step)
 
 
@@ -90,10 +90,10 @@ class Bodies(eqx.Module):
 
         def looked(others: list[Twist]) -> tuple[list[Array], tuple[list[Load], tuple[Any, ...]]]:
             loads, memories = self.system.loads(self.instant(q, [own, *others]), self.memories)
-            return [flow for load in loads for flow in _flows(load)], (loads, memories)
+            return [flow for load in loads for flow in _memory_rates(load)], (loads, memories)
 
         flows, react, (loads, memories) = jax.vjp(looked, others, has_aux=True)
-        efforts = [effort for load in loads for effort in _efforts(load)]
+        efforts = [effort for load in loads for effort in _memory_forces(load)]
         (pulled,) = react([-jnp.broadcast_to(e, f.shape) for e, f in zip(efforts, flows, strict=True)])
         total = sum((load.total() for load in loads), start=Wrench.zero())
         wrenches = [total, *(Wrench(p.linear, p.angular) for p in pulled)]
@@ -131,14 +131,14 @@ def _columns(term: StiffTerm) -> Array:
     return jnp.stack([jnp.atleast_1d(x) for x in (*_parts(term.direction), *_parts(term.moment))])
 
 
-def _flows(load: Load) -> list[Array]:
+def _memory_rates(load: Load) -> list[Array]:
     """The rates at which a load's parts give way."""
     parts = [part for part in (load.bed, load.drag) if part is not None]
     twists = [jnp.concatenate([part.velocity.array(), part.spin.array()]) for part in parts]
     return [term.rate for term in load.stiff] + twists
 
 
-def _efforts(load: Load) -> list[Array]:
+def _memory_forces(load: Load) -> list[Array]:
     """The forces against them, in the same order."""
     wrenches = [part.wrench() for part in (load.bed, load.drag) if part is not None]
     pushes = [-jnp.concatenate([w.force.array(), w.moment.array()]) for w in wrenches]

@@ -74,8 +74,8 @@ def solved_step(given: Predicted) -> tuple[Array, Array, Scalar]:
         right, loads = given.unbalanced(second_rate, multipliers + missed)
         tangent = with_penalty(given.metric(place, loads), jacobian(place, given.to), scale)
         change = solved(tangent, -right)
-        way = BETA * h * h * jnp.sqrt(jnp.sum(change * change))
-        change = change * jnp.minimum(1.0, FARTHEST / jnp.maximum(way, FARTHEST))
+        displacement = BETA * h * h * jnp.sqrt(jnp.sum(change * change))
+        change = change * jnp.minimum(1.0, FARTHEST / jnp.maximum(displacement, FARTHEST))
         second_rate = second_rate + change
         multipliers = multipliers + alpha * constraints(given.motion(second_rate)[0], given.to)
         return second_rate, multipliers, GAMMA * h * jnp.sqrt(jnp.sum(change * change)), count + 1

@@ -22,7 +22,7 @@ from jaxtyping import Array
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Twist
-from pftwin.dynamics.ali3p.bodies import Bodies, driven, guided, masses
+from pftwin.dynamics.ali3p.bodies import Bodies, driven_targets, guided_coordinates, masses
 from pftwin.dynamics.ali3p.natural_coordinates import (
     Driven,
     as_rigid,
@@ -35,7 +35,7 @@ from pftwin.dynamics.ali3p.natural_coordinates import (
 )
 from pftwin.dynamics.ali3p.newton import BETA, GAMMA, Predicted, penalty_of, solved_step
 from pftwin.dynamics.ali3p.projection import constrained
-from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
+from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 
@@ -83,7 +83,7 @@ class ALI3P(Integrator):
         Guided bodies start without a second rate of their frames' coordinates, which is not known here: the first step
         comes to the same result with any.
         """
-        place, rate = guided(guide)
+        place, rate = guided_coordinates(guide)
         axes = state.orientation.rotation()
         place = place.at[0].set(coordinates(state.position, axes))
         rate = rate.at[0].set(rates(state.velocity, axes.apply(state.spin), axes))
@@ -93,7 +93,7 @@ class ALI3P(Integrator):
         scale, wanted = penalty_of(step.dtype) * system.mass, second_rates_wanted(place, rate, to)
         second_rate, multipliers = constrained(metric, jacobian(place, to), scale, forces, wanted)
         nothing = jnp.zeros_like(state.position.x)
-        return carrying(state, ALI3PStep(place, rate, second_rate, multipliers, nothing, nothing))
+        return with_carried(state, ALI3PStep(place, rate, second_rate, multipliers, nothing, nothing))
 
     def diagnostics(self, state: State) -> Diagnostics:
         """The last change of the velocity of a step that is not solved [m/s], and the constraints' drift [m]."""
@@ -104,7 +104,7 @@ class ALI3P(Integrator):
     ) -> tuple[State, Ledger | None]:
         """See `Integrator`."""
         last: ALI3PStep = state.carried
-        to = driven(guide_at, step)
+        to = driven_targets(guide_at, step)
         factor = self.penalty or penalty_of(step.dtype)
         given = Predicted(
             Bodies(system, state.memories, guide_at(1.0).time, step),

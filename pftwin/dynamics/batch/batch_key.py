@@ -18,11 +18,11 @@ import numpy as np
 
 from pftwin.base.program_cache import settings, versions
 from pftwin.base.serialization import fingerprint
-from pftwin.dynamics.batch.member import Task, moved, settled
+from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion
 from pftwin.dynamics.batch.plan import BatchPlan
 
 
-def features(plan: BatchPlan, unit: int) -> dict[str, str]:
+def batch_features(plan: BatchPlan, unit: int) -> dict[str, str]:
     """What distinguishes a batch, in words a person can use, each with a hash or a text.
 
     Args:
@@ -61,8 +61,8 @@ def _numbers(task: Task) -> list[np.ndarray]:
 
 
 def _program(task: Task, row: Any) -> str:
-    first, start = _traced(settled, (task, row))
-    second, _ = _traced(moved, (task, row, start))
+    first, start = _traced(member_equilibrium, (task, row))
+    second, _ = _traced(member_motion, (task, row, start))
     return first + second
 
 

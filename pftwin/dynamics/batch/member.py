@@ -39,7 +39,7 @@ class Task(NamedTuple):
     outcome: Outcome | None
 
 
-def settled(task: Task, row: Any) -> Solution:
+def member_equilibrium(task: Task, row: Any) -> Solution:
     """The equilibrium nearest to the member's own start pose."""
     return starting_equilibrium(task.change(task.scene, row))
 
@@ -53,7 +53,7 @@ def settled_after_relaxing(task: Task, row: Any) -> Solution:
     return starting_equilibrium(scene, jax.tree.map(lambda a, b: jnp.where(near, a, b), pose, scene.start))
 
 
-def moved(task: Task, row: Any, start: Solution) -> dict[str, Any]:
+def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
     """The member's motion from an equilibrium, as `batch_dataset` names it."""
     scene = task.change(task.scene, row)
     options: Any = {"integrator": task.integrator, "start": start, "ledger": task.energy}
@@ -68,7 +68,7 @@ def moved(task: Task, row: Any, start: Solution) -> dict[str, Any]:
             kind = type(own).__name__
             raise InputError(f"gives {kind}", where="outcome", expected="a dictionary of numbers or arrays")
     return {
-        "sensible": sensible(scene),
+        "sensible": scene_is_valid(scene),
         "status_frames": jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS]),
         "equilibrium_residual": start.residual,
         "summary": seen.summary(),
@@ -121,7 +121,7 @@ def _rows(v: Vec3) -> Array:
     return jnp.stack([v.x, v.y, v.z], axis=-1)
 
 
-def sensible(scene: Scene) -> Array:
+def scene_is_valid(scene: Scene) -> Array:
     """What `pftwin.model.scene.check` asks for, of a scene that is traced."""
     leaves, structure = jax.tree.flatten(scene)
     good = [jnp.all(jnp.isfinite(a)) for a in leaves if eqx.is_inexact_array(a)]

@@ -50,7 +50,7 @@ def part_file(folder: Path, unit: int) -> Path:
     return folder / f"part_{unit:05d}.nc"
 
 
-def begin(folder: Path, index: BatchIndex) -> None:
+def prepare_folder(folder: Path, index: BatchIndex) -> None:
     """Makes the folder ready for a batch, which may have been begun before.
 
     Raises:

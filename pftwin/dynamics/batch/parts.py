@@ -42,7 +42,7 @@ def read_parts(folder: str | os.PathLike[str], *, incomplete: bool = False) -> D
             remedy="simulate_batch again with the same folder: it computes only these"
             + ("; or incomplete=True for the others" if there else ""),
         )
-    return joined(list(there.values()))
+    return concatenated_parts(list(there.values()))
 
 
 def missing_parts(folder: str | os.PathLike[str]) -> dict[int, str]:
@@ -66,7 +66,7 @@ def _looked_through(folder: Path, index: BatchIndex) -> tuple[dict[int, Dataset]
     return there, wrong
 
 
-def joined(parts: Sequence[Dataset]) -> Dataset:
+def concatenated_parts(parts: Sequence[Dataset]) -> Dataset:
     """Members of several units, in the order in which the batch has them."""
     from xarray import concat
 

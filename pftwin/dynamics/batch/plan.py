@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.batch_dataset import COORDINATES, OWN_NAMES
-from pftwin.dynamics.batch.member import Task, moved, settled
+from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion
 from pftwin.dynamics.batch.retry import Found, all_members, with_care
 from pftwin.dynamics.batch.sharding import Sharding
 from pftwin.dynamics.batch.variants import Group
@@ -73,7 +73,7 @@ def check_outcomes(tasks: Sequence[Task], rows: Sequence[Any]) -> None:
 
 def _shapes(task: Task, row: Any) -> dict[str, tuple[int, ...]]:
     def own(task: Task, row: Any) -> Any:
-        return moved(task, row, settled(task, row))["own"]
+        return member_motion(task, row, member_equilibrium(task, row))["own"]
 
     made = eqx.filter_eval_shape(own, task, row)
     if stray := [n for n, a in made.items() if not (isinstance(n, str) and isinstance(a, jax.ShapeDtypeStruct))]:

@@ -37,14 +37,14 @@ class Processes:
         """
         if self.count == 1:
             return {self.index: text}
-        live = _meet()
+        live = _barrier()
         while True:
             failure, said = None, {}
             try:
-                said = _exchanged(live, text)
+                said = _gather_texts(live, text)
             except jax.errors.JaxRuntimeError as error:
                 failure = error
-            before, live = live, _meet()
+            before, live = live, _barrier()
             if live == before:  # otherwise one was lost meanwhile, and the others talk again
                 if failure is not None:
                     raise failure
@@ -52,7 +52,7 @@ class Processes:
                 return said
 
 
-def _meet() -> dict[int, Any]:
+def _barrier() -> dict[int, Any]:
     """Waits for all processes that live: a CPU device of each, by its index, the same for all who have met."""
     while True:
         found = multihost_utils.live_devices(jax.devices("cpu"))
@@ -67,7 +67,7 @@ def _meet() -> dict[int, Any]:
     return {i: first[i] for i in sorted(first)}
 
 
-def _exchanged(devices: dict[int, Any], text: str) -> dict[int, str]:
+def _gather_texts(devices: dict[int, Any], text: str) -> dict[int, str]:
     """Each process's text, by its index."""
     own = np.frombuffer(text.encode(), np.uint8)
     sizes = _rows(devices, np.array([own.size], np.int32))[:, 0]
@@ -92,4 +92,4 @@ def _last_to_leave() -> None:
     JAX itself has processes leave together, but not where they may outlive each other (jax_enable_recoverability).
     """
     if getattr(jax.config, "jax_enable_recoverability", False):
-        atexit.register(_meet)
+        atexit.register(_barrier)

@@ -19,9 +19,17 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError, OutputError, PftwinError, PftwinWarning
 from pftwin.dynamics.batch.batch_dataset import dataset
-from pftwin.dynamics.batch.batch_key import features, key_of
-from pftwin.dynamics.batch.part_files import SHOWN, BatchIndex, begin, check_seen, part_file, read_part, write_part
-from pftwin.dynamics.batch.parts import joined
+from pftwin.dynamics.batch.batch_key import batch_features, key_of
+from pftwin.dynamics.batch.part_files import (
+    SHOWN,
+    BatchIndex,
+    check_seen,
+    part_file,
+    prepare_folder,
+    read_part,
+    write_part,
+)
+from pftwin.dynamics.batch.parts import concatenated_parts
 from pftwin.dynamics.batch.plan import BatchPlan, some_of
 from pftwin.dynamics.batch.processes import Processes
 
@@ -46,7 +54,7 @@ class InParts:
     def __init__(self, plan: BatchPlan, folder: Path, unit: int, share: Share | None, tell: Tell | None) -> None:
         self.plan, self.folder, self.share, self.tell = plan, folder, share, tell
         self.units = _units(plan, unit)
-        found = features(plan, unit)
+        found = batch_features(plan, unit)
         self.index = BatchIndex(key_of(found), found, [len(which) for _, which in self.units])
         self.processes = Processes()
         self.done: dict[int, Dataset] = {}
@@ -77,7 +85,7 @@ class InParts:
         for unit in asked:
             if unit not in self.done:
                 self.done[unit] = self._read(unit, SHOWN)
-        return joined([self.done[u] for u in asked])
+        return concatenated_parts([self.done[u] for u in asked])
 
     def _agree(self) -> None:
         """Makes sure that all processes were given the same batch."""
@@ -97,7 +105,7 @@ class InParts:
         """Units without a sound part, as the first process sees the folder: all have to go by the same list."""
 
         def look() -> list[int]:
-            begin(self.folder, self.index)
+            prepare_folder(self.folder, self.index)
             return [u for u in asked if not self._sound(u)]
 
         first = min(self.processes.alive) == self.processes.index

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.dynamics.batch.member import FLAGS, Task, moved, settled, settled_after_relaxing
+from pftwin.dynamics.batch.member import FLAGS, Task, member_equilibrium, member_motion, settled_after_relaxing
 from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, Newmark
@@ -40,8 +40,8 @@ def all_members(
 
     def work(chunk: Chunk) -> Found:
         own = spread.placed(rows, chunk)
-        start = spread.run(settled_after_relaxing if relaxed else settled, shared, chunk, (own,))
-        return spread.taken(spread.run(moved, shared, chunk, (own, start)), chunk)
+        start = spread.run(settled_after_relaxing if relaxed else member_equilibrium, shared, chunk, (own,))
+        return spread.taken(spread.run(member_motion, shared, chunk, (own, start)), chunk)
 
     return spread.over(work, len(jax.tree.leaves(rows)[0]), threads, progress)
 
@@ -56,26 +56,26 @@ def with_care(spread: Sharding, task: Task, rows: Any, found: Found) -> NDArray[
     relaxed = np.zeros(done.size, dtype=bool)
     lost = _flagged(found, (Status.START_NOT_IN_EQUILIBRIUM,)) & found["sensible"]
     if lost.any():
-        better = all_members(spread, task, _some(rows, lost), relaxed=True)
+        better = all_members(spread, task, _selected_rows(rows, lost), relaxed=True)
         relaxed = _taken_over(found, better, lost, ~_flagged(better, (Status.START_NOT_IN_EQUILIBRIUM,)))
         done[lost] = WAYS.index("in_vain")
         done[relaxed] = WAYS.index("relaxed_start")
     careful = task._replace(substeps=jnp.asarray(np.asarray(task.substeps) * SMALLER))
     ways = [(WAYS.index("smaller_step"), careful)]
-    if other := _other(task):
+    if other := _fallback_integrator(task):
         ways.append((WAYS.index("other_integrator"), careful._replace(integrator=other)))
     for way, with_more in ways:
         bad = _flagged(found, BAD) & found["sensible"] & (done != WAYS.index("in_vain"))
         for group, from_relaxed in ((bad & ~relaxed, False), (bad & relaxed, True)):
             if group.any():
-                better = all_members(spread, with_more, _some(rows, group), relaxed=from_relaxed)
+                better = all_members(spread, with_more, _selected_rows(rows, group), relaxed=from_relaxed)
                 done[_taken_over(found, better, group, ~_flagged(better, BAD))] = way
     still = _flagged(found, BAD) & found["sensible"]
     done[still] = WAYS.index("in_vain")
     return done
 
 
-def _other(task: Task) -> Integrator | None:
+def _fallback_integrator(task: Task) -> Integrator | None:
     """An integrator of another kind for the same motion; None where there is none."""
     if not task.integrator.inertia:
         return None
@@ -93,7 +93,7 @@ def _flagged(found: Found, flags: tuple[Status, ...]) -> NDArray[np.bool_]:
     return (found["status_frames"][:, [FLAGS.index(f) for f in flags]] > 0).any(axis=1)
 
 
-def _some(rows: Any, which: NDArray[np.bool_]) -> Any:
+def _selected_rows(rows: Any, which: NDArray[np.bool_]) -> Any:
     return jax.tree.map(lambda a: np.asarray(a)[which], rows)
 
 

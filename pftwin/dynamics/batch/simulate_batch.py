@@ -110,13 +110,13 @@ def simulate_batch(
     values = scenes.values if isinstance(scenes, Variants) else None
     plan = BatchPlan(groups, tasks, values, settings, care, spread, threads)
     if parts is None:
-        return _whole(plan, progress)
+        return _simulate_whole(plan, progress)
     from pftwin.dynamics.batch.resumable import InParts
 
     return InParts(plan, Path(parts), unit_for(total, piece, chunk), share, progress).all()
 
 
-def _whole(plan: BatchPlan, progress: Callable[[int, int], None] | None) -> Dataset:
+def _simulate_whole(plan: BatchPlan, progress: Callable[[int, int], None] | None) -> Dataset:
     from pftwin.dynamics.batch.batch_dataset import dataset
 
     found, before = [], 0

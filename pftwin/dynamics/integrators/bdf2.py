@@ -24,10 +24,10 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.integrator import Integrator, carrying
+from pftwin.dynamics.integrator import Integrator, with_carried
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity, load_at_end
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.state import Guide, GuideAt, State, System, gyroscopic, moved
+from pftwin.dynamics.state import Guide, GuideAt, State, System, displaced_state, gyroscopic
 
 ROUGH = 20.0  # change of the acceleration between two steps above which it may be that of an impact [m/s^2]
 LEVER = 0.02  # [m] turns angles into lengths
@@ -36,7 +36,7 @@ LEVER = 0.02  # [m] turns angles into lengths
 class LastStep(NamedTuple):
     """What BDF2 carries: the last step."""
 
-    way: Twist  # d: displacement [m], turn [rad]
+    displacement: Twist  # d: displacement [m], turn [rad]
     change: Twist  # D: of the velocities
     share: Scalar  # of the last step in the next: 1/3; 0 at the first and after an impact
 
@@ -56,7 +56,7 @@ class BDF2(Integrator):
         """The state without a past."""
         zero = jnp.zeros_like(state.position.x)
         nothing = Twist(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-        return carrying(state, LastStep(nothing, nothing, zero))
+        return with_carried(state, LastStep(nothing, nothing, zero))
 
     def advance(
         self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
@@ -67,7 +67,7 @@ class BDF2(Integrator):
         now = Twist(state.velocity, state.spin)
         expected = now.plus(3 * last.share, last.change)
         with jax.named_scope("loads"):
-            ahead = moved(state, last.way.times(last.share).plus(span, expected), expected)
+            ahead = displaced_state(state, last.displacement.times(last.share).plus(span, expected), expected)
             there = guide_at(1.0).instant(ahead.patella(), step, step, displacement_gain=span, twist=now)
             loads, memories = system.loads(there, state.memories)
         with jax.named_scope("implicit_solve"):
@@ -77,10 +77,12 @@ class BDF2(Integrator):
             inertial = Wrench(-system.mass * more.linear, gyroscopic(i, expected.angular) - turning)
             dv = change_of_velocity(system, inertial, loads, Span(span, span))
         velocity = expected.plus(1.0, Twist(Vec3(*dv[:3]), Vec3(*dv[3:])))
-        way = last.way.times(last.share).plus(span, velocity)
-        after = moved(state, way, velocity)
+        displacement = last.displacement.times(last.share).plus(span, velocity)
+        after = displaced_state(state, displacement, velocity)
         change = velocity.plus(-1.0, now)
-        carried = LastStep(way, change, jnp.where(_impact(change, last.change, step), 0.0, jnp.full_like(span, 1 / 3)))
+        carried = LastStep(
+            displacement, change, jnp.where(_impact(change, last.change, step), 0.0, jnp.full_like(span, 1 / 3))
+        )
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
         if ledger is not None:
             ends = [load_at_end(load, dv, span) for load in loads]

@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
-from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
+from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
 
@@ -103,7 +103,7 @@ class Diffrax(Integrator):
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """The state with a first guess of the solver's own step."""
-        return carrying(state, DiffraxStep(FIRST * step, jnp.zeros_like(step)))
+        return with_carried(state, DiffraxStep(FIRST * step, jnp.zeros_like(step)))
 
     def diagnostics(self, state: State) -> Diagnostics:
         """1 where the solver gave up."""

@@ -24,11 +24,11 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
+from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.solve import changed_by, six, solution_changes, tangent_of
-from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, gyroscopic, moved
+from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, displaced_state, gyroscopic
 from pftwin.model.effects.base import Load
 
 MOST_ITERATIONS = 20
@@ -75,12 +75,12 @@ class _Step(NamedTuple):
         carried, h = self.state.carried, self.length
         start = Twist(self.state.velocity, self.state.spin)
         a = velocity.plus(-1.0, start).plus(-h * (1 - w.gamma), carried.algorithmic).times(1 / (w.gamma * h))
-        way = start.times(h).plus(h * h * (0.5 - w.beta), carried.algorithmic).plus(h * h * w.beta, a)
+        displacement = start.times(h).plus(h * h * (0.5 - w.beta), carried.algorithmic).plus(h * h * w.beta, a)
         needed = a
         if w.alpha_m or w.alpha_f:
             mixed = a.times(1 - w.alpha_m).plus(w.alpha_m, carried.algorithmic).plus(-w.alpha_f, carried.actual)
             needed = mixed.times(1 / (1 - w.alpha_f))
-        return moved(self.state, way, velocity), a, needed
+        return displaced_state(self.state, displacement, velocity), a, needed
 
     def unbalanced(self, velocity: Twist, w: Weights) -> tuple[Wrench, list[Load], tuple[Any, ...]]:
         """Inertial forces at a velocity's end, the loads there, and the memories that they leave."""
@@ -141,7 +141,7 @@ class Newmark(Integrator):
         """The state with its own accelerations."""
         loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
         now = acceleration(system, state.spin, loads)
-        return carrying(state, NewmarkStep(now, now, jnp.zeros_like(now.linear.x)))
+        return with_carried(state, NewmarkStep(now, now, jnp.zeros_like(now.linear.x)))
 
     def diagnostics(self, state: State) -> Diagnostics:
         """The last change of the velocity of a step that is not solved [m/s]."""

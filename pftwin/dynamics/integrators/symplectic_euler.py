@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
+from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, advance, gyroscopic
 from pftwin.model.effects.base import Load
@@ -43,7 +43,7 @@ class SymplecticEuler(Integrator):
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """The state with what the integrator tells: nothing yet."""
-        return carrying(state, EulerStep(jnp.zeros_like(state.position.x)))
+        return with_carried(state, EulerStep(jnp.zeros_like(state.position.x)))
 
     def diagnostics(self, state: State) -> Diagnostics:
         """By how much the step is beyond the limit of stability."""
@@ -65,7 +65,7 @@ class SymplecticEuler(Integrator):
         spin = spin + step * Vec3(moment.x / i.x, moment.y / i.y, moment.z / i.z)
         after = advance(state, velocity, spin, step, memories)
         beyond = jnp.maximum(_stiffest(system, loads, step) / LIMIT - 1, 0.0)
-        after = carrying(after, EulerStep(beyond))
+        after = with_carried(after, EulerStep(beyond))
         if ledger is not None:
             applied = [term.force for load in loads for term in load.stiff]
             ledger = ledger.entered(state, after, loads, applied, 0.0, step)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.state import Guide, State, System, moved
+from pftwin.dynamics.state import Guide, State, System, displaced_state
 from pftwin.dynamics.static_load import LEVER, Surroundings, components, look_around
 from pftwin.model.effects.base import Instant
 
@@ -33,9 +33,13 @@ class Branch(NamedTuple):
 
         Where `past` is 0, the last step's displacement counts for nothing.
         """
-        way, share = way_of(d), past * self.origin.carried.share
+        displacement, share = displacement_of(d), past * self.origin.carried.share
         span = (1 - share) * self.step
-        return moved(self.origin, way, way.plus(-share, self.origin.carried.way).times(self.rates / span))
+        return displaced_state(
+            self.origin,
+            displacement,
+            displacement.plus(-share, self.origin.carried.displacement).times(self.rates / span),
+        )
 
     def instant(self, d: Six) -> Instant:
         """What effects look at there."""
@@ -67,15 +71,15 @@ class Branch(NamedTuple):
         return look_around(self.system, instant_at, self.origin.memories, held, neighbours=neighbours)
 
 
-def way_of(d: Six) -> Twist:
+def displacement_of(d: Six) -> Twist:
     """Displacement [m] and turn [rad]."""
     return Twist(Vec3(*d[:3]), (1 / LEVER) * Vec3(*d[3:]))
 
 
-def components_of(way: Twist) -> Six:
-    """The inverse of `way_of`."""
-    turn = LEVER * way.angular
-    return [way.linear.x, way.linear.y, way.linear.z, turn.x, turn.y, turn.z]
+def components_of(displacement: Twist) -> Six:
+    """The inverse of `displacement_of`."""
+    turn = LEVER * displacement.angular
+    return [displacement.linear.x, displacement.linear.y, displacement.linear.z, turn.x, turn.y, turn.z]
 
 
 def norm(a: Six) -> Scalar:

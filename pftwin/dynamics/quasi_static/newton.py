@@ -18,7 +18,7 @@ from jaxtyping import Array
 from pftwin.base.spatial import Scalar
 from pftwin.dynamics.equilibrium import REACH, tolerance_of
 from pftwin.dynamics.quasi_static.branch import Branch, Six, norm
-from pftwin.dynamics.quasi_static.stability import stable
+from pftwin.dynamics.quasi_static.stability import is_stable
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.static_load import Surroundings
 
@@ -134,4 +134,4 @@ def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar)
     shift = (size / REACH) * one
     matrices = jnp.stack([tangent + shift, _matrix(there.convex()) + shift])
     steps, definite = jax.vmap(lambda matrix: _step(matrix, r))(matrices)
-    return [jnp.where(definite[0], a[0], a[1]) for a in steps], stable(at_rest)
+    return [jnp.where(definite[0], a[0], a[1]) for a in steps], is_stable(at_rest)

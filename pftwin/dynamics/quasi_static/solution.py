@@ -19,7 +19,7 @@ from pftwin.dynamics.quasi_static.branch import Branch, Six, components_of
 from pftwin.dynamics.quasi_static.newton import newton
 from pftwin.dynamics.relaxation import come_to_rest
 from pftwin.dynamics.solve import changed_by, solution_changes, tangent_of
-from pftwin.dynamics.state import State, moved
+from pftwin.dynamics.state import State, displaced_state
 
 LEAST_HELD = 1e-9  # stiffness of every direction, for derivatives alone [N/m]
 
@@ -43,10 +43,10 @@ class NextEquilibrium(NamedTuple):
 @eqx.filter_custom_jvp
 def solved(branch: Branch) -> NextEquilibrium:
     """The next equilibrium: the same one further on, or where a snap from the present pose comes to rest."""
-    last = branch.origin.carried.way
+    last = branch.origin.carried.displacement
     ahead = components_of(last)
     none = [jnp.zeros_like(a) for a in ahead]
-    led = moved(branch.origin, last, last)
+    led = displaced_state(branch.origin, last, last)
 
     def attempt(now: tuple[NextEquilibrium, Scalar, Scalar]) -> tuple[NextEquilibrium, Scalar, Scalar]:
         _, tries, _ = now

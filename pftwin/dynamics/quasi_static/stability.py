@@ -18,7 +18,7 @@ NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts 
 SQUARINGS = 16  # from a factor that is 0.2 % off 1, as the slack's and the trace's own are, to one of 1e-57
 
 
-def stable(tangent: Array) -> Scalar:
+def is_stable(tangent: Array) -> Scalar:
     """Whether a (6, 6) tangent at rest [N/m] is that of a stable or a neutral equilibrium.
 
     A definite symmetric part is enough. Where it is not definite, C = (K - s) (K + s)^-1 turns eigenvalues of positive

@@ -27,9 +27,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar, Twist
-from pftwin.dynamics.integrator import Diagnostics, Integrator, carrying
+from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.quasi_static.branch import Branch, way_of
+from pftwin.dynamics.quasi_static.branch import Branch, displacement_of
 from pftwin.dynamics.quasi_static.solution import carried_along, over_a_snap, solved
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 
@@ -37,7 +37,7 @@ from pftwin.dynamics.state import Guide, GuideAt, State, System
 class QuasiStaticStep(NamedTuple):
     """What a motion without inertia carries from step to step."""
 
-    way: Twist  # d_last
+    displacement: Twist  # d_last
     share: Scalar  # s of the next step
     remainder: Array  # (6, 6) of the last tangent [N/m]: see `quasi_static_newton`
     snaps: Scalar  # since the start
@@ -59,8 +59,8 @@ class QuasiStatic(Integrator):
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """The state without a past; it goes on with the velocity that it has."""
         zero = jnp.zeros_like(state.position.x)
-        way = Twist(state.velocity, state.spin).times(step)
-        return carrying(state, QuasiStaticStep(way, zero, jnp.zeros((6, 6), zero.dtype), zero, zero))
+        displacement = Twist(state.velocity, state.spin).times(step)
+        return with_carried(state, QuasiStaticStep(displacement, zero, jnp.zeros((6, 6), zero.dtype), zero, zero))
 
     def diagnostics(self, state: State) -> Diagnostics:
         """What is left of the balance [N], and the snaps."""
@@ -76,10 +76,12 @@ class QuasiStatic(Integrator):
         after = landed.after(found.d)
         loads, memories = system.loads(landed.instant(found.d), landed.origin.memories)
         snapped = found.snapped > 0
-        way = jax.tree.map(lambda a, b: jnp.where(snapped, a, b), carried_along(branch, after), way_of(found.d))
+        displacement = jax.tree.map(
+            lambda a, b: jnp.where(snapped, a, b), carried_along(branch, after), displacement_of(found.d)
+        )
         share = jnp.where(snapped, 0.0, jnp.full_like(step, 1 / 3))
         remainder = jax.lax.stop_gradient(found.remainder)
-        carried = QuasiStaticStep(way, share, remainder, state.carried.snaps + found.snapped, found.residual)
+        carried = QuasiStaticStep(displacement, share, remainder, state.carried.snaps + found.snapped, found.residual)
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
         if ledger is None:
             return after, None

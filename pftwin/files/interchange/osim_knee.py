@@ -55,19 +55,19 @@ def find_knee(model: OsimModel, side: str | None = None, **named: str | None) ->
             raise InputError(
                 f"no body is called {name!r}", where=f"{model.file}, --{part}", expected=f"one of: {known}"
             )
-    patella = named.get("patella") or _called("patella", list(model.bodies), side, model)
+    patella = named.get("patella") or _body_by_name("patella", list(model.bodies), side, model)
     joint = model.tree.joints.get(patella)
     if joint is None:
         raise InputError(f"no joint carries {patella!r}", where=model.file, remedy="--patella NAME")
     femur = named.get("femur") or _femur(model, joint, side)
     children = [b for b, j in model.tree.joints.items() if _hangs_on(model, j, femur) and b != patella]
-    tibia = named.get("tibia") or _called("tibia", children, side, model)
+    tibia = named.get("tibia") or _body_by_name("tibia", children, side, model)
     sides = [s for s, end in SIDES.items() if patella.lower().endswith(end)]
     chosen = side or (sides[0] if sides else "right")
     return OsimKnee(femur, tibia, patella, chosen)
 
 
-def placed(model: OsimModel, knee: OsimKnee, frame: OsimFrame) -> tuple[str, Floats]:
+def part_and_pose(model: OsimModel, knee: OsimKnee, frame: OsimFrame) -> tuple[str, Floats]:
     """The part of the knee that carries a frame, and the frame's pose (4, 4) in it; other bodies keep their name."""
     body, pose = model.tree.welded(frame.body)
     own = {name: model.tree.welded(name) for name in (knee.femur, knee.tibia, knee.patella)}
@@ -82,7 +82,7 @@ def _femur(model: OsimModel, joint: Joint, side: str | None) -> str:
     parent = joint.parent.body
     if "femur" in parent.lower():
         return parent
-    return _called("femur", list(model.bodies), side, model)
+    return _body_by_name("femur", list(model.bodies), side, model)
 
 
 def _hangs_on(model: OsimModel, joint: Joint, femur: str) -> bool:
@@ -90,7 +90,7 @@ def _hangs_on(model: OsimModel, joint: Joint, femur: str) -> bool:
     return joint.kind != "WeldJoint" and model.tree.welded(joint.parent.body)[0] == model.tree.welded(femur)[0]
 
 
-def _called(part: str, names: list[str], side: str | None, model: OsimModel) -> str:
+def _body_by_name(part: str, names: list[str], side: str | None, model: OsimModel) -> str:
     found = [n for n in names if part in n.lower()]
     if side is not None and any(n.lower().endswith(SIDES[side]) for n in found):
         found = [n for n in found if n.lower().endswith(SIDES[side])]
@@ -126,10 +126,10 @@ def load_mesh(mesh: Mesh, model: OsimModel, knee: OsimKnee, places: list[Path]) 
     """
     from pftwin.geometry.mesh.files import read_triangles
 
-    part, pose = placed(model, knee, mesh.frame)
+    part, pose = part_and_pose(model, knee, mesh.frame)
     if part not in ("femur", "tibia", "patella"):
         raise InputError(f"{mesh.name!r} is fixed to {part!r}", where=mesh.where, expected="a bone of the knee")
-    vertices, faces = read_triangles(_found(mesh, Path(model.file).parent, places))
+    vertices, faces = read_triangles(_mesh_file(mesh, Path(model.file).parent, places))
     points = (vertices * mesh.scale) @ pose[:3, :3].T + pose[:3, 3]
     if np.prod(mesh.scale) < 0:
         faces = faces[:, ::-1].copy()
@@ -142,7 +142,7 @@ def bones(
     """The meshes of the knee's bones; those that cannot be read are left out."""
     for body in model.bodies.values():
         for mesh in body.meshes:
-            part, _ = placed(model, knee, mesh.frame)
+            part, _ = part_and_pose(model, knee, mesh.frame)
             if part not in ("femur", "tibia", "patella"):
                 continue
             try:
@@ -155,7 +155,7 @@ def bones(
                 yield found
 
 
-def _found(mesh: Mesh, home: Path, places: list[Path]) -> Path:
+def _mesh_file(mesh: Mesh, home: Path, places: list[Path]) -> Path:
     """The mesh's file, by the last part of its name alone: a model may not say where on this machine to read.
 
     Models are often written where "Patella.stl" and "patella.stl" are one file: that is found if nothing else is meant.

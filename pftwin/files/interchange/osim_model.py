@@ -177,7 +177,7 @@ def read_model(path: str) -> OsimModel:
 
 def _body(element: Element, frames: Frames) -> Body:
     mass, center, inertia = (element.child(k) for k in ("mass", "mass_center", "inertia"))
-    meshes = tuple(_drawn(m, element.name, frames) for m in element.all("Mesh"))
+    meshes = tuple(_attached_mesh(m, element.name, frames) for m in element.all("Mesh"))
     return Body(
         element.name,
         0.0 if mass is None else float(mass.numbers(1)[0]),
@@ -188,7 +188,7 @@ def _body(element: Element, frames: Frames) -> Body:
     )
 
 
-def _drawn(element: Element, body: str, frames: Frames) -> Mesh:
+def _attached_mesh(element: Element, body: str, frames: Frames) -> Mesh:
     """A mesh of a body, or of a frame that is part of it."""
     scale = element.child("scale_factors")
     factors = np.ones(3) if scale is None else scale.numbers(3)

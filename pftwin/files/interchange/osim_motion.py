@@ -20,7 +20,7 @@ FASTEST = np.radians(45.0)  # of it [rad/s]
 FARTHEST = np.radians(90.0)  # of it, where the model's range goes further
 
 
-def bent(tree: Tree, knee: OsimKnee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:
+def flexed_through_range(tree: Tree, knee: OsimKnee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:
     """The knee bent from its default to the end of its range: times (n,), coordinates by name, and a description.
 
     Smoothly (a polynomial of fifth degree), so that it starts and ends at rest.

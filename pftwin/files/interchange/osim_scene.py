@@ -14,7 +14,7 @@ from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_motion
 from pftwin.files.interchange.osim_document import Element, Frames, read_osim
-from pftwin.files.interchange.osim_knee import FOLDER, OsimKnee, Written, bones, find_knee, load_mesh, placed
+from pftwin.files.interchange.osim_knee import FOLDER, OsimKnee, Written, bones, find_knee, load_mesh, part_and_pose
 from pftwin.files.interchange.osim_model import (
     CONTACT,
     LIGAMENT,
@@ -91,33 +91,33 @@ def import_osim(
     told = Imported(left_out=list(found.left_out))
     places = [Path(p) for p in geometry]
     if motion is None:
-        times, values, said = osim_motion.bent(found.tree, knee, bend)
+        times, values, said = osim_motion.flexed_through_range(found.tree, knee, bend)
     else:
         times, values, said = osim_motion.recorded(found.tree, motion)
     told.notes.append(f"motion: {said}")
     poses = osim_motion.poses(found.tree, [knee.femur, knee.tibia, knee.patella], times, values)
     if found.bodies[knee.patella].mass <= 0:
         raise InputError("a patella without mass", where=found.bodies[knee.patella].where, expected="a positive mass")
-    strands = _strands(found, knee, told)
-    contact, pressing = _pressing(found, knee, places, told)
+    strands = _ligament_groups(found, knee, told)
+    contact, pressing = _contact_meshes(found, knee, places, told)
     taken = {m.file for m in pressing}
     drawn = list(bones(found, knee, places, taken, told.left_out))
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    told.left_out += _rest(read_osim(os.fspath(model)), found, knee)
+    told.left_out += _unused_elements(read_osim(os.fspath(model)), found, knee)
     text = scene_text(found, knee, strands, contact, pressing, told)
     _write(Path(folder), text, times, {knee.part(b): p for b, p in poses.items()}, [*pressing, *drawn], told)
     return told
 
 
-def _strands(model: OsimModel, knee: OsimKnee, told: Imported) -> dict[tuple[str, str], list[OsimStrand]]:
+def _ligament_groups(model: OsimModel, knee: OsimKnee, told: Imported) -> dict[tuple[str, str], list[OsimStrand]]:
     """Ligaments of the patella by name and other body; those of one name without its number are one group."""
     from pftwin.files.interchange.osim_toml import OsimStrand
 
     groups: dict[tuple[str, str], list[OsimStrand]] = {}
     straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for ligament in model.ligaments:
-        ends = [(placed(model, knee, frame), point) for frame, point in ligament.ends]
+        ends = [(part_and_pose(model, knee, frame), point) for frame, point in ligament.ends]
         places = [(part, pose[:3, :3] @ point + pose[:3, 3]) for (part, pose), point in ends]
         parts = [part for part, _ in places]
         if parts.count("patella") != 1 or not {*parts} - {"patella"} <= {"femur", "tibia", "ground"}:
@@ -151,7 +151,7 @@ def _contact(model: OsimModel, knee: OsimKnee, told: Imported) -> OsimContact | 
         if missing:
             told.left_out.append(LeftOut(CONTACT, contact.name, f"there is no contact mesh {missing[0]!r}"))
             continue
-        parts = [placed(model, knee, model.surfaces[s].mesh.frame)[0] for s in contact.surfaces]
+        parts = [part_and_pose(model, knee, model.surfaces[s].mesh.frame)[0] for s in contact.surfaces]
         if sorted(parts) != ["femur", "patella"]:
             why = f"it is between {' and '.join(parts)}, whose motion is prescribed"
             told.left_out.append(LeftOut(CONTACT, contact.name, why))
@@ -163,7 +163,7 @@ def _contact(model: OsimModel, knee: OsimKnee, told: Imported) -> OsimContact | 
     return chosen
 
 
-def _pressing(
+def _contact_meshes(
     model: OsimModel, knee: OsimKnee, places: list[Path], told: Imported
 ) -> tuple[OsimContact | None, list[Written]]:
     """The contact with its two meshes; neither where a mesh cannot be read."""
@@ -207,7 +207,7 @@ def _write(
     told.files = [folder / name for name in names]
 
 
-def _rest(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
+def _unused_elements(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
     """The parts of the model that no reader uses, in the file's order."""
     frames = Frames(root)
     for group in root.children:
@@ -217,7 +217,7 @@ def _rest(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
         if group.tag == "ForceSet":
             for force in held.children:
                 if force.tag not in _READ:
-                    yield LeftOut(force.tag, force.name, _why(force, model, knee, frames))
+                    yield LeftOut(force.tag, force.name, _why_left_out(force, model, knee, frames))
         elif group.tag == "ContactGeometrySet":
             for surface in held.children:
                 if surface.tag != SURFACE:
@@ -228,7 +228,7 @@ def _rest(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
                     yield LeftOut(part.tag, part.name, _SETS[group.tag])
 
 
-def _why(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> str:
+def _why_left_out(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> str:
     """Why a force is left out; of one that pulls at the patella also its two ends, for the user to add to the scene."""
     points = list(force.all("PathPoint"))
     if force.tag == "Ligament" or not points:
@@ -236,7 +236,7 @@ def _why(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> st
     at = []
     for p in points:
         frame = frames.find(p.needed("socket_parent_frame").text, p, p.where)
-        part, pose = placed(model, knee, frame)
+        part, pose = part_and_pose(model, knee, frame)
         at.append((part, pose[:3, :3] @ p.needed("location").numbers(3) + pose[:3, 3]))
     parts = [part for part, _ in at]
     if "patella" not in parts:

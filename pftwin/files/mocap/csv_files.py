@@ -12,7 +12,7 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import read_lines, write_text
 from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
-from pftwin.files.mocap.tables import Table, quoted, row_values, unknown_name
+from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
 from pftwin.files.mocap.units import check_spread, length_factor, split_unit, to_si
 
 _COORDINATE = re.compile(r"^(?P<marker>.+?)[_ .:]?(?P<axis>[xyzXYZ])$")
@@ -104,7 +104,7 @@ def read_marker_csv(
     incomplete = [name for name, axes in found.items() if len(axes) != 3]
     if incomplete or not found:
         raise InputError(
-            f"markers without all three coordinates: {quoted(incomplete)}" if incomplete else "no markers",
+            f"markers without all three coordinates: {quoted_list(incomplete)}" if incomplete else "no markers",
             where=path,
             expected="NAME_x, NAME_y, NAME_z for every marker",
         )

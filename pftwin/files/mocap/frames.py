@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.markers import MarkerTrajectories
 from pftwin.files.mocap.poses import PoseSeries
-from pftwin.files.mocap.tables import quoted
+from pftwin.files.mocap.tables import quoted_list
 
 # Below this ratio of width to length a group of points is a line: 0.2 mm of noise on 10 mm of width is 1 deg already.
 _COLLINEAR = 0.02
@@ -42,13 +42,13 @@ def three_point_frames(
                 f"point {name} has the shape {p.shape}", where=source, expected="(n, 3), alike for a, b, c"
             )
         if (bad := np.flatnonzero(~np.isfinite(p).all(axis=1))).size:
-            raise InputError(f"point {name} is missing in frames {quoted(bad)} (from 0)", where=source)
+            raise InputError(f"point {name} is missing in frames {quoted_list(bad)} (from 0)", where=source)
     along, side = b - a, c - a
     normal = np.cross(along, side)
     length = np.linalg.norm(along, axis=1) * np.linalg.norm(side, axis=1)
     if (bad := np.flatnonzero(~(np.linalg.norm(normal, axis=1) > _COLLINEAR * length))).size:
         raise InputError(
-            f"the three points lie on a line in frames {quoted(bad)} (from 0)",
+            f"the three points lie on a line in frames {quoted_list(bad)} (from 0)",
             where=source,
             expected="three points that span a plane",
         )
@@ -99,13 +99,15 @@ def cluster_poses(
     labels = list(names) if names is not None else [f"marker {i}" for i in range(r.shape[0])]
     if not np.isfinite(r).all():
         bad = [labels[i] for i in np.flatnonzero(~np.isfinite(r).all(axis=1))]
-        raise InputError(f"the reference lacks {quoted(bad)}", where=source, expected="all markers in the reference")
+        raise InputError(
+            f"the reference lacks {quoted_list(bad)}", where=source, expected="all markers in the reference"
+        )
     seen = np.asarray(np.isfinite(p).all(axis=2), dtype=np.bool_)
     if (few := np.flatnonzero(seen.sum(axis=1) < 3)).size:
         absent = [labels[i] for i in np.flatnonzero(~seen[few[0]])]
         raise InputError(
-            f"fewer than three markers of {quoted(labels)} in frames {quoted(few)} (from 0)"
-            + (f"; frame {few[0]} lacks {quoted(absent)}" if absent else ""),
+            f"fewer than three markers of {quoted_list(labels)} in frames {quoted_list(few)} (from 0)"
+            + (f"; frame {few[0]} lacks {quoted_list(absent)}" if absent else ""),
             where=source,
             expected="at least three markers seen",
             remedy="fill the gaps, or use a part of the recording",
@@ -131,7 +133,7 @@ def segment_poses(markers: MarkerTrajectories, reference: Mapping[str, ArrayLike
     names = list(reference)
     chosen = markers.select(names)
     places = np.array([np.asarray(reference[name], dtype=np.float64) for name in names])
-    label = source or f"{markers.source}, segment of {quoted(names)}"
+    label = source or f"{markers.source}, segment of {quoted_list(names)}"
     return cluster_poses(chosen.positions, places, chosen.times, names=names, source=label)
 
 
@@ -147,7 +149,7 @@ def mean_cluster(markers: MarkerTrajectories, names: Sequence[str]) -> dict[str,
     chosen = markers.select(names)
     complete = ~chosen.missing.any(axis=1)
     if not complete.any():
-        raise InputError(f"no frame shows all of {quoted(names)}", where=markers.source)
+        raise InputError(f"no frame shows all of {quoted_list(names)}", where=markers.source)
     points = chosen.positions[complete]
     shape = points[0] - points[0].mean(axis=0)
     for _ in range(20):
@@ -166,7 +168,7 @@ def _refuse_lines(
     if (bad := np.flatnonzero(~(spread[:, 1] > _COLLINEAR**2 * spread[:, 2]))).size:
         used = [label for label, there in zip(labels, seen[bad[0]], strict=True) if there]
         raise InputError(
-            f"{what} {quoted(used)} lie on a line in frames {quoted(bad)} (from 0)",
+            f"{what} {quoted_list(used)} lie on a line in frames {quoted_list(bad)} (from 0)",
             where=source,
             expected="at least three markers that span a plane",
         )

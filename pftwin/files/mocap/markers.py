@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.tables import Sampled, quoted, uniform_times, unknown_name
+from pftwin.files.mocap.tables import Sampled, quoted_list, uniform_times, unknown_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class MarkerTrajectories(Sampled):
             )
         if repeated := sorted({n for n in names if names.count(n) > 1}):
             raise InputError(
-                f"marker names that occur twice: {quoted(repeated)}", where=self.source, expected="each name once"
+                f"marker names that occur twice: {quoted_list(repeated)}", where=self.source, expected="each name once"
             )
         if (bad := np.argwhere(np.isinf(positions).any(axis=-1))).size:
             frame, marker = bad[0]

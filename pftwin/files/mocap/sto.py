@@ -12,7 +12,7 @@ import numpy as np
 
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.text_files import read_lines
-from pftwin.files.mocap.tables import Table, quoted, row_values, unknown_name
+from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
 
 # Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states; with a
 # side behind them, as in OpenSim JAM's knee_tx_r, or none.
@@ -100,7 +100,7 @@ def _angles(names: tuple[str, ...], rotational: Collection[str] | None, path: ob
         chosen = {n for n in names if not _NO_ANGLE.search(re.sub(r"/(value|speed)$", "", n))}
         message = (
             f"{path}: inDegrees=yes, and the format does not say which columns are angles; "
-            f"converted to radians: {quoted(sorted(chosen)) or 'none'}; name them with rotational=[...]"
+            f"converted to radians: {quoted_list(sorted(chosen)) or 'none'}; name them with rotational=[...]"
         )
         warnings.warn(message, PftwinWarning, stacklevel=3)
         return chosen

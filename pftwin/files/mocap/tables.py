@@ -150,7 +150,9 @@ class Table(Sampled):
                 expected=f"{(times.size, len(names))} for {times.size} times and {len(names)} names",
             )
         if repeated := sorted({n for n in names if names.count(n) > 1}):
-            raise InputError(f"columns that occur twice: {quoted(repeated)}", where=self.source, expected="each once")
+            raise InputError(
+                f"columns that occur twice: {quoted_list(repeated)}", where=self.source, expected="each once"
+            )
         units = {name: self.units.get(name, "") for name in names}
         for attribute, value in (("times", times), ("names", names), ("values", values), ("units", units)):
             object.__setattr__(self, attribute, value)
@@ -202,7 +204,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], *, where: object) -
     return InputError(f"no {kind} called {name!r}", where=where, expected=lead)
 
 
-def quoted(names: Iterable[object], limit: int = 8) -> str:
+def quoted_list(names: Iterable[object], limit: int = 8) -> str:
     """A readable list of the first `limit` names."""
     items = [str(n) for n in names]
     tail = f" and {len(items) - limit} more" if len(items) > limit else ""

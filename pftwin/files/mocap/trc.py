@@ -147,14 +147,14 @@ def _disagreements(header: dict[str, str], markers: MarkerTrajectories) -> list[
     found = []
     frames, count = markers.times.size, len(markers.names)
     for key, label, actual in (("numframes", "frames", frames), ("nummarkers", "markers", count)):
-        if key in header and not _same(header[key], actual, 0):
+        if key in header and not _agrees(header[key], actual, 0):
             found.append(f"the header counts {header[key]} {label}, the file has {actual}: the rows are believed")
-    if frames > 1 and "datarate" in header and not _same(header["datarate"], markers.rate, 0.01 * markers.rate):
+    if frames > 1 and "datarate" in header and not _agrees(header["datarate"], markers.rate, 0.01 * markers.rate):
         found.append(f"the header's rate is {header['datarate']} Hz, the times give {markers.rate:.6g} Hz: these count")
     return found
 
 
-def _same(text: str, value: float, tolerance: float) -> bool:
+def _agrees(text: str, value: float, tolerance: float) -> bool:
     try:
         return abs(float(text) - value) <= tolerance
     except ValueError:

@@ -52,12 +52,12 @@ class ChartSection(Section):
 
         frame = HostPose.of(self.origin_m, self.quaternion_wxyz)
         origin = setting.side.points("femur", frame.position)
-        axes = setting.side.matrices["femur"] @ frame.matrix * np.array([1.0, odd(setting), 1.0])
+        axes = setting.side.matrices["femur"] @ frame.matrix * np.array([1.0, v_sign(setting), 1.0])
         where = vector(origin), Rotation.from_array(number(axes))
         return PlaneChart(*where) if self.radius_m is None else CylindricalChart(*where, number(self.radius_m))
 
 
-def odd(setting: Setting) -> float:
+def v_sign(setting: Setting) -> float:
     """The sign that v has in the scene's chart: the other one for a left knee."""
     return -1.0 if setting.side.left else 1.0
 
@@ -71,7 +71,7 @@ class _RectangleSection(Section):
 
     def rectangle(self, setting: Setting) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         """Its centre and half size in the scene's chart."""
-        center = number(self.center_m[0]), number(odd(setting) * self.center_m[1])
+        center = number(self.center_m[0]), number(v_sign(setting) * self.center_m[1])
         return center, (number(self.half_size_m[0]), number(self.half_size_m[1]))
 
 
@@ -99,7 +99,7 @@ class PatchSurfaceSection(_RectangleSection):
                 where=document.where(*at, "coefficients_m"),
                 expected=f"the {len(powers)} coefficients of P{degree}",
             )
-        sign = odd(setting)  # of odd powers of v, too
+        sign = v_sign(setting)  # of odd powers of v, too
         coefficients = [c * sign**j for c, (_, j) in zip(self.coefficients_m, powers, strict=True)]
         return PolynomialPatch(self.chart.build(setting), number(coefficients), *self.rectangle(setting), degree)
 

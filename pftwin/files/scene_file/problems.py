@@ -30,7 +30,7 @@ def scene_error(error: ValidationError, document: Document, reading: Reading) ->
         if detail["type"] == "missing" and (id(parent), place[-1]) in misspelt:
             continue  # one slip, one message
         model = reading.models.get(id(parent))
-        problem, expected, remedy = _words(detail, value, place[-1] if place else "", model)
+        problem, expected, remedy = _message(detail, value, place[-1] if place else "", model)
         found.append(InputError(problem, where=document.describe(place), expected=expected, remedy=remedy))
     if len(found) == 1:
         return found[0]
@@ -39,7 +39,7 @@ def scene_error(error: ValidationError, document: Document, reading: Reading) ->
     return InputError(f"{len(found)} problems:\n{listed}", where=document.path)
 
 
-def _words(detail: Mapping[str, Any], value: Any, name: str | int, model: type[Section] | None) -> Found:
+def _message(detail: Mapping[str, Any], value: Any, name: str | int, model: type[Section] | None) -> Found:
     context = detail.get("ctx", {})
     kind = detail["type"]
     if kind == "scene":

@@ -42,7 +42,7 @@ class DepthSearch(eqx.Module):
 
     onto: ContactMesh
     corners: CornerTree
-    way: Descent
+    descent: Descent
     limit: Scalar  # rays longer than this do not count [m]
 
     def __call__(self, X: Pose) -> Deepest:
@@ -83,15 +83,15 @@ class _Best(NamedTuple):
 
 
 def _search(search: DepthSearch, X: Pose) -> Deepest:
-    way = search.way
+    descent = search.descent
     X32 = jax.tree.map(lambda x: x.astype(jnp.float32), X)
     limit = jnp.asarray(search.limit).astype(jnp.float32)
-    last, room = _room(way)
+    last, room = _stack_capacity(descent)
 
     def bound(a: Array, b: Array) -> Array:
         return most_depth(a, b, X32.orientation.rotation(), X32.position, limit)
 
-    ahead, lost = go_down(way, lambda a, b: bound(a, b) >= 0, room, stop=last)
+    ahead, lost = go_down(descent, lambda a, b: bound(a, b) >= 0, room, stop=last)
     zero = jnp.zeros((), jnp.int32)
     none = jnp.zeros(search.onto.facets, jnp.int32)
     best = _Best(jnp.full(search.onto.facets, -1.0, X.position.x.dtype), none, none)
@@ -100,7 +100,8 @@ def _search(search: DepthSearch, X: Pose) -> Deepest:
         return Deepest(best.place, best.corner, best.depth >= 0, lost)
     deep = room + LANES * last
     stack = _Stack(
-        queue_of(deep, ahead.entries[:room] * 4 + last, way.code), queue_of(deep, jnp.full(room, limit), jnp.float32)
+        queue_of(deep, ahead.entries[:room] * 4 + last, descent.code),
+        queue_of(deep, jnp.full(room, limit), jnp.float32),
     )
     stack = _Stack(*(q._replace(count=ahead.length) for q in stack))
 
@@ -111,7 +112,7 @@ def _search(search: DepthSearch, X: Pose) -> Deepest:
         stack, best, lost = state
 
         def expand(inner: tuple[_Stack, Array]) -> tuple[_Stack, Array]:
-            stack = _expanded(search, bound, inner[0], best.depth)
+            stack = _expand_top(search, bound, inner[0], best.depth)
             return stack, inner[1] | stack.pairs.overflow
 
         stack, lost = jax.lax.while_loop(is_node, expand, (stack, lost))
@@ -122,17 +123,17 @@ def _search(search: DepthSearch, X: Pose) -> Deepest:
     return Deepest(best.place, best.corner, best.depth >= 0, lost)
 
 
-def _room(way: Descent) -> tuple[int, int]:
+def _stack_capacity(descent: Descent) -> tuple[int, int]:
     """The number of steps taken depth first, and the capacity for pairs of nodes before them.
 
     A mesh of a few large triangles takes only one or two steps, from all corners at once: then there
     is room for all pairs.
     """
-    alone, together = way.steps
+    alone, together = descent.steps
     last = min(LAST, len(together))
     if len(together) > last:
         return last, NODES
-    levels = together[0].start if together else alone[-1].end if alone else way.depths
+    levels = together[0].start if together else alone[-1].end if alone else descent.depths
     return last, max(NODES, 1 << sum(levels))
 
 
@@ -140,14 +141,14 @@ def _facet(search: DepthSearch, pair: Array, left: Array | int) -> Array:
     """The facet of a pair of nodes, so many steps above the leaves."""
     if search.onto.facets == 1:
         return jnp.zeros((), jnp.int32)
-    a, b = search.way.depths
+    a, b = search.descent.depths
     return (pair >> (a + b - 1 - 4 * left)).astype(jnp.int32) & 1
 
 
-def _expanded(search: DepthSearch, most: Callable[[Array, Array], Array], stack: _Stack, deepest: Array) -> _Stack:
+def _expand_top(search: DepthSearch, most: Callable[[Array, Array], Array], stack: _Stack, deepest: Array) -> _Stack:
     """The top pair of nodes replaced by those of its descendants that may be deeper than the deepest ray so far."""
     pair, left, bound, stack = stack.top()
-    below = search.way.below(pair, left)
+    below = search.descent.below(pair, left)
     sure = deepest[_facet(search, pair, left)].astype(jnp.float32)
     highest = most(below.a, below.b)  # (4, 4): flattened here, XLA would make no vectors of it
     yes = (highest > sure) & (bound > sure)
@@ -159,7 +160,7 @@ def _expanded(search: DepthSearch, most: Callable[[Array, Array], Array], stack:
 def _rays_tried(search: DepthSearch, X: Pose, stack: _Stack, best: _Best) -> tuple[_Stack, _Best]:
     """The top pair's rays: those that pass through a node's disc are tried on its triangles."""
     pair, left, bound, rest = stack.top()
-    below = search.way.below(pair, jnp.ones((), jnp.int32))
+    below = search.descent.below(pair, jnp.ones((), jnp.int32))
     sure = best.depth[_facet(search, pair, 1)].astype(jnp.float32)
     X32 = jax.tree.map(lambda x: x.astype(jnp.float32), X)
     yes = may_leave(below.a, below.b, X32, sure) & (bound > sure) & (stack.count > 0) & (left == 1)

@@ -125,20 +125,20 @@ def unpacked(pair: Array, b_level: int) -> tuple[Array, Array]:
     return (pair >> b_level).astype(jnp.int32), (pair & ((1 << b_level) - 1)).astype(jnp.int32)
 
 
-def go_down(way: Descent, test: Test, width: int, stop: int = 0) -> tuple[Queue, Array]:
+def go_down(descent: Descent, test: Test, width: int, stop: int = 0) -> tuple[Queue, Array]:
     """Pairs of nodes, packed, that pass the test at every step, and whether any was lost.
 
     Args:
-        way: both trees.
+        descent: both trees.
         test: of sixteen pairs of volumes.
         width: pairs that there is room for, at any level.
         stop: steps that are left out at the end; 0 goes down to the leaves.
     """
-    alone, together = way.steps
-    top = (alone[0] if alone else together[0]).start if alone or together else way.depths
-    queue = queue_of(width, jnp.arange(1 << sum(top), dtype=way.code), way.code)
+    alone, together = descent.steps
+    top = (alone[0] if alone else together[0]).start if alone or together else descent.depths
+    queue = queue_of(width, jnp.arange(1 << sum(top), dtype=descent.code), descent.code)
     lost = queue.overflow
-    for step, blocks in zip(alone, way.alone, strict=True):
+    for step, blocks in zip(alone, descent.alone, strict=True):
         queue = _one_down(step, blocks, queue, test, width)
         lost = lost | queue.overflow
     n = len(together) - stop
@@ -149,7 +149,7 @@ def go_down(way: Descent, test: Test, width: int, stop: int = 0) -> tuple[Queue,
 
         def body(q: Array, found: Queue) -> Queue:
             pair = jax.lax.dynamic_index_in_dim(queue.entries, q, 0, keepdims=False)
-            below = way.below(pair, left)
+            below = descent.below(pair, left)
             return pushed_where(found, test(below.a, below.b), below.pair)
 
         zero = jnp.zeros((), jnp.int32)

@@ -36,8 +36,10 @@ def features_of(mesh: SurfaceMesh, label: NDArray[np.int64]) -> Features:
     at_corners = _sums(faces, (angles[:, :, None] * normals[:, None]).reshape(-1, 3), n)
     outward = np.concatenate([normals[:, None], at_edges[edges.of_face], at_corners[faces]], axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-300)
-    between = _bordering(edges, label)
-    return Features(outward, *(_marked(faces, edges.of_face, edges.corners, m, n) for m in (edges.count == 1, between)))
+    between = _label_borders(edges, label)
+    return Features(
+        outward, *(_marked_features(faces, edges.of_face, edges.corners, m, n) for m in (edges.count == 1, between))
+    )
 
 
 def _sums(groups: NDArray, values: NDArray, n: int) -> NDArray[np.float64]:
@@ -45,14 +47,14 @@ def _sums(groups: NDArray, values: NDArray, n: int) -> NDArray[np.float64]:
     return np.stack(sums, axis=1)
 
 
-def _marked(faces: NDArray, of_face: NDArray, corners: NDArray, marked: NDArray, n: int) -> NDArray[np.bool_]:
+def _marked_features(faces: NDArray, of_face: NDArray, corners: NDArray, marked: NDArray, n: int) -> NDArray[np.bool_]:
     """(m, 7) from marks on edges: their ends are marked too, faces never."""
     ends = np.zeros(n, dtype=bool)
     ends[corners[marked]] = True
     return np.concatenate([np.zeros((len(faces), 1), bool), marked[of_face], ends[faces]], axis=1)
 
 
-def _bordering(edges: Edges, label: NDArray) -> NDArray[np.bool_]:
+def _label_borders(edges: Edges, label: NDArray) -> NDArray[np.bool_]:
     """Which edges have triangles of different labels (m,)."""
     lowest, highest = np.full(len(edges.corners), label.max()), np.full(len(edges.corners), label.min())
     np.minimum.at(lowest, edges.of_face.ravel(), np.repeat(label, 3))
@@ -63,7 +65,7 @@ def _bordering(edges: Edges, label: NDArray) -> NDArray[np.bool_]:
 def edges_between(mesh: SurfaceMesh, label: NDArray) -> NDArray[np.float64]:
     """The edges (k, 6) where triangles of different labels (m,) meet."""
     edges = edges_of(mesh.faces)
-    return mesh.vertices[edges.corners[_bordering(edges, label)]].reshape(-1, 6)
+    return mesh.vertices[edges.corners[_label_borders(edges, label)]].reshape(-1, 6)
 
 
 def rim_edges(mesh: SurfaceMesh) -> NDArray[np.float64]:

@@ -122,13 +122,13 @@ def _in_turns(search: Callable[..., Any]) -> Callable[..., Any]:
 
         batched = [x for x, f in zip(leaves, flags, strict=True) if f]
         one = jax.eval_shape(member, [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batched])
-        stacked = jax.lax.map(lambda own: _packed(member(own)), batched)
+        stacked = jax.lax.map(lambda own: _pack_leaves(member(own)), batched)
         return jax.vmap(lambda numbers: _unpacked(numbers, one))(stacked), jax.tree.map(lambda _: True, one)
 
     return turns
 
 
-def _packed(answer: Any) -> Packed:
+def _pack_leaves(answer: Any) -> Packed:
     """All leaves of one type as one array."""
     kinds: dict[str, list[Array]] = {}
     for x in jax.tree.leaves(answer):

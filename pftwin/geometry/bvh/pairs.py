@@ -17,7 +17,7 @@ from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.descent import Descent, descent, go_down, unpacked
 from pftwin.geometry.bvh.loops import LANES, Queue, member_by_member, pushed_where, queue_of
 from pftwin.geometry.bvh.tree import MeshTree, discs_overlap
-from pftwin.geometry.bvh.triangle import Triangle, meet
+from pftwin.geometry.bvh.triangle import Triangle, triangles_cross
 
 LEAF = 4  # triangles in a leaf: sixteen pairs of triangles in a pair of leaves
 NODES = 2048  # capacity for pairs of nodes
@@ -51,14 +51,14 @@ class PairSearch(eqx.Module):
 
     a: MeshTree
     b: MeshTree
-    way: Descent
+    descent: Descent
     triangles: tuple[Array, Array]  # of both trees' leaves (leaves, 13, 4): with their planes
     near: Scalar  # distance within which a triangle counts as reaching a plane [m]
     room: PairListLengths = eqx.field(static=True)
 
     def meeting(self, X_AB: Pose) -> Pairs:
         """The triangles that meet with b's mesh at a pose in a's frame. Jit and vmap apply; not differentiated."""
-        return member_by_member(_meeting)(self, X_AB)
+        return member_by_member(_leaves_that_meet)(self, X_AB)
 
 
 def pair_search(a: MeshTree, b: MeshTree, room: PairListLengths | None = None) -> PairSearch:
@@ -72,18 +72,20 @@ def pair_search(a: MeshTree, b: MeshTree, room: PairListLengths | None = None) -
         raise TypeError(f"leaves of {a.leaf} and {b.leaf} triangles: expected {LEAF}")
     room = PairListLengths(NODES, CANDIDATES) if room is None else room
     triangles = leaves_with_planes(a), leaves_with_planes(b)
-    return PairSearch(a, b, descent(a.levels, b.levels), triangles, SLACK * (size(a) + size(b)), room)
+    return PairSearch(
+        a, b, descent(a.levels, b.levels), triangles, SLACK * (largest_coordinate(a) + largest_coordinate(b)), room
+    )
 
 
-def _meeting(search: PairSearch, X_AB: Pose) -> Pairs:
+def _leaves_that_meet(search: PairSearch, X_AB: Pose) -> Pairs:
     b, room = search.b, search.room
     X = jax.tree.map(lambda x: x.astype(jnp.float32), X_AB)
     rotation, translation = X.orientation.rotation().array(), X.position.array()
 
-    leaves, lost = go_down(search.way, lambda x, y: discs_overlap(x, y, rotation, translation), room.nodes)
+    leaves, lost = go_down(search.descent, lambda x, y: discs_overlap(x, y, rotation, translation), room.nodes)
     candidates = _candidates(search, X, leaves)
     found = _exact(search, X_AB, leaves, candidates)
-    pair, lane = _whose(leaves, found.entries[: room.meeting])
+    pair, lane = _pair_and_lane(leaves, found.entries[: room.meeting])
     i, j = unpacked(pair, b.depth)
     return Pairs(
         i * LEAF + lane // LEAF,
@@ -93,7 +95,7 @@ def _meeting(search: PairSearch, X_AB: Pose) -> Pairs:
     )
 
 
-def _whose(leaves: Queue, entries: Array) -> tuple[Array, Array]:
+def _pair_and_lane(leaves: Queue, entries: Array) -> tuple[Array, Array]:
     """Pair of leaves and lane of an entry: the pair's place in its list times sixteen, plus the lane."""
     return leaves.entries[entries // LANES], entries % LANES
 
@@ -106,7 +108,7 @@ def _candidates(search: PairSearch, X: Pose, leaves: Queue) -> Queue:
         of_a, of_b = (
             jax.lax.dynamic_index_in_dim(x, y, 0, keepdims=False) for x, y in zip(search.triangles, (i, j), strict=True)
         )
-        yes = reach(of_a, of_b, X, search.near)
+        yes = triangles_within_reach(of_a, of_b, X, search.near)
         at = k * LANES
         return pushed_where(found, yes, lambda lane: at + lane)
 
@@ -123,11 +125,11 @@ def _exact(search: PairSearch, X: Pose, leaves: Queue, candidates: Queue) -> Que
         entries = jax.lax.dynamic_slice(candidates.entries, (start,), (LANES,))
         there = start + lanes < candidates.length
         entries = jnp.where(there, entries, 0)
-        pair, lane = _whose(leaves, entries)
+        pair, lane = _pair_and_lane(leaves, entries)
         i, j = unpacked(pair, b_depth)
         rows = search.a.triangles[i * LEAF + lane // LEAF], search.b.triangles[j * LEAF + lane % LEAF]
         first, second = (Triangle.of_rows(r) for r in jax.lax.optimization_barrier(rows))
-        yes = meet(first, _moved(X, second)) & there
+        yes = triangles_cross(first, _moved(X, second)) & there
         return start + LANES, pushed_where(found, yes, lambda lane: entries[lane])
 
     start = jnp.zeros((), jnp.int32), queue_of(search.room.meeting)
@@ -162,19 +164,19 @@ def leaves_with_planes(tree: MeshTree) -> Array:
     return jnp.swapaxes(rows.reshape(-1, tree.leaf, rows.shape[-1]), 1, 2)
 
 
-def size(tree: MeshTree) -> Scalar:
+def largest_coordinate(tree: MeshTree) -> Scalar:
     """The largest coordinate of a mesh [m]."""
     return jnp.abs(tree.triangles).max().astype(jnp.float32)
 
 
-def reach(of_a: Rows, of_b: Rows, X_AB: Pose, room: Scalar) -> Array:
+def triangles_within_reach(of_a: Rows, of_b: Rows, X_AB: Pose, room: Scalar) -> Array:
     """Which triangles of two leaves reach each other's planes, or `room` [m] short of them, (4, 4) bool."""
     rotation, position = X_AB.orientation.rotation(), X_AB.position
     (corners_a, normal_a, height_a), (corners_b, normal_b, height_b) = (_parts(r) for r in (of_a, of_b))
     # Planes are brought into the other's frame, not corners: they are fewer.
     b_in_a = rotation.apply(normal_b)
-    first = _reaches(corners_a, 0, b_in_a, height_b + b_in_a.dot(position), room)
-    second = _reaches(corners_b, 1, rotation.unapply(normal_a), height_a - normal_a.dot(position), room)
+    first = _straddles(corners_a, 0, b_in_a, height_b + b_in_a.dot(position), room)
+    second = _straddles(corners_b, 1, rotation.unapply(normal_a), height_a - normal_a.dot(position), room)
     return first & second
 
 
@@ -182,7 +184,7 @@ def _parts(rows: Rows) -> tuple[list[Vec3], Vec3, Array]:
     return [Vec3(*rows[3 * k : 3 * k + 3]) for k in range(3)], Vec3(*rows[9:12]), rows[12]
 
 
-def _reaches(corners: list[Vec3], axis: int, normal: Vec3, height: Array, room: Scalar) -> Array:
+def _straddles(corners: list[Vec3], axis: int, normal: Vec3, height: Array, room: Scalar) -> Array:
     """Whether corners (4,), along one axis of the answer, are on both sides of planes (4,) along the other, or near."""
     down, across = (slice(None), None), (None, slice(None))
     of_corner, of_plane = (down, across) if axis == 0 else (across, down)

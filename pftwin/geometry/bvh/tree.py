@@ -82,7 +82,7 @@ def check_searchable(mesh: SurfaceMesh) -> None:
         raise InputError("vertices that are not finite", where=mesh.source, remedy="pftwin doctor-mesh")
 
 
-def joined(trees: Sequence[MeshTree]) -> MeshTree:
+def joined_tree(trees: Sequence[MeshTree]) -> MeshTree:
     """One tree with two of the same depth and leaf below its root; or the only one as it is.
 
     The triangles of the second tree come after those of the first; `index` stays each tree's own.
@@ -211,16 +211,16 @@ def discs_overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Ar
     square = _dot(away, away)
     # Radii stand with roots, so squares are compared: x > r sqrt(s) where x > 0 and x^2 > r^2 s.
     beyond_a, beyond_b = over_a - ta - tb * along, over_b - tb - ta * along
-    apart = _longer(beyond_a, rb * rb * tilted) | _longer(beyond_b, ra * ra * tilted)
+    apart = _exceeds_root(beyond_a, rb * rb * tilted) | _exceeds_root(beyond_b, ra * ra * tilted)
     # Along the middles' line, times its length, discs reach r sqrt(s) each; (ra sqrt(s_a) + rb sqrt(s_b))^2 is at most
     # (ra + rb) (ra s_a + rb s_b), and hardly less where both discs lie alike.
     lost = CANCELLED * square
     aside_a, aside_b = (jnp.abs(square - over * over) + lost for over in (over_a, over_b))
     between = square - ta * over_a - tb * over_b
-    return ~(apart | _longer(between, (ra + rb) * (ra * aside_a + rb * aside_b)))
+    return ~(apart | _exceeds_root(between, (ra + rb) * (ra * aside_a + rb * aside_b)))
 
 
-def _longer(length: Array, square: Array) -> Array:
+def _exceeds_root(length: Array, square: Array) -> Array:
     """Whether a length, which may be negative, is more than the root of a square."""
     return (length > 0) & (length * length > square)
 

@@ -62,7 +62,7 @@ def closest_on_triangle(t: Triangle, p: Vec3) -> OnTriangle:
     for edge, (start, way, arm) in enumerate(((t.a, ab, ap), (t.b, bc, bp), (t.c, ca, cp))):
         at, s, corner = _on_edge(start, way, arm, p, edge)
         nearer = ~inside & (stop_gradient(s) < stop_gradient(square))
-        best = _either(nearer, at, best)
+        best = _select(nearer, at, best)
         square, feature = jnp.where(nearer, s, square), jnp.where(nearer, corner, feature)
     return OnTriangle(best, square, feature)
 
@@ -94,7 +94,7 @@ class Segment(NamedTuple):
     crossing: Array  # bool
 
 
-def meet(s: Triangle, t: Triangle) -> Array:
+def triangles_cross(s: Triangle, t: Triangle) -> Array:
     """Whether two triangles cross: an edge of one pierces the other. Triangles in one plane do not count.
 
     With signed volumes of tetrahedra alone, no division; for batches of one shape. An edge passes all of a triangle's
@@ -103,9 +103,9 @@ def meet(s: Triangle, t: Triangle) -> Array:
     turns = [_volumes(p, q, t) for p, q in _edges(s)]
     hit = jnp.zeros_like(s.a.x, dtype=bool)
     for k, crosses in enumerate(_edges_through(s, t)):
-        hit = hit | (crosses & _alike(turns[k]))
+        hit = hit | (crosses & _same_sign(turns[k]))
     for k, crosses in enumerate(_edges_through(t, s)):
-        hit = hit | (crosses & _alike([row[k] for row in turns]))
+        hit = hit | (crosses & _same_sign([row[k] for row in turns]))
     return hit
 
 
@@ -114,20 +114,20 @@ def crossing(s: Triangle, t: Triangle) -> Segment:
     along = s.area_vector().cross(t.area_vector())
     ends = []
     for own, other in ((s, t), (t, s)):
-        (p, q), bits, cuts = _cut(own, other)
+        (p, q), bits, cuts = _edge_crossings(own, other)
         ahead = stop_gradient(p.dot(along) <= q.dot(along))
-        ends.append((_either(ahead, p, q), _either(ahead, q, p), *_sorted(ahead, bits), cuts))
+        ends.append((_select(ahead, p, q), _select(ahead, q, p), *_in_order(ahead, bits), cuts))
     (s0, s1, s_bit0, s_bit1, s_cuts), (t0, t1, t_bit0, t_bit1, t_cuts) = ends
     from_s = stop_gradient(s0.dot(along) >= t0.dot(along))
     to_s = stop_gradient(s1.dot(along) <= t1.dot(along))
-    start, end = _either(from_s, s0, t0), _either(to_s, s1, t1)
+    start, end = _select(from_s, s0, t0), _select(to_s, s1, t1)
     zero = jnp.zeros_like(s_bit0)
     of_s = jnp.where(from_s, s_bit0, zero) | jnp.where(to_s, s_bit1, zero)
     of_t = jnp.where(from_s, zero, t_bit0) | jnp.where(to_s, zero, t_bit1)
     return Segment(start, end, (of_s, of_t), s_cuts & t_cuts & (stop_gradient((end - start).dot(along)) > 0))
 
 
-def _cut(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array, Array], Array]:
+def _edge_crossings(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array, Array], Array]:
     """Where a triangle's edges pass the other's plane: two points, their edges' bits, and whether it does."""
     normal = other.area_vector()
     corners = own.a, own.b, own.c
@@ -154,11 +154,11 @@ def _cut(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array
     return (points[0], points[1]), (bits[0], bits[1]), cuts
 
 
-def _either(first: Array, p: Vec3, q: Vec3) -> Vec3:
+def _select(first: Array, p: Vec3, q: Vec3) -> Vec3:
     return jax.tree.map(lambda x, y: jnp.where(first, x, y), p, q)
 
 
-def _sorted(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:
+def _in_order(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:
     return jnp.where(in_order, bits[0], bits[1]), jnp.where(in_order, bits[1], bits[0])
 
 
@@ -179,7 +179,7 @@ def _edges_through(edges: Triangle, face: Triangle) -> list[Array]:
     return [above[k] != above[(k + 1) % 3] for k in range(3)]
 
 
-def _alike(x: list[Scalar]) -> Array:
+def _same_sign(x: list[Scalar]) -> Array:
     """Whether no two of three numbers have opposite signs."""
     up = (x[0] >= 0) & (x[1] >= 0) & (x[2] >= 0)
     return up | ((x[0] <= 0) & (x[1] <= 0) & (x[2] <= 0))

@@ -24,12 +24,12 @@ DEEP = 10  # fans on top of each other: more than two million triangles
 SLACK = 1e-5  # share of a distance by which single precision may be off
 
 
-def room() -> int:
+def stack_size() -> int:
     """Of a stack of nodes: a node goes, sixteen come; and what a write of eight may spill."""
     return DEEP * FAN + FAN
 
 
-def pushed(stack: Array, top: Array, first: Array, mask: Array) -> tuple[Array, Array]:
+def push_children(stack: Array, top: Array, first: Array, mask: Array) -> tuple[Array, Array]:
     """A stack with those of the sixteen nodes from the number `first` on it whose mask is set."""
     return written_where(stack, top, stack.shape[0] - FAN // 2, mask, lambda lane: first + lane)
 
@@ -63,7 +63,7 @@ def walk(
         # The nearest last, so that it is looked at first.
         best = jnp.argmin(away).astype(jnp.int32)
         others = near & (jnp.arange(FAN, dtype=jnp.int32) != best)
-        stack, top = pushed(stack, top, FAN * node, others)
+        stack, top = push_children(stack, top, FAN * node, others)
         stack = jax.lax.dynamic_update_index_in_dim(stack, FAN * node + best, top, 0)
         return stack, top + near[best].astype(jnp.int32), known
 
@@ -82,7 +82,7 @@ def walk(
             (stack, top, known),
         )
 
-    begin = open_fan(jnp.zeros(room(), jnp.int32), jnp.int32(0), start, jnp.int32(0))
+    begin = open_fan(jnp.zeros(stack_size(), jnp.int32), jnp.int32(0), start, jnp.int32(0))
     return jax.lax.while_loop(lambda now: now[1] > 0, step, begin)[2]
 
 

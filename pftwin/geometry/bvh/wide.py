@@ -80,7 +80,7 @@ def wide_tree(tree: MeshTree) -> WideTree:
     return WideTree(jax.device_put(lanes), len(levels[0]), len(levels))
 
 
-def squares(block: Array, point: Array) -> tuple[Array, Array]:
+def squared_distance_bounds(block: Array, point: Array) -> tuple[Array, Array]:
     """Bounds (16,) on the squared distances from a point (3,) to what is in the discs (8, 16): at least, at most."""
     away = [point[i] - block[i] for i in range(3)]
     square = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
@@ -134,7 +134,7 @@ def _search_nearest(half: int | None, room: int, tree: WideTree, rows: Array, po
         head, nodes, end, bound = state
         node = jax.lax.dynamic_index_in_dim(nodes, head, keepdims=False)
         block, first = tree.below(node)
-        least, most = squares(block, p)
+        least, most = squared_distance_bounds(block, p)
         if half is not None:
             out = (node < 0) & ~taken
             least, most = jnp.where(out, jnp.inf, least), jnp.where(out, jnp.inf, most)
@@ -151,11 +151,11 @@ def _search_nearest(half: int | None, room: int, tree: WideTree, rows: Array, po
     start = (zero, jnp.full(room + FAN, -1, jnp.int32), zero + 1, jnp.asarray(jnp.inf, jnp.float32))
     head, nodes, end, _ = jax.lax.while_loop(more, look, start)
     last = jnp.minimum(end, room)
-    place, _ = _among(rows, point, nodes - tree.n_inner, head, last)
+    place, _ = _nearest_in_stretch(rows, point, nodes - tree.n_inner, head, last)
     return NearestTriangle(place, (end > room) | (head >= last))
 
 
-def _among(rows: Array, point: Array, places: Array, first: Array, end: Array) -> tuple[Array, Array]:
+def _nearest_in_stretch(rows: Array, point: Array, places: Array, first: Array, end: Array) -> tuple[Array, Array]:
     """The place of the nearest triangle of a stretch of a list, and the square of its distance."""
 
     def compare(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -211,7 +211,7 @@ def _search_ball(room: BallListLengths, tree: WideTree, ball: Array) -> InBall:
     def look(state: tuple[Array, ...]) -> tuple[Array, ...]:
         head, lists, end, inside_end = state
         block, first = tree.below(jax.lax.dynamic_index_in_dim(lists, head, keepdims=False))
-        least, most = squares(block, ball[:3])
+        least, most = squared_distance_bounds(block, ball[:3])
         inside = most <= jnp.float32(1 - 2 * SLACK) * reach
         touched = least <= jnp.float32(1 + 2 * SLACK) * reach
         lists, end = written_where(lists, end, shelf - FAN, touched & ~inside, lambda lane: first + lane)

@@ -52,16 +52,16 @@ def behind(corners: Array, triangle: Array, rim: Array, p: Vec3, wanted: Array) 
 
     def look(corners: Array, triangle: Array, rim: Array, p: Vec3, wanted: Array) -> Behind:
         nothing = jnp.zeros_like(p.x)
-        share = jax.lax.cond(wanted, lambda: _back(corners, triangle, p), lambda: nothing)
+        share = jax.lax.cond(wanted, lambda: _back_solid_angle(corners, triangle, p), lambda: nothing)
         nowhere = Behind(jnp.asarray(False), nothing, jnp.zeros((), jnp.int32))
-        return jax.lax.cond(share > SEEN, lambda: _below(corners, rim, p, share > SHARE), lambda: nowhere)
+        return jax.lax.cond(share > SEEN, lambda: _below_surface(corners, rim, p, share > SHARE), lambda: nowhere)
 
     return member_by_member(look)(corners, triangle, rim, p, wanted)
 
 
-def _below(corners: Array, rim: Array, p: Vec3, surely: Array) -> Behind:
+def _below_surface(corners: Array, rim: Array, p: Vec3, surely: Array) -> Behind:
     """Where the nearest point is; behind its inside, or surely."""
-    on = closest_on_triangle(Triangle.of_rows(corners), _everywhere(p, corners))
+    on = closest_on_triangle(Triangle.of_rows(corners), _solid_angles(p, corners))
     place = jnp.argmin(on.square).astype(jnp.int32)
     nearest = on.square <= (1 + SAME) * on.square[place]
     at_rim = (rim.astype(jnp.int32) & jnp.asarray(_EDGES, jnp.int32)[on.feature]) > 0
@@ -69,10 +69,10 @@ def _below(corners: Array, rim: Array, p: Vec3, surely: Array) -> Behind:
     return Behind(surely | inside, jnp.sqrt(on.square[place]), place)
 
 
-def _back(corners: Array, triangle: Array, p: Vec3) -> Scalar:
+def _back_solid_angle(corners: Array, triangle: Array, p: Vec3) -> Scalar:
     """Solid angle over 4 pi; negative where it is the front that is seen."""
     t = Triangle.of_rows(corners)
-    here = _everywhere(p, corners)
+    here = _solid_angles(p, corners)
     a, b, c = t.a - here, t.b - here, t.c - here
     la, lb, lc = a.norm(), b.norm(), c.norm()
     angle = 2 * jnp.arctan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb)
@@ -80,7 +80,7 @@ def _back(corners: Array, triangle: Array, p: Vec3) -> Scalar:
     return jnp.sum(once) / (4 * math.pi)
 
 
-def _everywhere(p: Vec3, corners: Array) -> Vec3:
+def _solid_angles(p: Vec3, corners: Array) -> Vec3:
     return Vec3(*(jnp.broadcast_to(x, corners.shape[:1]) for x in (p.x, p.y, p.z)))
 
 

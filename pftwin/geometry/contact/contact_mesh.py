@@ -19,7 +19,7 @@ from pftwin.base.errors import InputError
 from pftwin.geometry.bvh.corners import CornerTree, corner_tree
 from pftwin.geometry.bvh.features import Features, features_of
 from pftwin.geometry.bvh.pairs import LEAF
-from pftwin.geometry.bvh.tree import MeshTree, build_tree, depth_for, joined
+from pftwin.geometry.bvh.tree import MeshTree, build_tree, depth_for, joined_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 
@@ -87,7 +87,7 @@ def facet_tree(mesh: SurfaceMesh, lateral: ArrayLike | None, *, leaf: int, least
     parts = [SurfaceMesh(mesh.vertices, mesh.faces[g], mesh.source) for g in groups]
     trees = [build_tree(part, leaf=leaf, depth=depth) for part in parts]
     source = np.concatenate([g[np.asarray(t.source_index())] for g, t in zip(groups, trees, strict=True)])
-    return FacetTree(joined(trees), source, features_of(mesh, label), len(groups))
+    return FacetTree(joined_tree(trees), source, features_of(mesh, label), len(groups))
 
 
 def _corner_normals(mesh: SurfaceMesh, features: Features) -> NDArray[np.float64]:

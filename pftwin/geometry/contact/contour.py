@@ -73,7 +73,7 @@ class MeshPair(eqx.Module):
         depths = self._indentations(X_AB, deepest)
         if self.a.facets == 2:
             both = jax.tree.map(lambda x, y: x + y, *sums)
-            sums = _chosen(merged, both, sums[0]), _chosen(merged, jax.tree.map(jnp.zeros_like, both), sums[1])
+            sums = _select(merged, both, sums[0]), _select(merged, jax.tree.map(jnp.zeros_like, both), sums[1])
             most = jnp.maximum(depths[0], depths[1])
             depths = [jnp.where(merged, most, depths[0]), jnp.where(merged, 0.0, depths[1])]
         each = tuple(_contact(s, d, X_AB.position) for s, d in zip(sums, depths, strict=True))
@@ -105,7 +105,7 @@ def mesh_pair(
     return MeshPair(a, b, pair_search(a.tree, b.tree, room), depth_search(a, b.corners, jnp.asarray(limit, float)))
 
 
-def _chosen(which: Array, one: SegmentSums, other: SegmentSums) -> SegmentSums:
+def _select(which: Array, one: SegmentSums, other: SegmentSums) -> SegmentSums:
     return jax.tree.map(lambda x, y: jnp.where(which, x, y), one, other)
 
 
@@ -157,13 +157,13 @@ Piece = Callable[["MeshPair", Pose, Pairs, Array], T]  # of the pairs from a pla
 @eqx.filter_custom_jvp
 def contour_sums(meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> ContourSums:
     """Sums over the segments in which pairs of triangles cross; in a batch one member after the other."""
-    return member_by_member(partial(_over_found, _piece))(meshes, X_AB, pairs)
+    return member_by_member(partial(_over_found, _sums_over_pairs))(meshes, X_AB, pairs)
 
 
 @contour_sums.def_jvp
 def _contour_sums_jvp(primals: Any, tangents: Any) -> tuple[ContourSums, ContourSums]:
     if jax.tree.leaves(tangents[0]):
-        return _jvp_over_room(_piece, primals, tangents)
+        return _jvp_over_room(_sums_over_pairs, primals, tangents)
     sums, slopes = _sloped_sums(*primals)
     changes = jnp.stack(jax.tree.leaves(all_changes(primals[1], tangents[1])))
     return sums, jax.tree.map(lambda slope: slope @ changes, slopes)
@@ -186,13 +186,13 @@ def _over_found(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) 
         start, total = state
         return start + PIECE, jax.tree.map(jnp.add, total, of_piece(meshes, X_AB, pairs, start))
 
-    start = jnp.zeros((), jnp.int32), _nothing(of_piece, meshes, X_AB, pairs)
+    start = jnp.zeros((), jnp.int32), _zero_sums(of_piece, meshes, X_AB, pairs)
     return jax.lax.while_loop(lambda s: s[0] < pairs.count, add, start)[1]
 
 
 def _over_room(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> T:
     """The same over all that there is room for, for JAX to differentiate."""
-    nothing = _nothing(of_piece, meshes, X_AB, pairs)
+    nothing = _zero_sums(of_piece, meshes, X_AB, pairs)
 
     def add(total: T, start: Array) -> tuple[T, None]:
         more = jax.lax.cond(start < pairs.count, lambda: of_piece(meshes, X_AB, pairs, start), lambda: nothing)
@@ -213,7 +213,7 @@ def _jvp_over_room(of_piece: Piece[T], primals: Any, tangents: Any) -> tuple[T, 
     return jax.jvp(sums, (moving,), (changes,))
 
 
-def _nothing(of_piece: Piece[T], *args: Any) -> T:
+def _zero_sums(of_piece: Piece[T], *args: Any) -> T:
     shapes = jax.eval_shape(of_piece, *args, jnp.zeros((), jnp.int32))
     return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
 
@@ -224,12 +224,12 @@ def _sloped_piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> S
 
     def along(direction: Array) -> tuple[ContourSums, ContourSums]:
         change = jax.tree.unflatten(structure, [direction[k] for k in range(len(leaves))])
-        return jax.jvp(lambda X: _piece(meshes, X, pairs, start), (X_AB,), (change,))
+        return jax.jvp(lambda X: _sums_over_pairs(meshes, X, pairs, start), (X_AB,), (change,))
 
     return Sloped(*jax.vmap(along, out_axes=(None, 0))(directions))
 
 
-def _piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> ContourSums:
+def _sums_over_pairs(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> ContourSums:
     """Sums over some of the pairs."""
     a, b = meshes.a, meshes.b
     which, other = (jax.lax.dynamic_slice_in_dim(x, start, PIECE) for x in (pairs.a, pairs.b))

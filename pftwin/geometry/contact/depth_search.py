@@ -19,7 +19,7 @@ from pftwin.base.spatial import Rotation, Scalar, Vec3
 from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.tree import disc_distances
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-from pftwin.geometry.bvh.walk import FAN, FAR, room, walk
+from pftwin.geometry.bvh.walk import FAN, FAR, stack_size, walk
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 
 
@@ -74,7 +74,7 @@ def _search(
 
         def look(lane: Array, wanted: Array) -> Array:
             p, place = jax.tree.map(lambda a: a[lane], points), places[lane]
-            depth, rim = signed(femur, p, place)
+            depth, rim = signed_depth(femur, p, place)
             return wanted | ((depth >= -band) & (depth <= reach) & ~rim & (index[lane] >= 0))
 
         wanted = jax.lax.fori_loop(jnp.int32(0), jnp.int32(button.lanes), look, jnp.zeros((), bool))
@@ -99,8 +99,8 @@ def _pieces(
         number = stack[top - 1]
         ball = jax.lax.dynamic_index_in_dim(button.rows, number, keepdims=False).astype(position.x.dtype)
         middle, radius = position + rotation.apply(Vec3(ball[0], ball[1], ball[2])), ball[3]
-        near = nearest(femur, middle, place)
-        depth, rim = signed(femur, middle, near.place)
+        near = nearest_triangle(femur, middle, place)
+        depth, rim = signed_depth(femur, middle, near.place)
         # Beyond the rim of an open mesh there is no telling; the piece's own triangles will.
         outside = (depth < -(radius + band)) & ~rim
         wanted = ~outside & (jnp.abs(depth) <= radius + reach)
@@ -114,7 +114,9 @@ def _pieces(
         return stack, top - 1 + opened, table, total + (wanted & is_leaf).astype(jnp.int32), near.place
 
     zero = jnp.int32(0)
-    stack = jax.lax.dynamic_update_slice_in_dim(jnp.zeros(room(), jnp.int32), jnp.arange(FAN, dtype=jnp.int32), 0, 0)
+    stack = jax.lax.dynamic_update_slice_in_dim(
+        jnp.zeros(stack_size(), jnp.int32), jnp.arange(FAN, dtype=jnp.int32), 0, 0
+    )
     living = jnp.sum(button.rows[:FAN, 0] < FAR, dtype=jnp.int32)  # the root's dead lanes come last
     table = jnp.zeros((button.leaves + 1, 2), jnp.int32)
     _, _, table, total, _ = jax.lax.while_loop(lambda now: now[1] > 0, look, (stack, living, table, zero, zero))
@@ -139,7 +141,7 @@ class NearestDistances(NamedTuple):
     place: Array
 
 
-def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDistances:
+def nearest_triangle(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDistances:
     """The place of the triangle nearest to a point, from one that is anywhere; the nearer, the quicker."""
 
     def at_leaf(known: NearestDistances, leaf: Array) -> NearestDistances:
@@ -149,7 +151,7 @@ def nearest(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDistances:
         place = leaf * jnp.int32(femur.width) + best
         return NearestDistances(*(jnp.where(better, n, o) for n, o in zip((square[best], place), known, strict=True)))
 
-    start = NearestDistances(closest_on_triangle(_one(femur, guess), p).square, guess)
+    start = NearestDistances(closest_on_triangle(_corners_at(femur, guess), p).square, guess)
     at = _single(p)
     return walk(
         femur.bounds,
@@ -177,7 +179,7 @@ def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
         return NearestDistances(jnp.where(better, least, known.square), jnp.where(better, place, known.place))
 
     lanes = points.x.shape
-    same = jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), _one(femur, guess))
+    same = jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), _corners_at(femur, guess))
     start = NearestDistances(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
     at, around = _single(middle), points - jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), middle)
     spread = jnp.sqrt(jnp.max(around.squared_norm()))
@@ -192,19 +194,19 @@ def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
     ).place
 
 
-def signed(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, Array]:
+def signed_depth(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, Array]:
     """How deep a point is below the triangle in a place [m], and whether it is nearest to the rim there.
 
     For single points: with lanes XLA fuses the gathers into every use of theirs, and compiles for minutes.
     """
-    on = closest_on_triangle(_one(femur, place), p)
+    on = closest_on_triangle(_corners_at(femur, place), p)
     feature = 7 * femur.triangle[place] + on.feature
     outside = (p - on.point).dot(Vec3.from_array(femur.outward[feature])) > 0
     size = jnp.sqrt(on.square)
     return jnp.where(outside, -size, size), femur.rim[feature]
 
 
-def _one(femur: PressedSurface, place: Array) -> Triangle:
+def _corners_at(femur: PressedSurface, place: Array) -> Triangle:
     return Triangle.of_rows(femur.corners[place])
 
 

@@ -96,8 +96,8 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
                 expected=f"({len(mesh.faces)},): 0 (medial) or 1 (lateral) for each triangle",
             )
         facets = jax.device_put(facets.astype(np.int32))
-    fans, outward, rim = cached(_pressed, mesh.vertices, mesh.faces, files=())
-    corners, index = _placed(mesh, fans)
+    fans, outward, rim = cached(_outward_faces, mesh.vertices, mesh.faces, files=())
+    corners, index = _packed_corners(mesh, fans)
     own = canonicalize_dtype(float)
     return PressedSurface(
         bounds=jax.device_put(fans.bounds),
@@ -120,13 +120,13 @@ def pressing_surface(mesh: SurfaceMesh) -> PressingSurface:
     """
     check_searchable(mesh)
     fans = cached(fans_of, mesh.vertices[mesh.faces], BUTTON_LANES, True, files=())
-    corners, index = _placed(mesh, fans)
+    corners, index = _packed_corners(mesh, fans)
     own = canonicalize_dtype(float)
     parts = (rows_of(fans), fans.first, corners.reshape(-1, 9).astype(own), index.astype(np.int32))
     return PressingSurface(*(jax.device_put(a) for a in parts))
 
 
-def _pressed(
+def _outward_faces(
     vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> tuple[Fans, NDArray[np.float64], NDArray[np.bool_]]:
     mesh = SurfaceMesh(vertices, faces)
@@ -134,7 +134,7 @@ def _pressed(
     return fans_of(vertices[faces], FEMUR_LANES, False), features.outward.reshape(-1, 3), features.rim.ravel()
 
 
-def _placed(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _packed_corners(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Corners (leaves, lanes, 9), and the index of each place."""
     source = np.where(fans.places < 0, -1 - fans.places, fans.places)
     return mesh.vertices[mesh.faces][source].reshape(*source.shape, 9), fans.places

@@ -71,7 +71,7 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
     for own, other, sample, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
         fan_v = surface.clipped(middle + sample * radius)
         at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius for end in ends]
-        far, other_far = (_astray(surface.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
+        far, other_far = (_too_far(surface.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
         # Nobody follows the fan's minimum: start there. The other point does: a minimum of one's own, too shallow for
         # the fan to see, is kept; whoever has none joins the other point, whose place is better than the fan's.
         new, joins = far & other_far, far & ~other_far & ~((own.settled > 0) & in_order)
@@ -85,7 +85,7 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
     return Facets(medial, lateral, share)
 
 
-def _astray(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
+def _too_far(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
     """Whether a point is too far from the fan's minimum; outside the fan there is nothing to be too far from."""
     return ((beyond < -limit) & ~at_end[0]) | ((beyond > limit) & ~at_end[1])
 

@@ -62,7 +62,7 @@ def overlap(patch: Patch, radius: Scalar, effective_radius: Scalar) -> Overlap:
         normals.append((-slope * over) * cut.moment)
         parts.append(jnp.where(touched, joint_slope * mean / (slope * jnp.where(joint > 0, joint, 1.0)), 0.0))
     joint_depth = jnp.where(joint > 0, joint_depth, 0.0)
-    merged, merged_slope = _merged(cuts, squares, seam, scale)
+    merged, merged_slope = _merged_square(cuts, squares, seam, scale)
     return Overlap(
         (depths[0], depths[1]),
         (normals[0], normals[1]),
@@ -87,7 +87,7 @@ def _out_of_power(power: Scalar, radius: Scalar, behind: Array) -> tuple[Scalar,
     return jnp.where(behind, 2 * radius - d, d), jnp.where(behind, -slope, slope)
 
 
-def _merged(
+def _merged_square(
     cuts: tuple[BallCut, BallCut], squares: list[Scalar], seam: SeamDepth, scale: Scalar
 ) -> tuple[Scalar, Vec3]:
     """s and its gradient with respect to the sphere's centre; inside in micrometres."""

@@ -65,14 +65,14 @@ def _patch_jvp(primals: Any, tangents: Any) -> tuple[Patch, Patch]:
     of_mesh, of_sphere = tangents[0], tuple(tangents[1:])
     parts = []
     if jax.tree.leaves(of_sphere):
-        arcs = _arcs(mesh, center, radius)
+        arcs = _outline_arcs(mesh, center, radius)
         dc, dr = (jax.tree.map(_or_zero, a, b) for a, b in zip((center, radius), of_sphere, strict=True))
         cuts = [_moved(cut, arc, radius, dc, dr) for cut, arc in zip(patch.sums.facets, arcs, strict=True)]
         seam = eqx.filter_jvp(lambda c, r: seam_depth(mesh.seam, c, r), (center, radius), (dc, dr))[1]
         parts.append(PatchSums((cuts[0], cuts[1]), seam))
     if jax.tree.leaves(of_mesh):
         found = in_ball(mesh.facets.wide, center, radius, mesh.room)
-        parts.append(eqx.filter_jvp(lambda m: _listed(m, center, radius, found), (mesh,), (of_mesh,))[1])
+        parts.append(eqx.filter_jvp(lambda m: _sums_by_lists(m, center, radius, found), (mesh,), (of_mesh,))[1])
     return patch, Patch(jax.tree.map(lambda *x: sum(x[1:], start=x[0]), *parts), None)  # pyright: ignore
 
 
@@ -93,7 +93,7 @@ def _moved(cut: BallCut, arcs: BallArcs, radius: Scalar, dc: Vec3, dr: Scalar) -
 
 
 @eqx.filter_custom_jvp
-def _arcs(mesh: PatchMesh, center: Vec3, radius: Scalar) -> tuple[BallArcs, BallArcs]:
+def _outline_arcs(mesh: PatchMesh, center: Vec3, radius: Scalar) -> tuple[BallArcs, BallArcs]:
     """The outline's arcs on the medial and the lateral facet."""
     leaves, structure = jax.tree.flatten((mesh, center, radius))
 
@@ -107,7 +107,7 @@ def _arcs(mesh: PatchMesh, center: Vec3, radius: Scalar) -> tuple[BallArcs, Ball
     return _ball_arcs_of(medial), _ball_arcs_of(lateral)
 
 
-@_arcs.def_jvp
+@_outline_arcs.def_jvp
 def _arcs_jvp(primals: Any, tangents: Any) -> Any:
     raise NotImplementedError("a sphere on a mesh has no third derivatives of its volume")
 
@@ -151,7 +151,7 @@ def _over_triangles(
     return jax.lax.while_loop(lambda s: s[0] < end, add, start)[1]
 
 
-def _listed(mesh: PatchMesh, center: Vec3, radius: Scalar, found: InBall) -> PatchSums:
+def _sums_by_lists(mesh: PatchMesh, center: Vec3, radius: Scalar, found: InBall) -> PatchSums:
     """The same sums by lists of fixed length."""
     listed = jnp.arange(mesh.room.cut, dtype=jnp.int32) < found.n_cut
     total = _group_sums(mesh, found.cut, listed, center, radius, _cut_of)

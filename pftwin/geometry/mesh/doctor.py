@@ -24,8 +24,8 @@ from pftwin.geometry.mesh.findings import (
     holes,
     isolated_parts,
     scale,
-    sides,
     superfluous_triangles,
+    wrongly_turned,
 )
 from pftwin.geometry.mesh.mesh import (
     PLAUSIBLE,
@@ -131,7 +131,7 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
         return Diagnosis(source, len(points), n, float(np.ptp(p, axis=0).max()), [], [], [nothing], none, drop)
     mesh = SurfaceMesh(points, joined[kept], source)
     parts = parts_of(mesh)
-    turned, winding = sides(mesh, parts)
+    turned, winding = wrongly_turned(mesh, parts)
     used = points[np.unique(mesh.faces)]
     longest = float(np.ptp(used, axis=0).max())
     likely = plausible_units(longest)

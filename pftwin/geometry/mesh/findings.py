@@ -25,7 +25,7 @@ class MeshFinding:
     places: list[list[float]] = field(default_factory=list)  # of the first few, in the file's unit
 
 
-def _found(kind: str, severity: str, words: str, places: NDArray) -> list[MeshFinding]:
+def _finding_at(kind: str, severity: str, words: str, places: NDArray) -> list[MeshFinding]:
     """A finding at some places (k, 3), whose number goes before the words; none where there are none."""
     n = len(places)
     return [MeshFinding(kind, severity, n, f"{n} {words}", places[:5].tolist())] if n else []
@@ -37,7 +37,7 @@ def superfluous_triangles(
     """Triangles without area, and repeated ones in either orientation."""
 
     def found(which: NDArray[np.bool_], kind: str, severity: str, words: str) -> list[MeshFinding]:
-        return _found(kind, severity, f"triangles {words}", points[faces[which]].mean(axis=1))
+        return _finding_at(kind, severity, f"triangles {words}", points[faces[which]].mean(axis=1))
 
     sheet = "lie on their own reverse: a sheet without thickness has no outside; remove one"
     return [
@@ -52,10 +52,10 @@ def crowded_edges(mesh: SurfaceMesh) -> list[MeshFinding]:
     edges = edges_of(mesh.faces)
     middles = mesh.vertices[edges.corners[edges.count > 2]].mean(axis=1)
     words = "edges border more than two triangles: the mesh is no surface there; take the extra sheet out"
-    return _found("non_manifold_edge", "fatal", words, middles)
+    return _finding_at("non_manifold_edge", "fatal", words, middles)
 
 
-def sides(mesh: SurfaceMesh, parts: list[MeshPart]) -> tuple[NDArray[np.bool_], list[MeshFinding]]:
+def wrongly_turned(mesh: SurfaceMesh, parts: list[MeshPart]) -> tuple[NDArray[np.bool_], list[MeshFinding]]:
     """Faces to turn (m,), and the findings about sides."""
     turned, one_sided, _ = agreement(mesh.faces)
     centers = mesh.vertices[mesh.faces].mean(axis=1)
@@ -124,7 +124,9 @@ def holes(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
     holes = [loop for part in parts for loop in part.loops if loop.is_hole]
     longest = max((k.length for k in holes), default=0.0)
     words = f"holes, {'' if len(holes) == 1 else 'up to '}{longest:.3g} around: nothing touches there"
-    return _found("hole", "left", f"{words}; filling them would invent surface", np.array([k.center for k in holes]))
+    return _finding_at(
+        "hole", "left", f"{words}; filling them would invent surface", np.array([k.center for k in holes])
+    )
 
 
 def isolated_parts(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
@@ -135,7 +137,7 @@ def isolated_parts(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding
         f"parts with {100 * share:.2g} % of the area are not connected to the largest: "
         "contact counts them; remove them in a mesh editor if they are debris"
     )
-    return _found("isolated_part", "left", words, np.array([p.center for p in rest]))
+    return _finding_at("isolated_part", "left", words, np.array([p.center for p in rest]))
 
 
 def scale(longest: float, likely: list[str], units: str | None) -> list[MeshFinding]:

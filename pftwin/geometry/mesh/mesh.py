@@ -136,7 +136,7 @@ def check_mesh(
             where=source,
             remedy="export the mesh again",
         )
-    mesh = _merged(p, f, source)
+    mesh = _welded_and_cleaned(p, f, source)
     if size is not None:
         check_size(mesh.extent, mesh.source, size, units)
     from pftwin.geometry.mesh.topology import check_winding
@@ -176,7 +176,7 @@ def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArr
     return vertices[first], inverse.ravel()[faces]
 
 
-def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], source: str) -> SurfaceMesh:
+def _welded_and_cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64], source: str) -> SurfaceMesh:
     """Welded; triangles without area and unused vertices dropped."""
     points, joined = weld(vertices, faces)
     kept = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]

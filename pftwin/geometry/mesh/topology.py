@@ -141,10 +141,10 @@ def parts_of(mesh: SurfaceMesh) -> list[MeshPart]:
     order = np.argsort(label, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
     edges = edges_of(mesh.faces)
-    return sorted((_part(mesh, edges, group) for group in groups), key=lambda part: -part.area)
+    return sorted((_part_properties(mesh, edges, group) for group in groups), key=lambda part: -part.area)
 
 
-def _part(mesh: SurfaceMesh, edges: Edges, group: NDArray[np.int64]) -> MeshPart:
+def _part_properties(mesh: SurfaceMesh, edges: Edges, group: NDArray[np.int64]) -> MeshPart:
     corners = mesh.vertices[np.unique(mesh.faces[group])]
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = float(np.linalg.norm(high - low))

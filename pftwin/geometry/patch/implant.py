@@ -174,7 +174,11 @@ class FemoralComponent(eqx.Module):
         r, w = self.trochlear_radius, self.sagittal_blend
         flange = w * jax.nn.softplus((angle - self.flange_angle) / w)
         distal = w * jax.nn.softplus((self.distal_angle - angle) / w)
-        return _arc(flange, r, self.flange_radius) + _arc(distal, r, self.distal_radius) - r
+        return (
+            _circle_polar_distance(flange, r, self.flange_radius)
+            + _circle_polar_distance(distal, r, self.distal_radius)
+            - r
+        )
 
     def _across(self, y: Scalar, proximal: Scalar) -> Scalar:
         """Height over the groove's bottom at a distance y from it; `proximal` is 0 distally and 1 on the flange."""
@@ -193,7 +197,7 @@ class FemoralComponent(eqx.Module):
         return self.notch_depth * distal * jnp.exp(-((y / self.notch_half_width) ** 2))
 
 
-def _arc(turn: Scalar, inner: Scalar | float, radius: Scalar | float) -> Scalar:
+def _circle_polar_distance(turn: Scalar, inner: Scalar | float, radius: Scalar | float) -> Scalar:
     """Polar distance of a circle of `radius`, `turn` past where it touches the circle of radius `inner` at the pole."""
     offset = inner - radius
     sine = offset * jnp.sin(turn)

@@ -68,7 +68,7 @@ def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike
         raise InputError(
             f"only {len(order)} vertices on the apex's side", where=mesh.source, expected=f"{3 * _RING} or more"
         )
-    end = _grown(points[order], rings, tolerance)
+    end = _largest_spherical_cap(points[order], rings, tolerance)
     if end < 2 * _RING:
         found = _residual_rms(points[order[: 2 * _RING]], *_sphere(points[order[: 2 * _RING]]))
         raise InputError(
@@ -119,7 +119,7 @@ def _axis(mesh: SurfaceMesh, axis: ArrayLike | None, tolerance: float) -> NDArra
 def _cap_size(mesh: SurfaceMesh, direction: NDArray, tolerance: float) -> int:
     """The number of vertices of the convex cap about a direction; 0 for a flat back or a hollow."""
     order, rings = _rings(mesh.vertices, mesh.vertex_normals, direction)
-    end = _grown(mesh.vertices[order], rings, tolerance)
+    end = _largest_spherical_cap(mesh.vertices[order], rings, tolerance)
     if not end:
         return 0
     center, radius = _sphere(mesh.vertices[order[:end]])
@@ -140,7 +140,7 @@ def _rings(points: NDArray, normals: NDArray, direction: NDArray) -> tuple[NDArr
     return order, list(zip(limits[:-1].tolist(), limits[1:].tolist(), strict=True))
 
 
-def _grown(ordered: NDArray, rings: list[tuple[int, int]], tolerance: float) -> int:
+def _largest_spherical_cap(ordered: NDArray, rings: list[tuple[int, int]], tolerance: float) -> int:
     """How many of the ordered vertices belong to the largest cap every ring of which fits its own sphere."""
     end = 0
     for k in range(1, len(rings)):

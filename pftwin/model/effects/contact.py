@@ -112,7 +112,7 @@ class ContactPush(NamedTuple):
     approach_speed: Scalar | None  # at the moment the contact began, 0 while apart [m/s]; None: the law forgets
 
 
-def pushed(
+def force_along(
     law: ContactLaw,
     now: Instant,
     indentation: Scalar,
@@ -224,10 +224,10 @@ class ButtonSphere(Contact):
         approach_speed: Scalar | None,
         share: Scalar | float,
     ) -> ContactPush:
-        """The law's force along a normal of the femur (femur axes): see `pushed`."""
+        """The law's force along a normal of the femur (femur axes): see `force_along`."""
         world = now.femur.direction(normal)
         moment = applied_at(self.center, now.patella, world)
-        return pushed(self.law, now, indentation, rate, world, moment, approach_speed, share)
+        return force_along(self.law, now, indentation, rate, world, moment, approach_speed, share)
 
     def touch(
         self, now: Instant, at: P, normal: Vec3, rate: Scalar, approach_speed: Scalar | None, share: Scalar

@@ -25,7 +25,7 @@ from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import AggregateStiffness, Ground, Instant, Load, Observable
 from pftwin.model.effects.contact import FACETS, FORCE, ButtonMesh
 from pftwin.model.effects.foundation_law import FoundationLaw
-from pftwin.model.effects.foundation_sums import Bedded, Pressures, sums
+from pftwin.model.effects.foundation_sums import Bedded, Pressures, triangle_sums
 
 
 class ElasticFoundation(ButtonMesh):
@@ -77,7 +77,7 @@ class ElasticFoundation(ButtonMesh):
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """The forces of all triangles, as one aggregate stiffness."""
         at = self.pressed(now)
-        found = sums(at)[0]
+        found = triangle_sums(at)[0]
         velocity, spin = Vec3.from_array(at.twist[:3]), Vec3.from_array(at.twist[3:])
         bed = AggregateStiffness(
             found.force, found.elastic, found.stiffness, at.damping_time, found.size, velocity, spin
@@ -87,7 +87,7 @@ class ElasticFoundation(ButtonMesh):
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar]:
         """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
         at = self.pressed(now)
-        forces, p = sums(at)
+        forces, p = triangle_sums(at)
         push = Vec3.from_array(jnp.sum(p.facets, axis=0))
         borne = jnp.sum(p.borne)
         some = borne > 0

@@ -62,18 +62,18 @@ class Pressures(NamedTuple):
 Sums = tuple[Forces, Pressures]
 
 
-def sums(at: Bedded) -> Sums:
+def triangle_sums(at: Bedded) -> Sums:
     """The sums over all triangles in contact. Jit, vmap, forward and reverse derivatives apply."""
     found = find(at.button, at.femur, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
-    return _summed(at, found)
+    return _sum_contacts(at, found)
 
 
 @eqx.filter_custom_jvp
-def _summed(at: Bedded, found: TouchingLeaves) -> Sums:
+def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Sums:
     return member_by_member(_sum_of_all)(at, found)
 
 
-@_summed.def_jvp
+@_sum_contacts.def_jvp
 def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
     at, found = primals
     moving, still = eqx.partition(at, eqx.is_inexact_array)
@@ -83,11 +83,13 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
         at = eqx.combine(moving, still)
 
         def piece(so_far: Sums, start: Array) -> tuple[Sums, None]:
-            more = jax.lax.cond(start < found.total, lambda: _piece(at, found, start), lambda: _nothing(at))
-            return _together(so_far, more), None
+            more = jax.lax.cond(
+                start < found.total, lambda: _sums_over_leaves(at, found, start), lambda: _zero_sums(at)
+            )
+            return _added_sums(so_far, more), None
 
         starts = jnp.arange(0, at.button.leaves, PIECE, dtype=jnp.int32)
-        return jax.lax.scan(piece, _nothing(at), starts)[0]
+        return jax.lax.scan(piece, _zero_sums(at), starts)[0]
 
     return jax.jvp(total, (moving,), (changes,))
 
@@ -95,12 +97,12 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
 def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Sums:
     def piece(state: tuple[Array, Sums]) -> tuple[Array, Sums]:
         start, so_far = state
-        return start + PIECE, _together(so_far, _piece(at, found, start))
+        return start + PIECE, _added_sums(so_far, _sums_over_leaves(at, found, start))
 
-    return jax.lax.while_loop(lambda s: s[0] < found.total, piece, (jnp.zeros((), jnp.int32), _nothing(at)))[1]
+    return jax.lax.while_loop(lambda s: s[0] < found.total, piece, (jnp.zeros((), jnp.int32), _zero_sums(at)))[1]
 
 
-def _nothing(at: Bedded) -> Sums:
+def _zero_sums(at: Bedded) -> Sums:
     def zeros(*shape: int) -> Array:
         return jnp.zeros(shape, at.position.x.dtype)
 
@@ -108,13 +110,13 @@ def _nothing(at: Bedded) -> Sums:
     return forces, Pressures(zeros(), zeros(2), zeros(2, 3), zeros(2, 3), zeros(), zeros())
 
 
-def _together(one: Sums, other: Sums) -> Sums:
+def _added_sums(one: Sums, other: Sums) -> Sums:
     forces, pressures = jax.tree.map(jnp.add, one, other)
     most, deepest = (jnp.maximum(getattr(one[1], n), getattr(other[1], n)) for n in ("most", "deepest"))
     return forces, pressures._replace(most=most, deepest=deepest)
 
 
-def _piece(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
+def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     """Sums over some of the leaves."""
     # The last piece begins early enough to be full, and counts only leaves that no other piece has counted.
     first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))

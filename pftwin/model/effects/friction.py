@@ -51,7 +51,7 @@ class LastPush(NamedTuple):
         gain = now.lookahead if now.displacement_gain is None else now.displacement_gain
         weight = gain * push.stiffness + push.damping
         here = Twist(now.patella.velocity, now.patella.spin)
-        unchanged = push.force + weight * _pace(push.direction, push.moment, here)
+        unchanged = push.force + weight * _speed_along(push.direction, push.moment, here)
         return LastPush(push.direction, push.moment, unchanged, weight)
 
 
@@ -178,11 +178,11 @@ def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
     if not now.ends_a_step:
         return jnp.maximum(push.force, 0.0)
     twist = Twist(now.patella.velocity, now.patella.spin) if now.twist is None else now.twist
-    came_to = jnp.maximum(last.unchanged - last.weight * _pace(last.direction, last.moment, twist), 0.0)
+    came_to = jnp.maximum(last.unchanged - last.weight * _speed_along(last.direction, last.moment, twist), 0.0)
     return jnp.where(push.stiffness > 0, came_to, 0.0)
 
 
-def _pace(direction: Vec3, moment: Vec3, twist: Twist) -> Scalar:
+def _speed_along(direction: Vec3, moment: Vec3, twist: Twist) -> Scalar:
     """How fast the patella moves along a wrench direction."""
     return direction.dot(twist.linear) + moment.dot(twist.angular)
 

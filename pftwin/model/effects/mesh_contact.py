@@ -27,8 +27,8 @@ from pftwin.model.effects.contact import (
     ButtonMesh,
     ContactPush,
     facet_report,
+    force_along,
     load_of,
-    pushed,
     vector_sum,
 )
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
@@ -105,7 +105,7 @@ class MeshContact(ButtonMesh):
         arm = point - patella.position
         velocity = femur.relative_velocity(patella.velocity_at(arm), point)
         moment = patella.rotation.unapply(arm.cross(world))
-        return pushed(self.law, now, contact.indentation, -world.dot(velocity), world, moment, approach_speed, 1.0)
+        return force_along(self.law, now, contact.indentation, -world.dot(velocity), world, moment, approach_speed, 1.0)
 
     def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
         """Forces, points and indentations by facet; NaN where a facet has no contact of its own."""

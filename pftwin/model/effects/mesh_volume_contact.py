@@ -87,7 +87,7 @@ class MeshVolumeContact(ButtonSphere):
         for n, d, part, own, speed in zip(found.normals, found.depths, found.parts, rates, speeds, strict=True):
             apart = self.push(now, n, d, own, speed, 1 - s)
             joint = self.push(now, n, found.joint_depth, rate, of_both, s * part)
-            terms.append(_together(apart.term, joint.term))
+            terms.append(_combined_term(apart.term, joint.term))
             energies.append(self.law.force(d, jnp.zeros_like(d), of_both).energy)
             if apart.approach_speed is not None and joint.approach_speed is not None:
                 one = jnp.where(s > 0, jnp.maximum(apart.approach_speed, joint.approach_speed), apart.approach_speed)
@@ -155,7 +155,7 @@ class RoughMeshVolumeContact(WithFriction, MeshVolumeContact):
     observables: ClassVar[dict[str, Observable]] = {**MeshVolumeContact.observables, **WithFriction.tangential}
 
 
-def _together(a: StiffTerm, b: StiffTerm) -> StiffTerm:
+def _combined_term(a: StiffTerm, b: StiffTerm) -> StiffTerm:
     """Two terms along the same direction as one."""
     added = {name: getattr(a, name) + getattr(b, name) for name in ("force", "elastic", "stiffness", "damping")}
     return dataclasses.replace(a, **added)

@@ -15,11 +15,11 @@ from pftwin.results.plots.quantities import PlottedQuantity, provenance, quantit
 from pftwin.results.plots.style import (
     BAND,
     COLOURS,
-    entries,
     figure_of,
     given_axes,
     house_style,
     legend_below,
+    legend_entries,
     panels_in_rows,
 )
 from pftwin.results.plots.style import title as name_figure
@@ -182,13 +182,13 @@ def against_flexion(
             name_figure(figure, title or "; ".join(names), _MEANING, provenance(*everything))
         for ax, quantity in zip(own, panels.values(), strict=True):
             if measured is not None:
-                courses = _of(quantity, everything[:1], measured)
+                courses = _flexion_and_values(quantity, everything[:1], measured)
                 _draw(ax, courses, grid, strokes, measured.label, "black")
             for i, (name, group) in enumerate(groups.items()):
-                _draw(ax, _of(quantity, group), grid, strokes, name, COLOURS[i % len(COLOURS)])
+                _draw(ax, _flexion_and_values(quantity, group), grid, strokes, name, COLOURS[i % len(COLOURS)])
             ax.set(xlabel="knee flexion [deg]", ylabel=quantity.label)
         if axes is None:
-            legend_below(figure, *entries(own), most=2)
+            legend_below(figure, *legend_entries(own), most=2)
     return figure_of(own[0])
 
 
@@ -232,7 +232,7 @@ def bands(courses: list[tuple[Floats, Floats, str]], grid: Floats, way: Strokes 
     return {words: band(some, grid) for words, some in found.items()}
 
 
-def _of(
+def _flexion_and_values(
     quantity: PlottedQuantity, group: list[Result], measured: Measured | None = None
 ) -> list[tuple[Floats, Floats, str]]:
     """Knee flexion and the quantity of every result that has it, or of the measurements."""

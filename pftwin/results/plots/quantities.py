@@ -58,15 +58,17 @@ def _place(axis: int, words: str) -> PlottedQuantity:
 
 def contact_force(result: Result) -> Floats | None:
     """Total normal force of the tracked contact (n,) [N]; None without contact."""
-    return None if result.contact is None else _summed(result, result.contact, "force")
+    return None if result.contact is None else _sum_over_elements(result, result.contact, "force")
 
 
 def tension(effect: str, words: str, attribute: str, error: str) -> PlottedQuantity:
     """The tension of a tendon or a group of strands, beside a measured spring force."""
-    return PlottedQuantity(words, "N", lambda r: _summed(r, effect, "tension"), lambda m: getattr(m, attribute), error)
+    return PlottedQuantity(
+        words, "N", lambda r: _sum_over_elements(r, effect, "tension"), lambda m: getattr(m, attribute), error
+    )
 
 
-def _summed(result: Result, effect: str, observable: str) -> Floats | None:
+def _sum_over_elements(result: Result, effect: str, observable: str) -> Floats | None:
     """An observable summed over the elements of a group, as `pftwin.results.metrics` does."""
     values = result.effects.get(effect, {}).get(observable)
     return None if values is None else np.asarray(values, dtype=np.float64).reshape(result.times.size, -1).sum(axis=1)

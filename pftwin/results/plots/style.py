@@ -123,7 +123,7 @@ def figure_of(ax: Any) -> Figure:
     return ax.figure.figure
 
 
-def entries(panels: Sequence[Axes]) -> tuple[list[Any], list[str]]:
+def legend_entries(panels: Sequence[Axes]) -> tuple[list[Any], list[str]]:
     """Handles and labels of all panels' legends together; one panel may lack what others have."""
     found = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     return list(found.values()), list(found)

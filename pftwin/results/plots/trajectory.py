@@ -52,7 +52,7 @@ class Relief(NamedTuple):
     @property
     def labels(self) -> tuple[str, str, str]:
         """Labels of u, v and height, each with its positive direction."""
-        along, across = _way(self.chart.axes.ex), _way(self.chart.axes.ey)
+        along, across = _direction_label(self.chart.axes.ex), _direction_label(self.chart.axes.ey)
         round_axis = isinstance(self.chart, CylindricalChart)
         height = "distance from the trochlear axis" if round_axis else "height over the chart's plane"
         return f"along the groove, {along} [mm]", f"across the groove, {across} [mm]", f"{height} [mm]"
@@ -87,7 +87,7 @@ def relief(result: Result, *paths: Floats) -> Relief:
             where=result.scene_name,
             remedy="result.plot.against_flexion(), which needs none",
         )
-    chart = _facing(result, mesh) if surface is None else surface.chart
+    chart = _facing_plane(result, mesh) if surface is None else surface.chart
     window = _window(chart, np.concatenate(paths))
     if mesh is not None:
         return _of_mesh(chart, mesh, window)
@@ -126,7 +126,7 @@ def _window(chart: Any, points: Floats) -> Floats:
     return np.array(ends).T
 
 
-def _facing(result: Result, mesh: Any) -> PlaneChart:
+def _facing_plane(result: Result, mesh: Any) -> PlaneChart:
     """A plane across the mean contact force, for a mesh that brings no chart."""
     report = result.effects[str(result.contact)]
     force = np.stack([report[f"force_{k}"] for k in "xyz"], axis=1)
@@ -162,7 +162,7 @@ def _height(surface: Any, u: Any, v: Any) -> Any:
     return surface.height(jnp.asarray(u, float), jnp.asarray(v, float))
 
 
-def _way(axis: Vec3) -> str:
+def _direction_label(axis: Vec3) -> str:
     """What is at the positive end of a direction of the femur frame."""
     parts = [float(c) for c in (axis.x, axis.y, axis.z)]
     k = int(np.argmax(np.abs(parts)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from pftwin.results.plots import COLOURS
 from pftwin.results.viewer import bones, knee, page
-from pftwin.results.viewer.knee import k3d, keyed, paler
+from pftwin.results.viewer.knee import k3d, paler, time_series
 from pftwin.results.viewer.recorded import Mesh, Recorded
 from pftwin.results.viewer.shapes import MM
 
@@ -89,9 +89,9 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
         x, _, z = shown["anterior"][3:6]
         place = {"position": [x, y, z], "reference_point": "cc"}
         made += k3d().text(page.side(side), **place, color=0x888888, size=0.9, is_html=True, label_box=False, name=side)
-    made += _written("legend", page.legend(results, codes, said), (0.01, 0.015), "lt")
-    numbers = keyed(times, [page.readout(results, codes, t) for t in times])
-    made += _written("numbers", numbers, (0.99, 0.015), "rt")
+    made += _text_label("legend", page.legend(results, codes, said), (0.01, 0.015), "lt")
+    numbers = time_series(times, [page.readout(results, codes, t) for t in times])
+    made += _text_label("numbers", numbers, (0.99, 0.015), "rt")
     control = {
         "begin": float(times[0]),
         "end": float(times[-1]),
@@ -106,7 +106,7 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
 
 def per_centimetre(results: Sequence[Recorded]) -> float:
     """Newtons to 10 mm of arrow: 1, 2 or 5 times a power of ten, a large force about `LONGEST` long."""
-    found = [(push.forces, push.present) for r in results for push in r.pushes]
+    found = [(arrow.forces, arrow.present) for r in results for arrow in r.contact_arrows]
     sizes = [np.linalg.norm(f[here], axis=1) for f, here in found if f is not None]
     most = max((float(np.quantile(s, MOST)) for s in sizes if s.size), default=1.0)
     exact = 10 * most / LONGEST
@@ -114,7 +114,7 @@ def per_centimetre(results: Sequence[Recorded]) -> float:
     return float(power * next((k for k in _ROUND if k * power >= exact), 10.0))
 
 
-def _written(name: str, text: str | dict[str, str], place: tuple[float, float], corner: str) -> Any:
+def _text_label(name: str, text: str | dict[str, str], place: tuple[float, float], corner: str) -> Any:
     return k3d().text2d(
         text, position=place, reference_point=corner, is_html=True, label_box=True, size=1.0, color=0x222222, name=name
     )

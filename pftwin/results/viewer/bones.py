@@ -16,8 +16,8 @@ from pftwin.results.viewer.shapes import (
     button_cap,
     ellipsoid,
     shell,
+    solid_of_revolution,
     surface,
-    turned,
 )
 
 METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
@@ -48,7 +48,7 @@ def femur_shaft(result: Recorded) -> Solid:
     points = np.zeros((1, 3)) if component is None else MM * component[0]
     low, high = points.min(axis=0), points.max(axis=0)
     place = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2] - BEHIND]
-    return Solid("femur (schematic)", "femur", turned(_smooth(FEMUR), place, "x", DEPTH), BONE, 0.35)
+    return Solid("femur (schematic)", "femur", solid_of_revolution(_smooth(FEMUR), place, "x", DEPTH), BONE, 0.35)
 
 
 def femoral_component(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
@@ -71,7 +71,7 @@ def tibia_shaft(result: Recorded) -> Solid:
     top = PLATEAU_AT * tuberosity[0] if tuberosity[0] < 0 else tuberosity[0] + 40.0
     front = DEPTH * max(half for half, _ in TIBIA)
     place = [top, 0.0, tuberosity[2] - front - PROUD]
-    return Solid("tibia (schematic)", "tibia", turned(_smooth(TIBIA), place, "x", DEPTH), BONE, 0.5)
+    return Solid("tibia (schematic)", "tibia", solid_of_revolution(_smooth(TIBIA), place, "x", DEPTH), BONE, 0.5)
 
 
 def patella_parts(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:

@@ -15,12 +15,12 @@ from pftwin.results.viewer.shapes import (
     MM,
     Matrices,
     Shape,
-    apart,
-    arrow,
+    arrow_shape,
     at_points,
     ellipsoid,
     of_arrows,
     path,
+    spaced_points,
     tubes,
 )
 
@@ -65,7 +65,7 @@ def _mixed(code: str, level: int, share: float) -> str:
     return "#" + "".join(f"{round(p + share * (level - p)):02X}" for p in parts)
 
 
-def keyed(times: Floats, values: Iterable[Any]) -> dict[str, Any]:
+def time_series(times: Floats, values: Iterable[Any]) -> dict[str, Any]:
     """Values by time, as k3d has time series; one that never changes is no series."""
     return {f"{t:.4f}": v for t, v in zip(times, values, strict=True)}
 
@@ -89,21 +89,21 @@ def body(shape: Shape, code: str, *, name: str, group: str, opacity: float = 1.0
     )
 
 
-def carried(shape: Shape, code: str, times: Floats, matrices: Matrices, **options: Any) -> Any:
+def moving_shape(shape: Shape, code: str, times: Floats, matrices: Matrices, **options: Any) -> Any:
     """A shape that moves with a body."""
     drawn = body(shape, code, **options)
-    drawn.model_matrix = keyed(times, matrices)
+    drawn.model_matrix = time_series(times, matrices)
     return drawn
 
 
 def where_present(drawn: Any, times: Floats, present: NDArray[np.bool_]) -> Any:
     """The object, hidden in frames in which there is nothing."""
     if not present.all():
-        drawn.visible = keyed(times, present.tolist())
+        drawn.visible = time_series(times, present.tolist())
     return drawn
 
 
-def held(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:
+def gaps_filled(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:
     """Rows with gaps filled by the nearest row before (else after), so that nothing hidden jumps into view."""
     places = np.where(present, np.arange(present.size), -1)
     last = np.maximum.accumulate(places)
@@ -116,7 +116,7 @@ def solid(result: Recorded, part: bones.Solid, code: str | None = None, group: s
     if part.frame == "femur":
         return body(part.shape, code or part.colour, **look)
     matrices = result.patella if part.frame == "patella" else result.tibia
-    return carried(part.shape, code or part.colour, result.times, matrices, **look)
+    return moving_shape(part.shape, code or part.colour, result.times, matrices, **look)
 
 
 def component(result: Recorded, code: str = bones.METAL, group: str = "bones") -> list[Drawable]:
@@ -137,12 +137,12 @@ def tendons(result: Recorded, code: str) -> list[Drawable]:
     for name, lines in result.lines.items():
         vertices, triangles = tubes(line_ends(lines), MM * lines.radius, 10 if len(lines.insertion) <= FEW else 5)
         tube = body(Shape(vertices[0], triangles), paler(code, 0.3), name=name.replace("_", " "), group=result.name)
-        tube.vertices = keyed(result.times, vertices)
+        tube.vertices = time_series(result.times, vertices)
         drawn.append(tube)
         if lines.body == "tibia":
             bump = ellipsoid(MM * lines.origin.reshape(-1, 3).mean(axis=0) - [0.0, 0.0, 6.0], [9.5, 6.5, 8.0])
             what = f"{name.replace('_', ' ')}'s origin"
-            drawn.append(carried(bump, code, result.times, result.tibia, name=what, group=result.name))
+            drawn.append(moving_shape(bump, code, result.times, result.tibia, name=what, group=result.name))
     return drawn
 
 
@@ -154,38 +154,43 @@ def contacts(result: Recorded, code: str, newtons: float) -> list[Drawable]:
         code: colour.
         newtons: drawn as 10 mm of an arrow.
     """
-    return [part for push in result.pushes if push.present.any() for part in _contact(result, push, code, newtons)]
+    return [
+        part
+        for arrow in result.contact_arrows
+        if arrow.present.any()
+        for part in _contact(result, arrow, code, newtons)
+    ]
 
 
-def _contact(result: Recorded, push: ContactArrow, code: str, newtons: float) -> list[Drawable]:
-    times, here, group = result.times, push.present, result.name
-    points, drawn = held(push.points, here), []
-    if push.touches:
+def _contact(result: Recorded, arrow: ContactArrow, code: str, newtons: float) -> list[Drawable]:
+    times, here, group = result.times, arrow.present, result.name
+    points, drawn = gaps_filled(arrow.points, here), []
+    if arrow.touches:
         ball, places = ellipsoid([0, 0, 0], [1.8] * 3), at_points(points)
-        point = carried(ball, code, times, places, name=f"{push.name}: point", group=group)
-        drawn = [where_present(point, times, here), *_path(result, push, code)]
-    if push.forces is not None:
-        arrows = of_arrows(points, held(push.forces, here) * (10 / newtons))
-        what = f"{push.name}: force on the patella"
-        force = carried(arrow(), darker(code, 0.35), times, arrows, name=what, group=group)
+        point = moving_shape(ball, code, times, places, name=f"{arrow.name}: point", group=group)
+        drawn = [where_present(point, times, here), *_path(result, arrow, code)]
+    if arrow.forces is not None:
+        arrows = of_arrows(points, gaps_filled(arrow.forces, here) * (10 / newtons))
+        what = f"{arrow.name}: force on the patella"
+        force = moving_shape(arrow_shape(), darker(code, 0.35), times, arrows, name=what, group=group)
         drawn.append(where_present(force, times, here))
     return drawn
 
 
-def _path(result: Recorded, push: ContactArrow, code: str) -> list[Drawable]:
+def _path(result: Recorded, arrow: ContactArrow, code: str) -> list[Drawable]:
     """The whole way, pale, and on it what has been gone of it, which grows."""
-    points = MM * np.where(push.present[:, None], push.points, np.nan)
-    taken = apart(points, REST)
-    times, points = result.times[taken], points[taken | ~push.present]
+    points = MM * np.where(arrow.present[:, None], arrow.points, np.nan)
+    taken = spaced_points(points, REST)
+    times, points = result.times[taken], points[taken | ~arrow.present]
     if times.size < 2:
         return []
     whole, trail = path(points, 0.3), path(points, 0.6)
     gone = np.searchsorted(times, result.times, side="right")
     rings = trail.vertices.reshape(len(times), -1, 3)
     grown = [rings[np.minimum(np.arange(len(times)), max(k - 1, 0))].reshape(-1, 3) for k in gone]
-    way = body(whole, paler(code, AHEAD), name=f"{push.name}: whole path", group=result.name)
-    behind = body(trail, code, name=f"{push.name}: path", group=result.name)
-    behind.vertices = keyed(result.times, grown)
+    way = body(whole, paler(code, AHEAD), name=f"{arrow.name}: whole path", group=result.name)
+    behind = body(trail, code, name=f"{arrow.name}: path", group=result.name)
+    behind.vertices = time_series(result.times, grown)
     return [way, behind]
 
 

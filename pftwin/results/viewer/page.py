@@ -38,7 +38,7 @@ def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
     said.append(SCHEMATIC)
     if any(r.mesh("continuation") is not None for r in results):
         said.append(CONTINUED)
-    if any(push.present.any() for r in results for push in r.pushes):
+    if any(arrow.present.any() for r in results for arrow in r.contact_arrows):
         said.append(f"Arrows: contact force on the patella, 10 mm for {newtons:g}\u00a0N.")
     return said
 
@@ -93,7 +93,7 @@ def _at(result: Recorded, name: str, k: int) -> float:
 
 def _contact_force(result: Recorded, k: int) -> float:
     """What the result's contacts report as their force, summed [N]; NaN where there is none."""
-    names = {push.contact for push in result.pushes}
+    names = {arrow.contact for arrow in result.contact_arrows}
     return sum(_at(result, f"{name}_force", k) for name in names) if names else float("nan")
 
 

@@ -44,7 +44,7 @@ class ContactArrow:
         return np.asarray(there)
 
 
-def pushes(result: Recorded) -> list[ContactArrow]:
+def contact_arrows(result: Recorded) -> list[ContactArrow]:
     """The contacts of a result.
 
     A sphere is pushed towards its centre, so the (normal) force on each facet has a direction. Of other contacts the
@@ -61,7 +61,7 @@ def _of(result: Recorded, contact: str) -> list[ContactArrow]:
     facets = [(p, s) for p, s in zip(points, sizes, strict=True) if p is not None and s is not None]
     center = result.series("sphere_center")
     if len(facets) == len(FACETS) and center is not None and "button_radius" in result.geometry:
-        directed = [_towards(center, p, s) for p, s in facets]
+        directed = [_forces_toward(center, p, s) for p, s in facets]
         return [ContactArrow(contact, n, p, f) for n, (p, _), f in zip(names, facets, directed, strict=True)]
     components = [result.series(f"{contact}_force_{axis}") for axis in "xyz"]
     total = np.stack([c for c in components if c is not None], axis=-1)
@@ -74,16 +74,16 @@ def _of(result: Recorded, contact: str) -> list[ContactArrow]:
         return []
     borne = [np.where((s > 0)[:, None], p, np.nan) for p, s in facets]
     touching = [ContactArrow(contact, n, p, None) for n, p in zip(names, borne, strict=True)]
-    return [*touching, ContactArrow(contact, words, _middle(facets), total, touches=False)]
+    return [*touching, ContactArrow(contact, words, _weighted_mean(facets), total, touches=False)]
 
 
-def _towards(center: Floats, points: Floats, sizes: Floats) -> Floats:
+def _forces_toward(center: Floats, points: Floats, sizes: Floats) -> Floats:
     """Forces (n, 3) of sizes (n,) from points towards the centre (n, 3)."""
     away = center - points
     return (sizes / np.linalg.norm(away, axis=1))[:, None] * away
 
 
-def _middle(facets: list[tuple[Floats, Floats]]) -> Floats:
+def _weighted_mean(facets: list[tuple[Floats, Floats]]) -> Floats:
     """Mean of the points weighted by sizes (n, 3); NaN where all sizes are zero."""
     weights = np.stack([s for _, s in facets], axis=1)
     whole = weights.sum(axis=1, keepdims=True)
@@ -168,9 +168,9 @@ class Recorded:
         return {n: Lines(self, n) for n in names}
 
     @cached_property
-    def pushes(self) -> list[ContactArrow]:
+    def contact_arrows(self) -> list[ContactArrow]:
         """Contact points and forces."""
-        return pushes(self)
+        return contact_arrows(self)
 
     def series(self, name: str) -> Floats | None:
         """A variable at the frames shown; None where the result has none of that name."""

@@ -96,7 +96,9 @@ def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
     return as_shape(ball)
 
 
-def turned(profile: ArrayLike, center: ArrayLike, axis: Literal["x", "z"] = "z", flatten: float = 1.0) -> Shape:
+def solid_of_revolution(
+    profile: ArrayLike, center: ArrayLike, axis: Literal["x", "z"] = "z", flatten: float = 1.0
+) -> Shape:
     """The solid that a closed profile makes when it is turned about an axis through a point [mm].
 
     Args:
@@ -118,7 +120,7 @@ def button_cap(center: ArrayLike, radius: float) -> Shape:
     """The part of a button's sphere that faces the femur [m]: backwards, against the patella's z."""
     angle = np.linspace(0.0, CAP, 25)
     arc = MM * radius * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    return turned(np.concatenate([arc, [[0.0, arc[-1, 1]]]]), MM * np.asarray(center, dtype=np.float64))
+    return solid_of_revolution(np.concatenate([arc, [[0.0, arc[-1, 1]]]]), MM * np.asarray(center, dtype=np.float64))
 
 
 def behind_plane(shape: Shape, z: float) -> Shape:
@@ -130,10 +132,10 @@ def behind_plane(shape: Shape, z: float) -> Shape:
     return Shape(shape.vertices[used], which.reshape(-1, 3).astype(np.uint32))
 
 
-def arrow() -> Shape:
+def arrow_shape() -> Shape:
     """An arrow of length 1 along z."""
     head, shaft, width = 0.24, 0.025, 0.075
-    return turned([[0, 0], [shaft, 0], [shaft, 1 - head], [width, 1 - head], [0, 1]], np.zeros(3))
+    return solid_of_revolution([[0, 0], [shaft, 0], [shaft, 1 - head], [width, 1 - head], [0, 1]], np.zeros(3))
 
 
 def tubes(ends: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
@@ -151,7 +153,7 @@ def tubes(ends: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray
     ring = _rings(ends[:, k:] - ends[:, :k], radius, sides)
     vertices = ends[:, :, None] + np.concatenate([ring, ring], axis=1)
     a = np.arange(k * sides).reshape(k, sides)
-    faces = _between(a, a + k * sides).reshape(-1, 3)
+    faces = _ring_triangles(a, a + k * sides).reshape(-1, 3)
     return vertices.reshape(len(ends), -1, 3).astype(np.float32), faces.astype(np.uint32)
 
 
@@ -163,11 +165,11 @@ def path(points: NDArray[np.float64], radius: float, sides: int = 6) -> Shape:
     vertices = p[:, None] + _rings(along[None], radius, sides)[0]
     k = np.arange(len(p) * sides).reshape(len(p), sides)
     whole = np.diff(np.cumsum(~there)[there]) == 0
-    faces = _between(k[:-1], k[1:])[whole].reshape(-1, 3)
+    faces = _ring_triangles(k[:-1], k[1:])[whole].reshape(-1, 3)
     return Shape(vertices.reshape(-1, 3).astype(np.float32), faces.astype(np.uint32))
 
 
-def apart(points: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
+def spaced_points(points: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
     """Which points (n, 3) are there and farther than `least` from the last one that was taken, (n,)."""
     taken, last = np.zeros(len(points), dtype=bool), (math.inf, math.inf, math.inf)
     there = np.flatnonzero(np.isfinite(points).all(axis=1))
@@ -190,7 +192,7 @@ def _rings(along: NDArray[np.float64], radius: float, sides: int) -> NDArray[np.
     return radius * (np.cos(angle) * x[..., None, :] + np.sin(angle) * y[..., None, :])
 
 
-def _between(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+def _ring_triangles(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     """Triangles (k, sides, 2, 3) that join rings of vertices (k, sides)."""
     c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
     return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.dynamics.integrators import integrator_from_text
-from pftwin.dynamics.simulate import settle
+from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 from pftwin.results.metrics import validate
@@ -90,7 +90,7 @@ def converged(scene: Scene, contact: str) -> Converged:
     """Newmark's method (on meshes backward differences), checked by a second integrator; float64."""
     mesh = contact in MESHES
     names = ("linear_implicit_bdf2", "linear_implicit") if mesh else ("newmark", "linear_implicit_bdf2")
-    start, relaxed = settle(scene.unnamed())
+    start, relaxed = settle_first_frame(scene.unnamed())
     found = []
     for name in names:
         p = programs(scene, name)
@@ -101,7 +101,7 @@ def converged(scene: Scene, contact: str) -> Converged:
 
 def rows(setting: MeasuredProgram, scene: Scene, reference: Converged, measured: Measured | None) -> list[AccuracyRow]:
     """One for each step, all of one compiled program."""
-    start, relaxed = settle(scene.unnamed())
+    start, relaxed = settle_first_frame(scene.unnamed())
     p = programs(scene, setting.integrator)
     steps = {n: jnp.asarray(n) for n in setting.substeps}
     began = time.perf_counter()

@@ -133,7 +133,7 @@ def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence
     return [MeasuredProgram(c, i, d, True, True) for c in contacts for i in integrators for d in floats]
 
 
-def everything() -> list[MeasuredProgram]:
+def full_table() -> list[MeasuredProgram]:
     """The whole table. Single precision on P5; batches and derivatives for the steps that batches are for, and of every
     integrator on P5.
     """

@@ -15,7 +15,7 @@ from pftwin.results.metrics import PAPER_TABLE_1, Validation, validate
 from pftwin.results.plots import save_figure
 from pftwin.studies.accuracy.measure import AccuracyRow, Converged, SceneOf, compiling_anew, converged, float_type, rows
 from pftwin.studies.accuracy.programs import MeasuredProgram
-from pftwin.studies.accuracy.table import advice, columns, everything, work_precision
+from pftwin.studies.accuracy.table import advice, all_figures, columns, work_precision
 from pftwin.studies.runs import run_each
 from pftwin.studies.tables import to_csv, to_dataset
 
@@ -100,7 +100,7 @@ def report(found: AccuracyMeasured, title: str, about: dict[str, Any]) -> str:
             advice(found.rows).grid() + "\n",
             *_models(found.models),
             "## Everything measured\n",
-            everything(found.rows).grid() + "\n",
+            all_figures(found.rows).grid() + "\n",
         ]
     )
 

@@ -15,7 +15,7 @@ from pftwin.base.sheet import Sheet
 from pftwin.results.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
 from pftwin.studies import tables
 from pftwin.studies.accuracy.measure import AccuracyRow
-from pftwin.studies.tables import Column, short
+from pftwin.studies.tables import Column, short_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,14 +96,14 @@ def advice(rows: Sequence[AccuracyRow]) -> Sheet:
             cells = ("none measured", *"---")
             if row is not None:
                 figures = getattr(row, speed), row.position_max_mm, row.force_rms_n
-                cells = (described(row), *map(short, figures))
+                cells = (described(row), *map(short_number, figures))
             found.append((f"{level:g} mm" if kind == "one run" else "", kind, *cells))
     title = "Recommended: the fastest that was measured within an error"
     headings = ("rms", "", "setting", "x real time", "max, mm", "force, N")
     return Sheet(title, headings, tuple(found), words=(0, 1, 2), narrow=True)
 
 
-def everything(rows: Sequence[AccuracyRow]) -> Sheet:
+def all_figures(rows: Sequence[AccuracyRow]) -> Sheet:
     """All figures of all rows."""
     headings = (
         "contact", "integrator", "float", "step, ms", "position rms (max), mm", "tilt, deg", "force, N",
@@ -112,11 +112,11 @@ def everything(rows: Sequence[AccuracyRow]) -> Sheet:
     )  # fmt: skip
     found = []
     for r in rows:
-        position = f"{short(r.position_rms_mm)} ({short(r.position_max_mm)})"
+        position = f"{short_number(r.position_rms_mm)} ({short_number(r.position_max_mm)})"
         figures = (r.tilt_rms_deg, r.force_rms_n, r.dislocation_ms, r.measured_mm)
         speeds = (r.real_time, r.real_time_batch, r.compile_s, r.gradient)
         named = (r.contact, r.integrator, r.dtype, f"{r.step_ms:g}", position)
-        found.append((*named, *map(short, (*figures, *speeds)), r.status))
+        found.append((*named, *map(short_number, (*figures, *speeds)), r.status))
     return Sheet("Everything measured", headings, tuple(found))
 
 
@@ -129,7 +129,7 @@ def overview(rows: Sequence[AccuracyRow]) -> Sheet:
             found.append((name, *[""] * 5))
             groups.append(name)
         figures = (r.position_rms_mm, r.position_max_mm, r.force_rms_n, r.real_time, r.real_time_batch)
-        found.append((f"  {r.step_ms:g}", *map(short, figures)))
+        found.append((f"  {r.step_ms:g}", *map(short_number, figures)))
         groups.append(name)
     title = "Errors from the converged run of the same contact; speed in times real time"
     headings = ("step, ms", "rms, mm", "max, mm", "force, N", "one run", "64 runs")

@@ -15,7 +15,7 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
-from pftwin.studies.audit.runs import Changes, VariantRun, changes, lost, run_alone, run_side_by_side
+from pftwin.studies.audit.runs import Changes, VariantRun, compared_runs, run_alone, run_side_by_side, why_incomparable
 from pftwin.studies.audit.variants import KINDS, Kind, NotApplicable, Variant, ablations, additions
 from pftwin.studies.runs import Cost, run_each, time_in_turn
 
@@ -91,7 +91,7 @@ def audit(
     check(scene)
     integrator = checked_integrator(integrator or LinearImplicit(), "audit")
     substeps = substeps_for(scene.motion.frame_interval, dt)
-    listed = _listed(scene, integrator, only)
+    listed = _selected_variants(scene, integrator, only)
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
     own = run_alone(scene, integrator, substeps)
     runs = _runs(scene, wanted, integrator, substeps)
@@ -120,7 +120,9 @@ def audit(
     )
 
 
-def _listed(scene: Scene, integrator: Integrator, only: Collection[str] | None) -> list[Variant | NotApplicable]:
+def _selected_variants(
+    scene: Scene, integrator: Integrator, only: Collection[str] | None
+) -> list[Variant | NotApplicable]:
     """What there is to leave out, put in and change, or what is wanted of it."""
     listed = [*ablations(scene), *additions(scene, integrator)]
     if only is None:
@@ -172,8 +174,8 @@ def _shares(own: VariantRun, runs: list[VariantRun]) -> list[Cost | None]:
 
 
 def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float) -> Worth:
-    trouble = lost(result, own)
-    found = None if trouble is not None else changes(scene, result, own)
+    trouble = why_incomparable(result, own)
+    found = None if trouble is not None else compared_runs(scene, result, own)
     outcome = trouble or _outcome(result, own)
     cost = None
     if share is not None:

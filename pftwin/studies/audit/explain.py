@@ -12,7 +12,7 @@ import numpy as np
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
-from pftwin.dynamics.simulate import settle
+from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
@@ -90,7 +90,7 @@ def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float = 1
     integrator = checked_integrator(integrator or LinearImplicit(), "explain")
     substeps = substeps_for(scene.motion.frame_interval, dt)
     scene, name = scene.unnamed(), scene.name
-    listed, start = parts(scene), settle(scene)[0].answer
+    listed, start = parts(scene), settle_first_frame(scene)[0].answer
     kept: Account = account(scene, start, integrator, substeps)
     shares = _shares(scene, listed, kept, integrator, substeps)
     total, step = equations(scene, integrator), scene.motion.frame_interval / substeps

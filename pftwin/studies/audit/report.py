@@ -12,7 +12,7 @@ from pftwin.model.measured import SYNTHETIC
 from pftwin.results.plots.style import COLOURS, SMALL, WIDE, house_style
 from pftwin.studies.audit.audit import Audit, Worth
 from pftwin.studies.audit.explain import Explanation, PartCost
-from pftwin.studies.tables import Column, short, to_dataset
+from pftwin.studies.tables import Column, short_number, to_dataset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -109,7 +109,7 @@ def audit_sheet(found: Audit) -> Sheet:
 
 
 def _number(value: float) -> str:
-    return "0" if abs(value) < 1e-6 else short(value)
+    return "0" if abs(value) < 1e-6 else short_number(value)
 
 
 def _time(cost: float | None, spread: float | None) -> str:

@@ -16,7 +16,7 @@ from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import Observation, observe
-from pftwin.dynamics.simulate import settle
+from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.status import Status
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
@@ -65,7 +65,7 @@ def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun
     """
     check(scene)
     plain = scene.unnamed()
-    start, relaxed = settle(plain)
+    start, relaxed = settle_first_frame(plain)
     again = partial(_moving, plain, start.answer, integrator, substeps)
     return VariantRun(_result(scene, start.answer, again(), relaxed, integrator, substeps), again)
 
@@ -121,7 +121,7 @@ class Changes:
     tension_of: str | None  # the effect with that tension
 
 
-def lost(result: Result, own: Result) -> str | None:
+def why_incomparable(result: Result, own: Result) -> str | None:
     """Why a run cannot be compared; None if it can. `own` is the scene's run."""
     if not result.equilibrium.converged and own.equilibrium.converged:
         return "no equilibrium to start from"
@@ -132,7 +132,7 @@ def lost(result: Result, own: Result) -> str | None:
     return None
 
 
-def changes(scene: Scene, result: Result, own: Result) -> Changes:
+def compared_runs(scene: Scene, result: Result, own: Result) -> Changes:
     """Compares a run with the scene's own."""
     apart = difference(result, own, np.asarray(scene.tracked_point().array(), dtype=np.float64))
     tensions = {

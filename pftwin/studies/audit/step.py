@@ -69,7 +69,7 @@ _CALLS = ("pjit", "jit", "closed_call", "core_call", "custom_jvp_call", "custom_
 
 def equations(scene: Scene, integrator: Integrator = LinearImplicit()) -> int:
     """How many equations one step has, with the guided bodies' motion within it. Nothing is compiled or computed."""
-    givens = eqx.filter_eval_shape(lambda s: _givens(s, integrator), scene)
+    givens = eqx.filter_eval_shape(lambda s: _step_inputs(s, integrator), scene)
     shapes, fixed = eqx.partition(givens, lambda a: isinstance(a, jax.ShapeDtypeStruct))
 
     def stepped(arrays: Any) -> State:
@@ -79,7 +79,7 @@ def equations(scene: Scene, integrator: Integrator = LinearImplicit()) -> int:
     return count(jax.make_jaxpr(stepped)(shapes).jaxpr)
 
 
-def _givens(scene: Scene, integrator: Integrator) -> tuple[System, State, MotionPiece, Scalar, Scalar]:
+def _step_inputs(scene: Scene, integrator: Integrator) -> tuple[System, State, MotionPiece, Scalar, Scalar]:
     """All that a step starts from, what the integrator carries included."""
     system, step = System.of(scene), step_length(scene.motion, 1)
     state = starting_state(scene, start_before_search(scene))

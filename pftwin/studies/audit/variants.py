@@ -101,10 +101,10 @@ def ablations(scene: Scene) -> list[Variant | NotApplicable]:
         Variant(p.name, "left out", f"the scene without {p.name} ({p.kind})", p.without) for p in parts(scene)
     ]
     shared = (c for e in scene.effects for c in e.simplifications() if c.memory is None)
-    return [*found, *together(scene, "left out", shared), without_femur_inertia(scene)]
+    return [*found, *changed_together(scene, "left out", shared), without_femur_inertia(scene)]
 
 
-def together(scene: Scene, kind: Kind, changes: Iterable[Change]) -> list[Variant]:
+def changed_together(scene: Scene, kind: Kind, changes: Iterable[Change]) -> list[Variant]:
     """A variant for each label, with all effects changed that have a change of that label."""
     groups: dict[str, list[Change]] = {}
     for change in changes:
@@ -128,7 +128,7 @@ WEIGHT = 9.81  # [m/s^2]
 
 def additions(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicable]:
     """Friction, weight, a toe region, and inertia more, less or none; and steps half as long, as a yardstick."""
-    found = [_friction(scene), _gravity(scene), *_elaborated(scene), *_inertia(scene, integrator)]
+    found = [_friction(scene), _gravity(scene), *_refinements(scene), *_inertia(scene, integrator)]
     half = Variant("steps half as long", "yardstick", "what the step itself is worth", scene, refine=2)
     return [*(v for v in found if v is not None), half]
 
@@ -158,13 +158,13 @@ def _gravity(scene: Scene) -> Variant | None:
     return Variant("gravity", "put in", sentence, scene.with_effect(Gravity(scene.patella.mass, down)))
 
 
-def _elaborated(scene: Scene) -> list[Variant | NotApplicable]:
+def _refinements(scene: Scene) -> list[Variant | NotApplicable]:
     """What effects say that they lack: toe regions of linear tendons, where no line of force has one already."""
     lacking = [c for e in scene.effects for c in e.elaborations()]
     labels = [c.label for e in scene.effects for c in (*lacking, *e.simplifications())]
     if any(label.startswith(TOE) for label in labels):
-        return [*together(scene, "put in", lacking)]
-    return [*together(scene, "put in", lacking), NotApplicable(TOE, "put in", "no tendon is linear")]
+        return [*changed_together(scene, "put in", lacking)]
+    return [*changed_together(scene, "put in", lacking), NotApplicable(TOE, "put in", "no tendon is linear")]
 
 
 def _inertia(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicable]:

@@ -94,7 +94,7 @@ def map_contact(
         at = tuple(jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
         frame = jax.device_get(look(femur, button, law, at))
         for key, otherwise in (("depth", np.nan), ("pressure", 0.0)):
-            frame[key] = _spread(frame, key, triangles, otherwise)
+            frame[key] = _on_whole_mesh(frame, key, triangles, otherwise)
         return {key: value for key, value in frame.items() if key not in ("listed", "triangle")}
 
     n = poses.times.size
@@ -149,7 +149,7 @@ def _summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:
     }
 
 
-def _spread(frame: dict[str, np.ndarray], key: str, triangles: int, otherwise: float) -> NDArray[np.float32]:
+def _on_whole_mesh(frame: dict[str, np.ndarray], key: str, triangles: int, otherwise: float) -> NDArray[np.float32]:
     """Values of the list on the whole mesh, (triangles,) in single precision."""
     listed = frame["listed"]
     whole = np.full(triangles, otherwise, dtype=np.float32)
@@ -192,7 +192,7 @@ def check_sides(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries) -> N
         InputError: more than half of the button behind the femur's surface, or all of it far away, in all of them.
     """
     frames = np.unique(np.linspace(0, poses.times.size - 1, _LOOKS).round().astype(int))
-    looks = [_look(femur, button, poses, k) for k in frames]
+    looks = [_relative_pose(femur, button, poses, k) for k in frames]
     if all(look.behind > 0.5 for look in looks):
         raise InputError(
             f"at {poses.times[frames[0]]:g} s {looks[0].behind:.0%} of the button are inside the femur, "
@@ -242,6 +242,6 @@ def status(found: ContactMap) -> NDArray[np.int32]:
     return np.where(found.touching, 0, 1).astype(np.int32) + np.where(found.too_deep, 2, 0).astype(np.int32)
 
 
-def _look(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries, k: int) -> MutualPlace:
+def _relative_pose(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries, k: int) -> MutualPlace:
     """How button and femur lie to each other in a frame."""
     return mutual_place(femur, button, poses.positions[k], poses.matrices()[k])

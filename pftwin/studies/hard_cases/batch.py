@@ -15,13 +15,22 @@ from pftwin.base.spatial import Pose
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrators import integrator_from_text
-from pftwin.dynamics.relaxation import thrown
+from pftwin.dynamics.relaxation import ended_far_away
 from pftwin.model.scene import Scene, check
 from pftwin.studies.hard_cases import derivatives
 from pftwin.studies.hard_cases.case import CaseIntegrator, HardCase
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.knee import RATE
-from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, Rest, compiled, poses, relaxed, rest, run
+from pftwin.studies.hard_cases.programs import (
+    PARAMETERS,
+    CaseRun,
+    Rest,
+    compiled,
+    equilibrium_with_derivatives,
+    poses,
+    relaxed,
+    run,
+)
 
 
 class CaseBatch(NamedTuple):
@@ -31,7 +40,7 @@ class CaseBatch(NamedTuple):
     scenes: Scene
 
 
-def built(case: HardCase, contact: str) -> Scene:
+def built_scene(case: HardCase, contact: str) -> Scene:
     """The case as a scene that may be simulated.
 
     Raises:
@@ -51,7 +60,7 @@ def batches(cases: Sequence[HardCase], contact: str) -> tuple[list[CaseBatch], d
         if contact not in case.contacts:
             continue
         try:
-            scene = built(case, contact).unnamed()
+            scene = built_scene(case, contact).unnamed()
         except InputError as error:
             refused[case.name] = error
         else:
@@ -97,7 +106,7 @@ def short_enough(batch: CaseBatch, method: CaseIntegrator) -> list[int]:
     return [k for k, c in enumerate(batch.cases) if most is None or (frames - 1) * steps_of(c, method) <= most]
 
 
-def part(batch: CaseBatch, which: list[int]) -> CaseBatch:
+def selected_cases(batch: CaseBatch, which: list[int]) -> CaseBatch:
     """The chosen cases of a batch."""
     at = np.asarray(which)
     return CaseBatch(tuple(batch.cases[k] for k in which), jax.tree.map(lambda a: a[at], batch.scenes))
@@ -161,19 +170,19 @@ class Starts(NamedTuple):
 def starts_of(batch: CaseBatch, dtype: str) -> Starts:
     """Solves for all equilibria, with derivatives; where the search fails the damped relaxation helps."""
     double, n = dtype == "float64", len(batch.cases)
-    search, nothing = compiled(rest, double), jnp.zeros((n, len(PARAMETERS)))
+    search, nothing = compiled(equilibrium_with_derivatives, double), jnp.zeros((n, len(PARAMETERS)))
     found: Rest = search(batch.scenes, nothing)
     scenes, wanted = batch.scenes, np.array([not c.released for c in batch.cases])
     lost = ~_converged(found.equilibrium) & wanted  # a patella released from its start pose keeps that pose
     if lost.any():
         there = compiled(relaxed, double)(scenes)
-        usable = lost & ~thrown(scenes.start, there)
-        scenes = eqx.tree_at(lambda s: s.start, scenes, _where(usable, there, scenes.start))
+        usable = lost & ~ended_far_away(scenes.start, there)
+        scenes = eqx.tree_at(lambda s: s.start, scenes, _select_members(usable, there, scenes.start))
         again: Rest = search(scenes, nothing)
-        found = _where(lost & _converged(again.equilibrium), again, found)
+        found = _select_members(lost & _converged(again.equilibrium), again, found)
     released = jnp.asarray(~wanted)
-    chosen = _where(released, found.released, found.equilibrium)
-    return Starts(chosen, _wrong(batch, found, scenes, search, dtype))
+    chosen = _select_members(released, found.released, found.equilibrium)
+    return Starts(chosen, _failing_equilibria(batch, found, scenes, search, dtype))
 
 
 def starts_part(starts: Starts, which: list[int]) -> Starts:
@@ -186,7 +195,7 @@ def _converged(solution: Solution) -> np.ndarray:
     return np.asarray(solution.residual) < tolerance_on_host(solution)
 
 
-def _where(which: Any, a: Any, b: Any) -> Any:
+def _select_members(which: Any, a: Any, b: Any) -> Any:
     """Stacked members: of `a` where `which`, else of `b`."""
     chosen = jnp.asarray(which)
 
@@ -196,7 +205,7 @@ def _where(which: Any, a: Any, b: Any) -> Any:
     return jax.tree.map(pick, a, b)
 
 
-def _wrong(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:
+def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:
     """Cases that start from an equilibrium: does the search end, and are its derivatives finite, and right."""
     n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, _patella_frame(scenes, found.equilibrium))
     said, columns = {}, np.asarray(found.slopes)
@@ -205,7 +214,7 @@ def _wrong(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) 
     if dtype == "float64":
         sides = [
             [np.asarray(poses(search(near, jnp.tile(jnp.asarray(p), (n, 1))).equilibrium.pose)) for p in side]
-            for side in derivatives.changes()
+            for side in derivatives.parameter_changes()
         ]
         reference = derivatives.differences(np.stack(sides[0]), np.stack(sides[1]))
     for k, case in enumerate(batch.cases):

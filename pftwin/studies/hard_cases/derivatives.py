@@ -21,7 +21,7 @@ LEAST = {"float64": 1e-7, "float32": 1e-4}  # [m or quaternion component per uni
 SHARE_IN_SINGLE = 0.10  # tolerance of float32 derivatives against float64 differences
 
 
-def changes(share: float = 1.0) -> Floats:
+def parameter_changes(share: float = 1.0) -> Floats:
     """(2, 4, 4): the parameters' changes, forward and backward, a row for each parameter; or a share of them."""
     return share * CHANGE * np.stack([np.eye(len(PARAMETERS)), -np.eye(len(PARAMETERS))])
 
@@ -31,7 +31,7 @@ def differences(ahead: Floats, back: Floats, share: float = 1.0) -> Floats:
     return np.moveaxis((ahead - back) / (2 * share * CHANGE), 0, -1)
 
 
-def settled(coarse: Floats, fine: Floats) -> Floats:
+def agreeing_differences(coarse: Floats, fine: Floats) -> Floats:
     """Finite differences (n, 7, 4) that agree for two sizes of change: NaN from the first frame where they differ."""
     size = np.maximum.accumulate(np.abs(fine).max(axis=1), axis=0)
     off = np.abs(fine - coarse).max(axis=1)

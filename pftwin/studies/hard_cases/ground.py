@@ -199,7 +199,7 @@ Vertices, Faces = NDArray[np.float64], NDArray[np.int64]
 Change = Callable[[Vertices, Faces], tuple[Vertices, Faces]]
 
 
-def _doctored(change: Change) -> Callable[[TiltedGround], SurfaceMesh]:
+def _defective_mesh(change: Change) -> Callable[[TiltedGround], SurfaceMesh]:
     """The ground's mesh with a defect, and repaired as far as a repair keeps the surface."""
 
     def made(ground: TiltedGround) -> SurfaceMesh:
@@ -261,12 +261,12 @@ def _wide(ground: TiltedGround) -> SurfaceMesh:
 MESH_MAKERS: dict[str, Callable[[TiltedGround], SurfaceMesh]] = {
     "wide": _wide,
     "one_triangle": _one_triangle,
-    "zero_area": _doctored(_with_faces(lambda v, f: [f[0, 0], f[0, 0], f[0, 1]])),
-    "duplicate": _doctored(_with_faces(lambda v, f: f[[7, 7]])),
-    "two_faced": _doctored(_with_faces(lambda v, f: f[5, ::-1])),
-    "flipped": _doctored(_turned),
-    "needles": _doctored(_needle),
-    "hole": _doctored(_hole),
-    "fork": _doctored(_fork),
-    "crossing": _doctored(_crossing),
+    "zero_area": _defective_mesh(_with_faces(lambda v, f: [f[0, 0], f[0, 0], f[0, 1]])),
+    "duplicate": _defective_mesh(_with_faces(lambda v, f: f[[7, 7]])),
+    "two_faced": _defective_mesh(_with_faces(lambda v, f: f[5, ::-1])),
+    "flipped": _defective_mesh(_turned),
+    "needles": _defective_mesh(_needle),
+    "hole": _defective_mesh(_hole),
+    "fork": _defective_mesh(_fork),
+    "crossing": _defective_mesh(_crossing),
 }

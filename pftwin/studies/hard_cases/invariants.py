@@ -183,7 +183,7 @@ def symmetric(look: Look) -> str | None:
     return f"leaves the plane of symmetry by {off:.1g}" if off > look.tolerance.symmetric else None
 
 
-def still(look: Look) -> str | None:
+def stays_in_place(look: Look) -> str | None:
     """What must not move stays in place."""
     if not look.case.expected.still:
         return None
@@ -219,6 +219,6 @@ CHECKS: tuple[Callable[[Look], str | None], ...] = (
     place,
     geometry_flags,
     symmetric,
-    still,
+    stays_in_place,
     at_end,
 )

@@ -20,7 +20,7 @@ from pftwin.studies.hard_cases.batch import (
     batch_mates,
     batches,
     member,
-    part,
+    selected_cases,
     short_enough,
     starts_of,
     starts_part,
@@ -85,7 +85,7 @@ def _of_contact(
     cells = [_refusal(c, contact, m, dtype, refused[c.name]) for m in methods for c in cases if c.name in refused]
     words = limit_of(contact).without_inertia
     unfit = [m for m in methods if words is not None and not m.inertia]
-    cells += [_unfit(c, batch, contact, m, dtype) for m in unfit for batch in stacks for c in batch.cases]
+    cells += [_refused_cells(c, batch, contact, m, dtype) for m in unfit for batch in stacks for c in batch.cases]
     methods = [m for m in methods if m not in unfit]
     for batch in stacks if methods else ():
         starts = starts_of(batch, dtype)
@@ -94,7 +94,7 @@ def _of_contact(
             which = short_enough(batch, method)
             if not which:
                 continue
-            own, own_starts = part(batch, which), starts_part(starts, which)
+            own, own_starts = selected_cases(batch, which), starts_part(starts, which)
             cells += _run_batch(own, own_starts, contact, method, dtype, selection, references)
             say(f"{contact}, {method.name}, {dtype}: {len(which)} cases in {time.perf_counter() - began:.1f} s")
     return cells
@@ -108,7 +108,7 @@ def _refusal(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, e
     return Cell(case.name, contact, method.name, dtype, outcome, reason)
 
 
-def _unfit(case: HardCase, batch: CaseBatch, contact: str, method: CaseIntegrator, dtype: str) -> Cell:
+def _refused_cells(case: HardCase, batch: CaseBatch, contact: str, method: CaseIntegrator, dtype: str) -> Cell:
     """Cells of an integrator that must refuse this contact."""
     words = limit_of(contact).without_inertia or ""
     try:
@@ -179,7 +179,7 @@ def _references(batch: CaseBatch, slopes: NDArray[Any], forward: Callable[[Any],
     off = [k for k in range(n) if smooth[k] and derivatives.disagree(slopes[k], found[k], "float64")]
     if off:
         finer = _differences(forward, n, derivatives.FINER)
-        found[off] = [derivatives.settled(found[k], finer[k]) for k in off]
+        found[off] = [derivatives.agreeing_differences(found[k], finer[k]) for k in off]
     return found
 
 
@@ -187,6 +187,6 @@ def _differences(forward: Callable[[Any], CaseRun], n: int, share: float = 1.0) 
     """(cases, frames, 7, 4): central differences of the poses."""
     sides = [
         [np.asarray(poses(forward(jnp.tile(jnp.asarray(p), (n, 1))).states)) for p in side]
-        for side in derivatives.changes(share)
+        for side in derivatives.parameter_changes(share)
     ]
     return derivatives.differences(np.stack(sides[0]), np.stack(sides[1]), share)

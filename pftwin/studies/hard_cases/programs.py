@@ -24,7 +24,7 @@ from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.state import State, System
-from pftwin.dynamics.static_load import still
+from pftwin.dynamics.static_load import patella_at_rest
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.patch.charts import CylindricalChart
 from pftwin.geometry.patch.polynomial import PolynomialPatch
@@ -53,7 +53,7 @@ class CaseRun(eqx.Module):
     ledger: Ledger
 
 
-def varied(scene: Scene, p: Array) -> Scene:
+def with_parameters(scene: Scene, p: Array) -> Scene:
     """The scene with its parameters changed by p (4,), in `UNITS`."""
     quadriceps, tendon, button = (scene.index(n) for n in ("quadriceps", "patellar_tendon", "contact"))
     scene = eqx.tree_at(
@@ -95,16 +95,16 @@ def _columns(function: Callable[[Array], Array]) -> Array:
     return jnp.moveaxis(columns, 0, -1)
 
 
-def rest(scene: Scene, p: Array) -> Rest:
+def equilibrium_with_derivatives(scene: Scene, p: Array) -> Rest:
     """The scene's equilibrium with its derivatives, and its own start."""
 
     def found(change: Array) -> Array:
-        return poses(starting_equilibrium(varied(scene, p + change)).pose)
+        return poses(starting_equilibrium(with_parameters(scene, p + change)).pose)
 
-    changed = varied(scene, p)
+    changed = with_parameters(scene, p)
     pose, system = scene.center_of_mass_pose(), System.of(scene)
     solution = starting_equilibrium(changed)
-    memories = system.remember(still(first_guide(scene), pose))
+    memories = system.remember(patella_at_rest(first_guide(scene), pose))
     unknown = jnp.full_like(solution.residual, jnp.inf)
     nothing = jnp.zeros_like(solution.residual)
     released = Solution(pose, memories, unknown, solution.iterations * 0, 0 * solution.stiffness, nothing)
@@ -119,7 +119,7 @@ def relaxed(scene: Scene) -> Pose:
 
 def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: Integrator) -> CaseRun:
     """A simulation with its ledger and all observations."""
-    changed = varied(scene, p)
+    changed = with_parameters(scene, p)
     path = frame_states(changed, integrator=integrator, substeps=substeps, start=start, ledger=True)
     assert path.ledger is not None
     return CaseRun(path.states, observe(changed, path), path.ledger)
@@ -136,7 +136,9 @@ def slopes(scene: Scene, start: Solution, substeps: Array, integrator: Integrato
     """(n, 7, 4): derivatives of the frames' poses by `PARAMETERS`, from a fixed start."""
 
     def path(p: Array) -> Array:
-        return poses(frame_states(varied(scene, p), integrator=integrator, substeps=substeps, start=start).states)
+        return poses(
+            frame_states(with_parameters(scene, p), integrator=integrator, substeps=substeps, start=start).states
+        )
 
     return _columns(path)
 

@@ -15,7 +15,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.results.result import Result
-from pftwin.studies.hard_cases.batch import batches, built, member, starts_of, steps_of
+from pftwin.studies.hard_cases.batch import batches, built_scene, member, starts_of, steps_of
 from pftwin.studies.hard_cases.case import HardCase, method_named
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import PARAMETERS, compiled, run
@@ -31,7 +31,7 @@ def counts(cells: Iterable[Cell]) -> Counter[str]:
     return Counter(c.outcome for c in cells)
 
 
-def named(cases: Sequence[HardCase]) -> Sheet:
+def named_cases(cases: Sequence[HardCase]) -> Sheet:
     """The cases and their difficulties."""
     return Sheet("hard cases", ("case", "what is hard"), tuple((c.name, c.about) for c in cases))
 
@@ -158,7 +158,7 @@ def read_pieces(path: Path) -> list[KeptPiece]:
     return sorted(found, key=lambda piece: str(piece.machine["date"]))
 
 
-def merged(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
+def merged_pieces(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
     """All cells, each from the last piece that has it.
 
     Args:
@@ -209,7 +209,7 @@ def results(
             for k, case in enumerate(batch.cases):
                 one = member(ran, k)
                 found[case.name] = Result.build(
-                    built(case, contact),
+                    built_scene(case, contact),
                     member(starts, k),
                     one.seen,
                     one.ledger,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.dynamics.status import Status
-from pftwin.studies.hard_cases import derivatives
+from pftwin.studies.hard_cases import derivatives, invariants
 from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator, HardCase, limit_of
 from pftwin.studies.hard_cases.invariants import CHECKS, GEOMETRY, TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import CaseRun
@@ -55,7 +55,11 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
     if every & UNKNOWN and (method.may_refuse or case.expected.may & UNKNOWN or _at_limit(look)):
         return _refused(look, every, cell)
     wrong = [words for check in CHECKS if (words := check(look)) is not None]
-    wrong += [w for w in (evidence.start, evidence.mates, _same(look, evidence), _slopes(look, evidence, dtype)) if w]
+    wrong += [
+        w
+        for w in (evidence.start, evidence.mates, _equals_other_case(look, evidence), _slopes(look, evidence, dtype))
+        if w
+    ]
     return cell("fail", "; ".join(wrong)) if wrong else cell("pass", "")
 
 
@@ -75,16 +79,16 @@ def _refused(look: Look, every: Status, cell: object) -> Cell:
     first = np.argmax(lost) if lost.any() else len(flags)
     if lost.any() and not said[: first + 1].any():
         return cell("fail", f"not finite from frame {first}, and nothing said before")  # pyright: ignore
-    skipped = {"finite", "flags_allowed", "at_end", "still"}
+    skipped = {invariants.finite, invariants.flags_allowed, invariants.at_end, invariants.stays_in_place}
     if every & Status.ENERGY_FROM_NOWHERE:
-        skipped |= {"energy", "penetration"}  # the run flags it by the share of its largest energy
-    wrong = [w for check in CHECKS if check.__name__ not in skipped and (w := check(look)) is not None]
+        skipped |= {invariants.energy, invariants.penetration}  # the run flags it by the share of its largest energy
+    wrong = [w for check in CHECKS if check not in skipped and (w := check(look)) is not None]
     if wrong:
         return cell("fail", "before it refuses itself: " + "; ".join(wrong))  # pyright: ignore
     return cell("refused", (every & UNKNOWN).describe())  # pyright: ignore
 
 
-def _same(look: Look, evidence: Evidence) -> str | None:
+def _equals_other_case(look: Look, evidence: Evidence) -> str | None:
     """The motion must equal that of another case."""
     other = look.case.expected.same_as
     if other is None:

@@ -18,7 +18,7 @@ from fitting.fit import SPRING_PARAMETERS
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import free_parameters
 from fitting.programs import POSITION
-from fitting.uncertainty import NORMAL_95, inverted, uncertainty
+from fitting.uncertainty import NORMAL_95, inverse_information, uncertainty
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 from pftwin.rig.laboratory import FORCE_NOISE, MARKER_NOISE
@@ -130,7 +130,7 @@ def bound(objective: Objective, clean: Prediction) -> Floats:
     assert slopes is not None
     noise = np.array([MARKER_NOISE] * 3 + [FORCE_NOISE])[: slopes.shape[2]]
     flat = (slopes[0] / noise[:, None]).reshape(-1, slopes.shape[-1])
-    return inverted(flat.T @ flat)
+    return inverse_information(flat.T @ flat)
 
 
 def _deviations(objective: Objective, common: WideEvaluator, seen: Prediction, values: Floats, i: int) -> Floats:

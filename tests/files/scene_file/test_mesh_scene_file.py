@@ -180,7 +180,7 @@ def test_a_smooth_surface_tells_results_where_the_groove_is(toy: Path) -> None:
 def test_kept_scenes_are_read_anew_where_a_mesh_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pftwin, "imported_at", np.inf)  # whoever edits the source while this runs
     before = cache_folder.chosen()
-    cache_folder.use(tmp_path / "kept")
+    cache_folder.use_cache_folder(tmp_path / "kept")
     written: list[str] = []
     write = cache_folder.write
     monkeypatch.setattr(cache_folder, "write", lambda kind, key, body: written.append(key) or write(kind, key, body))
@@ -203,7 +203,7 @@ def test_kept_scenes_are_read_anew_where_a_mesh_has_changed(tmp_path: Path, monk
             assert any(a.shape != b.shape or not np.array_equal(a, b) for a, b in pairs)
             first = again
     finally:
-        cache_folder.use(before)
+        cache_folder.use_cache_folder(before)
 
 
 def test_a_scene_without_meshes_imports_nothing_of_them(toy: Path) -> None:

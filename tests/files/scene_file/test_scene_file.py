@@ -325,7 +325,7 @@ def test_a_scene_file_is_read_anew_only_where_a_file_has_changed(tmp_path, monke
     write = cache_folder.write
     monkeypatch.setattr(cache_folder, "write", lambda kind, key, body: derived.append(key) or write(kind, key, body))
     before = cache_folder.chosen()
-    cache_folder.use(tmp_path / "kept")
+    cache_folder.use_cache_folder(tmp_path / "kept")
     try:
         path = write_toy(tmp_path)
         first, again = load_scene_file(path), load_scene_file(path)
@@ -341,4 +341,4 @@ def test_a_scene_file_is_read_anew_only_where_a_file_has_changed(tmp_path, monke
         with pytest.raises(InputError, match="truncated"):
             load_scene_file(path)
     finally:
-        cache_folder.use(before)
+        cache_folder.use_cache_folder(before)

@@ -18,7 +18,7 @@ from cheap_cohort import CheapWork, cheap, write_cohort
 
 from fitting.cohort import read_cohort, run_cohort
 from fitting.cohort.folder import check_cohort
-from fitting.cohort.manifest import Manifest, fault, file_digest
+from fitting.cohort.manifest import Manifest, file_digest, file_fault
 
 HERE = Path(__file__).resolve().parent
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -76,7 +76,7 @@ class Watched:
         place = self.cohort.output
         manifest = Manifest.load(place) if (place / "manifest.json").exists() else Manifest(self.cohort.name)
         for name, entry in manifest.files.items():
-            assert fault(entry, place / name) is None, name
+            assert file_fault(entry, place / name) is None, name
         now = {name: entry.sha256 for name, entry in manifest.files.items()}
         assert self.finished.items() <= now.items(), "a finished file was written again or forgotten"
         lost = (begun - self.begun) - (len(now) - len(self.finished))

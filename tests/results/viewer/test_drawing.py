@@ -23,7 +23,7 @@ from pftwin.results.viewer.assembly import plot
 from pftwin.results.viewer.knee import line_ends
 from pftwin.results.viewer.page import page
 from pftwin.results.viewer.recorded import MOST_FRAMES, Recorded, recorded
-from pftwin.results.viewer.shapes import MOST_TRIANGLES, Shape, apart, behind_plane, path, shell, surface, tubes
+from pftwin.results.viewer.shapes import MOST_TRIANGLES, Shape, behind_plane, path, shell, spaced_points, surface, tubes
 
 pytest.importorskip("k3d")
 
@@ -87,7 +87,7 @@ def test_tubes_begin_and_end_where_lines_do(drawn, result):
 
 def test_forces_on_the_facets_are_the_contact_force(result):
     one = Recorded.of(result)
-    total = sum(np.where(push.present[:, None], push.forces, 0.0) for push in one.pushes)
+    total = sum(np.where(arrow.present[:, None], arrow.forces, 0.0) for arrow in one.contact_arrows)
     reported = np.stack([result.effects["contact"][f"force_{a}"] for a in "xyz"], axis=1)
     assert np.abs(reported).max() > 1
     # A contact point is a Newton step from the nearest one: that much the direction to the centre is off.
@@ -97,7 +97,7 @@ def test_forces_on_the_facets_are_the_contact_force(result):
 def test_without_a_sphere_one_force_stands_for_both_facets(result):
     one = Recorded.of(result)
     one = dataclasses.replace(one, geometry=one.geometry.drop_vars(["button_center", "button_radius"]))
-    medial, lateral, whole = one.pushes
+    medial, lateral, whole = one.contact_arrows
     assert medial.forces is None
     assert lateral.touches
     assert not whole.touches
@@ -289,7 +289,7 @@ def test_tubes_and_paths_keep_their_radius():
     drawn = path(points, 0.3, sides=4)
     assert len(drawn.vertices) == 4 * 4
     assert len(drawn.triangles) == 2 * 4 * 2  # the gap stays open
-    assert apart(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.5, 0, 0]]), 0.4).tolist() == [True, False, True]
+    assert spaced_points(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.5, 0, 0]]), 0.4).tolist() == [True, False, True]
 
 
 def test_a_shell_is_closed_and_its_top_is_the_surface(result):

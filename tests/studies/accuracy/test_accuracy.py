@@ -17,7 +17,7 @@ from pftwin.cli.program import app
 from pftwin.files.result_files import load_dataset
 from pftwin.results.metrics import validate
 from pftwin.studies.accuracy.measure import AccuracyRow, compiling_anew, converged, float_type, rows
-from pftwin.studies.accuracy.programs import COMMON, FLOATS, MESHES, SMOOTH, MeasuredProgram, chosen, everything
+from pftwin.studies.accuracy.programs import COMMON, FLOATS, MESHES, SMOOTH, MeasuredProgram, chosen, full_table
 from pftwin.studies.accuracy.run import AccuracyMeasured, report, write
 from pftwin.studies.accuracy.table import advice, columns, front, read_csv, recommended
 from pftwin.studies.tables import to_csv
@@ -48,7 +48,7 @@ def test_advice_is_the_fastest_within_an_error():
 
 
 def test_the_whole_plan_holds_all_that_there_is():
-    plan = everything()
+    plan = full_table()
     assert {s.contact for s in plan} == {*SMOOTH, *MESHES}
     assert {s.dtype for s in plan} == set(FLOATS)
     assert {s.integrator for s in plan} >= {*COMMON, "ali3p", "symplectic_euler", "diffrax:Tsit5"}

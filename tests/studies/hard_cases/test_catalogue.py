@@ -20,7 +20,7 @@ from pftwin.studies.hard_cases import (
     method_named,
     run_matrix,
 )
-from pftwin.studies.hard_cases.batch import batches, built
+from pftwin.studies.hard_cases.batch import batches, built_scene
 from pftwin.studies.hard_cases.case import Expected, HardCase
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.knee import KneeNumbers
@@ -73,7 +73,7 @@ def test_what_cannot_be_simulated_is_refused_in_words(contact):
         if case.expected.refusal is None or contact not in case.contacts:
             continue
         with pytest.raises(InputError) as error:
-            built(case, contact)
+            built_scene(case, contact)
         assert case.expected.refusal in str(error.value), case.name
 
 

@@ -17,7 +17,7 @@ def differences(share: float) -> np.ndarray:
 
 
 def test_differences_by_changes_of_two_sizes_are_known_until_they_part():
-    found = derivatives.settled(differences(1.0), differences(derivatives.FINER))
+    found = derivatives.agreeing_differences(differences(1.0), differences(derivatives.FINER))
     known = np.isfinite(found)
     assert known[:5].all()
     assert not known[20:].any()
@@ -27,7 +27,7 @@ def test_differences_by_changes_of_two_sizes_are_known_until_they_part():
 
 
 def test_a_wrong_derivative_is_told_from_a_wild_motion():
-    found = derivatives.settled(differences(1.0), differences(derivatives.FINER))
+    found = derivatives.agreeing_differences(differences(1.0), differences(derivatives.FINER))
     wrong = LONG.copy()
     wrong[:, :, 2] *= 1.05
     assert "height of the surface off by 5" in str(derivatives.disagree(wrong, found, "float64"))

@@ -11,15 +11,15 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2, LinearImplicit, Newmark, SymplecticEuler
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import case_named
-from pftwin.studies.hard_cases.batch import built, member, stacked
-from pftwin.studies.hard_cases.programs import compiled, rest, run
+from pftwin.studies.hard_cases.batch import built_scene, member, stacked
+from pftwin.studies.hard_cases.programs import compiled, equilibrium_with_derivatives, run
 
 
 def flags_of(names: list[str], integrator: Integrator, substeps: int) -> list[Status]:
     """All flags of each case's frames."""
     cases = [case_named(n) for n in names]
-    scenes, none = stacked([built(c, "P5").unnamed() for c in cases]), jnp.zeros((len(cases), 4))
-    starts = compiled(rest, True)(scenes, none)
+    scenes, none = stacked([built_scene(c, "P5").unnamed() for c in cases]), jnp.zeros((len(cases), 4))
+    starts = compiled(equilibrium_with_derivatives, True)(scenes, none)
     chosen = [member(starts.released if c.released else starts.equilibrium, k) for k, c in enumerate(cases)]
     steps = jnp.full(len(cases), substeps)
     seen = compiled(run, True, integrator=integrator)(scenes, stacked(chosen), steps, none).seen

@@ -9,7 +9,7 @@ import pytest
 from pftwin.base.errors import InputError
 from pftwin.studies.hard_cases import case_named, method_named
 from pftwin.studies.hard_cases.batch import batches, short_enough
-from pftwin.studies.hard_cases.table import KeptPiece, merged, read_piece, read_pieces, runs
+from pftwin.studies.hard_cases.table import KeptPiece, merged_pieces, read_piece, read_pieces, runs
 from pftwin.studies.hard_cases.verdict import Cell
 
 MACHINE = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
@@ -20,7 +20,9 @@ def piece(outcome: str, *cases: str) -> KeptPiece:
 
 
 def test_of_cells_run_twice_the_later_counts():
-    found = merged([piece("fail", "b", "a"), piece("pass", "b")], (("a", "b"), ("P5",), ("newmark",), ("float64",)))
+    found = merged_pieces(
+        [piece("fail", "b", "a"), piece("pass", "b")], (("a", "b"), ("P5",), ("newmark",), ("float64",))
+    )
     assert [(c.case, c.outcome) for c in found] == [("a", "fail"), ("b", "pass")]
 
 

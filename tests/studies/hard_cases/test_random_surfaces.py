@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.geometry.patch.polynomial import exponents
-from pftwin.studies.hard_cases.batch import built, member, stacked
+from pftwin.studies.hard_cases.batch import built_scene, member, stacked
 from pftwin.studies.hard_cases.case import HardCase
 from pftwin.studies.hard_cases.invariants import CHECKS, TOLERANCES, Look
 from pftwin.studies.hard_cases.knee import BUMPS, DEGREE, KneeNumbers, bumpy
-from pftwin.studies.hard_cases.programs import compiled, depths, rest, run
+from pftwin.studies.hard_cases.programs import compiled, depths, equilibrium_with_derivatives, run
 
 COEFFICIENTS = st.lists(
     st.floats(-2 * BUMPS, 2 * BUMPS), min_size=len(exponents(DEGREE)), max_size=len(exponents(DEGREE))
@@ -31,8 +31,8 @@ def test_invariants_hold_on_any_surface(coefficients, stiffness, mass):
     plain = KneeNumbers(ground=bumpy(np.array(coefficients)), mass=mass)
     knee = replace(plain, law=replace(plain.law, stiffness=10**stiffness))
     case = HardCase("any", "at random", "Any surface.", lambda: knee)
-    scenes, none = stacked([built(case, "P5").unnamed()]), jnp.zeros((1, 4))
-    start = compiled(rest, True)(scenes, none).equilibrium
+    scenes, none = stacked([built_scene(case, "P5").unnamed()]), jnp.zeros((1, 4))
+    start = compiled(equilibrium_with_derivatives, True)(scenes, none).equilibrium
     hypothesis.assume(float(start.residual[0]) < 1e-6)
     forward = compiled(run, True, integrator=LinearImplicit())(scenes, start, jnp.array([10]), none)
     depth = np.asarray(compiled(depths, True)(scenes, forward.seen.center))[0]

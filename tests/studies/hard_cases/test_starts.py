@@ -48,7 +48,7 @@ def test_a_case_that_is_let_go_stays_where_it_was_put(monkeypatch, wanted):
     monkeypatch.setattr(
         batch, "compiled", lambda function, double: (lambda scenes: pose(LOW)) if function is relaxed else searched
     )
-    monkeypatch.setattr(batch, "_wrong", lambda *given: {})
+    monkeypatch.setattr(batch, "_failing_equilibria", lambda *given: {})
     cases = tuple(SimpleNamespace(released=r, name=n) for r, n in ((not wanted, "one"), (True, "let go")))
     scenes = Put(pose(HIGH), None)
     chosen = batch.starts_of(CaseBatch(cases, scenes), "float32").chosen  # pyright: ignore[reportArgumentType]

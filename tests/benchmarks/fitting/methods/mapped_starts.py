@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from fitting.methods.problem import Problem, lenient
+from fitting.methods.problem import Problem, standard_promotion
 from fitting.parameters import applied
 from pftwin.base.errors import MissingExtraError
 from pftwin.base.spatial import Pose
@@ -74,7 +74,7 @@ def optimistix_levenberg_marquardt(meter: Meter, seed: int) -> str:
     others = p.latin_hypercube(STARTS - 1, np.random.default_rng(seed))
     first = np.concatenate([p.nominal[None], others])
     guesses, u = meter.problem.evaluator.guesses(first), jnp.asarray(p.to_unbounded(first))
-    with lenient():
+    with standard_promotion():
         state = _begin(solver, residuals, u, guesses)
         for _ in range(_MOST_STEPS):
             meter.check()

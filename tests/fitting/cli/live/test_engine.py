@@ -12,7 +12,7 @@ from small_scene import small_scene
 
 import pftwin
 from fitting.cli.live.engine import Engine
-from fitting.cli.live.knobs import KNOBS, neutral, turned
+from fitting.cli.live.knobs import KNOBS, neutral, scene_with_knobs
 from fitting.cli.live.motion import Shown
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.shapes import of_poses
@@ -27,7 +27,7 @@ def engine():
 
 def test_gives_what_simulate_gives_of_the_treated_scene(engine):
     answer = engine.run("groove", MOVED)
-    result = pftwin.simulate(turned(small_scene(), KNOBS, MOVED))
+    result = pftwin.simulate(scene_with_knobs(small_scene(), KNOBS, MOVED))
     data = answer.recorded.data
     np.testing.assert_array_equal(data["patella_position"].values, result.position)
     np.testing.assert_array_equal(data["patella_quaternion"].values, result.quaternion)
@@ -40,9 +40,9 @@ def test_gives_what_simulate_gives_of_the_treated_scene(engine):
 
 
 def test_turning_compiles_nothing(engine):
-    treated = turned(small_scene(), KNOBS, MOVED)
+    treated = scene_with_knobs(small_scene(), KNOBS, MOVED)
     assert pftwin.simulate(treated).timing["compile_s"] == 0
-    assert pftwin.simulate(turned(small_scene(), KNOBS, neutral())).timing["compile_s"] == 0
+    assert pftwin.simulate(scene_with_knobs(small_scene(), KNOBS, neutral())).timing["compile_s"] == 0
     assert engine.ready("groove")
 
 

@@ -7,7 +7,7 @@ import types
 
 import pytest
 
-from fitting.cli.live.access import checked_origins, guarded, own_pages
+from fitting.cli.live.access import checked_origins, guarded_servers, own_pages
 from pftwin.base.errors import InputError, PftwinError
 
 HERE = "localhost:8080"
@@ -58,7 +58,7 @@ def test_a_proxys_origin_is_let_in_by_name():
 
 def test_a_server_that_cannot_be_guarded_is_not_left_unguarded():
     pytest.importorskip("websockets")
-    with pytest.raises(PftwinError, match="cannot guard"), guarded(own_pages("127.0.0.1")):
+    with pytest.raises(PftwinError, match="cannot guard"), guarded_servers(own_pages("127.0.0.1")):
         pass
 
 
@@ -66,7 +66,7 @@ def test_what_it_replaces_is_put_back(monkeypatch):
     module = types.SimpleNamespace(serve=lambda *a, **k: (a, k))
     server = pytest.importorskip("websockets.asyncio.server")
     monkeypatch.setattr(server, "serve", module.serve)
-    with guarded(own_pages("127.0.0.1")):
+    with guarded_servers(own_pages("127.0.0.1")):
         assert sys.modules["websockets.asyncio.server"].serve is not module.serve
         server.serve("handler", process_request=None)
     assert server.serve is module.serve

@@ -15,7 +15,7 @@ from live_engine import live_engine
 from small_scene import small_scene
 
 import pftwin
-from fitting.cli.live.knobs import KNOBS, neutral, turned
+from fitting.cli.live.knobs import KNOBS, neutral, scene_with_knobs
 from fitting.cli.live.words import KEPT
 from pftwin.base.errors import MissingExtraError
 
@@ -58,7 +58,7 @@ def until(true, seconds: float = 60.0) -> None:
 
 def drawn_for(session, **values) -> None:
     """Until what is drawn is the motion of these values."""
-    result = pftwin.simulate(turned(small_scene(), KNOBS, {**neutral(), **values}))
+    result = pftwin.simulate(scene_with_knobs(small_scene(), KNOBS, {**neutral(), **values}))
     until(lambda: np.array_equal(session._after.recorded.data["patella_position"].values, result.position))
 
 

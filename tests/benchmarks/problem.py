@@ -17,6 +17,7 @@ from jaxtyping import Array
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
+from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import tracked_center
 from pftwin.model.effects.tendon import Tendon
@@ -80,6 +81,9 @@ def started_nearby(scene: Scene) -> Scene:
     return eqx.tree_at(lambda s: s.start, scene, jax.jit(settle)(arrays))
 
 
-def tracked_path(scene: Scene, *, substeps: int | Scalar = 10, start: Solution | None = None) -> Vec3:
-    """The tracked point's path alone, femur frame (n_frames,) [m], by the integrator that `tolerance=` takes."""
-    return tracked_center(scene, frame_states(scene, integrator=BDF2(), substeps=substeps, start=start).states)
+def tracked_path(
+    scene: Scene, *, integrator: Integrator | None = None, substeps: int | Scalar = 10, start: Solution | None = None
+) -> Vec3:
+    """The tracked point's path alone, femur frame (n_frames,) [m]; by default with what `tolerance=` takes."""
+    path = frame_states(scene, integrator=integrator or BDF2(), substeps=substeps, start=start)
+    return tracked_center(scene, path.states)

@@ -120,7 +120,7 @@ BOTTOM = next(z for z in np.linspace(0.02, 0.04, 2001) if minima(0.0, z)[0] > RA
 
 def places(button, c: Vec3) -> list[tuple[float, float]]:
     now = eqx.tree_at(lambda n: n.patella.position, look(), c)
-    return [(float(t.closest.u), float(t.closest.v)) for t in _both(button, now)]
+    return [(float(t.at.u), float(t.at.v)) for t in _both(button, now)]
 
 
 @eqx.filter_jit

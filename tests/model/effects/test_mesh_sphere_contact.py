@@ -216,7 +216,7 @@ def small_knee() -> Scene:
 
 
 @pytest.mark.slow
-def test_a_knee_moves_on_a_mesh_as_on_its_patch_and_a_search_without_room_is_in_its_status(monkeypatch):
+def test_a_knee_moves_on_a_mesh_as_on_its_patch_and_a_search_without_room_is_in_its_status(monkeypatch, request):
     """From the patch's equilibrium, for static balance on flat triangles is not what Newton's method finds."""
     patch, scene = knee(6, LAW), small_knee()
     start = settled(patch)
@@ -228,7 +228,9 @@ def test_a_knee_moves_on_a_mesh_as_on_its_patch_and_a_search_without_room_is_in_
     way = np.linalg.norm((path.states.position - smooth.states.position).array(), axis=1)
     assert 0 < way.max() < 0.1e-3
     assert float(np.ptp(np.asarray(smooth.states.position.array()), axis=0).max()) > 0.2e-3
+    request.addfinalizer(jax.clear_caches)
     monkeypatch.setattr(wide, "WIDTH", 1)
+    jax.clear_caches()  # what was traced before knows the old width
     short = eqx.filter_jit(lambda s, p: observe(s, p))(scene, path)
     assert (np.asarray(short.status) & int(Status.SEARCH_OVERFLOW)).all()
     assert "ran out of room" in Status(int(short.status[0])).describe()

@@ -102,9 +102,10 @@ def test_a_mesh_is_drawn_from_where_it_is_touched(on_a_mesh):
     assert drawn.triangles.max() < drawn.u.size
     figure = on_a_mesh.plot.trajectory()
     found = lines(figure.axes[0])
-    assert list(found) == ["centre of the button", "centre of pressure"]
-    u, _ = drawn.place(on_a_mesh.effects["contact"]["center_of_pressure"])
-    np.testing.assert_allclose(found["centre of pressure"].get_ydata(), u, atol=1e-6)
+    assert list(found) == ["centre of the button", "contact, medial facet", "contact, lateral facet"]
+    u, _ = drawn.place(on_a_mesh.effects["contact"]["center_of_pressure"])  # the plate is one facet, called medial
+    np.testing.assert_allclose(found["contact, medial facet"].get_ydata(), u, atol=1e-6)
+    assert np.isnan(np.asarray(found["contact, lateral facet"].get_ydata())).all()
     assert len(figure.axes[0].collections) == 2  # filled contours and their lines
 
 

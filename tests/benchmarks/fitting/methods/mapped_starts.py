@@ -22,6 +22,7 @@ from fitting.parameters import applied
 from pftwin.base.errors import MissingExtraError
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.frame_states import starting_equilibrium
+from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import NumberPlace
 from tests.benchmarks.fitting.methods.meter import Meter
@@ -60,7 +61,8 @@ class Residuals(eqx.Module):
     def __call__(self, u: Array, guess: Pose) -> Array:
         """(3 n,)."""
         scene = applied(self.places, self.scene, self.theta(u))
-        path = tracked_path(scene, substeps=self.substeps, start=starting_equilibrium(scene, guess)).array()
+        start = starting_equilibrium(scene, guess)
+        path = tracked_path(scene, integrator=LinearImplicit(), substeps=self.substeps, start=start).array()
         off = self.present * (path - self.measured)
         count = jnp.sum(self.present)
         size = jnp.sqrt(jnp.sum(off**2, axis=0, keepdims=True) / count + 1e-14)

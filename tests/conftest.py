@@ -9,14 +9,12 @@ from pathlib import Path
 import jax
 import pytest
 
-from pftwin.base.program_cache import Program
 from pftwin.base.runtime import configure
 
 _ROOT = Path(__file__).resolve().parents[1]
 configure(cache_dir=os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache")))
-# Tests replace constants and functions of pftwin, which the names of stored programs do not show: JAX's cache alone
-# serves them, after tracing. Processes that tests start store programs as users' do.
-Program._key = lambda *_: None
+# What `simulate` and its like compile is stored as for users, under a name that does not show a constant that a test
+# has replaced: a test that replaces one traces a function of its own.
 # Single operations too are kept: both processes of a run need them, some thousands, each of a thirtieth of a second.
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -36,6 +34,11 @@ def pytest_configure(config: pytest.Config) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if "not slow" in config.option.markexpr and OPTIMISATION not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {OPTIMISATION}=0".strip()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The hard cases first: they are one file of half an hour, which would have one process to itself at the end."""
+    items.sort(key=lambda item: item.path.name != "test_matrix.py")
 
 
 @pytest.fixture(scope="session")

@@ -166,3 +166,12 @@ def test_between_taut_lines_long_steps_stay_stable(integrator, step, way):
     assert angle.max() < 1e-2
     assert place[-1] < 1e-5
     assert angle[-1] < 5e-3
+
+
+def test_a_spring_and_damper_at_the_end_are_stretched_by_what_the_step_moves_them():
+    term = StiffTerm(vec(0.6, 0.0, 0.8), vec(0.0, 0.01, 0.0), J(-7.0), J(-5.0), J(2e3), J(30.0), J(0.0))
+    dv, gain = [J(x) for x in (0.1, 0.2, -0.3, 1.0, 2.0, 3.0)], J(2e-3)
+    (end,) = load_at_end(Load(stiff=(term,)), dv, gain).stiff
+    along = 0.6 * 0.1 - 0.8 * 0.3 + 0.01 * 2.0  # m/s
+    assert float(end.elastic) == pytest.approx(-5.0 - 2e-3 * 2e3 * along)
+    assert float(end.force) == pytest.approx(-7.0 - (2e-3 * 2e3 + 30.0) * along)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitting.prediction.outcomes import MEASURES, Course, dislocated, measure, outcomes, running_median
+from fitting.prediction.outcomes import MEASURES, Course, dislocated, groove_surface, measure, outcomes, running_median
 from pftwin import rig, simulate
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
@@ -169,3 +170,12 @@ def test_a_result_without_contact_is_refused(result):
     bare = dataclasses.replace(result, contact=None, surface=None)
     with pytest.raises(InputError, match="no contact between a button and a trochlea"):
         outcomes(bare)
+
+
+def test_a_scene_without_a_groove_is_refused_and_why():
+    scene = rig.case(1, contact="P4")
+    with pytest.raises(InputError, match="no contact between a button and a trochlea"):
+        groove_surface(scene.without("contact"))
+    meshes = SimpleNamespace(surface=None, contact=SimpleNamespace(name="sliding"), name="knee")
+    with pytest.raises(InputError, match="the meshes of 'sliding' do not tell"):
+        groove_surface(meshes)  # type: ignore[arg-type]

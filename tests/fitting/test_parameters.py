@@ -134,3 +134,10 @@ def test_mistakes_are_named(scene, names, bounds, said):
 def test_a_prior_without_width_is_refused(scene):
     with pytest.raises(InputError, match="positive standard deviation"):
         free_parameters(scene, ["K1"], priors={"K1": (150.0, 0.0)})
+
+
+def test_a_prior_is_a_mean_and_a_standard_deviation(scene):
+    (k1, k2) = free_parameters(scene, ["K1", "K2"], priors={"K2": (600.0, 31.0)}).items
+    assert (k1.prior, k2.prior) == (None, (600.0, 31.0))
+    with pytest.raises(InputError, match="a mean and a positive standard deviation"):
+        free_parameters(scene, ["K1"], priors={"K1": (150.0, 10.0, 1.0)})

@@ -93,3 +93,15 @@ def test_the_best_of_a_generation_is_kept_and_only_if_it_is_the_best_so_far(kind
         assert state["best_value"] == best
         np.testing.assert_array_equal(state["best_theta"], expected)
         values = values + 1 if row == 1 else np.array([7.0, 5.0, 9.0, 9.0, 1.5, *[8.0] * 7])
+
+
+@pytest.mark.parametrize("kind", [CmaEs, DifferentialEvolution])
+def test_members_of_the_first_population_that_failed_are_counted(kind):
+    search = begun(kind, 3)
+    state = search.begin()
+    for failed in (5, 2):  # only those of the first
+        request = search.ask(state)
+        values = np.linspace(1.0, 2.0, 12)
+        values[:failed] = np.nan
+        search.tell(state, request, ProblemAnswer(values))
+        assert state["dropped"] == 5

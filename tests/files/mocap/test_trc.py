@@ -143,7 +143,7 @@ def test_bad_rows_are_named(tmp_path, rows, end, message):
         (b" \n\n", "the file is empty"),
         (bytes(range(256)) * 8, "binary, not text"),
         (b"hello\nworld\n", "no line with the marker names"),
-        (b"Frame#\tTime\n", "no marker names"),
+        (b"Frame#\tTime\n", r"a\.trc, line 1: no marker names"),
         (HEAD.format(frames=3, units="furlong").encode() + ROWS[0].encode() + b"\n", "no unit called 'furlong'"),
         (HEAD.format(frames=3, units="N").encode() + ROWS[0].encode() + b"\n", "'N' is not a length"),
         (HEAD.format(frames=1, units="mm").replace("ankle", "knee").encode() + ROWS[0].encode() + b"\n", "occur twice"),
@@ -198,3 +198,9 @@ def test_a_place_that_cannot_be_written(tmp_path):
     markers = MarkerTrajectories(np.arange(2.0), ("A",), np.ones((2, 1, 3)))
     with pytest.raises(OutputError, match="cannot be written"):
         write_trc(tmp_path / "absent" / "a.trc", markers)
+
+
+@pytest.mark.parametrize("counted", [2, 4])
+def test_a_header_that_is_off_by_one_frame_is_warned_about(tmp_path, counted):
+    with pytest.warns(PftwinWarning, match=f"header counts {counted} frames, the file has 3"):
+        read_trc(trc(tmp_path, frames=counted))

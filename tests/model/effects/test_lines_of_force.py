@@ -194,3 +194,10 @@ def test_prescribed_tension_between_before_and_after_its_samples():
     for time, size, x in ((0.2, 10, 0), (1.0, 10, 0), (1.25, 15, 0.15), (1.75, 35, 0.15), (2.0, 50, 0), (9.0, 50, 0)):
         w = load_of(line, (0, 0, 0), time=J(time)).total()
         np.testing.assert_allclose(w.force.array(), size * np.array([x, 0, 0.4]) / np.hypot(x, 0.4), atol=1e-12)
+
+
+def test_a_moved_origin_is_where_it_was_and_the_move():
+    one = tendon(k=500)
+    moved = one.with_origin_moved(vec(0.001, -0.002, 0.003))
+    np.testing.assert_allclose(moved.origin.array() - one.origin.array(), [0.001, -0.002, 0.003], atol=1e-15)
+    np.testing.assert_array_equal(moved.insertion.array(), one.insertion.array())

@@ -72,6 +72,20 @@ def test_a_prior_belongs_to_it(line):
     assert_moments(Density.about(problem(function, prior=prior), mean), shifted, exact)
 
 
+def test_residuals_along_the_frame_have_their_slopes_and_those_of_a_prior(line):
+    """Proposals are built of these; draws are right even with wrong ones, only fewer are accepted."""
+    function, mean, _covariance = line
+    density = Density.about(problem(function, prior=(mean[0] + 0.02, 0.03)), mean)
+    h = 1e-6 * np.eye(2)
+    up, down = density(mean + h).along, density(mean - h).along
+    np.testing.assert_allclose(density(mean[None]).slope[0], (up - down).T / 2e-6, rtol=1e-6, atol=1e-6)
+
+
+def test_a_combination_far_wider_than_the_widest_of_all_but_one_is_open():
+    with pytest.raises(InputError, match="leave a combination of the parameters open"):
+        tempering(np.eye(3), np.diag([1e-6, 1.0, 1e8]))
+
+
 def test_tempering_gives_the_estimates_covariance(line):
     function, mean, covariance = line
     widen = np.array([[4.0, 1.0], [1.0, 0.7]])

@@ -117,3 +117,14 @@ def test_a_phase_ends_where_the_best_starts_own_steps_promise_nothing():
         request = search.ask(state)
         search.tell(state, request, ours.answer(request))
         assert state["phase"] == phase
+
+
+@pytest.mark.parametrize("starts", [1, 2, 5])
+def test_starts_are_the_nominal_point_and_others_that_fill_the_bounds(starts):
+    ours = problem(design(), np.zeros((40, 4)), parameters())
+    at = ours.parameters.to_bounded(LeastSquares(ours, 4, starts).scattered_starts())
+    np.testing.assert_allclose(at[0], NOMINAL)
+    share = (at[1:] - ours.parameters.lower) / (ours.parameters.upper - ours.parameters.lower)
+    assert len(at) == starts
+    strata = np.sort(np.floor(share * (starts - 1)), axis=0)  # one in each of as many slices as there are others
+    np.testing.assert_array_equal(strata, np.repeat(np.arange(starts - 1)[:, None], 3, axis=1))

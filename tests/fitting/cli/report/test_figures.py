@@ -113,3 +113,11 @@ def test_a_prediction_whose_amount_does_not_vary_has_no_figure():
     assert (
         figures.outcomes(Dataset(coords={"tibial_tuberosity_transfer_medialisation": ("variant", [0.01, 0.01])})) == []
     )
+
+
+def test_the_viewers_page_looks_nowhere_for_its_fonts(material, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("pftwin.results.viewer.view", lambda runs: drawn.extend(runs) or "plot")
+    monkeypatch.setattr("pftwin.results.viewer.page.page", lambda plot: f"<html><head><title>{plot}</title></head>")
+    assert figures.viewer(material) == '<html><head><base href="about:invalid"><title>plot</title></head>'
+    assert [name for name, _ in drawn] == [run.name for run in material.runs]

@@ -13,28 +13,28 @@ from pftwin.geometry.patch.polynomial import PolynomialPatch
 from pftwin.model.scene import Scene
 from tests.benchmarks.clock import measure_in_turn
 from tests.benchmarks.problem import (
+    Setting,
     compiled,
     started_nearby,
     temporary_memory,
-    tracked_path,
     variants,
     with_springs,
 )
 from tests.benchmarks.row import Row
 
 
-def forward(scene: Scene, steps: dict[str, int], counts: dict[str, tuple[int, ...]]) -> list[Row]:
+def forward(scene: Scene, settings: dict[str, Setting], counts: dict[str, tuple[int, ...]]) -> list[Row]:
     """Four columns (K1, L1, K2, L2) in forward mode, the trajectory included, against the trajectory.
 
     The columns are the outer axis: what they share is computed once, and lies in memory as vectorised loops want it.
     """
     near = started_nearby(scene)
     out = []
-    for level, n in steps.items():
+    for level, setting in settings.items():
         for count in counts[level]:
 
-            def path(s: Scene, one: jax.Array, n: int = n) -> Any:
-                return tracked_path(with_springs(s, one), substeps=n)
+            def path(s: Scene, one: jax.Array, setting: Setting = setting) -> Any:
+                return setting.path(with_springs(s, one))
 
             def plain(s: Scene, f: jax.Array) -> Any:
                 return batched(lambda one: path(s, one))(f)
@@ -56,25 +56,25 @@ def forward(scene: Scene, steps: dict[str, int], counts: dict[str, tuple[int, ..
                     2.5 if count > 1 else None,
                     "at most",
                     note=f"{1e3 * b.median:.1f} ms against {1e3 * a.median:.1f} ms",
-                    details={"substeps": n, "plain": a.details(), "derivative": b.details()},
+                    details={"substeps": setting.substeps, "plain": a.details(), "derivative": b.details()},
                 )
             )
     return out
 
 
-def reverse(scene: Scene, steps: dict[str, int]) -> list[Row]:
+def reverse(scene: Scene, settings: dict[str, Setting]) -> list[Row]:
     """The gradient of one scalar of the path with respect to all of the patch's coefficients."""
     near = started_nearby(scene)
     patch = near.surface
     assert isinstance(patch, PolynomialPatch)
     coefficients = jnp.asarray(patch.coefficients)
     out = []
-    for level, n in steps.items():
+    for level, setting in settings.items():
 
-        def scalar(s: Scene, c: jax.Array, n: int = n) -> jax.Array:
+        def scalar(s: Scene, c: jax.Array, setting: Setting = setting) -> jax.Array:
             effect = s.contact
             moved = eqx.tree_at(lambda e: e.surface.coefficients, effect, c)
-            path = tracked_path(s.with_effect(moved), substeps=n)
+            path = setting.path(s.with_effect(moved))
             return jnp.mean(path.squared_norm())
 
         def gradient(s: Scene, c: jax.Array, scalar: Any = scalar) -> Any:
@@ -92,7 +92,12 @@ def reverse(scene: Scene, steps: dict[str, int]) -> list[Row]:
                 "at most",
                 note=f"{1e3 * b.median:.1f} ms against {1e3 * a.median:.1f} ms"
                 + ("" if memory is None else f", {memory / 2**20:.2f} MiB"),
-                details={"substeps": n, "memory_bytes": memory, "plain": a.details(), "derivative": b.details()},
+                details={
+                    "substeps": setting.substeps,
+                    "memory_bytes": memory,
+                    "plain": a.details(),
+                    "derivative": b.details(),
+                },
             )
         )
     return out

@@ -6,7 +6,7 @@ Whatever is no array (a Hertz exponent given as a Python number) stays fixed whi
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2
+from pftwin.dynamics.integrators.from_text import integrator_from_text
 from pftwin.dynamics.observe import tracked_center
 from pftwin.model.effects.tendon import Tendon
 from pftwin.model.scene import Scene
@@ -79,6 +80,22 @@ def started_nearby(scene: Scene) -> Scene:
         return eqx.tree_at(lambda p: p.position, pose, pose.apply(-here.patella.center_of_mass))
 
     return eqx.tree_at(lambda s: s.start, scene, jax.jit(settle)(arrays))
+
+
+class Setting(NamedTuple):
+    """An integrator by its name, and how many steps it takes between two frames: plain data for other processes."""
+
+    integrator: str
+    substeps: int
+
+    def path(self, scene: Scene, start: Solution | None = None) -> Vec3:
+        """See `tracked_path`."""
+        integrator = integrator_from_text(self.integrator)
+        return tracked_path(scene, integrator=integrator, substeps=self.substeps, start=start)
+
+    def words(self, scene: Scene) -> str:
+        """For a row's note."""
+        return f"{self.integrator}, {1e3 * scene.motion.frame_interval / self.substeps:.3g} ms steps"
 
 
 def tracked_path(

@@ -10,22 +10,23 @@ from pftwin.base.spatial import Vec3
 from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import starting_equilibrium
+from pftwin.dynamics.integrators.from_text import integrator_from_text
 from pftwin.model.scene import Scene
 from tests.benchmarks.clock import measure
-from tests.benchmarks.problem import compiled, duration, started_nearby, tracked_path, variants, with_springs
+from tests.benchmarks.problem import Setting, compiled, duration, started_nearby, variants, with_springs
 from tests.benchmarks.row import Row
 
 ONE_RUN = {"0.01": 200.0, "0.05": 600.0}  # x real time, by rms error in mm
 BATCH = {"0.01": 10_000.0, "0.05": 30_000.0}
 
 
-def one_run(scene: Scene, steps: dict[str, int]) -> list[Row]:
+def one_run(scene: Scene, settings: dict[str, Setting]) -> list[Row]:
     """Equilibrium and trajectory, as a compiled function and through `pftwin.simulate`."""
     out = []
-    for level, n in steps.items():
-        dt = scene.motion.frame_interval / n
-        bare = measure(compiled(lambda s, n=n: tracked_path(s, substeps=n), scene))
-        public = measure(lambda dt=dt: pftwin.simulate(scene, integrator=pftwin.BDF2(), dt=dt).center)
+    for level, setting in settings.items():
+        dt, integrator = scene.motion.frame_interval / setting.substeps, integrator_from_text(setting.integrator)
+        bare = measure(compiled(setting.path, scene))
+        public = measure(lambda dt=dt, i=integrator: pftwin.simulate(scene, integrator=i, dt=dt).center)
         for name, times in (("compiled function", bare), ("pftwin.simulate, all results", public)):
             out.append(
                 Row(
@@ -34,8 +35,8 @@ def one_run(scene: Scene, steps: dict[str, int]) -> list[Row]:
                     duration(scene) / times.median,
                     "x real time",
                     ONE_RUN[level],
-                    note=f"{1e3 * dt:.3g} ms steps, {1e3 * times.median:.2f} ms",
-                    details={"substeps": n, **times.details()},
+                    note=f"{setting.words(scene)}, {1e3 * times.median:.2f} ms",
+                    details={"substeps": setting.substeps, **times.details()},
                 )
             )
     return out
@@ -51,18 +52,18 @@ def equilibrium(scene: Scene) -> list[Row]:
     ]
 
 
-def batch(scene: Scene, steps: dict[str, int], count: int) -> list[Row]:
+def batch(scene: Scene, settings: dict[str, Setting], count: int) -> list[Row]:
     """Variants of K1, L1, K2, L2 side by side; the process is meant to have one core."""
     near, factors = started_nearby(scene), variants(count)
     out = []
-    for level, n in steps.items():
+    for level, setting in settings.items():
         given = compiled(starting_equilibrium, near)()
 
-        def settled(s: Scene, f: jax.Array, n: int = n) -> Vec3:
-            return batched(lambda one: tracked_path(with_springs(s, one), substeps=n))(f)
+        def settled(s: Scene, f: jax.Array, setting: Setting = setting) -> Vec3:
+            return batched(lambda one: setting.path(with_springs(s, one)))(f)
 
-        def moving(s: Scene, f: jax.Array, start: Solution, n: int = n) -> Vec3:
-            return batched(lambda one: tracked_path(with_springs(s, one), substeps=n, start=start))(f)
+        def moving(s: Scene, f: jax.Array, start: Solution, setting: Setting = setting) -> Vec3:
+            return batched(lambda one: setting.path(with_springs(s, one), start))(f)
 
         for name, call in (
             ("each from its own equilibrium", compiled(settled, near, factors)),
@@ -78,9 +79,8 @@ def batch(scene: Scene, steps: dict[str, int], count: int) -> list[Row]:
                     count * duration(scene) / times.median,
                     "x real time",
                     BATCH[level],
-                    note=f"{1e3 * scene.motion.frame_interval / n:.3g} ms steps, {times.median:.3f} s"
-                    + (f", {lost} not finite" if lost else ""),
-                    details={"substeps": n, "variants": count, "not_finite": lost, **times.details()},
+                    note=f"{setting.words(scene)}, {times.median:.3f} s" + (f", {lost} not finite" if lost else ""),
+                    details={"substeps": setting.substeps, "variants": count, "not_finite": lost, **times.details()},
                 )
             )
     return out

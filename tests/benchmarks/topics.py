@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from pftwin.base.errors import PftwinError
 
 if TYPE_CHECKING:
+    from tests.benchmarks.problem import Setting
     from tests.benchmarks.row import Row
 
 # Topics that need no step of a chosen accuracy.
@@ -47,16 +48,16 @@ def measure_topics(
         say("measuring accuracy ...")
         found = accuracy.errors(scene, reference=100 if quick else accuracy.REFERENCE)
         rows += accuracy.rows(scene, found) if "accuracy" in chosen else []
-        steps = _steps(found)
+        settings = _settings(found)
         for topic in chosen:
             if topic in ("one run", "equilibrium", *ON_ONE_CORE):
                 say(f"measuring {topic} ...")
             if topic == "one run":
-                rows += speed.one_run(scene, steps)
+                rows += speed.one_run(scene, settings)
             elif topic == "equilibrium":
                 rows += speed.equilibrium(scene)
             elif topic in ON_ONE_CORE:
-                rows += in_a_process({"topic": topic, "steps": steps, "variants": variants, "quick": quick})
+                rows += in_a_process({"topic": topic, "settings": settings, "variants": variants, "quick": quick})
     if "start" in chosen:
         say("measuring start ...")
         rows += startup.rows(repeats=1 if quick else 3)
@@ -93,17 +94,15 @@ def measure_topics(
     return rows, about
 
 
-def _steps(found: dict[int, Any]) -> dict[str, int]:
-    """The fewest substeps that meet each level."""
-    from tests.benchmarks.accuracy import coarsest
+def _settings(found: dict[str, Any]) -> dict[str, Setting]:
+    """The cheapest that meets each level."""
+    from tests.benchmarks.accuracy import cheapest
 
-    steps = {}
-    for name, level in LEVELS.items():
-        n = coarsest(found, level)
-        if n is None:
+    settings = {name: cheapest(found, level) for name, level in LEVELS.items()}
+    for name, setting in settings.items():
+        if setting is None:
             raise PftwinError(f"no step tried comes within {name} mm of the converged path; try: finer steps")
-        steps[name] = n
-    return steps
+    return {name: setting for name, setting in settings.items() if setting is not None}
 
 
 def in_a_process(task: dict[str, Any], module: str = "tests.benchmarks.worker") -> list[Row]:

@@ -19,15 +19,17 @@ def work(task: dict[str, Any], target: Path) -> None:
 
     pftwin.configure()
     from tests.benchmarks import derivatives, speed
-    from tests.benchmarks.problem import scene_of_case_1
+    from tests.benchmarks.problem import Setting, scene_of_case_1
 
-    scene, steps = scene_of_case_1(), task["steps"]
+    scene, settings = scene_of_case_1(), {level: Setting(*given) for level, given in task["settings"].items()}
     if task["topic"] == "batch":
-        rows = speed.batch(scene, steps, min(task["variants"], 16) if task["quick"] else task["variants"])
+        rows = speed.batch(scene, settings, min(task["variants"], 16) if task["quick"] else task["variants"])
     elif task["topic"] == "forward":
-        rows = derivatives.forward(scene, steps, {level: (4,) if task["quick"] else COUNTS[level] for level in steps})
+        rows = derivatives.forward(
+            scene, settings, {level: (4,) if task["quick"] else COUNTS[level] for level in settings}
+        )
     else:
-        rows = derivatives.reverse(scene, steps)
+        rows = derivatives.reverse(scene, settings)
     for row in rows:
         row.details["cores"] = pinned
     target.write_text(json.dumps([row.to_json() for row in rows]), encoding="utf-8")

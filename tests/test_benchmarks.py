@@ -27,6 +27,14 @@ def test_the_coarsest_step_that_meets_a_level_is_found():
     assert accuracy.coarsest({5: np.array([np.nan])}, 1e-5) is None
 
 
+def test_speed_is_measured_with_the_fewest_steps_that_meet_a_level():
+    first, second = ({10: np.array([e]), 5: np.array([10 * e]), 2: np.array([40 * e])} for e in (1e-6, 5e-7))
+    found = {"linear_implicit": first, "linear_implicit_bdf2": second}
+    assert accuracy.cheapest(found, 1e-5) == ("linear_implicit", 5)  # of equal steps the first
+    assert accuracy.cheapest(found, 2e-5) == ("linear_implicit_bdf2", 2)
+    assert accuracy.cheapest(found, 1e-7) is None
+
+
 def test_rms_is_over_frames():
     assert accuracy.rms(np.array([3.0, 4.0])) == pytest.approx(np.sqrt(12.5))
 

@@ -86,3 +86,8 @@ def test_no_bounce_gains_height():
         return jnp.max(jnp.where(leaves, z, 0.0)) / height
 
     assert np.asarray(jax.jit(jax.vmap(highest_after_touch))(heights)).max() < 1
+
+
+def test_its_order_is_the_formulas():
+    """Two: Curtiss and Hirschfelder's formula of two steps; `test_integrators` measures it."""
+    assert BDF2().order == 2

@@ -79,3 +79,7 @@ def test_one_step_is_the_pull_and_its_moment_on_the_free_body():
     after, _ = method.advance(sys, state, lambda _: still_guide(), J(step), None)
     np.testing.assert_allclose(after.velocity.array(), step * force / MASS, rtol=1e-9)
     np.testing.assert_allclose(after.spin.array(), step * np.cross(insertion, force) / np.array(INERTIA), rtol=1e-9)
+
+
+def test_its_order_is_eulers():
+    assert SymplecticEuler().order == 1

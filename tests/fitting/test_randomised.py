@@ -9,6 +9,7 @@ import pytest
 from bent_problems import bent, cubic, linear, problem
 from scipy import stats
 
+from fitting.posterior import sampling
 from fitting.posterior.density import Density, tempering
 from fitting.posterior.sampling import proposals, sample_posterior, sampled
 from fitting.uncertainty import uncertainty
@@ -209,3 +210,13 @@ def test_numbers_of_draws_that_are_none_are_refused_before_anything_else(options
     estimate: Any = None
     with pytest.raises(InputError, match=found):
         sample_posterior(estimate, **options)
+
+
+def test_every_draw_and_every_one_of_the_warmup_has_a_proposal(monkeypatch):
+    counts = []
+    monkeypatch.setattr(sampling.Density, "of", lambda *_: None)
+    monkeypatch.setattr(sampling, "proposals", lambda _, count, *__: counts.append(count) or 1 / 0)
+    estimate: Any = None
+    with pytest.raises(ZeroDivisionError):
+        sample_posterior(estimate, draws=30, chains=4, warmup=12)
+    assert counts == [168]

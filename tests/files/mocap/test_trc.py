@@ -54,6 +54,7 @@ def test_units_of_the_header(tmp_path, units, factor):
         lambda t: t.replace("\t6\n", "\t6\t\t\n"),  # trailing tabs
         lambda t: t.replace("knee\t\t\tankle\t\t", "knee\t\t\tankle\t\t\t\t"),
         lambda t: t.replace("X1\tY1\tZ1\tX2\tY2\tZ2", "X5\tY5\tZ5\tX6\tY6\tZ6"),  # opensim-core issue 2345
+        lambda t: t.replace("\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n\n", ""),  # neither labels of coordinates nor a blank line
         lambda t: t + "\n\n",
         lambda t: "\ufeff" + t,
         lambda t: t.rstrip("\n"),

@@ -53,7 +53,7 @@ def check_netcdf(file: Path) -> list[str]:
 def _in_link(link: Any, name: str, file: Path) -> InputError | None:
     import h5py
 
-    return None if isinstance(link, h5py.HardLink) else _external_reference(name, file)
+    return None if isinstance(link, h5py.HardLink) else _external_reference_error(name, file)
 
 
 def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError | None:
@@ -62,7 +62,7 @@ def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError |
     if not isinstance(item, h5py.Dataset):
         return None
     if item.external or item.is_virtual:
-        return _external_reference(name, file)
+        return _external_reference_error(name, file)
     announced, there = item.nbytes, item.id.get_storage_size()
     total[0] += announced
     # A chunk is unpacked whole, however little of it counts.
@@ -81,7 +81,7 @@ def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError |
     return None
 
 
-def _external_reference(name: str, file: Path) -> InputError:
+def _external_reference_error(name: str, file: Path) -> InputError:
     return InputError(f"{name!r} stands elsewhere", where=file, expected=f"{_SAVED}, which holds all of itself")
 
 

@@ -84,7 +84,7 @@ def groove_offset(surface: Surface, centers: ArrayLike) -> tuple[Floats, Floats]
         metres. On a surface without a groove the distance counts from the middle of the surface.
     """
     points = np.asarray(centers, dtype=np.float64)
-    u, v = (np.asarray(a, dtype=np.float64) for a in _closest_points(surface, Vec3(*points.T)))
+    u, v = (np.asarray(a, dtype=np.float64) for a in _chart_coordinates(surface, Vec3(*points.T)))
     line = groove_line(surface)
     bottom = float(getattr(surface, "center", (0.0, 0.0))[1]) if line is None else line.at(u)
     return u, v - bottom
@@ -96,7 +96,7 @@ def _heights(surface: Any, u: ArrayLike, v: ArrayLike) -> Array:
 
 
 @eqx.filter_jit
-def _closest_points(surface: Any, centers: Vec3) -> tuple[Array, Array]:
+def _chart_coordinates(surface: Any, centers: Vec3) -> tuple[Array, Array]:
     c = Vec3(*(jnp.asarray(a, float) for a in (centers.x, centers.y, centers.z)))
     return surface.chart.foot(surface.chart.to_frame(c))
 

@@ -98,11 +98,13 @@ def _settings(found: dict[str, Any]) -> dict[str, Setting]:
     """The cheapest that meets each level."""
     from tests.benchmarks.accuracy import cheapest
 
-    settings = {name: cheapest(found, level) for name, level in LEVELS.items()}
-    for name, setting in settings.items():
+    settings = {}
+    for name, level in LEVELS.items():
+        setting = cheapest(found, level)
         if setting is None:
             raise PftwinError(f"no step tried comes within {name} mm of the converged path; try: finer steps")
-    return {name: setting for name, setting in settings.items() if setting is not None}
+        settings[name] = setting
+    return settings
 
 
 def in_a_process(task: dict[str, Any], module: str = "tests.benchmarks.worker") -> list[Row]:

@@ -90,10 +90,10 @@ class Bodies(eqx.Module):
 
         def looked(others: list[Twist]) -> tuple[list[Array], tuple[list[Load], tuple[Any, ...]]]:
             loads, memories = self.system.loads(self.instant(q, [own, *others]), self.memories)
-            return [flow for load in loads for flow in _memory_rates(load)], (loads, memories)
+            return [flow for load in loads for flow in _rates_of_parts(load)], (loads, memories)
 
         flows, react, (loads, memories) = jax.vjp(looked, others, has_aux=True)
-        efforts = [effort for load in loads for effort in _memory_forces(load)]
+        efforts = [effort for load in loads for effort in _forces_of_parts(load)]
         (pulled,) = react([-jnp.broadcast_to(e, f.shape) for e, f in zip(efforts, flows, strict=True)])
         total = sum((load.total() for load in loads), start=Wrench.zero())
         wrenches = [total, *(Wrench(p.linear, p.angular) for p in pulled)]
@@ -131,14 +131,14 @@ def _columns(term: StiffTerm) -> Array:
     return jnp.stack([jnp.atleast_1d(x) for x in (*_parts(term.direction), *_parts(term.moment))])
 
 
-def _memory_rates(load: Load) -> list[Array]:
+def _rates_of_parts(load: Load) -> list[Array]:
     """The rates at which a load's parts give way."""
     parts = [part for part in (load.bed, load.drag) if part is not None]
     twists = [jnp.concatenate([part.velocity.array(), part.spin.array()]) for part in parts]
     return [term.rate for term in load.stiff] + twists
 
 
-def _memory_forces(load: Load) -> list[Array]:
+def _forces_of_parts(load: Load) -> list[Array]:
     """The forces against them, in the same order."""
     wrenches = [part.wrench() for part in (load.bed, load.drag) if part is not None]
     pushes = [-jnp.concatenate([w.force.array(), w.moment.array()]) for w in wrenches]

@@ -91,7 +91,7 @@ def wrench_map(q: Array) -> Array:
 
     Of all forces that do the same work on a rigid body it gives the smallest: none along the rigid constraints.
     """
-    return _like(_FORCE, q) + _like(_WRENCH, q) @ q
+    return _with_dtype_of(_FORCE, q) + _with_dtype_of(_WRENCH, q) @ q
 
 
 def directions(q: Array) -> Array:
@@ -99,7 +99,7 @@ def directions(q: Array) -> Array:
     return wrench_map(q) * jnp.asarray([1.0] * 3 + [2 * LENGTH**2] * 3, q.dtype)[None, :]
 
 
-def _like(coefficients: np.ndarray, like: Array) -> Any:
+def _with_dtype_of(coefficients: np.ndarray, like: Array) -> Any:
     return jnp.asarray(coefficients, like.dtype)
 
 
@@ -111,27 +111,29 @@ def _driven(values: list[Array]) -> Array:
 
 def constraints(q: Array, to: Driven) -> Array:
     """(n, 12) of bodies (n, 12): 6 rigid ones and 6 driving ones, which are zeros for the first body [m]."""
-    rigid = 0.5 * jnp.einsum("ni,kij,nj->nk", q, _like(_RIGID, q), q) - _like(_SIZES, q)[None, :]
-    turn = jnp.einsum("ni,kij,nj->nk", to.place, _like(_DRIVE, q), q)
+    rigid = 0.5 * jnp.einsum("ni,kij,nj->nk", q, _with_dtype_of(_RIGID, q), q) - _with_dtype_of(_SIZES, q)[None, :]
+    turn = jnp.einsum("ni,kij,nj->nk", to.place, _with_dtype_of(_DRIVE, q), q)
     return jnp.concatenate([rigid, _driven([(q - to.place)[:, :3], turn])], axis=1)
 
 
 def jacobian(q: Array, to: Driven) -> Array:
     """(n, 12, 12): rows as in `constraints`."""
-    rigid = jnp.einsum("kij,nj->nki", _like(_RIGID, q), q)
-    place = jnp.broadcast_to(_like(_PLACE, q), (q.shape[0], 3, 12))
-    return jnp.concatenate([rigid, _driven([place, jnp.einsum("ni,kij->nkj", to.place, _like(_DRIVE, q))])], axis=1)
+    rigid = jnp.einsum("kij,nj->nki", _with_dtype_of(_RIGID, q), q)
+    place = jnp.broadcast_to(_with_dtype_of(_PLACE, q), (q.shape[0], 3, 12))
+    return jnp.concatenate(
+        [rigid, _driven([place, jnp.einsum("ni,kij->nkj", to.place, _with_dtype_of(_DRIVE, q))])], axis=1
+    )
 
 
 def rates_wanted(q: Array, to: Driven) -> Array:
     """(n, 12): what jacobian dq/dt has to be, so that the constraints stay."""
-    turn = -jnp.einsum("ni,kij,nj->nk", to.rate, _like(_DRIVE, q), q)
+    turn = -jnp.einsum("ni,kij,nj->nk", to.rate, _with_dtype_of(_DRIVE, q), q)
     return jnp.concatenate([jnp.zeros_like(q[:, :6]), _driven([to.rate[:, :3], turn])], axis=1)
 
 
 def second_rates_wanted(q: Array, dq: Array, to: Driven) -> Array:
     """(n, 12): what jacobian d2q/dt2 has to be, so that their rates stay."""
-    rigid = -jnp.einsum("ni,kij,nj->nk", dq, _like(_RIGID, q), dq)
-    drive = _like(_DRIVE, q)
+    rigid = -jnp.einsum("ni,kij,nj->nk", dq, _with_dtype_of(_RIGID, q), dq)
+    drive = _with_dtype_of(_DRIVE, q)
     turn = 2 * jnp.einsum("ni,kij,nj->nk", to.rate, drive, dq) + jnp.einsum("ni,kij,nj->nk", to.second_rate, drive, q)
     return jnp.concatenate([rigid, _driven([to.second_rate[:, :3], -turn])], axis=1)

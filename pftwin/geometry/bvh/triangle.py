@@ -116,7 +116,7 @@ def crossing(s: Triangle, t: Triangle) -> Segment:
     for own, other in ((s, t), (t, s)):
         (p, q), bits, cuts = _edge_crossings(own, other)
         ahead = stop_gradient(p.dot(along) <= q.dot(along))
-        ends.append((_select(ahead, p, q), _select(ahead, q, p), *_in_order(ahead, bits), cuts))
+        ends.append((_select(ahead, p, q), _select(ahead, q, p), *_ordered_bits(ahead, bits), cuts))
     (s0, s1, s_bit0, s_bit1, s_cuts), (t0, t1, t_bit0, t_bit1, t_cuts) = ends
     from_s = stop_gradient(s0.dot(along) >= t0.dot(along))
     to_s = stop_gradient(s1.dot(along) <= t1.dot(along))
@@ -158,7 +158,7 @@ def _select(first: Array, p: Vec3, q: Vec3) -> Vec3:
     return jax.tree.map(lambda x, y: jnp.where(first, x, y), p, q)
 
 
-def _in_order(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:
+def _ordered_bits(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:
     return jnp.where(in_order, bits[0], bits[1]), jnp.where(in_order, bits[1], bits[0])
 
 

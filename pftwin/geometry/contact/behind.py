@@ -61,7 +61,7 @@ def behind(corners: Array, triangle: Array, rim: Array, p: Vec3, wanted: Array) 
 
 def _below_surface(corners: Array, rim: Array, p: Vec3, surely: Array) -> Behind:
     """Where the nearest point is; behind its inside, or surely."""
-    on = closest_on_triangle(Triangle.of_rows(corners), _solid_angles(p, corners))
+    on = closest_on_triangle(Triangle.of_rows(corners), _repeated(p, corners))
     place = jnp.argmin(on.square).astype(jnp.int32)
     nearest = on.square <= (1 + SAME) * on.square[place]
     at_rim = (rim.astype(jnp.int32) & jnp.asarray(_EDGES, jnp.int32)[on.feature]) > 0
@@ -72,7 +72,7 @@ def _below_surface(corners: Array, rim: Array, p: Vec3, surely: Array) -> Behind
 def _back_solid_angle(corners: Array, triangle: Array, p: Vec3) -> Scalar:
     """Solid angle over 4 pi; negative where it is the front that is seen."""
     t = Triangle.of_rows(corners)
-    here = _solid_angles(p, corners)
+    here = _repeated(p, corners)
     a, b, c = t.a - here, t.b - here, t.c - here
     la, lb, lc = a.norm(), b.norm(), c.norm()
     angle = 2 * jnp.arctan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb)
@@ -80,7 +80,8 @@ def _back_solid_angle(corners: Array, triangle: Array, p: Vec3) -> Scalar:
     return jnp.sum(once) / (4 * math.pi)
 
 
-def _solid_angles(p: Vec3, corners: Array) -> Vec3:
+def _repeated(p: Vec3, corners: Array) -> Vec3:
+    """The point once for every triangle."""
     return Vec3(*(jnp.broadcast_to(x, corners.shape[:1]) for x in (p.x, p.y, p.z)))
 
 

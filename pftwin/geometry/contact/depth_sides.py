@@ -96,7 +96,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
                 expected=f"({len(mesh.faces)},): 0 (medial) or 1 (lateral) for each triangle",
             )
         facets = jax.device_put(facets.astype(np.int32))
-    fans, outward, rim = cached(_outward_faces, mesh.vertices, mesh.faces, files=())
+    fans, outward, rim = cached(_fans_and_features, mesh.vertices, mesh.faces, files=())
     corners, index = _packed_corners(mesh, fans)
     own = canonicalize_dtype(float)
     return PressedSurface(
@@ -126,7 +126,7 @@ def pressing_surface(mesh: SurfaceMesh) -> PressingSurface:
     return PressingSurface(*(jax.device_put(a) for a in parts))
 
 
-def _outward_faces(
+def _fans_and_features(
     vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> tuple[Fans, NDArray[np.float64], NDArray[np.bool_]]:
     mesh = SurfaceMesh(vertices, faces)

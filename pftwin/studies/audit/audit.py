@@ -15,7 +15,7 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
-from pftwin.studies.audit.runs import Changes, VariantRun, compared_runs, run_alone, run_side_by_side, why_incomparable
+from pftwin.studies.audit.runs import Changes, VariantRun, compare_runs, run_alone, run_side_by_side, why_incomparable
 from pftwin.studies.audit.variants import KINDS, Kind, NotApplicable, Variant, ablations, additions
 from pftwin.studies.runs import Cost, run_each, time_in_turn
 
@@ -175,7 +175,7 @@ def _shares(own: VariantRun, runs: list[VariantRun]) -> list[Cost | None]:
 
 def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float) -> Worth:
     trouble = why_incomparable(result, own)
-    found = None if trouble is not None else compared_runs(scene, result, own)
+    found = None if trouble is not None else compare_runs(scene, result, own)
     outcome = trouble or _outcome(result, own)
     cost = None
     if share is not None:

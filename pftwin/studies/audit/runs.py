@@ -132,7 +132,7 @@ def why_incomparable(result: Result, own: Result) -> str | None:
     return None
 
 
-def compared_runs(scene: Scene, result: Result, own: Result) -> Changes:
+def compare_runs(scene: Scene, result: Result, own: Result) -> Changes:
     """Compares a run with the scene's own."""
     apart = difference(result, own, np.asarray(scene.tracked_point().array(), dtype=np.float64))
     tensions = {

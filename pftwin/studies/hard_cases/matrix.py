@@ -85,7 +85,7 @@ def _of_contact(
     cells = [_refusal(c, contact, m, dtype, refused[c.name]) for m in methods for c in cases if c.name in refused]
     words = limit_of(contact).without_inertia
     unfit = [m for m in methods if words is not None and not m.inertia]
-    cells += [_refused_cells(c, batch, contact, m, dtype) for m in unfit for batch in stacks for c in batch.cases]
+    cells += [_refusal_cell(c, batch, contact, m, dtype) for m in unfit for batch in stacks for c in batch.cases]
     methods = [m for m in methods if m not in unfit]
     for batch in stacks if methods else ():
         starts = starts_of(batch, dtype)
@@ -108,8 +108,8 @@ def _refusal(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, e
     return Cell(case.name, contact, method.name, dtype, outcome, reason)
 
 
-def _refused_cells(case: HardCase, batch: CaseBatch, contact: str, method: CaseIntegrator, dtype: str) -> Cell:
-    """Cells of an integrator that must refuse this contact."""
+def _refusal_cell(case: HardCase, batch: CaseBatch, contact: str, method: CaseIntegrator, dtype: str) -> Cell:
+    """The cell of an integrator that must refuse this contact."""
     words = limit_of(contact).without_inertia or ""
     try:
         integrator_from_text(method.name).refuse_unfit(batch.scenes.effects)

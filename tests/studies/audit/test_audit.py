@@ -24,7 +24,7 @@ from pftwin.model.scene import Scene
 from pftwin.results.result import Result
 from pftwin.studies.audit.audit import Audit, _outcome, _verdict, audit
 from pftwin.studies.audit.report import audit_figure, audit_sheet, columns, dataset
-from pftwin.studies.audit.runs import compared_runs, run_alone, run_side_by_side, why_incomparable
+from pftwin.studies.audit.runs import compare_runs, run_alone, run_side_by_side, why_incomparable
 from pftwin.studies.audit.variants import Variant
 
 FRAMES, SUBSTEPS = 11, 2
@@ -121,20 +121,20 @@ def test_it_falls_apart_without_what_holds_it(found):
 
 def test_changes_are_those_that_were_made(own):
     shifted = replace(own, position=own.position + np.array([3e-3, 0, 4e-3]))
-    made = compared_runs(small_scene(), shifted, own)
+    made = compare_runs(small_scene(), shifted, own)
     assert made.center_rms == pytest.approx(5e-3)
     assert made.center_max == pytest.approx(5e-3)
     assert made.flexion == made.contact_rms == made.tension_rms == 0
     turn = np.array([np.cos(0.05), 0.0, np.sin(0.05), 0.0])  # about the lateral axis
     quaternion = (Quaternion(*own.quaternion.T) * Quaternion(*turn)).array()
-    turned = compared_runs(small_scene(), replace(own, quaternion=np.asarray(quaternion)), own)
+    turned = compare_runs(small_scene(), replace(own, quaternion=np.asarray(quaternion)), own)
     assert turned.flexion == pytest.approx(0.1, rel=0.02)
     assert turned.center_max < 1e-12  # about the button's centre, which is the origin
     stronger = {**own.effects, "quadriceps": {"tension": own.effects["quadriceps"]["tension"] + 2.0}}
-    pulled = compared_runs(small_scene(), replace(own, effects=stronger), own)
+    pulled = compare_runs(small_scene(), replace(own, effects=stronger), own)
     assert (pulled.tension_of, pulled.tension_rms) == ("quadriceps", pytest.approx(2.0))
     without = {k: v for k, v in own.effects.items() if k != "contact"}
-    assert compared_runs(small_scene(), replace(own, effects=without), own).contact_rms is None
+    assert compare_runs(small_scene(), replace(own, effects=without), own).contact_rms is None
 
 
 def test_runs_that_are_lost_say_why(own):
@@ -165,7 +165,7 @@ def test_outcomes_are_what_is_new(own):
 @pytest.mark.parametrize(("kind", "yes", "no"), [("left out", "worth keeping", "could go"),
                                                  ("put in", "worth putting in", "not needed")])  # fmt: skip
 def test_verdicts_go_by_the_tolerance_and_by_dislocation(own, kind, yes, no):
-    moved = compared_runs(small_scene(), replace(own, position=own.position + np.array([2e-4, 0, 0])), own)
+    moved = compare_runs(small_scene(), replace(own, position=own.position + np.array([2e-4, 0, 0])), own)
     assert _verdict(kind, moved, "", 1e-4) == yes
     assert _verdict(kind, moved, "", 3e-4) == no
     assert _verdict(kind, moved, "dislocates", 3e-4) == yes

@@ -5,9 +5,11 @@ Files may come from anyone: one over its limit is refused before it takes memory
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import stat
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -92,6 +94,39 @@ def read_lines(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES
     raise InputError("the content is not readable text", where=path, expected="UTF-8 text")
 
 
+def csv_cells(line: str, *, path: object, number: int, delimiter: str = ",") -> list[str]:
+    """The cells of one line of a CSV file, `number` (from 1) in it.
+
+    Raises:
+        InputError: a cell of more characters than Python's reader takes.
+    """
+    try:
+        return next(csv.reader([line], delimiter=delimiter))
+    except csv.Error:
+        raise InputError(
+            f"a cell of more than {csv.field_size_limit():,} characters",
+            where=f"{path}, line {number}",
+            expected="one number or name in a cell",
+            remedy="look for a quote that is never closed",
+        ) from None
+
+
+def refuse_repeated(names: Sequence[str], what: str, *, where: object) -> None:
+    """Refuse names that are not each there once, since only one of those that share a name could be found by it.
+
+    Args:
+        names: any names.
+        what: what bears them ("columns"), for the message.
+        where: the file, for the message.
+
+    Raises:
+        InputError: naming the repeated ones.
+    """
+    if repeated := [name for name, times in Counter(names).items() if times > 1]:
+        shown = ", ".join(repeated[:8]) + (f" and {len(repeated) - 8} more" if len(repeated) > 8 else "")
+        raise InputError(f"{what} that occur twice: {shown}", where=where, expected="each once")
+
+
 def read_json(path: str | os.PathLike[str], *, expected: str) -> Any:
     """What a JSON file holds.
 
@@ -100,17 +135,25 @@ def read_json(path: str | os.PathLike[str], *, expected: str) -> Any:
         expected: what kind of file it is to be, for messages.
 
     Raises:
-        InputError: no such file, more than `JSON_BYTES`, no JSON (naming the line), or lists in lists without end.
+        InputError: no such file, more than `JSON_BYTES`, no JSON (naming the line), a name twice in one object, or
+            lists in lists without end.
     """
+
+    def checked(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        refuse_repeated([name for name, _ in pairs], "names in one object", where=path)
+        return dict(pairs)
+
     content = read_bytes(path, max_bytes=JSON_BYTES)
     try:
-        return json.loads(content.decode("utf-8-sig"))
+        return json.loads(content.decode("utf-8-sig"), object_pairs_hook=checked)
     except json.JSONDecodeError as error:
         raise InputError(
             f"not valid JSON: {error.msg}", where=f"{path}, line {error.lineno}", expected=expected
         ) from None
     except RecursionError:
         raise InputError("lists within lists without end", where=path, expected=expected) from None
+    except InputError:
+        raise
     except ValueError as error:  # no UTF-8, a number of thousands of digits
         raise InputError(f"not readable JSON: {error}", where=path, expected=expected) from None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import platform
 from collections.abc import Iterator, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 from fitting.cli.pages import number
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.base.text_files import read_lines
+from pftwin.base.text_files import csv_cells, read_lines
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -212,7 +211,7 @@ def tracking(runs: Sequence[ReportedRun]) -> Sheet:
 
 def errors(path: Path) -> Sheet:
     """Table 2 of the study in the demo's folder; InputError for another table."""
-    lines = [line for line in csv.reader(read_lines(path)[0]) if line]
+    lines = [csv_cells(line, path=path, number=i) for i, line in enumerate(read_lines(path)[0], 1) if line]
     if not lines or lines[0][:2] != ["row", "unit"] or any(len(line) != len(lines[0]) for line in lines):
         raise InputError("is not the demo's table", where=path, expected="the folder as `pftwin demo` wrote it")
     parts = (heading.partition("_") for heading in lines[0][2:])

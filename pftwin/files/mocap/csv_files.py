@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 from collections.abc import Mapping
@@ -10,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.base.text_files import read_lines, write_text
+from pftwin.base.text_files import csv_cells, read_lines, refuse_repeated, write_text
 from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
 from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
 from pftwin.files.mocap.units import check_spread, length_factor, split_unit, to_si
@@ -34,7 +33,7 @@ def read_csv(path: str | os.PathLike[str], *, time_column: str | None = None, un
 
     Raises:
         InputError: missing, empty, truncated, binary or non-numeric content (naming file, line and column); a column
-            without unit; unknown or contradictory units; no time column; repeated or unsorted times.
+            without unit; unknown or contradictory units; a name twice; no time column; repeated or unsorted times.
     """
     labels, values = _read_columns(path)
     time_index = _time_index(labels, time_column, path)
@@ -83,7 +82,8 @@ def read_marker_csv(
         time_unit: unit of the times ("s", "ms") where the header has none.
 
     Raises:
-        InputError: as `read_csv`; a marker without all three coordinates; an implausible unit.
+        InputError: as `read_csv`; a marker without all three coordinates, or with one of them twice ("A_x" and "Ax");
+            an implausible unit.
     """
     labels, values = _read_columns(path)
     time_index = _time_index(labels, time_column, path)
@@ -100,7 +100,12 @@ def read_marker_csv(
         if not match:
             raise InputError(f"column {label!r} is no coordinate", where=path, expected="NAME_x, NAME_y, NAME_z")
         factor, _ = length_factor(header_unit, None if header_unit else units, where=f"{path}, column {label!r}")
-        found.setdefault(match["marker"], {})[match["axis"].lower()] = values[:, i] * factor
+        axes, axis = found.setdefault(match["marker"], {}), match["axis"].lower()
+        if axis in axes:
+            raise InputError(
+                f"column {label!r} is marker {match['marker']!r}'s second {axis}", where=path, expected="each once"
+            )
+        axes[axis] = values[:, i] * factor
     incomplete = [name for name, axes in found.items() if len(axes) != 3]
     if incomplete or not found:
         raise InputError(
@@ -141,16 +146,17 @@ def _read_columns(path: str | os.PathLike[str]) -> tuple[list[str], np.ndarray]:
     used = [(i, line) for i, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")]
     if not used:
         raise InputError("no header line", where=path, expected="a line of column names")
-    header = used[0][1]
+    first, header = used[0]
     delimiter = max(",;\t", key=header.count)
-    labels = [c.strip() for c in next(csv.reader([header], delimiter=delimiter))]
+    labels = [c.strip() for c in csv_cells(header, path=path, number=first, delimiter=delimiter)]
     while labels and not labels[-1]:
         labels.pop()
     if not all(labels):
-        raise InputError(f"column {labels.index('') + 1} has no name", where=f"{path}, line {used[0][0]}")
+        raise InputError(f"column {labels.index('') + 1} has no name", where=f"{path}, line {first}")
+    refuse_repeated(labels, "columns", where=f"{path}, line {first}")
     rows = []
     for line_number, line in used[1:]:
-        cells = next(csv.reader([line], delimiter=delimiter))
+        cells = csv_cells(line, path=path, number=line_number, delimiter=delimiter)
         while len(cells) > len(labels) and not cells[-1].strip():
             cells.pop()
         rows.append((line_number, cells))
@@ -163,9 +169,12 @@ def _time_index(labels: list[str], time_column: str | None, path: object) -> int
         if not wanted:
             raise unknown_name("column", time_column, labels, where=f"{path}, argument time_column")
         return wanted[0]
-    for i, label in enumerate(labels):
-        if split_unit(label)[0].lower() in {"time", "t"}:
-            return i
+    found = [i for i, label in enumerate(labels) if split_unit(label)[0].lower() in {"time", "t"}]
+    if len(found) > 1:
+        shown = quoted_list(repr(labels[i]) for i in found)
+        raise InputError(f"several columns of times: {shown}", where=path, expected="one, or its name as time_column")
+    if found:
+        return found[0]
     raise InputError(
         "no column of times",
         where=path,

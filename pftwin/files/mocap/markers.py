@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.tables import Sampled, quoted_list, uniform_times, unknown_name
+from pftwin.base.text_files import refuse_repeated
+from pftwin.files.mocap.tables import Sampled, uniform_times, unknown_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +42,7 @@ class MarkerTrajectories(Sampled):
                 where=self.source,
                 expected=f"{(times.size, len(names), 3)} for {times.size} times and {len(names)} names",
             )
-        if repeated := sorted({n for n in names if names.count(n) > 1}):
-            raise InputError(
-                f"marker names that occur twice: {quoted_list(repeated)}", where=self.source, expected="each name once"
-            )
+        refuse_repeated(names, "marker names", where=self.source)
         if (bad := np.argwhere(np.isinf(positions).any(axis=-1))).size:
             frame, marker = bad[0]
             raise InputError(

@@ -15,12 +15,12 @@ from pftwin.base.text_files import read_lines
 from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
 
 # Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states; with a
-# side behind them, as in OpenSim JAM's knee_tx_r, or none.
+# side behind them, as in OpenSim JAM's knee_tx_r, or none. Each alternative has a greatest length: with \w* in one, a
+# search takes the square of a name's length.
 _NO_ANGLE = re.compile(
-    r"((^|_)t[xyz]|_[vpmf][xyz]\d?|_q[wxyz]|force\w*|torque\w*|moment\w*|cop\w*|activation|excitation|\w*length|power\w*)"
-    r"(_r|_l|_right|_left)?$",
-    re.IGNORECASE,
+    r"((^|_)t[xyz]|_[vpmf][xyz]\d?|_q[wxyz]|activation|excitation|length)(_r|_l|_right|_left)?$", re.IGNORECASE
 )
+_NO_ANGLE_PARTS = ("force", "torque", "moment", "cop", "power")  # anywhere in the name's last word
 
 
 def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None = None) -> Table:
@@ -94,10 +94,15 @@ def _in_degrees(header: dict[str, str], path: object) -> bool:
     return flag in {"yes", "true", "1"}
 
 
+def _may_be_angle(name: str) -> bool:
+    last_word = re.split(r"\W", name)[-1].lower()
+    return not (any(part in last_word for part in _NO_ANGLE_PARTS) or _NO_ANGLE.search(name))
+
+
 def _angles(names: tuple[str, ...], rotational: Collection[str] | None, path: object) -> set[str]:
     if rotational is None:
         # "/jointset/knee_r/knee_angle_r/value" is judged by the coordinate's name
-        chosen = {n for n in names if not _NO_ANGLE.search(re.sub(r"/(value|speed)$", "", n))}
+        chosen = {n for n in names if _may_be_angle(re.sub(r"/(value|speed)$", "", n))}
         message = (
             f"{path}: inDegrees=yes, and the format does not say which columns are angles; "
             f"converted to radians: {quoted_list(sorted(chosen)) or 'none'}; name them with rotational=[...]"

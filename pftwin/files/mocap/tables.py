@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.text_files import check_row_length, numbers
+from pftwin.base.text_files import check_row_length, numbers, refuse_repeated
 
 # Printed times are rounded (three decimals at 120 Hz: 6 % of an interval); a lost frame is 100 % off.
 _ROUNDING_SHARE = 0.1
@@ -149,10 +149,7 @@ class Table(Sampled):
                 where=self.source,
                 expected=f"{(times.size, len(names))} for {times.size} times and {len(names)} names",
             )
-        if repeated := sorted({n for n in names if names.count(n) > 1}):
-            raise InputError(
-                f"columns that occur twice: {quoted_list(repeated)}", where=self.source, expected="each once"
-            )
+        refuse_repeated(names, "columns", where=self.source)
         units = {name: self.units.get(name, "") for name in names}
         for attribute, value in (("times", times), ("names", names), ("values", values), ("units", units)):
             object.__setattr__(self, attribute, value)

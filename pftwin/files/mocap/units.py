@@ -38,7 +38,6 @@ _WORDS = {
     "N": ("newton",),
 }
 _LONG_NAMES = {name: unit for unit, words in _WORDS.items() for word in words for name in (word, f"{word}s")}
-_BRACKETS = re.compile(r"^(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]$")
 # "strand_1" and "zoom_in" are names, not quantities: these units count in brackets only.
 _BRACKETS_ONLY = {"1", "-", "in"}
 _DIMENSIONLESS = re.compile(r"(^|_)q[wxyz]$|^frame#?$|^status$", re.IGNORECASE)
@@ -91,8 +90,11 @@ def split_unit(column: str) -> tuple[str, str | None]:
     Components of quaternions (..._qw, _qx, _qy, _qz), "frame" and "status" have no dimension: their unit is "1".
     """
     column = column.strip()
-    if found := _BRACKETS.match(column):
-        return found["name"].strip(), found["unit"] or "1"
+    if column.endswith(("]", ")")):  # by hand: a pattern would take the square of the length
+        opening = max(column.rfind("["), column.rfind("("))
+        name, unit = column[: max(opening, 0)].strip(), column[opening + 1 : -1].strip()
+        if name and not set(unit) & set(")]"):
+            return name, unit or "1"
     if _DIMENSIONLESS.search(column):
         return column, "1"
     name, _, unit = column.rpartition("_")

@@ -6,7 +6,6 @@ Strands are listed in the scene file, or in a JSON or CSV file beside it.
 # ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
-import csv
 import fnmatch
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
@@ -16,7 +15,7 @@ from pydantic import Field, model_validator
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number as leaf
 from pftwin.base.leaves import vector
-from pftwin.base.text_files import number, read_json, read_lines
+from pftwin.base.text_files import csv_cells, number, read_json, read_lines, refuse_repeated
 from pftwin.files.mocap.tables import unknown_name
 from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import (
@@ -179,7 +178,7 @@ def read_strands(path: str, body: str) -> Strands:
     slack_length_m, insertion_x_m, ..., origin_z_m.
 
     Raises:
-        InputError: no such file, no JSON or CSV, a strand or line that lacks a value.
+        InputError: no such file, no JSON or CSV, a strand or line that lacks a value, two strands of one name.
     """
     if path.lower().endswith(".json"):
         rows = _json_rows(path, body)
@@ -187,6 +186,7 @@ def read_strands(path: str, body: str) -> Strands:
         rows = _csv_rows(path)
     else:
         raise InputError("unknown kind of file", where=path, expected=".json or .csv")
+    refuse_repeated([name for name, _ in rows], "strands", where=path)
     table = np.array([values for _, values in rows], dtype=np.float64).reshape(len(rows), 8)
     for (name, _), values in zip(rows, table, strict=True):
         if not (np.isfinite(values).all() and values[0] > 0 and values[1] > 0):
@@ -226,8 +226,11 @@ def _json_strand(strand: Any, body: str, where: str) -> list[float] | None:
 def _csv_rows(path: str) -> list[tuple[str, list[float]]]:
     lines, _ = read_lines(path)
     used = [(i, line) for i, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
-    table = list(csv.reader(line for _, line in used))
+    if not used:
+        raise InputError("no header line", where=path, expected="a line of column names")
+    table = [csv_cells(line, path=path, number=i) for i, line in used]
     header = [cell.strip() for cell in table[0]]
+    refuse_repeated(header, "columns", where=path)
     for column in ("name", *_COLUMNS):
         if column not in header:
             raise unknown_name("column", column, header, where=path)

@@ -80,6 +80,10 @@ def test_the_time_needs_a_unit_and_a_name(tmp_path):
         ("time_s,F_N\n0,1\n1", "truncated"),
         ("time_s,,F_N\n0,1,2\n", "column 2 has no name"),
         ("time_s,F_N,F_kN\n0,1,2\n", "columns that occur twice: F"),
+        ("time_s,F_N,time_s\n0,1,2\n", r"line 1: columns that occur twice: time_s"),
+        ("time_s,F_N,time_ms\n0,1,2\n", "several columns of times: 'time_s', 'time_ms'"),
+        ("time_s,F_N\n0," + 200_000 * "1" + "\n", r"a\.csv, line 2: a cell of more than 131,072 characters"),
+        ("time_s,F_N\n0,1\n1," + 200_000 * " " + "\n", r"a\.csv, line 3: a cell of more than 131,072 characters"),
         ("time_s,F_N\n0,1\n0,1\n", "row 2 repeats the time"),
         ("time_s,F_N\n1,1\n0,1\n", "row 2 goes back"),
         ("time_s,F_N\n,1\n", "row 1 has no finite time"),
@@ -111,11 +115,15 @@ def test_markers_with_and_without_units(tmp_path):
     [
         ("time_s,A_x_m,A_y_m,A_q_m", "column 'A_q_m' is no coordinate"),
         ("time_s,A_x_m,A_y_m,B_z_m", "without all three coordinates: A, B"),
+        ("time_s,A_x_m,A_y_m,A_z_m,A_x_m", "line 1: columns that occur twice: A_x_m"),
+        ("time_s,A_x_m,A_y_m,A_z_m,A_x_mm", "column 'A_x_mm' is marker 'A''s second x; expected: each once"),
+        ("time_s,A_x_m,A_y_m,A_z_m,Ax_m", "column 'Ax_m' is marker 'A''s second x; expected: each once"),
+        ("time_s,A_x_m,A_y_m,A_z_m,A_X_m", "column 'A_X_m' is marker 'A''s second x"),
     ],
 )
 def test_bad_markers(tmp_path, header, message):
     with pytest.raises(InputError, match=message):
-        read_marker_csv(file(tmp_path, header + "\n0,1,2,3\n"))
+        read_marker_csv(file(tmp_path, header + "\n0" + ",1" * header.count(",") + "\n"))
 
 
 def test_round_trips(tmp_path):

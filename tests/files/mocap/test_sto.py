@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,29 @@ def test_translations_and_forces_with_a_side_are_no_angles(tmp_path):
     np.testing.assert_array_equal(t.values[0, :7], 90)
     np.testing.assert_allclose(t.values[0, 7:], np.pi / 2)
     assert {t.units[n] for n in names[:7]} == {""}
+
+
+@pytest.mark.parametrize(
+    ("name", "angle"),
+    [
+        (20_000 * "_t", True),
+        (4_000 * "force" + "/x", True),
+        (4_000 * "force", False),
+        (4_000 * "length" + "s", True),
+        ("tibialis_fiber_length_r", False),
+        ("LENGTH", False),
+        ("/forceset/quad/activation", False),
+        ("knee_force_total/value", False),
+        ("force/knee_angle", True),
+    ],
+)
+def test_names_of_any_length_are_judged_at_once(tmp_path, name, angle):
+    path = sto(tmp_path, f"Coordinates\ninDegrees=yes\nendheader\ntime\t{name}\n0\t180\n")
+    begin = time.process_time()
+    with pytest.warns(PftwinWarning, match="converted to radians"):
+        value = read_sto(path).values[0, 0]
+    assert time.process_time() - begin < 0.5
+    assert value == pytest.approx(np.pi if angle else 180)
 
 
 def test_without_degrees_nothing_changes(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -74,10 +76,23 @@ def test_every_unit_and_its_factor(tmp_path, written, expected):
         ("mm", "mm", None),
         ("patella_qx", "patella_qx", "1"),
         ("share []", "share", "1"),
+        ("Fz [ N ]", "Fz", "N"),
+        ("a (b) [mm]", "a (b)", "mm"),
+        ("a (N]", "a", "N"),
+        ("(N)", "(N)", None),
+        ("a (N))", "a (N))", None),
+        ("a) N)", "a) N)", None),
     ],
 )
 def test_a_columns_label_holds_its_unit(label, name, unit):
     assert split_unit(label) == (name, unit)
+
+
+@pytest.mark.parametrize("label", [20_000 * "(", 20_000 * "(" + ")", "a (" + 20_000 * " " + "x", 20_000 * "[ " + "])"])
+def test_a_long_label_takes_no_time(label):
+    begin = time.process_time()
+    split_unit(label)
+    assert time.process_time() - begin < 0.5
 
 
 def test_a_files_length_is_the_arguments_before_the_headers():

@@ -102,6 +102,29 @@ def test_strands_from_lists_json_and_csv_are_the_same(toy: Path) -> None:
     assert "strand 'PT2': stiffness -500" in refused(toy, LIGHT + STRANDS + 'file = "strands.csv"\n')
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name,{c}\nPT1,{v}\nPT1,{v}\n", "strands.csv: strands that occur twice: PT1"),
+        ("name,{c},slack_length_m\nPT1,{v},2\n", "strands.csv: columns that occur twice: slack_length_m"),
+        ('name,{c}\n"PT1,{v}\nPT2,{v}\n', "strands.csv, line 2: a cell is missing or no number"),
+        ("# nothing\n", "strands.csv: no header line"),
+        ("name,{c}\n" + 200_000 * "P" + ",{v}\n", "strands.csv, line 2: a cell of more than 131,072 characters"),
+        (
+            '{{"PT1": {{"points": []}}, "PT1": {{"points": []}}}}',
+            "strands.json: names in one object that occur twice: PT1",
+        ),
+    ],
+)
+def test_files_of_strands_that_say_a_thing_twice_or_nothing(toy: Path, text: str, words: str) -> None:
+    columns = "stiffness_N_per_strain,slack_length_m," + ",".join(
+        f"{end}_{axis}_m" for end in ("insertion", "origin") for axis in "xyz"
+    )
+    name = "strands.json" if text.startswith("{{") else "strands.csv"
+    (toy / name).write_text(text.format(c=columns, v="490,0.075,-0.01,0,0,-0.07,0,0.04"))
+    assert words in refused(toy, LIGHT + STRANDS + f'file = "{name}"\n')
+
+
 TENSION = '\n[[prescribed_tension]]\nname = "muscles"\nbody = "femur"\nfile = "tension.csv"\n'
 
 

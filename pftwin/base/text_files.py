@@ -58,6 +58,8 @@ def read_bytes(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES
                 remedy="check that it is the file that you mean; cut a long recording",
             )
         content = file.read_bytes()
+    except InputError:
+        raise
     except FileNotFoundError as err:
         raise InputError("no such file", where=file, remedy="check the path and the working directory") from err
     except OSError as err:

@@ -40,7 +40,9 @@ def large(path, size):
     ],
 )
 def test_too_large_a_file(tmp_path, name, read, limit):
-    with pytest.raises(InputError, match=rf"{name}: .*too large; expected: at most {limit // 2**20} MiB; try: "):
+    with pytest.raises(
+        InputError, match=rf"^{tmp_path}/{name}: [\d.]+ MiB is too large; expected: at most {limit // 2**20} MiB; try: "
+    ):
         read(large(tmp_path / name, limit))
 
 
@@ -50,7 +52,7 @@ def test_too_large_a_result(tmp_path):
 
 
 def test_a_device_is_no_file():
-    with pytest.raises(InputError, match="/dev/zero: is a device or a pipe; expected: a file"):
+    with pytest.raises(InputError, match=r"^/dev/zero: is a device or a pipe; expected: a file"):
         read_json("/dev/zero", expected="an estimate")
 
 

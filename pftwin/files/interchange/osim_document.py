@@ -21,10 +21,11 @@ from pftwin.base.errors import InputError
 from pftwin.base.text_files import MODEL_BYTES, read_bytes
 
 DEEPEST = 64  # elements within each other; models have a dozen
+MOST_ELEMENTS = 200_000  # a whole body has some 25,000: 8,000 for each megabyte
 OLDEST = 40000  # the version of files of OpenSim 4
 
 
-@dataclass
+@dataclass(slots=True)
 class Element:
     """An element, its text and what is in it."""
 
@@ -89,7 +90,8 @@ def read_osim(path: str | os.PathLike[str]) -> Element:
     """The <Model> of a file of OpenSim 4.
 
     Raises:
-        InputError: no such file, no XML (naming the line), a DOCTYPE, no model, or one of an older version.
+        InputError: no such file, no XML (naming the line), a DOCTYPE, more than `MOST_ELEMENTS`
+            elements, no model, or one of an older version.
     """
     root = _parsed(read_bytes(path, max_bytes=MODEL_BYTES), str(path))
     if root.tag != "OpenSimDocument":
@@ -109,21 +111,27 @@ def _parsed(content: bytes, file: str) -> Element:
     parser = expat.ParserCreate()
     top = Element("", "", file, 1)
     open_ones = [top]
+    texts: list[list[str]] = [[]]  # of the open elements, in pieces: what they hold may come between any two letters
+    count = 0
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
-        if len(open_ones) > DEEPEST:
-            raise InputError(f"nested deeper than {DEEPEST} elements", where=f"{file}, line {parser.CurrentLineNumber}")
+        nonlocal count
+        count += 1
+        if len(open_ones) > DEEPEST or count > MOST_ELEMENTS:
+            found = f"more than {MOST_ELEMENTS:,}" if count > MOST_ELEMENTS else f"nested deeper than {DEEPEST}"
+            raise InputError(f"{found} elements", where=f"{file}, line {parser.CurrentLineNumber}")
         name = attributes.get("Version" if tag == "OpenSimDocument" else "name", "")
         around = open_ones[-1]
         made = Element(tag, name, file, parser.CurrentLineNumber, owner=around if around.name else around.owner)
         open_ones[-1].children.append(made)
         open_ones.append(made)
+        texts.append([])
 
     def end(_: str) -> None:
-        open_ones.pop()
+        open_ones.pop().text = "".join(texts.pop())
 
     def said(text: str) -> None:
-        open_ones[-1].text += text
+        texts[-1].append(text)
 
     def refuse(*_: Any) -> None:
         raise InputError(

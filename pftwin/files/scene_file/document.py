@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,14 @@ MISSING: Any = object()
 _PART = r"""(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')"""
 _HEADER = re.compile(rf"^\s*(\[\[?)\s*({_PART}(?:\s*\.\s*{_PART})*)\s*\]")
 _KEY = re.compile(rf"^\s*({_PART}(?:\s*\.\s*{_PART})*)\s*=")
+DEEPEST = 32  # tables and lists within each other; scenes have six
+# Comments and strings, ended or not. Possessive, so that no text takes more than one pass.
+_NO_KEYS = re.compile(
+    r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
+    r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?""",
+    re.DOTALL,
+)
+_DEEP_KEY = re.compile(rf"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++){{{DEEPEST}}}")
 _DECODE_ERROR = re.compile(r"^(?P<problem>.*) \(at (?P<place>.*)\)$", re.DOTALL)
 
 
@@ -38,12 +47,16 @@ class Document:
         """Read a file.
 
         Raises:
-            InputError: missing, empty or binary; no TOML (naming line and column).
+            InputError: missing, empty or binary; no TOML (naming line and column); tables or lists within each other
+                deeper than `DEEPEST`.
         """
         file = Path(path)
         lines, _ = read_lines(file, max_bytes=SCENE_BYTES)
+        text = "\n".join(lines)
+        if _DEEP_KEY.search(_NO_KEYS.sub("s", text)):  # before it is parsed, which takes the square of a key's depth
+            raise _too_deep(file)
         try:
-            data = tomllib.loads("\n".join(lines))
+            data = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             match = _DECODE_ERROR.match(str(error))
             problem, place = (match["problem"], match["place"]) if match else (str(error), "")
@@ -55,6 +68,8 @@ class Document:
         except (ValueError, RecursionError) as error:  # a number of thousands of digits, lists within lists
             problem = "lists within lists without end" if isinstance(error, RecursionError) else str(error)
             raise InputError(f"not readable TOML: {problem}", where=file) from None
+        if _deeper(data, DEEPEST):
+            raise _too_deep(file)
         return Document(file, data, _line_numbers(lines, data), allow_outside=allow_outside)
 
     def files(self) -> tuple[Path, ...]:
@@ -156,6 +171,19 @@ def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:
     for part in rest:
         text += f" number {part + 1}" if isinstance(part, int) else f".{part}" if text else str(part)
     return first + (lead + text if text else "")
+
+
+def _too_deep(file: Path) -> InputError:
+    return InputError(f"tables within tables deeper than {DEEPEST}", where=file, expected="a few, as scenes have")
+
+
+def _deeper(data: Any, levels: int) -> bool:
+    """Whether tables and lists lie in each other deeper than that, told without recursion."""
+    layer: list[Any] = [data]
+    for _ in range(levels):
+        inner = (v.values() if isinstance(v, dict) else v for v in layer if isinstance(v, dict | list))
+        layer = list(chain.from_iterable(inner))
+    return any(isinstance(v, dict | list) for v in layer)
 
 
 def _keys(dotted: str) -> list[str]:

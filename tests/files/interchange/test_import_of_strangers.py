@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from knee_models import PATELLA, PT, TIBIA, ligament, ligaments, model, write_kn
 
 from pftwin.base.errors import InputError
 from pftwin.files.interchange import import_osim
+from pftwin.files.interchange.osim_document import read_osim
 
 
 def bare(folder: Path, text: str, **options):
@@ -58,6 +60,7 @@ OUTSIDE = '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/hostname">]>\n'
         (lambda t: t.replace("<OpenSim", BOMB + "<OpenSim", 1), r"line 2: it declares a DOCTYPE"),
         (lambda t: t.replace("<OpenSim", OUTSIDE + "<OpenSim", 1), r"line 2: it declares a DOCTYPE"),
         (lambda t: t.replace("</Model>", "<a>" * 100 + "</a>" * 100 + "</Model>"), "nested deeper than 64"),
+        (lambda t: t.replace("</Model>", "<a/>" * 250_000 + "</Model>"), "more than 200,000 elements"),
         (lambda t: t[:-40], "no valid XML"),
         (lambda t: t.replace("UTF-8", "UTF-1e999"), "no readable XML: unknown encoding: UTF-1e999; expected: UTF-8"),
         (lambda t: t.replace("UTF-8", "shift_jis"), "no readable XML: multi-byte encodings are not supported"),
@@ -98,6 +101,17 @@ def test_what_cannot_be_read_is_refused_with_its_line(tmp_path, change, words):
     with pytest.raises(InputError, match=re.escape(words) if "line" not in words else words):
         bare(tmp_path, text)
     assert not (tmp_path / "out").exists()
+
+
+def test_text_that_elements_interrupt_is_joined_once(tmp_path):
+    """Each piece added to what was there before took the product of their number and the text's length."""
+    long, pieces = "x" * 4_000_000, 20_000
+    text = model(forces=ligaments(), meshes=False).replace("</Model>", long + "<a/>x" * pieces + "</Model>")
+    (tmp_path / "bare.osim").write_text(text)
+    begin = time.process_time()
+    found = read_osim(tmp_path / "bare.osim")
+    assert time.process_time() - begin < 2
+    assert found.text.count("x") == len(long) + pieces
 
 
 def test_options_are_checked(tmp_path):

@@ -22,21 +22,33 @@ _chosen: list[Path] = []  # the folder in use, if any
 
 
 def use_cache_folder(folder: str | os.PathLike[str] | None) -> bool:
-    """Caches in this folder from now on; None: not at all.
+    """Caches in this folder from now on, and makes it where it is not there; None: not at all.
 
     Returns:
-        Whether it is used: where another user owns it or can write to it, a warning says so and nothing is cached.
+        Whether it is used: where it is no folder, cannot be made, or another user owns it or can write to it, a warning
+        says so and nothing is cached.
     """
     _chosen[:] = [] if folder is None else [Path(folder).absolute()]
-    if problem := next(filter(None, map(_unsafe, _chosen)), None):
+    if problem := next(filter(None, map(_problem, _chosen)), None):
         _chosen.clear()
-        warnings.warn(
-            f"{Path(folder or '').absolute()}: {problem}; nothing is kept, since the programs in it are run; try: "
-            "chmod -R go-w on a folder of your own, or another one (the variable PFTWIN_CACHE)",
-            PftwinWarning,
-            stacklevel=2,
-        )
+        text = f"{Path(folder or '').absolute()}: {problem}, or another folder (the variable PFTWIN_CACHE)"
+        warnings.warn(text, PftwinWarning, stacklevel=2)
     return bool(_chosen)
+
+
+def _problem(path: Path) -> str | None:
+    """Why nothing can be kept in a folder, and what to do; None where it can, and then it is there."""
+    try:
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError
+        if unsafe := _unsafe(path):
+            return f"{unsafe}; nothing is kept, since the programs in it are run; try: chmod -R go-w on one of your own"
+        for place in (path, compiled_folder(path)):  # JAX would use the default mode
+            place.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:  # a file, below a file, read-only, a name too long or with a zero byte
+        why = "is no folder" if isinstance(error, FileExistsError | NotADirectoryError) else f"cannot be used: {error}"
+        return f"{why}; nothing is kept; try: a folder that you may write to"
+    return None
 
 
 def _unsafe(path: Path) -> str | None:
@@ -69,14 +81,14 @@ def compiled_folder(base: Path) -> Path:
 
 
 def read(kind: str, key: str) -> bytes | None:
-    """The bytes of a file; None where there is none."""
+    """The bytes of a file; None where there is none, or one that was written under another name and moved here."""
     base = chosen()
     with contextlib.suppress(OSError):
         if base is not None:
-            body = (base / kind / key).read_bytes()
+            body, label = (base / kind / key).read_bytes(), _label(kind, key)
             with contextlib.suppress(OSError):
                 os.utime(base / kind / key)  # most recently used
-            return body
+            return body.removeprefix(label) if body.startswith(label) else None
     return None
 
 
@@ -90,11 +102,16 @@ def write(kind: str, key: str, body: bytes) -> None:
         base.mkdir(mode=0o700, exist_ok=True)
         (base / kind).mkdir(mode=0o700, exist_ok=True)
         with written_whole(base / kind / key) as path:
-            path.write_bytes(body)
+            path.write_bytes(_label(kind, key) + body)
         _make_room(base / kind)
     except (OSError, OutputError) as error:
         text = f"{base / kind}: nothing can be kept here for the next process: {error}"
         warnings.warn(text, PftwinWarning, stacklevel=2)
+
+
+def _label(kind: str, key: str) -> bytes:
+    """What a file begins with: its own name, so that it is not taken for another's."""
+    return f"{kind}/{key}\n".encode()
 
 
 def _make_room(place: Path) -> None:

@@ -127,7 +127,8 @@ def configure(
         fast_cpu: switch on the fast CPU compilation.
         cache_dir: folder in which compiled programs, and what was derived from files (fitted patches, filtered
             recordings), are kept for later processes. Programs found in it are run: a folder that another user owns or
-            can write to is not used, and a warning says so. By default nothing is kept.
+            can write to is not used, and a warning says so; so it is where there can be none (a file, a device). By
+            default nothing is kept.
         cpu_devices: as how many devices JAX counts the CPU: batches are laid over all of them. "all": one for each
             core that this process may use. By default JAX's own choice stays, which is one.
 
@@ -150,9 +151,7 @@ def configure(
         from pftwin.base import cache_folder
 
         if cache_folder.use_cache_folder(cache_dir):
-            Path(cache_dir).mkdir(mode=0o700, parents=True, exist_ok=True)  # JAX would use the default mode
             compiled = cache_folder.compiled_folder(Path(cache_dir).absolute())
-            compiled.mkdir(mode=0o700, exist_ok=True)
             jax.config.update("jax_compilation_cache_dir", str(compiled))
             jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
             jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

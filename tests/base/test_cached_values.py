@@ -96,7 +96,7 @@ def test_code_from_elsewhere_is_not_cached(tmp_path):
     finally:
         folder.use_cache_folder(before)
     assert len(CALLS) == 2
-    assert not (tmp_path / "kept").exists()
+    assert not (tmp_path / "kept" / "values").exists()
 
 
 def test_a_missing_file_is_the_functions_own_error(place):

@@ -161,7 +161,19 @@ def test_debugging_is_not_left_out(place):
 
 def test_functions_and_effects_from_elsewhere_are_compiled_but_not_kept(place):
     assert float(Program(lambda x: 2 * x)(jnp.asarray(1.0))) == 2.0
-    assert list(place.iterdir()) == []
+    assert not [path for path in place.rglob("*") if path.is_file()]
+
+
+def test_a_program_copied_over_another_s_name_is_not_run(place):
+    """Both take a vector and give one: nothing but the name tells them apart."""
+    v = Vec3(*(jnp.asarray(float(i)) for i in range(3)))
+    Program(Vec3.__mul__)(v, 2.0)
+    (twice,) = (place / "programs").iterdir()
+    Program(Vec3.__mul__)(v, 3.0)
+    (thrice,) = set((place / "programs").iterdir()) - {twice}
+    thrice.write_bytes(twice.read_bytes())
+    assert float(Program(Vec3.__mul__)(v, 3.0).z) == 6.0
+    assert thrice.read_bytes() != twice.read_bytes()  # mended
 
 
 def test_programs_are_shared_by_processes_of_one_device_and_of_two(package, tmp_path):

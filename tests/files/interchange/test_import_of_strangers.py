@@ -105,7 +105,7 @@ def test_what_cannot_be_read_is_refused_with_its_line(tmp_path, change, words):
 
 def test_text_that_elements_interrupt_is_joined_once(tmp_path):
     """Each piece added to what was there before took the product of their number and the text's length."""
-    long, pieces = "x" * 4_000_000, 20_000
+    long, pieces = "x" * 4_000_000, 60_000
     text = model(forces=ligaments(), meshes=False).replace("</Model>", long + "<a/>x" * pieces + "</Model>")
     (tmp_path / "bare.osim").write_text(text)
     begin = time.process_time()

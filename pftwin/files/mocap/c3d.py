@@ -18,7 +18,7 @@ import numpy as np
 from pftwin.base.errors import InputError, MissingExtraError, PftwinWarning
 from pftwin.base.text_files import read_bytes
 from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
-from pftwin.files.mocap.units import check_spread, length_factor
+from pftwin.files.mocap.units import check_jumps, check_spread, length_factor
 
 
 def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> MarkerTrajectories:
@@ -49,14 +49,16 @@ def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
     residuals = np.asarray(data["data"]["meta_points"]["residuals"], dtype=np.float64)  # (1, m, n)
     if residuals.shape[1:] == points.shape[1:]:
         positions[(residuals[0] < 0).T] = np.nan
-    check_spread(positions, where=path)
+    check_spread(positions, where=path, told=units is not None)
 
     rate = float(data["header"]["points"]["frame_rate"])
     if not rate > 0:
         raise InputError(f"the sampling rate is {rate:g} Hz", where=f"{path}, POINT:RATE", expected="a positive rate")
     first = int(data["header"]["points"]["first_frame"])
     times = (first + np.arange(points.shape[2])) / rate
-    return MarkerTrajectories(times, _labels(parameters, points.shape[1], path), positions, source=str(path))
+    markers = MarkerTrajectories(times, _labels(parameters, points.shape[1], path), positions, source=str(path))
+    check_jumps(markers.positions, markers.times, markers.names, where=path)
+    return markers
 
 
 def _load(path: str | os.PathLike[str]) -> Any:

@@ -12,7 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.text_files import csv_cells, read_lines, refuse_repeated, write_text
 from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
 from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
-from pftwin.files.mocap.units import check_spread, length_factor, split_unit, to_si
+from pftwin.files.mocap.units import check_jumps, check_spread, length_factor, split_unit, to_si
 
 _COORDINATE = re.compile(r"^(?P<marker>.+?)[_ .:]?(?P<axis>[xyzXYZ])$")
 Units = Mapping[str, str] | str | None
@@ -114,8 +114,10 @@ def read_marker_csv(
             expected="NAME_x, NAME_y, NAME_z for every marker",
         )
     positions = zeros_to_missing(np.stack([np.stack([a[k] for k in "xyz"], -1) for a in found.values()], axis=1))
-    check_spread(positions, where=path)
-    return MarkerTrajectories(values[:, time_index] * time_factor, tuple(found), positions, source=str(path))
+    check_spread(positions, where=path, told=units is not None)
+    markers = MarkerTrajectories(values[:, time_index] * time_factor, tuple(found), positions, source=str(path))
+    check_jumps(markers.positions, markers.times, markers.names, where=path)
+    return markers
 
 
 def write_csv(path: str | os.PathLike[str], data: Table | MarkerTrajectories) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.text_files import check_row_length, numbers, read_lines, write_text
 from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
-from pftwin.files.mocap.units import check_spread, length_factor
+from pftwin.files.mocap.units import check_jumps, check_spread, length_factor
 
 _COORDINATE = re.compile(r"^[XYZ]\d*$", re.IGNORECASE)
 
@@ -26,7 +26,7 @@ def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
     """The markers of a TRC file.
 
     A marker is missing (NaN) on a row where any of its cells is empty or NaN, or where all three are exactly 0 or -0,
-    as several systems write it.
+    as several systems write it; also where all three are -9999 or the like, which a warning says.
 
     Args:
         path: the file.
@@ -34,21 +34,28 @@ def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
 
     Raises:
         InputError: missing, empty, truncated, binary or non-numeric content (naming file, line and column); no, unknown
-            or implausible unit; repeated, unsorted or uneven times.
+            or implausible unit; repeated, unsorted or uneven times; gaps in Frame#; coordinates labelled in another
+            order than X, Y, Z; a marker that jumps.
     """
     lines, ended = read_lines(path)
     labels_at = _label_line(lines, path)
     header = _header(lines[:labels_at])
     names = _names(lines[labels_at], f"{path}, line {labels_at + 1}")
-    times, positions = _rows(lines, labels_at + 1, names, ended, path)
+    _check_axes(lines[: labels_at + 1], lines[labels_at + 1 : labels_at + 3], len(names), path)
+    frames, times, positions = _rows(lines, labels_at + 1, names, ended, path)
+    if replaced := _placeholders_to_missing(positions):
+        message = f"{path}: {replaced} places of markers are -9999 or the like in all coordinates: taken for missing"
+        warnings.warn(message, PftwinWarning, stacklevel=2)
 
     factor, differs = length_factor(header.get("units"), units, where=f"{path}, header field Units")
     if differs:
         message = f"{path}: the header's unit is {header['units']!r}; {units!r} is used as told"
         warnings.warn(message, PftwinWarning, stacklevel=2)
     positions = zeros_to_missing(positions) * factor
-    check_spread(positions, where=path)
+    check_spread(positions, where=path, told=units is not None)
     markers = MarkerTrajectories(times, names, positions, source=str(path))
+    _check_frames(frames, path)
+    check_jumps(markers.positions, markers.times, markers.names, where=path)
     for message in _disagreements(header, markers):
         warnings.warn(f"{path}: {message}", PftwinWarning, stacklevel=2)
     return markers
@@ -114,8 +121,8 @@ def _names(line: str, where: object) -> tuple[str, ...]:
 
 def _rows(
     lines: list[str], start: int, names: tuple[str, ...], ended: bool, path: object
-) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) and positions (n, m, 3) in the file's unit."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers of frames (n,), times (n,) and positions (n, m, 3) in the file's unit."""
     width = 2 + 3 * len(names)
     last = max((i for i, line in enumerate(lines) if line.strip()), default=0)
     rows: list[list[float]] = []
@@ -140,7 +147,51 @@ def _rows(
     if not rows:
         raise InputError("no rows of data after the header", where=path, expected="at least one frame")
     values = np.array(rows)
-    return values[:, 1], values[:, 2:].reshape(len(rows), len(names), 3)
+    return values[:, 0], values[:, 1], values[:, 2:].reshape(len(rows), len(names), 3)
+
+
+def _check_axes(header: list[str], below: list[str], markers: int, path: object) -> None:
+    """Refuse coordinates that are labelled in another order than x, y, z, in which they are read."""
+    for number, line in enumerate(header, start=1):
+        cells = _cells(line)
+        order = next((c for c in cells if re.fullmatch(r"\([xyz](/[xyz]){2}\)", c, re.IGNORECASE)), "")
+        if cells[:1] == ["PathFileType"] and order.upper() not in ("", "(X/Y/Z)"):
+            raise InputError(f"the axes are {order}", where=f"{path}, line {number}", expected="(X/Y/Z)")
+    for number, line in enumerate(below, start=len(header) + 1):
+        labels = [c for c in _cells(line) if c]
+        letters = "".join(c[0].upper() for c in labels)
+        if labels and all(_COORDINATE.match(c) for c in labels) and not ("XYZ" * markers).startswith(letters):
+            raise InputError(
+                f"the columns are labelled {', '.join(labels[:6])}",
+                where=f"{path}, line {number}",
+                expected="X, Y, Z for every marker, in this order",
+                remedy="put the columns into this order, or mend the labels if the columns are in it",
+            )
+
+
+def _check_frames(frames: np.ndarray, path: object) -> None:
+    """Refuse numbers of frames with a gap: the times go on evenly, so one of the two is wrong."""
+    if frames.size < 2 or not np.isfinite(frames).all():
+        return
+    steps, times = np.unique(np.diff(frames), return_counts=True)
+    usual = steps[np.argmax(times)]
+    if (off := np.flatnonzero(np.diff(frames) != usual)).size:
+        i = int(off[0])
+        raise InputError(
+            f"Frame# goes from {frames[i]:.12g} to {frames[i + 1]:.12g} on row {i + 2}, while the times go on evenly",
+            where=path,
+            expected=f"steps of {usual:g}, as elsewhere",
+            remedy="rows with empty cells for lost frames; number the frames anew if none is lost",
+        )
+
+
+def _placeholders_to_missing(positions: np.ndarray) -> int:
+    """NaN where all coordinates are one number of four or more nines; how many there were."""
+    size = np.abs(positions[..., 0])
+    nines = np.isin(size, [10.0**digits - 1 for digits in range(4, 10)])
+    found = nines & (positions == positions[..., :1]).all(axis=-1)
+    positions[found] = np.nan
+    return int(found.sum())
 
 
 def _disagreements(header: dict[str, str], markers: MarkerTrajectories) -> list[str]:

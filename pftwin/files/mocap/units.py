@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,10 @@ _DIMENSIONLESS = re.compile(r"(^|_)q[wxyz]$|^frame#?$|^status$", re.IGNORECASE)
 
 # Motion capture of a person or a rig: between a marker cluster's size and a large laboratory's.
 _SMALLEST_SPREAD, _LARGEST_SPREAD = 0.01, 50.0
+# Markers are balls of 6 to 14 mm, and cameras merge two that nearly touch; six of them are on two segments at least. Of
+# rigs and persons in centimetres that are labelled millimetres, nearest neighbours are 4 to 9 "mm" apart.
+_NEAREST, _SMALLEST_OF_SIX = 0.012, 0.1
+_FASTEST = 100.0  # [m/s]; markers on limbs reach 10, on a golf club 50
 
 
 def to_si(unit: str, *, where: object) -> tuple[str, float]:
@@ -101,11 +106,17 @@ def split_unit(column: str) -> tuple[str, str | None]:
     return (name, unit) if name and unit in _UNITS and unit not in _BRACKETS_ONLY else (column, None)
 
 
-def check_spread(positions: NDArray[np.float64], *, where: object) -> None:
+def check_spread(positions: NDArray[np.float64], *, where: object, told: bool) -> None:
     """Refuse marker positions (n, m, 3) in metres whose spread says that the unit is wrong.
 
+    Args:
+        positions: NaN where missing.
+        where: the file, for messages.
+        told: whether the caller gave the unit; then what is merely unusual is believed.
+
     Raises:
-        InputError: all markers together span more than 50 m, or two or more of them less than 10 mm.
+        InputError: all markers together span more than 50 m, or two or more of them less than 10 mm. Unless told: most
+            markers are less than 12 mm from the nearest other one, or six or more span less than 100 mm in most frames.
     """
     present = positions[np.isfinite(positions).all(axis=-1)]
     if not len(present):
@@ -119,3 +130,59 @@ def check_spread(positions: NDArray[np.float64], *, where: object) -> None:
             expected=f"a spread between {_SMALLEST_SPREAD} m and {_LARGEST_SPREAD:g} m",
             remedy="the true unit as argument: units='mm' (or 'm', 'cm')",
         )
+    if not told and several:
+        _check_distances(positions, where)
+
+
+def _check_distances(positions: NDArray[np.float64], where: object) -> None:
+    some = positions[:: max(1, len(positions) // 20)]  # some twenty frames
+    distances = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
+    apart = distances[np.isfinite(distances) & (distances > 0)]  # virtual markers may lie in one place
+    if not apart.size:
+        return
+    distances[~(distances > 0)] = np.inf
+    nearest = distances.min(axis=2)
+    near = float(np.median(nearest[np.isfinite(nearest)]))
+    seen = np.asarray(np.isfinite(some).all(axis=2), dtype=np.bool_)
+    across = [float(np.ptp(p[s], axis=0).max()) for p, s in zip(some, seen, strict=True) if s.sum() >= 6]
+    size = float(np.median(across)) if across else np.inf
+    if near >= _NEAREST and size >= _SMALLEST_OF_SIX:
+        return
+    found = f"markers are {near * 1e3:.3g} mm from the nearest other one"
+    if near >= _NEAREST:
+        found = f"six markers or more span {size * 1e3:.3g} mm"
+    raise InputError(
+        f"{found} in the file's unit: that unit looks wrong",
+        where=where,
+        expected=f"{_NEAREST * 1e3:g} mm or more between markers, {_SMALLEST_OF_SIX * 1e3:g} mm across six of them",
+        remedy="the true unit as argument, the file's own too if it is right: units='cm' (or 'mm', 'm')",
+    )
+
+
+def check_jumps(
+    positions: NDArray[np.float64], times: NDArray[np.float64], names: Sequence[str], *, where: object
+) -> None:
+    """Refuse markers (n, m, 3) [m] that jump, as where a number stands for "not seen" in a few rows.
+
+    Args:
+        positions: NaN where missing.
+        times: (n,) seconds, increasing.
+        names: m markers.
+        where: the file, for messages.
+
+    Raises:
+        InputError: a marker moves faster than 100 m/s between two frames in which it is seen (naming it and the row).
+    """
+    for i, name in enumerate(names):
+        rows = np.flatnonzero(np.isfinite(positions[:, i]).all(axis=1))
+        steps = np.linalg.norm(np.diff(positions[rows, i], axis=0), axis=1)
+        fast = np.flatnonzero(steps > _FASTEST * np.diff(times[rows]))
+        if fast.size:
+            first, row = fast[0], rows[fast[0] + 1]
+            x, y, z = positions[row, i]
+            raise InputError(
+                f"marker {name!r} jumps by {steps[first]:.3g} m to ({x:.4g}, {y:.4g}, {z:.4g}) m on row {row + 1}",
+                where=where,
+                expected=f"at most {_FASTEST:g} m/s",
+                remedy="empty cells where a marker was not seen; else check the unit and the times",
+            )

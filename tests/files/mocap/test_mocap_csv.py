@@ -139,8 +139,18 @@ def test_round_trips(tmp_path):
     np.testing.assert_allclose(again.values, table.values, rtol=1e-11)
     np.testing.assert_allclose(again.times, times, atol=1e-9)
 
-    positions = rng.normal(size=(20, 2, 3))
+    positions = rng.normal(size=(1, 2, 3)) + 0.01 * rng.normal(size=(20, 2, 3))
     positions[4, 1] = np.nan
     markers = MarkerTrajectories(times, ("R_Knee", "L"), positions)
     write_csv(tmp_path / "m.csv", markers)
     np.testing.assert_allclose(read_markers(tmp_path / "m.csv").positions, positions, rtol=1e-11)
+
+
+def test_markers_that_jump_or_are_too_near_are_refused(tmp_path):
+    names = ",".join(f"{name}_{axis}_mm" for name in "AB" for axis in "xyz")
+    lone = file(tmp_path, f"time_s,{names}\n0,1,2,3,400,5,6\n0.01,1,2,-9999,400,5,6\n")
+    with pytest.raises(InputError, match=r"marker 'A' jumps by 10 m to .* on row 2"):
+        read_marker_csv(lone)
+    near = file(tmp_path, f"time_s,{names}\n0,1,2,3,12,5,6\n0.01,1,2,3,12,5,6\n")
+    with pytest.raises(InputError, match=r"markers are 11\.8 mm from the nearest other one"):
+        read_marker_csv(near)

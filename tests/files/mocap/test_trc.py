@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+import pftwin
 from pftwin.base.errors import InputError, OutputError, PftwinWarning
 from pftwin.files.mocap import MarkerTrajectories, read_markers, read_trc, write_trc
 
@@ -176,14 +177,17 @@ def test_read_markers_goes_by_the_suffix(tmp_path):
 
 @settings(max_examples=40, deadline=None)
 @given(
-    positions=arrays(np.float64, (5, 3, 3), elements=st.floats(-20, 20, allow_subnormal=False)),
+    positions=arrays(np.float64, (5, 3, 3), elements=st.floats(-0.01, 0.01, allow_subnormal=False)),
+    place=arrays(np.float64, (3,), elements=st.floats(-20, 20, allow_subnormal=False)),
     missing=arrays(np.bool_, (5, 3)),
     rate=st.sampled_from([50.0, 100.0, 119.88, 120.0, 1000.0]),
     start=st.floats(0, 100),
 )
-def test_round_trip(positions, missing, rate, start):
+def test_round_trip(positions, place, missing, rate, start):
+    positions += place + np.diag([0, 0.5, 0.5])
+    missing[0] = False
     positions[missing] = np.nan
-    positions[0] = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]  # a spread that is plausible, and a marker on the origin
+    positions -= positions[0, 0]  # a marker on the origin
     written = MarkerTrajectories(start + np.arange(5) / rate, ("A", "B_1", "C d"), positions)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "r.trc"
@@ -193,6 +197,88 @@ def test_round_trip(positions, missing, rate, start):
     np.testing.assert_allclose(read.positions, written.positions, atol=1.1e-9)
     np.testing.assert_allclose(read.times, written.times, atol=1e-9)
     assert read.names == written.names
+
+
+def rig_recording() -> MarkerTrajectories:
+    return read_trc(Path(pftwin.__file__).parent / "rig" / "data" / "case1_markers.trc")
+
+
+@pytest.mark.parametrize("size", [1.0, 2.5])  # the rig, and a whole leg
+def test_centimetres_labelled_millimetres_are_noticed(tmp_path, size):
+    """Nearest neighbours on the rig are 86 mm apart, on a whole body with 68 markers 115 mm; balls do not come nearer
+    than 12 mm."""
+    whole = rig_recording()
+    write_trc(tmp_path / "a.trc", whole.with_positions(whole.positions * 0.1 * size))
+    with pytest.raises(InputError, match=r"nearest other one in the file's unit|six markers or more span") as caught:
+        read_trc(tmp_path / "a.trc")
+    assert "that unit looks wrong" in str(caught.value)
+    with pytest.warns(PftwinWarning, match="'cm' is used as told"):
+        read = read_trc(tmp_path / "a.trc", units="cm")
+    np.testing.assert_allclose(read.positions, whole.positions * size, atol=1e-7)
+    assert read_trc(tmp_path / "a.trc", units="mm").names == whole.names  # told that it is right
+
+
+def test_virtual_markers_in_one_place_are_not_too_near(tmp_path):
+    whole = rig_recording()
+    names = (*whole.names, "centre", "same_centre")
+    both = np.concatenate(
+        [whole.positions, whole.positions[:, :2] * [[[1], [0]]] + [[[0], [1]]] * whole.positions[:, :1]], 1
+    )
+    write_trc(tmp_path / "a.trc", MarkerTrajectories(whole.times, names, both))
+    assert read_trc(tmp_path / "a.trc").names == names
+
+
+@pytest.mark.parametrize("value", ["-9999", "-9999.0", "9999", "-99999"])
+def test_numbers_that_stand_for_a_marker_that_was_not_seen(tmp_path, value):
+    rows = [ROWS[0], f"2\t0.01\t2\t3\t4\t{value}\t{value}\t{value}", ROWS[2]]
+    with pytest.warns(
+        PftwinWarning, match="1 places of markers are -9999 or the like in all coordinates: taken for miss"
+    ):
+        m = read_trc(trc(tmp_path, rows=rows))
+    assert m.missing.tolist() == [[False, False], [False, True], [False, False]]
+
+
+@pytest.mark.parametrize("cells", ["-9999\t6\t7", "-8888\t-8888\t-8888", "-9999\t-9999\t7"])
+def test_a_marker_that_jumps_is_refused(tmp_path, cells):
+    rows = [ROWS[0], f"2\t0.01\t2\t3\t4\t{cells}", ROWS[2]]
+    with pytest.raises(
+        InputError, match=r"marker 'ankle' jumps by .* m on row 2; expected: at most 100 m/s; try: empty"
+    ):
+        read_trc(trc(tmp_path, rows=rows))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"), [((1, 2, 4, 5), "from 2 to 4 on row 3"), ((1, 2, 1, 2), "from 2 to 1 on row 3")]
+)
+def test_gaps_in_the_numbers_of_frames_are_refused(tmp_path, numbers, words):
+    rows = [f"{n}\t{i / 100}\t1\t2\t3\t400\t5\t6" for i, n in enumerate(numbers)]
+    with pytest.raises(InputError, match=f"Frame# goes {words}, while the times go on evenly; expected: steps of 1"):
+        read_trc(trc(tmp_path, rows=rows, frames=4))
+
+
+@pytest.mark.parametrize("numbers", [(5, 6, 7, 8), (1, 11, 21, 31), ("", "", "", ""), (0, 0, 0, 0)])
+def test_other_numbers_of_frames_are_read(tmp_path, numbers):
+    rows = [f"{n}\t{i / 100}\t1\t2\t3\t400\t5\t6" for i, n in enumerate(numbers)]
+    assert read_trc(trc(tmp_path, rows=rows, frames=4)).times.size == 4
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "X1\tY1\tZ1\tX2\tY2\tZ2",
+            "Y1\tX1\tZ1\tY2\tX2\tZ2",
+            r"line 5: the columns are labelled Y1, X1, Z1, Y2, X2, Z2",
+        ),
+        ("X1\tY1\tZ1\tX2\tY2\tZ2", "X1\tX2\tY1\tY2\tZ1\tZ2", r"line 5: the columns are labelled X1, X2"),
+        ("(X/Y/Z)", "(Y/X/Z)", r"line 1: the axes are \(Y/X/Z\); expected: \(X/Y/Z\)"),
+    ],
+)
+def test_coordinates_in_another_order_are_refused(tmp_path, old, new, words):
+    path = trc(tmp_path)
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError, match=words):
+        read_trc(path)
 
 
 def test_a_place_that_cannot_be_written(tmp_path):

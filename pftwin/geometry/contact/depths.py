@@ -36,7 +36,8 @@ class Depths(NamedTuple):
     point: Vec3  # the triangle's centroid [m]
     local: Vec3  # the same in the button's frame [m]
     normal: Vec3  # unit, out of the femur: minus the depth's gradient with respect to the point
-    area: Scalar  # of the triangle [m^2]
+    area: Scalar  # of the triangle, projected along the normal [m^2]
+    tilting: Vec3  # minus that area's change for each radian that the button turns about an axis of its own [m^2]
     facet: Array | None  # int32: the label of the femur's nearest triangle
     overflow: Array  # () bool: the list was too short, so some depths are missing
 
@@ -98,6 +99,9 @@ def depths_in(
     local = centroid(own)
     point = position + rotation.apply(local)
     depth, normal, rim = depth_below(femur, place, point)
+    vector, along = own.area_vector(), rotation.unapply(normal)
+    projected = 0.5 * vector.dot(along)
+    facing = jnp.where(stop_gradient(projected) < 0, -1.0, 1.0)  # whichever side the mesh calls outer
     inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= reach) & ~rim
     return Depths(
         depth=depth,
@@ -106,7 +110,8 @@ def depths_in(
         point=point,
         local=local,
         normal=normal,
-        area=0.5 * own.area_vector().norm(),
+        area=facing * projected,
+        tilting=(0.5 * facing) * along.cross(vector),
         facet=None if femur.label is None else femur.label[femur.triangle[place]],
         overflow=overflow,
     )

@@ -129,10 +129,12 @@ def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     pressure, slope, stored = at.law.press(jnp.where(d.listed, d.depth, -1.0))
     elastic, stiffness = d.area * pressure, d.area * slope
     force = elastic - at.damping_time * stiffness * (at.twist @ rows)
+    kept = jnp.where(force > 0, stored, 0.0)
     force, elastic, stiffness = (jnp.where(force > 0, a, 0.0) for a in (force, elastic, stiffness))
+    tilting = jnp.concatenate([jnp.zeros(3, kept.dtype), jnp.sum(kept[:, None] * d.tilting.array(), axis=0)])
     forces = Forces(
-        force=rows @ force,
-        elastic=rows @ elastic,
+        force=rows @ force + tilting,
+        elastic=rows @ elastic + tilting,
         stiffness=(rows * stiffness[None, :]) @ rows.T,
         size=jnp.sum(force),
         energy=jnp.sum(d.area * stored),

@@ -39,17 +39,21 @@ def at_depth(d, **rest):
     return look((0, 0, RADIUS - d), orientation=Quaternion.from_rotation_vector(vec(0.3, 0.2, -0.1)), **rest)
 
 
-@pytest.mark.slow
-def test_a_ball_on_a_plate_bears_what_the_displaced_volume_says(effect):
-    d = 5e-4
+@pytest.mark.parametrize("d", [5e-4, 2e-3, 4.9e-3])
+def test_a_ball_on_a_plate_bears_what_the_displaced_volume_says(effect, d):
+    """Sums over the sphere's area, not its projection, would be d / 3R more: 0.8, 3.4 and 8.9 %."""
     load, report = seen(effect, at_depth(d))
     k = float(1 / effect.law.compliance())
     force = np.asarray(load.total().force.array())
-    assert force[2] == pytest.approx(k * np.pi * d**2 * (RADIUS - d / 3), rel=0.03)  # the mesh is inscribed
+    inscribed = 4e-6 / d  # the triangles of the mesh lie up to 4 um within the ball
+    assert force[2] == pytest.approx(k * np.pi * d**2 * (RADIUS - d / 3), rel=2 * inscribed)
+    assert float(load.energy) == pytest.approx(k * np.pi * d**3 * (RADIUS / 3 - d / 12), rel=3 * inscribed)
     assert np.abs(force[:2]).max() < 2e-3 * force[2]
-    assert float(report["area"]) == pytest.approx(np.pi * 2 * RADIUS * d, rel=0.03)
+    assert np.abs(np.asarray(load.total().moment.array())).max() < 1e-3 * force[2] * RADIUS
+    area = np.pi * d * (2 * RADIUS - d)
+    assert float(report["area"]) == pytest.approx(area, rel=0.02 if d < 1e-3 else 5e-3)
     assert float(report["max_pressure"]) == pytest.approx(k * d, rel=0.03)
-    assert float(report["mean_pressure"]) == pytest.approx(k * d / 2, rel=0.05)
+    assert float(report["mean_pressure"]) == pytest.approx(force[2] / area, rel=0.02 if d < 1e-3 else 5e-3)
     np.testing.assert_allclose(report["center_of_pressure"][:2], 0, atol=5e-5)
     assert float(report["force_medial"] + report["force_lateral"]) == pytest.approx(force[2], rel=1e-3)
     assert float(report["too_deep"]) == 0
@@ -118,8 +122,10 @@ def test_the_sums_are_those_of_the_list_of_triangles(effect):
     count = count & (force > 0)
     load, _ = seen(damped, pose)
     bed = load.bed
-    np.testing.assert_allclose(bed.force, force[count] @ g[count], rtol=1e-10)
-    np.testing.assert_allclose(bed.elastic, elastic[count] @ g[count], rtol=1e-10)
+    turning = np.asarray(answer.energy[:, None] * found.tilting.array())[count].sum(axis=0)
+    turning = np.array([0, 0, 0, *turning])
+    np.testing.assert_allclose(bed.force, force[count] @ g[count] + turning, rtol=1e-10)
+    np.testing.assert_allclose(bed.elastic, elastic[count] @ g[count] + turning, rtol=1e-10)
     np.testing.assert_allclose(bed.stiffness, (g[count].T * k[count]) @ g[count], rtol=1e-10)
     assert float(bed.size) == pytest.approx(force[count].sum(), rel=1e-12)
     heat = float(((force - elastic)[count] * rate[count]).sum())

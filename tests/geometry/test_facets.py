@@ -11,7 +11,7 @@ from scenes import RADIUS, contact, fitted, flat_patch, look, patch_of, vec
 
 from pftwin.geometry.contact.facets import FAN, scan_facets
 from pftwin.geometry.patch.polynomial import exponents
-from pftwin.model.effects.contact_law import Hertz
+from pftwin.model.effects.contact_law import Flores, Hertz
 
 J = jnp.asarray
 LAW = Hertz(J(2e8))
@@ -68,3 +68,31 @@ def test_the_fan_finds_the_bottom_from_a_wrong_place_along_the_groove(along, twi
     valley = patch_of([second.get(ij, 0.0) for ij in exponents(2)], 2, half)
     found = scan_facets(valley, vec(0, 0, RADIUS - 1e-4), J(RADIUS), J(astray))
     np.testing.assert_allclose(found, 0.0, atol=1e-12)
+
+
+def test_a_frame_shows_the_contact_that_the_step_has_had():
+    """A button that the last step held on its medial facet alone, and that has come to touch the lateral one too: the
+    velocity is the medial contact's doing, so the force seen is the law's there, not that of a blow on the other facet.
+    """
+    stiffness, restitution, floor = 2e8, 0.6, 0.01
+    button = contact(Flores(J(stiffness), J(restitution)), fitted(lambda u, v: 25 * v**2, 2, (0.024, 0.02)))
+    height = next(z for z in np.linspace(0.02, 0.03, 1001) if nearest(button.surface, (0, 0, z))[0] > RADIUS - 3e-5)
+    velocity = (0.0, 0.02, 0.0)  # away from the medial facet, into the lateral one
+    now = look((0, 0, height), velocity)
+
+    @eqx.filter_jit
+    def seen(button, now):
+        memory = button.remember(now)
+        on_medial = memory._replace(places=(memory.places[0], memory.places[0]))
+        load, _ = button.load(now, on_medial)
+        return button.observe(now, on_medial), sum(term.force for term in load.stiff)
+
+    distance, place = nearest(button.surface, (0, 0, height))
+    assert place > 0.004  # two facets, or this shows nothing
+    depth = RADIUS - distance
+    rate = -velocity[1] * place / distance  # the normal leans from the medial facet to the lateral one
+    damping = 8 * (1 - restitution) / (5 * restitution * floor)
+    alone = stiffness * depth**1.5 * (1 + damping * rate)
+    report, next_step = seen(button, now)
+    assert float(next_step) > 2 * alone  # or there is no other contact to find
+    assert float(report["force"]) == pytest.approx(alone, rel=1e-4)

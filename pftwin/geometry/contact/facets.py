@@ -52,7 +52,7 @@ class Facets(NamedTuple):
 
 
 def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> Facets:
-    """One Newton step for both points from the places where they were left.
+    """One Newton step for both points, after they have been watched: who is astray starts elsewhere.
 
     Args:
         surface: with a chart whose v runs across the groove, medial to lateral.
@@ -67,8 +67,8 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
     ends = middle + FAN[0] * radius, middle + FAN[-1] * radius
     astray = ASTRAY * SPACING * radius
     in_order = places[0].v <= places[1].v
-    points = []
-    for own, other, sample, side in zip(places, places[::-1], seen, (-1.0, 1.0), strict=True):
+    starts = []
+    for own, other, sample in zip(places, places[::-1], seen, strict=True):
         fan_v = surface.clipped(middle + sample * radius)
         at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius for end in ends]
         far, other_far = (_too_far(surface.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
@@ -77,8 +77,16 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
         new, joins = far & other_far, far & ~other_far & ~((own.settled > 0) & in_order)
         u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
         v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
-        points.append(newton_step(surface, c, u, v, LONGEST * radius, push=side))
-    medial, lateral = points
+        starts.append(FollowedPoint(u, v, own.settled))
+    return facets_from(surface, c, radius, (starts[0], starts[1]))
+
+
+def facets_from(surface: Surface, c: Vec3, radius: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> Facets:
+    """One Newton step for both points from where they are, whatever else is near; see `follow_facets`."""
+    medial, lateral = (
+        newton_step(surface, c, p.u, p.v, LONGEST * radius, push=side)
+        for p, side in zip(places, (-1.0, 1.0), strict=True)
+    )
     gap = lateral.v - medial.v
     t = (jnp.where(gap < 0, -gap, gap) / radius - MERGED) * (1 / (APART - MERGED))
     share = jnp.where(t > 1, 1.0, jnp.where(t > 0, 0.5 + t * t * (1.5 - t), 0.5))

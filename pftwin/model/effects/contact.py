@@ -56,6 +56,10 @@ class Contact(Effect):
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Any], Scalar | None]:
         """See `Effect`: what is shown of a contact and its energy come from one search."""
 
+    def standing_load(self, now: Instant, memory: Any) -> Load:
+        """The load at an observed instant, by the contacts that `report` shows."""
+        return self.load(now, memory)[0]
+
     @abstractmethod
     def tracked_point(self) -> Vec3:
         """The point of the patella whose path results show: the middle of the button's sphere, patella frame [m]."""

@@ -151,7 +151,7 @@ class WithFriction(ButtonSphere):
         """The contact's report; `force_x`, `_y` and `_z` with friction, the other forces without it."""
         contact = self.alone()
         report, energy = contact.report(now, memory.contact)
-        pushes = _pushes(contact.load(now, memory.contact)[0])
+        pushes = _pushes(contact.standing_load(now, memory.contact))
         slidings = [self._sliding(now, push, before) for push, before in zip(pushes, memory.last, strict=True)]
         force = sum((t.force * t.direction for s in slidings for t in s.terms), start=Vec3.zero())
         local = now.femur.local_direction(force)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.base.traced_once import traced_once
-from pftwin.geometry.contact.facets import MERGED, FollowedPoint, follow_facets
+from pftwin.geometry.contact.facets import MERGED, Facets, FollowedPoint, facets_from, follow_facets
 from pftwin.geometry.patch.closest import ClosestPoint, Surface
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch, facet_report, load_of
@@ -77,8 +77,23 @@ class SphereContact(ButtonSphere):
         self, now: Instant, memory: ContactMemory
     ) -> tuple[Touch[ClosestPoint], Touch[ClosestPoint], ContactMemory]:
         """The medial and the lateral contact at this instant, and the memory for the next."""
-        c, velocity = self.centre_in_chart(now)
-        facets = follow_facets(self.surface, c, self.radius, memory.places)
+        c, _ = self.centre_in_chart(now)
+        return self._touches_at(follow_facets(self.surface, c, self.radius, memory.places), now, memory)
+
+    @traced_once
+    def standing_touches(self, now: Instant, memory: ContactMemory) -> tuple[Touch[ClosestPoint], Touch[ClosestPoint]]:
+        """The contacts that the step to this instant has had: none is found or lost by looking.
+
+        A step ends with the velocity that its own contacts leave. Another contact would meet this velocity unprepared:
+        damping makes hundreds of newtons of it, which the motion never sees, since the next step adapts at once.
+        """
+        c, _ = self.centre_in_chart(now)
+        return self._touches_at(facets_from(self.surface, c, self.radius, memory.places), now, memory)[:2]
+
+    def _touches_at(
+        self, facets: Facets, now: Instant, memory: ContactMemory
+    ) -> tuple[Touch[ClosestPoint], Touch[ClosestPoint], ContactMemory]:
+        _, velocity = self.centre_in_chart(now)
         speeds, way = memory.approach_speeds or (None, None), now.step * velocity
         touches, places = [], []
         for p, speed in zip((facets.medial, facets.lateral), speeds, strict=True):
@@ -93,9 +108,13 @@ class SphereContact(ButtonSphere):
         one, two, memory = self.touches(now, memory)
         return load_of([one.push, two.push])[0], memory
 
+    def standing_load(self, now: Instant, memory: ContactMemory) -> Load:
+        """A stiff term for each of `standing_touches`."""
+        return load_of([t.push for t in self.standing_touches(now, memory)])[0]
+
     def report(self, now: Instant, memory: ContactMemory) -> tuple[dict[str, Any], Scalar | None]:
         """Forces, points and indentations, told apart as medial and lateral."""
-        touches = self.touches(now, memory)[:2]
+        touches = self.standing_touches(now, memory)
         (one, two), (c, _) = (t.at for t in touches), self.centre_in_chart(now)
         # A single contact, of which both points bear half, belongs to the facet on its side of the sphere's centre.
         single = jnp.abs(one.v - two.v) < MERGED * self.radius

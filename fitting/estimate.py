@@ -17,6 +17,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.base.text_files import read_json
 from pftwin.model.scene import Scene
+from pftwin.results.verdict import INVALID
 
 if TYPE_CHECKING:
     from fitting.plots import EstimatePlots
@@ -61,6 +62,7 @@ class Estimate:
     notes: list[str] = field(default_factory=list)
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
+    verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
     nominal_scene: Scene | None = field(default=None, repr=False)
     measured: Any = field(default=None, repr=False)
 
@@ -109,13 +111,21 @@ class Estimate:
         normal = np.random.default_rng(seed).standard_normal((count, len(self.values)))
         return np.clip(self.values + normal @ root.T, self.lower, self.upper)
 
+    @property
+    def invalid(self) -> bool:
+        """Whether the fitted motion may not be spoken of."""
+        return self.verdict.startswith(INVALID)
+
     def sentence(self) -> str:
-        """The precision of the parameters, in a sentence."""
+        """The precision of the parameters, in a sentence; "INVALID" and why of a fit to no sound motion."""
+        if self.invalid:
+            return f"{self.verdict} (the fitted motion)"
         return in_words(self.names, self.upper - self.lower, self.values, self.covariance, self.channels)
 
     def summary(self) -> str:
         """A table in text, with the remarks."""
-        lines = [f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}"]
+        lines = [self.sentence()] if self.invalid else []
+        lines += [f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}"]
         for i, name in enumerate(self.names):
             low, high = self.intervals[i]
             lines.append(
@@ -190,6 +200,7 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
+            content = {"verdict": "", **content}  # older files have none
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)

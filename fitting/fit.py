@@ -19,6 +19,7 @@ from fitting.uncertainty import uncertainty
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
+from pftwin.dynamics.simulate import simulate
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 
@@ -287,7 +288,7 @@ def _estimate(search: Method, state: State, measured: Measured, springs: Mapping
     j = target.slopes(seen.slopes, seen.values)[0]
     noise = target.noise or target.noise_of(r, len(parameters))
     sure = uncertainty(target.known(noise), parameters, r, j, theta)
-    return Estimate(
+    estimate = Estimate(
         names=parameters.names,
         units=tuple(p.unit for p in parameters.items),
         values=theta,
@@ -321,6 +322,9 @@ def _estimate(search: Method, state: State, measured: Measured, springs: Mapping
         nominal_scene=problem.scene,
         measured=measured,
     )
+    if not state["interrupted"]:  # run as everybody else runs it: a fit does not look at status
+        estimate.verdict = simulate(estimate.scene).verdict.describe()
+    return estimate
 
 
 def _rmse(target: Objective, r: Any) -> dict[str, float]:

@@ -9,7 +9,7 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.cli.exit_codes import Interrupted, report_written_on_interrupt
+from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import SceneOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
@@ -100,6 +100,8 @@ def fit(
         _report(estimate, output, json, figures=figures and not interrupted, posterior=draws)
     if interrupted:
         raise Interrupted(output, *([] if checkpoint is None else [checkpoint]))
+    if estimate.invalid:
+        exit_flagged(estimate.sentence())
 
 
 def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:
@@ -131,8 +133,9 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
         rows,
         words=(0, 5),
     )
+    first = [e.sentence()] if e.invalid else []
     lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *said, written_line(files)]
-    present({**facts, "files": files}, sheet, *lines, json=json)
+    present({**facts, "files": files}, *first, sheet, *lines[len(first) :], json=json)
 
 
 def _check_posterior(objective: str) -> None:

@@ -60,7 +60,7 @@ def treat(
     variants = _variants(numbers)
     found = _loaded(estimate)
     chosen = knee.load()
-    from fitting.prediction.plots import facts, main_finding, outcome_figure
+    from fitting.prediction.plots import facts, invalid_variants, main_finding, outcome_figure
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
 
@@ -76,10 +76,11 @@ def treat(
             files += save_figure(drawn, output.with_suffix(""))
     said = main_finding(data)
     told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
-    terminal.present(told, _sheet(data), said, data.attrs.get("note", ""), terminal.written_line(files), json=json)
-    own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
-    if failed := int(own.sum()):
-        exit_flagged(f"{failed} of {data.sizes['variant']} variants could not be simulated")
+    doubt = invalid_variants(data)
+    parts = (said, _sheet(data)) if doubt else (_sheet(data), said)
+    terminal.present(told, *parts, data.attrs.get("note", ""), terminal.written_line(files), json=json)
+    if doubt:
+        exit_flagged(doubt)
 
 
 @with_amounts("FROM:TO", ", within these limits")
@@ -148,6 +149,8 @@ def optimise(
         tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
     )
     terminal.present(facts, sheet, plan.describe(), *notes, terminal.written_line(files), json=json)
+    if plan.invalid:
+        exit_flagged(plan.invalid)
     if not plan.met:
         exit_flagged("no amount within the range meets the limits")
 

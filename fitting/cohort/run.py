@@ -44,6 +44,7 @@ class Work:
 
         Raises:
             InputError: what `fitting.fit_tendons` refuses.
+            PftwinError: the fitted motion may not be spoken of.
             KeyboardInterrupt: Ctrl-C; an unfinished fit is discarded.
         """
         from fitting.fit import fit_tendons, measured_of
@@ -54,6 +55,8 @@ class Work:
         )
         if estimate.reason.startswith("interrupted"):
             raise KeyboardInterrupt
+        if estimate.invalid:
+            raise PftwinError(estimate.sentence())
         return estimate
 
     def predict(self, patient: Patient, estimate: Estimate | None, tell: Tell) -> Dataset | None:
@@ -64,6 +67,7 @@ class Work:
         """
         if not self.cohort.treatments:
             return None
+        from fitting.prediction.plots import main_finding
         from fitting.prediction.predicting import predict
         from fitting.prediction.variants import combinations
 
@@ -74,11 +78,7 @@ class Work:
         scene = self._scene(patient)
         data = predict(scene, variants, estimate, progress=lambda done, of: tell(done / max(of, 1)), **settings)
         if bool(data["failed"].all()):
-            raise InputError(
-                "no variant could be simulated: no equilibrium to start from, or no finite motion",
-                where=patient.name,
-                remedy="pftwin simulate, which says more",
-            )
+            raise InputError(main_finding(data), where=patient.name, remedy="pftwin simulate, which says more")
         return data
 
     def _scene(self, patient: Patient) -> Scene:

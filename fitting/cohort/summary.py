@@ -112,6 +112,7 @@ FIXED = {
     "at_bounds": "string",
     "variant": "int64",
     "treatment": "string",
+    "verdict": "string",
     "variant_failed": "bool",
 }
 Row = dict[str, Any]

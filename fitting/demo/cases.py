@@ -116,11 +116,13 @@ def _outcomes(results: dict[int, dict[str, Result]]) -> list[dict[str, Any]]:
     rows = []
     for n, by_contact in results.items():
         for contact, result in by_contact.items():
-            tracking = result.dislocations()
-            if tracking is None:
+            if result.surface is None:
                 continue
-            found = {"text": tracking.describe(), "re_engaged": tracking.re_engaged}
-            rows.append({"case": n, "contact": contact, "dislocates": bool(tracking.events), **found})
+            outcome = result.dislocations()
+            found = {"dislocates": None, "re_engaged": None}  # of a motion that may not be spoken of
+            if outcome is not None:
+                found = {"dislocates": bool(outcome.events), "re_engaged": outcome.re_engaged}
+            rows.append({"case": n, "contact": contact, "text": result.tracking, **found})
     return rows
 
 

@@ -23,6 +23,7 @@ from fitting.demo.straight_springs import (
     recorded_pulls,
 )
 from fitting.fit import SPRING_PARAMETERS, fit_tendons
+from pftwin.base.errors import PftwinError
 from pftwin.results.tracking import Tracking, find_dislocations, groove_offset
 
 if TYPE_CHECKING:
@@ -173,6 +174,7 @@ def simulated(case: int, springs: str, theta: np.ndarray, dt: float = STEP) -> R
 
     Raises:
         InputError: no such case; values that no spring can have.
+        PftwinError: a motion that may not be spoken of.
     """
     import jax.numpy as jnp
 
@@ -183,7 +185,8 @@ def simulated(case: int, springs: str, theta: np.ndarray, dt: float = STEP) -> R
     scene = free_parameters(nominal, SPRING_PARAMETERS).apply(nominal, jnp.asarray(theta, dtype=float))
     result = simulate(scene, dt=dt)
     predicted = result.dislocations()
-    assert predicted is not None
+    if predicted is None:
+        raise PftwinError(f"{result.tracking} (case {case}, springs: {springs})")
     assert result.surface is not None
     _, offset = groove_offset(result.surface, measured.center)
     seen = find_dislocations(measured.times, offset, result.knee.flexion)

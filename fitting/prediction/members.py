@@ -20,11 +20,11 @@ from fitting.treatments import Treatment
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.batched import good_sizes
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
-from pftwin.dynamics.batch.member import FLAGS, scene_is_valid
+from pftwin.dynamics.batch.member import frames_with_flags, scene_is_valid
 from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.observe import observe_on_the_way
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.scene import Scene
 
 _NEAR = 48  # equilibria found from the scene's own start; all other searches start from the nearest of these
@@ -67,7 +67,7 @@ def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any
     """A member's outcomes."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
     at, seen = recipe.course(scene)
-    flags = jnp.stack([jnp.sum((at.status & int(flag)) != 0) for flag in FLAGS])
+    flags = frames_with_flags(at.status)
     courses = {}
     if recipe.trajectories:
         courses = {

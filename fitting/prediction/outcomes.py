@@ -16,13 +16,14 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
+from pftwin.dynamics.batch.member import frames_with_flags
 from pftwin.dynamics.observe import ObservedFrame
-from pftwin.dynamics.status import Status
 from pftwin.dynamics.trajectory import knee_angles
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.scene import Scene
 from pftwin.results.result import Result
 from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_line
+from pftwin.results.verdict import is_invalid
 
 
 def groove_surface(scene: Scene) -> Surface:
@@ -168,7 +169,9 @@ MEASURES = {
 
 
 def measure(at: Course, threshold: float = DISLOCATED) -> dict[str, Scalar]:
-    """The outcomes in `MEASURES`, SI. Pure; NaN, all of them, where a frame is not finite.
+    """The outcomes in `MEASURES`, SI. Pure; NaN, all of them, of a motion that may not be spoken of.
+
+    Whether it may is for `pftwin.results.verdict` to say.
 
     Forces and their centre are taken as running medians over five frames, since at long steps contact rattles in single
     frames where it slides. On the rig's case 1 the largest force is 20.7 N at 1 ms, with medians or without; at 2.5 ms
@@ -177,9 +180,9 @@ def measure(at: Course, threshold: float = DISLOCATED) -> dict[str, Scalar]:
     Times, flexions and the number of dislocations jump as amounts change; the others change continuously while the
     patella tracks.
     """
-    finite = jnp.all((at.status & int(Status.NOT_FINITE)) == 0)
+    invalid = is_invalid(frames_with_flags(at.status), at.status.shape[0])
     found = {**_dislocation(at, threshold), **_motion(at, threshold), **_load(at), **_path(at)}
-    return {name: jnp.where(finite, found[name], jnp.nan) for name in MEASURES}
+    return {name: jnp.where(invalid, jnp.nan, found[name]) for name in MEASURES}
 
 
 def _dislocation(at: Course, threshold: float) -> dict[str, Scalar]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.results.plots.quantities import as_read
+from pftwin.results.verdict import INVALID
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +55,7 @@ def amount_names(data: Dataset) -> list[str]:
 
 
 def _amounts(data: Dataset) -> list[str]:
-    fixed = ("variant", "scene", "treatment")
+    fixed = ("variant", "scene", "treatment", "verdict")
     return [str(n) for n, c in data.coords.items() if c.dims == ("variant",) and n not in fixed]
 
 
@@ -208,7 +209,7 @@ def _dislocation(data: Dataset, i: int) -> str:
     one = data.isel(variant=i)
     first = _by_estimate(one)
     if bool(first["failed"]):
-        said = "failed"
+        said = INVALID
     elif float(first["dislocations"]) == 0:
         said = "none"
     else:
@@ -224,14 +225,18 @@ def _dislocation(data: Dataset, i: int) -> str:
 
 
 def main_finding(data: Dataset) -> str:
-    """The main finding, in a sentence or two."""
+    """The main finding, in a sentence or two; it begins with "INVALID" where motions may not be spoken of."""
     first = _by_estimate(data)
     failed, out = first["failed"].values, first["dislocations"].values > 0
     fine = ~failed & ~out
-    parts = []
+    parts = [invalid_variants(data)] if failed.any() else []
+    if failed.all():
+        return parts[0]
     names = amount_names(data)
     one = len(names) == 1 and len(set(data["scene"].values)) == 1
-    if fine.all():
+    if failed.any():
+        parts.append(f"{np.count_nonzero(fine)} of the other {np.count_nonzero(~failed)} track without dislocation")
+    elif fine.all():
         parts.append("no variant dislocates")
     elif not fine.any():
         parts.append("no variant tracks")
@@ -246,9 +251,16 @@ def main_finding(data: Dataset) -> str:
             parts.append(f"dislocates at {amount[order][last_out]:.4g} {unit} of {what}, the largest amount, too")
     else:
         parts.append(f"{np.count_nonzero(fine)} of {fine.size} variants track without dislocation")
-    if failed.any():
-        parts.append(f"{np.count_nonzero(failed)} of {failed.size} variants could not be simulated")
     return "; ".join(parts)
+
+
+def invalid_variants(data: Dataset) -> str:
+    """How many variants have motions that may not be spoken of, and why the first; empty where all may be."""
+    failed = _by_estimate(data)["failed"].values
+    if not failed.any():
+        return ""
+    why = str(data["verdict"].values[failed][0]) if "verdict" in data.coords else "an older file does not say why"
+    return f"{INVALID}: {np.count_nonzero(failed)} of {failed.size} variants ({why.removeprefix(f'{INVALID}: ')})"
 
 
 def facts(data: Dataset) -> dict[str, Any]:
@@ -256,7 +268,8 @@ def facts(data: Dataset) -> dict[str, Any]:
     first, amounts = _by_estimate(data), _amounts(data)
     outcomes = [str(n) for n, v in first.data_vars.items() if v.dims == ("variant",)]
     units = {n: str(data[n].attrs["units"]) for n in [*amounts, *outcomes]}
-    columns = {n: first[n].values.tolist() for n in ["scene", "treatment", *amounts, *outcomes]}
+    words = [n for n in ("scene", "treatment", "verdict") if n in data.coords]
+    columns = {n: first[n].values.tolist() for n in [*words, *amounts, *outcomes]}
     drawn = [n for n in outcomes if n != "failed"] if "sample" in data.dims else []
     bands = {name: list(central_and_range(data[name])[1:]) for name in drawn}
     variants = [{n: values[i] for n, values in columns.items()} for i in range(data.sizes["variant"])]

@@ -14,12 +14,12 @@ from fitting.prediction.variants import VariantBatch, batches
 from fitting.treatments import Treatment
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices
-from pftwin.dynamics.batch.member import FLAGS
 from pftwin.dynamics.frame_states import substeps_for
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import FLAGS
 from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene, check
 from pftwin.results.tracking import DISLOCATED
+from pftwin.results.verdict import Verdict, is_invalid, verdict_of_counts
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -159,7 +159,6 @@ _COURSES = {
     "force_medial": ("N", "normal force on the medial facet"),
     "force_lateral": ("N", "normal force on the lateral facet"),
 }
-_TROUBLE = (Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM)  # statuses that invalidate a member's outcomes
 
 
 def dataset(
@@ -178,13 +177,13 @@ def dataset(
         return a[order] if sampled else a[order][:, 0]
 
     flags = gathered([m.flags for m in found])
-    failed = ~gathered([m.sensible for m in found]) | (flags[..., [FLAGS.index(f) for f in _TROUBLE]] > 0).any(axis=-1)
+    failed = gathered([_invalid(b, m) for b, m in zip(batches, found, strict=True)])
     variables: Variables = {}
     for name, about in MEASURES.items():
         values, unit = _shown(gathered([m.outcomes[name] for m in found]), about.unit)
         values = np.where(failed, np.nan, values)
         variables[name] = (axes, values, {"units": unit, "long_name": about.long_name})
-    variables["failed"] = (axes, failed, {"units": "1", "long_name": "no equilibrium to start from, or not finite"})
+    variables["failed"] = (axes, failed, {"units": "1", "long_name": "motion that may not be spoken of: see verdict"})
     meaning = {"units": "1", "long_name": "recorded frames with each status", "flags": [f.describe() for f in FLAGS]}
     variables["status_frames"] = ((*axes, "flag"), flags, meaning)
     for name in found[0].courses:
@@ -192,6 +191,8 @@ def dataset(
         last = ("axis",) if name == "sphere_center" else ()
         variables[name] = ((*axes, "time", *last), values, {"units": unit, "long_name": _COURSES[name][1]})
     coordinates = _coordinates(batches, order, len(places), bool(found[0].courses))
+    words = [said for b, m in zip(batches, found, strict=True) for said in _verdicts(b, m, many)]
+    coordinates["verdict"] = (("variant",), np.array(words)[order], {"long_name": "verdict on the motion"})
     if estimate is not None:
         parameters = thetas if sampled else thetas[0]
         coordinates["parameter"] = (("parameter",), list(estimate.names), {"long_name": "estimated parameter"})
@@ -233,6 +234,19 @@ def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: i
         axis = {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}
         out["axis"] = (("axis",), ["x", "y", "z"], axis)
     return out
+
+
+def _invalid(batch: VariantBatch, found: Members) -> NDArray[np.bool_]:
+    """(n,): members whose motion may not be spoken of."""
+    return ~found.sensible | is_invalid(found.flags, batch.scene.motion.times.size)
+
+
+def _verdicts(batch: VariantBatch, found: Members, many: int) -> list[str]:
+    """Of every variant, for the estimate itself."""
+    frames = batch.scene.motion.times.size
+    own = zip(found.flags[::many], found.sensible[::many], strict=True)
+    senseless = Verdict(("a parameter that makes no sense",))
+    return [(verdict_of_counts(counts, frames) if good else senseless).describe() for counts, good in own]
 
 
 def _shown(values: NDArray[Any], unit: str) -> tuple[NDArray[Any], str]:

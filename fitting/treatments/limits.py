@@ -102,9 +102,12 @@ class TreatmentPlan:
     samples: int = 0  # draws from the estimate's uncertainty
     confidence: float = 0.0  # required share of draws in which all limits hold
     share: float | None = None  # share of draws in which they hold; None without draws
+    invalid: str = ""  # "INVALID" and why, where no amount has a motion that may be spoken of
 
     def describe(self) -> str:
         """In a sentence or two."""
+        if self.invalid:
+            return self.invalid
         drawn = ""
         if self.share is not None:
             drawn = (
@@ -125,6 +128,7 @@ class TreatmentPlan:
         amounts = zip(self.treatment.names, self.treatment.values, self.treatment.ways, strict=True)
         return {
             "met": self.met,
+            "verdict": self.invalid or "valid",
             "treatment": self.treatment.describe(),
             "amounts": {name: {"value": float(value), "unit": way.unit} for name, value, way in amounts},
             "limits": [

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.prediction.plots import invalid_variants
 from fitting.prediction.predicting import STEP, Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, TreatmentPlan
@@ -87,15 +88,18 @@ def optimise_treatment(
     scale = np.maximum(np.abs(lower), np.abs(upper))
     amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
     options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
-    room = _smallest_margin(predict(scene, search.treated(amounts), estimate, **options), wanted)
+    coarse = predict(scene, search.treated(amounts), estimate, **options)
+    room = _smallest_margin(coarse, wanted)
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
+
+    doubt = invalid_variants(coarse) if coarse["failed"].all() else ""
 
     def plan(met: bool, at: Floats) -> TreatmentPlan:
         share = search.share(at) if samples else None
         outcomes = search.outcomes(at)
         count = simulated + search.count
-        return TreatmentPlan(met, search.treated(at), outcomes, wanted, count, samples, confidence, share)
+        return TreatmentPlan(met, search.treated(at), outcomes, wanted, count, samples, confidence, share, doubt)
 
     if not fine.size:
         return plan(False, amounts[int(np.argmax(room))])

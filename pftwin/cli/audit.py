@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from pftwin.base.errors import InputError
-from pftwin.cli.exit_codes import Interrupted, report_written_on_interrupt
+from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import RunOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present, show, spinner, written_line
 
@@ -72,6 +72,8 @@ def audit(
     if found.interrupted:
         raise Interrupted(*files, *([Path(json)] if json not in (None, "-") else []))
     show(written_line(files), json=json)
+    if found.verdict != "valid":
+        exit_flagged(f"{found.verdict} ({found.scene})")
 
 
 def _write(found: Audit, folder: Path) -> list[Path]:

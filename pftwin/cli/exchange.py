@@ -97,6 +97,8 @@ def view(
     if names and len(names) != len(results):
         raise InputError(f"{len(names)} names for {len(results)} results", where="--name", expected="one for each")
     terminal.check_outputs(page, json)
+    from pftwin.files.result_files import load_dataset
+    from pftwin.results.verdict import verdict_of_file
     from pftwin.results.viewer import view as draw
 
     with terminal.spinner("drawing"):
@@ -106,6 +108,9 @@ def view(
     terminal.present(facts, f"written: {page} ({size / 1e6:.1f} MB)", json=json)
     if browser:
         typer.launch(page.resolve().as_uri())
+    verdicts = {path.name: verdict_of_file(load_dataset(path)) for path in results}
+    if doubts := [f"{v.describe()} ({name})" for name, v in verdicts.items() if not v.valid]:
+        exit_flagged("; ".join(doubts))
 
 
 def import_model(

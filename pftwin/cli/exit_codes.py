@@ -44,16 +44,9 @@ def exit_flagged(why: str) -> NoReturn:
 
 
 def check_trust(result: Result) -> None:
-    """Ends with `FLAGGED` where the numbers of some frames cannot be trusted.
-
-    Frames without contact, beyond the edge of a fitted patch or after a snap do not count: they are true of the
-    motion, and the summary reports them.
-    """
-    from pftwin.dynamics.status import Status
-
-    told = Status.NO_CONTACT | Status.LEFT_PATCH | Status.SNAPPED
-    if doubts := result.status & ~told:
-        exit_flagged(f"{result.scene_name}: {doubts.describe()}")
+    """Ends with `FLAGGED` where the motion may not be spoken of (`pftwin.results.verdict`)."""
+    if not result.verdict.valid:
+        exit_flagged(f"{result.verdict.describe()} ({result.scene_name})")
 
 
 class Interrupted(KeyboardInterrupt):

@@ -50,6 +50,8 @@ def simulate(
         "settings": result.settings,
         "timing": {**result.timing, "first_run_s": first},
         "real_time_factor": result.real_time_factor,
+        "verdict": result.verdict.describe(),
+        "tracking": result.tracking,
         "status": result.status.describe(),
         "largest_indentation_m": result.largest_indentation,
         "equilibrium": result.equilibrium.to_dict(),
@@ -117,8 +119,9 @@ def validate(*, knee: RunOptions, tolerance: ToleranceOption = None, json: JsonO
     headings = ("", "this", *beside, "unit")
     sheet = Sheet(f"{found.scene} against {against}", headings, tuple(cells), words=(0, len(headings) - 1))
     shown = [row._asdict() for row in rows]
-    facts = {"contact": chosen.contact, **found.to_dict(), "first_run_s": first, "rows": shown}
-    present(facts, sheet, json=json)
+    verdict = result.verdict.describe()
+    facts = {"contact": chosen.contact, "verdict": verdict, **found.to_dict(), "first_run_s": first, "rows": shown}
+    present(facts, "" if result.verdict.valid else verdict, sheet, json=json)
     check_trust(result)
 
 

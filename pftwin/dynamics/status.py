@@ -61,6 +61,7 @@ _WORDS = {
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
+FLAGS = tuple(flag for flag in Status if flag)
 RESERVATIONS = {  # the flag that an observable raises where it is positive
     "off_patch": Status.LEFT_PATCH,
     "at_rim": Status.LEFT_PATCH,

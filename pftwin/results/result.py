@@ -29,7 +29,8 @@ from pftwin.model.effects.base import Observable
 from pftwin.model.motion import KneeMotion
 from pftwin.model.motion_on_host import tibia_orientation, tibia_position
 from pftwin.model.scene import Scene
-from pftwin.results import tracking
+from pftwin.results.tracking import DISLOCATED, Tracking, find_dislocations, groove_offset
+from pftwin.results.verdict import REMARKS, Verdict, verdict_of
 
 if TYPE_CHECKING:
     from k3d.plot import Plot
@@ -194,6 +195,19 @@ class Result:
         """All flags that any frame has."""
         return Status(int(np.bitwise_or.reduce(self.flags, initial=0)))
 
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the motion may be spoken of, and if not, why."""
+        return verdict_of(self.flags)
+
+    @property
+    def tracking(self) -> str:
+        """What becomes of the patella, in words; "INVALID" and why where the motion may not be spoken of."""
+        if not self.verdict.valid:
+            return self.verdict.describe()
+        outcome = self.dislocations()
+        return "not assessed: no contact surface" if outcome is None else outcome.describe()
+
     @property
     def duration(self) -> float:
         """Duration of the recorded motion [s]."""
@@ -207,24 +221,25 @@ class Result:
 
     @property
     def largest_indentation(self) -> float:
-        """The deepest penetration over all frames and contacts [m]; NaN in a scene without contact."""
+        """The deepest penetration over all frames and contacts [m]; 0 where nothing touches, NaN without a contact."""
         depths = [v for r in self.effects.values() for k, v in r.items() if k.startswith("indentation")]
         present = [d[np.isfinite(d)] for d in depths]
-        return float(max((d.max() for d in present if d.size), default=np.nan))
+        deepest = [float(d.max()) for d in present if d.size]
+        return max([0.0, *deepest]) if deepest else float("nan")  # a gap is no indentation
 
     @cached_property
     def groove(self) -> tuple[Floats, Floats] | None:
         """Place along the groove and lateral distance from its bottom, (n,) each [m]; None without a surface."""
-        return None if self.surface is None else tracking.groove_offset(self.surface, self.center)
+        return None if self.surface is None else groove_offset(self.surface, self.center)
 
-    def dislocations(self, threshold: float = tracking.DISLOCATED) -> tracking.Tracking | None:
+    def dislocations(self, threshold: float = DISLOCATED) -> Tracking | None:
         """When the button left its groove (farther than `threshold` [m] from its bottom) and came back.
 
-        None in a scene without a contact surface.
+        None in a scene without a contact surface, and of a motion that may not be spoken of (`verdict`).
         """
-        if self.groove is None:
+        if self.groove is None or not self.verdict.valid:
             return None
-        return tracking.find_dislocations(self.times, self.groove[1], self.knee.flexion, threshold=threshold)
+        return find_dislocations(self.times, self.groove[1], self.knee.flexion, threshold=threshold)
 
     def __repr__(self) -> str:
         return f"Result({self._facts()[0]})\n  " + "\n  ".join(self._facts()[1:])
@@ -243,20 +258,23 @@ class Result:
     def _facts(self) -> list[str]:
         """One fact a line; all but the first begin with their subject and a colon."""
         counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
-        marks = [f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n] or ["all frames clean"]
-        outcome = self.dislocations()
+        said = {f: f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n}
+        remarks = [f"remark: {words}" for f, words in said.items() if f in REMARKS]
+        marks = [f"status: {words}" for f, words in said.items() if f not in REMARKS]
         lines = [f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s"]
         lines.append(f"start: {self.equilibrium.description}")
-        if outcome is not None:
-            lines.append(f"tracking: {outcome.describe()}")
-        lines += [f"status: {mark}" for mark in marks]
-        if np.isfinite(self.largest_indentation):
+        if not self.verdict.valid:
+            lines.insert(0, self.verdict.describe())
+        elif self.surface is not None:
+            lines.append(f"tracking: {self.tracking}")
+        lines += marks or (["status: all frames clean"] if self.verdict.valid else [])
+        if self.largest_indentation > 0:
             lines.append(f"largest indentation: {1e3 * self.largest_indentation:.3f} mm")
         if self.constraint_drift is not None:
             lines.append(f"largest constraint drift: {self.constraint_drift:.2g} m")
         if np.isfinite(self.real_time_factor):
             lines.append(f"{self.real_time_factor:.3g} x real time")
-        return lines
+        return lines + remarks
 
     def to_dataset(self) -> Dataset:
         """Everything as an xarray Dataset, with unit and long name on every variable."""

@@ -54,7 +54,6 @@ def attributes_of(result: Result) -> dict[str, Any]:
     from pftwin import __version__
 
     start = result.equilibrium
-    outcome = result.dislocations()
     attributes = {
         "title": f"patellofemoral tracking: {result.scene_name}",
         "scene": result.scene_name,
@@ -75,7 +74,8 @@ def attributes_of(result: Result) -> dict[str, Any]:
         "equilibrium_turned_deg": float(np.degrees(start.turned)),
         "largest_indentation_m": result.largest_indentation,
         "real_time_factor": result.real_time_factor,
-        "tracking": "not assessed: no contact surface" if outcome is None else outcome.describe(),
+        "verdict": result.verdict.describe(),
+        "tracking": result.tracking,
     }
     if result.scene.synthetic:
         attributes["note"] = SYNTHETIC
@@ -122,17 +122,19 @@ def _row(values: Any, unit: str, long_name: str) -> tuple[tuple[str, ...], Any, 
 
 
 def _tracking(result: Result) -> Variables:
-    outcome = result.dislocations()
-    if outcome is None or result.groove is None:
+    if result.groove is None:
         return {}
     place, offset = result.groove
-    dimensions, out, about = _row(outcome.dislocated.astype(np.int8), "1", "whether the button has left the groove")
-    flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "in_the_groove dislocated"}
-    return {
+    found = {
         "groove_position": _row(place, "m", "place of the sphere centre along the groove"),
         "groove_offset": _row(offset, "m", "sphere centre off the groove's bottom, lateral positive"),
-        "dislocated": (dimensions, out, {**about, **flags}),
     }
+    outcome = result.dislocations()
+    if outcome is None:  # the motion may not be spoken of
+        return found
+    dimensions, out, about = _row(outcome.dislocated.astype(np.int8), "1", "whether the button has left the groove")
+    flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "in_the_groove dislocated"}
+    return {**found, "dislocated": (dimensions, out, {**about, **flags})}
 
 
 def _energies(result: Result) -> Variables:

@@ -11,7 +11,9 @@ import fitting
 import fitting.fit
 import pftwin
 from fitting.evaluation import Evaluator
+from pftwin.dynamics.status import Status
 from pftwin.model.measured import Measured
+from pftwin.results.verdict import ALLOWED
 
 
 @pytest.mark.parametrize("objective", ["likelihood", "paper"])
@@ -20,6 +22,15 @@ def test_known_parameters_are_recovered(objective):
     np.testing.assert_allclose(found.values, TRUTH, rtol=1e-5)
     assert found.reason == "converged"
     assert found.rmse["position"] < 1e-8
+    assert found.verdict == "valid"
+
+
+def test_a_fit_whose_motion_may_not_be_spoken_of_says_so_first(monkeypatch):
+    """The patella is off its groove in some frames; here that is one too many."""
+    monkeypatch.setitem(ALLOWED, Status.NO_CONTACT, 0.0)
+    found = fitting.fit_tendons(scene(), clean(), **FEW)
+    assert found.sentence().startswith("INVALID: the button touches nothing (")
+    assert found.summary().startswith("INVALID: ")
 
 
 def test_an_unknown_noise_is_estimated():

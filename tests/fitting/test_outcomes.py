@@ -138,14 +138,15 @@ def test_dislocated_frames_are_those_of_tracking(offset):
     np.testing.assert_array_equal(left(jnp.asarray(y)), find_dislocations(np.arange(12.0), y).dislocated)
 
 
-def test_a_run_that_blew_up_has_no_outcomes():
-    found = measured(made_up([0.0, 0.001, 0.002, *[0.0] * 5], Status.NOT_FINITE))
+@pytest.mark.parametrize("flag", [Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM, Status.NO_CONTACT])
+def test_a_run_that_may_not_be_spoken_of_has_no_outcomes(flag):
+    found = measured(made_up([0.0, 0.001, 0.002, *[0.0] * 5], flag))
     assert set(found) == set(MEASURES)
     assert all(np.isnan(v) for v in found.values())
 
 
 def test_a_button_that_touches_nothing_has_no_share():
-    found = measured(made_up([0.0, 0.001, *[0.0] * 6], Status.NO_CONTACT, (0.0, 0.0)))
+    found = measured(made_up([0.0, 0.001, *[0.0] * 6], force=(0.0, 0.0)))
     assert np.isnan(found["medial_share"])
     assert np.isnan(found["contact_path_lateral_range"])
     assert float(found["peak_contact_force"]) == 0

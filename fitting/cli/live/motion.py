@@ -28,8 +28,9 @@ class ShownMotion:
     """The numbers of one motion; series are at the frames that are shown (n,)."""
 
     recorded: Recorded
-    dislocates: bool | None  # None: there is no groove to leave
-    tracking: str  # in words, with times
+    dislocates: bool | None  # None: there is no groove to leave, or the motion may not be spoken of
+    tracking: str  # in words, with times; "INVALID" and why where the motion may not be spoken of
+    valid: bool  # whether it may
     status: str  # how far to trust it, in words
     finite: bool
     settled: bool  # whether it starts from an equilibrium
@@ -55,7 +56,8 @@ class ShownMotion:
         return cls(
             recorded,
             None if outcome is None else bool(outcome.events),
-            "there is no groove to leave" if outcome is None else outcome.describe(),
+            result.tracking,
+            result.verdict.valid,
             result.status.describe(),
             not (result.flags & int(Status.NOT_FINITE)).any(),
             bool(result.equilibrium.converged),

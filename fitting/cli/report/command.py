@@ -12,6 +12,7 @@ from typer import Argument, Option
 
 from fitting.cli.pages import template
 from pftwin.base.errors import InputError, MissingExtraError
+from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.scenes import CaseOption, ContactOption
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, spinner, start_computing
 
@@ -66,6 +67,8 @@ def report(
     present({**facts, "synthetic": material.synthetic()}, left_out, told, json=json)
     if browser:
         typer.launch(output.resolve().as_uri())
+    if doubts := [f"{run.verdict.describe()} ({run.name})" for run in material.runs if not run.verdict.valid]:
+        exit_flagged("; ".join(doubts))
 
 
 def report_page(material: Material, command: str) -> ReportPage:

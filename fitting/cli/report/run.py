@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pftwin.base.errors import InputError
+from pftwin.results.verdict import REMARKS, Verdict, verdict_of_file
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -26,6 +27,7 @@ class Mark(NamedTuple):
     name: str
     frames: int
     words: str
+    remark: bool  # of no consequence for what is said of the motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +81,16 @@ class ReportedRun:
         """A remark about its motion, such as that it is synthetic."""
         return str(self.about.get("note", ""))
 
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the motion may be spoken of."""
+        return verdict_of_file(self.data)
+
     @property
     def tracking(self) -> str:
-        """What becomes of the patella, in words."""
+        """What becomes of the patella, in words; "INVALID" and why where the motion may not be spoken of."""
+        if not self.verdict.valid:
+            return self.verdict.describe()
         return str(self.about.get("tracking", "not in the file"))
 
     @property
@@ -98,7 +107,12 @@ class ReportedRun:
         words = np.atleast_1d(about.get("flag_descriptions", names))
         masks = np.atleast_1d(about.get("flag_masks", []))
         counts = [int(np.count_nonzero(status & int(m))) for m in masks]
-        return [Mark(n, c, str(w)) for n, c, w in zip(names, counts, words, strict=True) if c]
+        marks = (
+            Mark(n, c, str(w), bool(int(m) & REMARKS))
+            for n, c, w, m in zip(names, counts, words, masks, strict=True)
+            if c
+        )
+        return sorted(marks, key=lambda mark: mark.remark)  # remarks last
 
     @cached_property
     def result(self) -> Any:

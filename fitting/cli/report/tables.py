@@ -190,12 +190,13 @@ def predicted(data: Dataset) -> Sheet:
 
 def reservations(data: Dataset) -> list[str]:
     """Reservations to bear in mind when reading a prediction's table."""
-    own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
+    from fitting.prediction.plots import invalid_variants
+
     said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
         said.append(f"In brackets: 95 % of {data.sizes['sample'] - 1} draws from the fit's uncertainty.")
-    if failed := int(own.sum()):
-        said.append(f"{failed} of {own.size} variants could not be simulated: their rows are empty.")
+    if doubt := invalid_variants(data):
+        said.append(f"{doubt}: their rows are empty.")
     if left := data.attrs.get("variants_missing"):
         said.append(f"The prediction was interrupted: {int(left)} variants are missing.")
     if (hidden := data.sizes["variant"] - _MOST_ROWS) > 0:

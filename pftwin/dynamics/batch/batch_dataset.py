@@ -8,10 +8,9 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.dynamics.batch.member import FLAGS
 from pftwin.dynamics.batch.retry import WAYS, Found
 from pftwin.dynamics.batch.variants import Group
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import FLAGS, Status
 
 if TYPE_CHECKING:
     from xarray import Dataset

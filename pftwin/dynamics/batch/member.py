@@ -20,10 +20,9 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import Observation, ObservedFrame, observe, observe_on_the_way
 from pftwin.dynamics.relaxation import THROWN, relax
 from pftwin.dynamics.state import System
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import FLAGS
 from pftwin.model.scene import Scene
 
-FLAGS = tuple(flag for flag in Status if flag)
 Outcome = Callable[[Scene, Observation], dict[str, Array]]
 
 
@@ -69,12 +68,17 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
             raise InputError(f"gives {kind}", where="outcome", expected="a dictionary of numbers or arrays")
     return {
         "sensible": scene_is_valid(scene),
-        "status_frames": jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS]),
+        "status_frames": frames_with_flags(status),
         "equilibrium_residual": start.residual,
         "summary": seen.summary(),
         "own": own,
         "courses": seen.courses(status) if task.courses else {},
     }
+
+
+def frames_with_flags(status: Array) -> Array:
+    """How many frames have each of `pftwin.dynamics.status.FLAGS`, (flags,), from the status of each (n,)."""
+    return jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS])
 
 
 class _Kept(NamedTuple):

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.dynamics.batch.member import FLAGS, Task, member_equilibrium, member_motion, settled_after_relaxing
+from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion, settled_after_relaxing
 from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, Newmark
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import FLAGS, Status
 
 # Flags of a run that cannot be trusted. A patella that leaves its patch or its groove is physics, not an error.
 BAD = (Status.STEP_TOO_LONG, Status.NOT_FINITE, Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM)

@@ -14,6 +14,7 @@ import numpy as np
 
 from pftwin.base.output import check_place
 from pftwin.base.text_files import write_text
+from pftwin.results.verdict import INVALID
 from pftwin.results.viewer.recorded import Recorded
 
 if TYPE_CHECKING:
@@ -28,13 +29,15 @@ _CONTROL = "/*CONTROL*/null"  # in controls.js, where what the bar has to know g
 
 
 def title(results: Sequence[Recorded]) -> str:
-    """Title of the page."""
-    return " and ".join(r.name for r in results)
+    """Title of the page; it begins with "INVALID" where a motion may not be spoken of."""
+    names = " and ".join(r.name for r in results)
+    return names if all(r.verdict.valid for r in results) else f"{INVALID}: {names}"
 
 
 def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
-    """Notes on the data, then on the drawing."""
-    said = list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
+    """Why a motion may not be spoken of, notes on the data, then on the drawing."""
+    said = [f"{r.verdict.describe()} ({r.name})." for r in results if not r.verdict.valid]
+    said += list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
     said.append(SCHEMATIC)
     if any(r.mesh("continuation") is not None for r in results):
         said.append(CONTINUED)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.results.verdict import Verdict, verdict_of_file
 from pftwin.results.viewer.shapes import Matrices, of_poses
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ class Recorded:
     name: str
     data: Dataset  # of the frames shown
     geometry: Dataset
+    verdict: Verdict  # on the whole motion
 
     @classmethod
     def of(
@@ -124,7 +126,7 @@ class Recorded:
         else:
             where = label = source.scene_name
             drawn = source.geometry() if geometry is None else geometry
-        return cls(name or label, data.isel(time=_shown(data, where, frames)), drawn)
+        return cls(name or label, data.isel(time=_shown(data, where, frames)), drawn, verdict_of_file(data))
 
     @property
     def times(self) -> Floats:

@@ -15,6 +15,7 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
+from pftwin.results.verdict import INVALID
 from pftwin.studies.audit.runs import Changes, VariantRun, compare_runs, run_alone, run_side_by_side, why_incomparable
 from pftwin.studies.audit.variants import KINDS, Kind, NotApplicable, Variant, ablations, additions
 from pftwin.studies.runs import Cost, run_each, time_in_turn
@@ -44,7 +45,8 @@ class Audit:
     step: float  # [s]
     tolerance: float  # of the tracked point's place [m]
     run_time: float | None  # of the scene's own run: median [s]; None where an interrupt came before times were taken
-    tracking: str | None  # the patella's tracking in the scene; None without a contact surface
+    tracking: str  # what becomes of the patella in the scene, in words
+    verdict: str  # whether the scene's own motion may be spoken of: "valid", or "INVALID" and why
     status: str
     programs: int  # compiled: of motion and of equilibrium
     rows: tuple[Worth, ...]
@@ -103,7 +105,6 @@ def audit(
         _worth(scene, v, runs[v.name, v.kind].result, own.result, share, tolerance)
         for v, share in zip(done, shares[1:], strict=True)
     ]
-    tracking = own.result.dislocations()
     return Audit(
         scene=scene.name,
         synthetic=scene.synthetic,
@@ -111,7 +112,8 @@ def audit(
         step=scene.motion.frame_interval / substeps,
         tolerance=tolerance,
         run_time=None if shares[0] is None else shares[0].seconds,
-        tracking=None if tracking is None else tracking.describe(),
+        tracking=own.result.tracking,
+        verdict=own.result.verdict.describe(),
         status=own.result.status.describe(),
         programs=_programs(scene, done, integrator),
         rows=tuple(rows),
@@ -180,7 +182,7 @@ def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | 
     cost = None
     if share is not None:
         cost = 1 - share.ratio if v.kind == "left out" else share.ratio - 1
-    verdict = _verdict(v.kind, found, outcome, tolerance)
+    verdict = _verdict(v.kind, found, outcome, tolerance) if own.verdict.valid else INVALID
     return Worth(v.name, v.kind, v.sentence, found, cost, share and share.spread, outcome, verdict)
 
 

@@ -94,12 +94,13 @@ def audit_sheet(found: Audit) -> Sheet:
         f"{found.programs} programs compiled"
     )
     notes += [interruption(found)] if found.interrupted else []
-    notes += [] if found.tracking is None else [f"the scene itself: {found.tracking}"]
+    notes.append(f"the scene itself: {found.tracking}")
     notes += [SYNTHETIC] if found.synthetic else []
     notes += [f"status: {found.status}"] if found.status != "ok" else []
     pace = "interrupted" if found.run_time is None else f"a run takes {1e3 * found.run_time:.1f} ms"
+    doubt = "" if found.verdict == "valid" else f"{found.verdict}\n"
     return Sheet(
-        f"{found.scene}: {found.integrator}, steps of {_ms(found.step)}, {pace}",
+        f"{doubt}{found.scene}: {found.integrator}, steps of {_ms(found.step)}, {pace}",
         ("change", "what", *(heading for _, heading in _SHOWN), "time", "verdict", "outcome"),
         tuple(rows),
         tuple(row.kind for row in found.rows),
@@ -168,7 +169,8 @@ def dataset(found: Audit) -> Dataset:
         "tolerance_m": found.tolerance,
         "run_time_s": np.nan if found.run_time is None else found.run_time,
         "status": found.status,
-        "tracking": found.tracking or "",
+        "verdict": found.verdict,
+        "tracking": found.tracking,
         "not_applicable": "; ".join(f"{v.name}: {v.reason}" for v in found.not_applicable),
         **({"interrupted": interruption(found)} if found.interrupted else {}),
     }

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from report_pages import fitted, prediction, words_of
+from small_scene import small_result
+
+from fitting.cli.report.run import ReportedRun
+from pftwin.dynamics.status import Status
 
 
 def test_a_scene_with_other_values_than_the_fit_began_from_is_doubted(tmp_path):
@@ -20,3 +26,17 @@ def test_a_prediction_of_another_fit_is_called_so(tmp_path):
     text = words_of(material).text
     assert "other parameters than those under Fit" in text
     assert "The prediction is of another knee; this report is of small knee." in text
+
+
+def test_a_motion_that_may_not_be_spoken_of_comes_first_and_nothing_is_said_of_its_tracking(tmp_path):
+    material = fitted(tmp_path)
+    result = small_result()
+    lost = dataclasses.replace(result, flags=np.full_like(result.flags, int(Status.NO_CONTACT)))
+    assert "normal tracking" in words_of(material).text
+    assert "All 41 frames clean." in words_of(material).text
+    material.runs[:] = [ReportedRun.of_result(lost, "fitted")]
+    text = words_of(material).text
+    short = text[text.rindex("In short") :]
+    assert short.split("In short", 1)[1].split()[0] == "INVALID:"
+    assert "normal tracking" not in text
+    assert "frames clean" not in text

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.pages import number
+from fitting.coverage import BANDS
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import read_lines
@@ -194,7 +195,7 @@ def reservations(data: Dataset) -> list[str]:
     own = data["failed"].isel(sample=0) if "sample" in data.dims else data["failed"]
     said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
-        said.append(f"In brackets: 95 % of {data.sizes['sample'] - 1} draws from the fit's uncertainty.")
+        said.append(f"In brackets: 95 % of {data.sizes['sample'] - 1} draws from the fit's uncertainty. {BANDS}.")
     if failed := int(own.sum()):
         said.append(f"{failed} of {own.size} variants could not be simulated: their rows are empty.")
     if left := data.attrs.get("variants_missing"):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.coverage import INTERVALS
 from fitting.parameters import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
 from pftwin.base.errors import InputError
@@ -63,6 +64,8 @@ class Estimate:
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
     verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
+    doubts: list[str] = field(default_factory=list)  # what the measurements look like, if not what they are taken for
+    time_shifts: dict[str, tuple[float, float]] = field(default_factory=dict)  # late by, deviation [s]
     nominal_scene: Scene | None = field(default=None, repr=False)
     measured: Any = field(default=None, repr=False)
 
@@ -113,26 +116,32 @@ class Estimate:
 
     @property
     def invalid(self) -> bool:
-        """Whether the fitted motion may not be spoken of."""
-        return self.verdict.startswith(INVALID)
+        """Whether nothing can be said of the values: the fitted motion may not be spoken of, or data contradict it."""
+        return bool(self._objections())
+
+    def _objections(self) -> list[str]:
+        motion = [self.verdict.removeprefix(f"{INVALID}: ")] if self.verdict.startswith(INVALID) else []
+        return [*(f"{reason} (the fitted motion)" for reason in motion), *self.doubts]
 
     def sentence(self) -> str:
-        """The precision of the parameters, in a sentence; "INVALID" and why of a fit to no sound motion."""
+        """The precision of the parameters, in a sentence, or what forbids to speak of it."""
         if self.invalid:
-            return f"{self.verdict} (the fitted motion)"
-        return in_words(self.names, self.upper - self.lower, self.values, self.covariance, self.channels)
+            untold = f"What the data tell of {', '.join(self.names)} is not known"
+            return f"{INVALID}: {'; '.join(self._objections())}. {untold}"
+        said = in_words(self.names, self.upper - self.lower, self.values, self.covariance, self.channels)
+        return f"{said}. But {INTERVALS}"
 
     def summary(self) -> str:
         """A table in text, with the remarks."""
         lines = [self.sentence()] if self.invalid else []
-        lines += [f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}"]
+        lines.append(f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}")
         for i, name in enumerate(self.names):
             low, high = self.intervals[i]
             lines.append(
                 f"  {name:<12} {self.values[i]:.6g} +- {self.standard_deviations[i]:.2g} {self.units[i]}"
                 f"  (95 %: {low:.6g} to {high:.6g}; nominal {self.nominal[i]:.6g})"
             )
-        lines += [self.sentence(), *self.remarks(), f"stopped: {self.reason}"]
+        lines += [*([] if self.invalid else [self.sentence()]), *self.remarks(), f"stopped: {self.reason}"]
         return "\n".join(lines)
 
     def remarks(self) -> list[str]:
@@ -166,11 +175,12 @@ class Estimate:
             plain[key] = np.asarray(plain[key]).tolist()
         return {
             "format": FORMAT,
+            "sentence": self.sentence(),
+            "doubts": list(self.doubts),
             **plain,
             "standard_deviations": self.standard_deviations.tolist(),
             "intervals_95": self.intervals.tolist(),
             "correlation": self.correlation.tolist(),
-            "sentence": self.sentence(),
             "remarks": self.remarks(),
         }
 
@@ -200,13 +210,15 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
-            content = {"verdict": "", **content}  # older files have none
+            content = {"verdict": "", "doubts": [], "time_shifts": {}, **content}  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)
             for key in ("names", "units", "channels"):
                 known[key] = tuple(known[key])
-            known["priors"] = {k: (v[0], v[1]) for k, v in known["priors"].items()}
+            known["doubts"] = [str(doubt) for doubt in known["doubts"]]
+            for key in ("priors", "time_shifts"):
+                known[key] = {k: (v[0], v[1]) for k, v in known[key].items()}
         except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
             raise InputError(f"no estimate: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
         return Estimate(**known, nominal_scene=scene)

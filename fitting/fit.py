@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fitting.channel_checks import Limits, left_over, limits_of, misread
 from fitting.estimate import Estimate
 from fitting.methods.problem import Method, Problem, Request, State, load_checkpoint, save_checkpoint
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, free_parameters
 from fitting.programs import POSITION, channels_of
+from fitting.time_shift import late_channels, time_shifts
 from fitting.uncertainty import uncertainty
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.base.output import check_place
@@ -34,6 +36,7 @@ SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
 _UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measured, in metres or newtons
 _FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]
 _BETWEEN_CHECKPOINTS = 1.0  # [s]
+_SEED = 20240418  # of trial motions that measurements are held against: the same for every fit
 
 
 class Progress(NamedTuple):
@@ -67,6 +70,7 @@ def fit_tendons(
     resume: bool = False,
     computed: Sequence[str] | None = None,
     devices: Devices = "all",
+    limits: Mapping[str, tuple[float, float]] | None = None,
     **options: Any,
 ) -> Estimate:
     """Parameters of a scene from measurements of its motion, and how sure they are.
@@ -97,6 +101,8 @@ def fit_tendons(
             with fits that compute `fitting.channels_of(scene)`.
         devices: over which trial parameters are laid, as `pftwin.simulate_batch` has them. The course of a fit is the
             same for any number, to rounding.
+        limits: of the checks of what was measured, by name: from which value on a fault is named before any number, and
+            from which the fit is refused; see `fitting.channel_checks`.
         options: of the method: `starts` (least squares), `generations`, `population`, `populations` (genetic and
             evosax), `iterations` (gradient).
 
@@ -105,7 +111,8 @@ def fit_tendons(
 
     Raises:
         InputError: what cannot give a right answer: see `free_parameters` and `Objective.of`; a parameter to which
-            nothing that was measured reacts; all starts failing; a checkpoint of another problem; no such devices.
+            nothing that was measured reacts; all starts failing; a checkpoint of another problem; no such devices;
+            measurements in other units, signs or axes, swapped, late, or unlike anything that the scene can do.
     """
     check(scene)
     if method not in METHODS:
@@ -114,6 +121,7 @@ def fit_tendons(
         raise InputError("nothing to resume from", where="resume", expected="a checkpoint file")
     if checkpoint is not None:
         check_place(checkpoint)
+    allowed = limits_of(limits)
     data = measured_of(scene) if measured is None else measured
     parameters = free_parameters(scene, free, bounds, priors)
     if objective == "paper" and priors:
@@ -127,7 +135,7 @@ def fit_tendons(
     identity = problem.fingerprint(method, seed, search.settings())
     if resume and checkpoint is not None:
         state = load_checkpoint(Path(checkpoint), identity)
-    first_look(problem, search.ask(search.begin()) if state is None else None)
+    doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
     state = _run(search, state, identity, progress, None if checkpoint is None else Path(checkpoint))
     if state["best_theta"] is None:
         raise InputError(
@@ -136,7 +144,7 @@ def fit_tendons(
             expected="at least one start from which the motion can be simulated",
             remedy="narrower bounds, or a scene that `pftwin simulate` can run",
         )
-    return _estimate(search, state, data, springs, began)
+    return _estimate(search, state, data, springs, began, doubts, allowed)
 
 
 def measured_of(scene: Scene) -> Measured:
@@ -192,18 +200,25 @@ def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> 
     return tuple(c for c in known if c in names)
 
 
-def first_look(problem: Problem, first: Request | None = None) -> None:
-    """Evaluates the nominal parameters (together with the method's `first`) and refuses what no search could fit.
+def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[str]:
+    """Evaluates the nominal parameters and others within the bounds, and refuses what no search could fit.
+
+    Returns:
+        What measured channels look like, where that is not what they are taken for.
 
     Raises:
-        InputError: parameters to which nothing that is compared reacts; measured positions in another frame.
+        InputError: measurements in other units, signs or axes, or swapped; parameters to which nothing that is compared
+            reacts; measured positions in another frame.
     """
-    at = problem.parameters.nominal
-    if first is not None and first.want == "normal":
-        problem.evaluator.with_slopes(first.theta, first.substeps)
-    seen = problem.prediction(at, problem.evaluator.coarse)
+    evaluator, at = problem.evaluator, problem.parameters.nominal
+    if first is None or first.want != "normal" or len(first.theta) < evaluator.slope_chunk:
+        others = problem.parameters.latin_hypercube(evaluator.slope_chunk, np.random.default_rng(_SEED))
+        first = Request(np.concatenate([at[None], others[1:]]), evaluator.coarse, "normal")
+    trials = evaluator.with_slopes(first.theta, first.substeps)
+    doubts = misread(problem.objective, trials.values[trials.usable], limits) if trials.usable.any() else []
+    seen = problem.prediction(at, evaluator.coarse)
     if not seen.usable[0]:
-        return  # the nominal scene does not run, but other starts may
+        return doubts  # the nominal scene does not run, but other starts may
     assert seen.slopes is not None
     span = problem.parameters.upper - problem.parameters.lower
     effect = np.abs(seen.slopes[0] * span).max(axis=(0, 1))
@@ -222,6 +237,7 @@ def first_look(problem: Problem, first: Request | None = None) -> None:
                 expected="the button's centre in the femur frame, in metres",
                 remedy="the frame and units of the scene",
             )
+    return doubts
 
 
 def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> Method:
@@ -272,7 +288,15 @@ def _run(
     return state
 
 
-def _estimate(search: Method, state: State, measured: Measured, springs: Mapping[str, str], began: float) -> Estimate:
+def _estimate(
+    search: Method,
+    state: State,
+    measured: Measured,
+    springs: Mapping[str, str],
+    began: float,
+    doubts: list[str],
+    limits: Limits,
+) -> Estimate:
     problem = search.problem
     parameters, target = problem.parameters, problem.objective
     theta = np.asarray(state["best_theta"])
@@ -288,11 +312,18 @@ def _estimate(search: Method, state: State, measured: Measured, springs: Mapping
     j = target.slopes(seen.slopes, seen.values)[0]
     noise = target.noise or target.noise_of(r, len(parameters))
     sure = uncertainty(target.known(noise), parameters, r, j, theta)
+    shifts = time_shifts(target, problem.scene.motion.times, seen.values[0], seen.slopes[0])
+    doubts = [
+        *doubts,
+        *late_channels(shifts, target.source, limits),
+        *left_over(target, r, limits, target.noise),
+    ]
+    moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
     estimate = Estimate(
         names=parameters.names,
         units=tuple(p.unit for p in parameters.items),
         values=theta,
-        covariance=sure.covariance,
+        covariance=sure.covariance + sum(np.outer(change, change) for change in moved),
         lower=parameters.lower,
         upper=parameters.upper,
         nominal=parameters.nominal,
@@ -319,6 +350,8 @@ def _estimate(search: Method, state: State, measured: Measured, springs: Mapping
         scene_name=problem.scene.name,
         priors={p.name: p.prior for p in parameters.items if p.prior is not None},
         springs=dict(springs),
+        doubts=doubts,
+        time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
         nominal_scene=problem.scene,
         measured=measured,
     )

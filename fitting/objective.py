@@ -166,7 +166,7 @@ class Objective:
         r = self.residuals(values)
         weighted = self._weights(r) * r
         out = np.zeros(values.shape)
-        for channel, columns, rows in self._columns():
+        for channel, columns, rows in self.columns():
             part = weighted[..., rows]
             if channel == ORIENTATION:
                 part = np.einsum("ijkl,ijk->ijl", self._turn(values[..., columns], columns), part)
@@ -231,7 +231,7 @@ class Objective:
     def _compared(self, a: Floats, *, offset: bool, values: Floats | None = None) -> Floats:
         """Columns of predictions or of their derivatives (N, n, c, k) as residuals' (N, n, m, k)."""
         quaternions, out = a[..., 0] if values is None else values, []
-        for channel, columns, _ in self._columns():
+        for channel, columns, _ in self.columns():
             part = a[..., columns, :]
             if channel == ORIENTATION:
                 part = self._turn(quaternions[..., columns], columns) @ part
@@ -240,7 +240,7 @@ class Objective:
             out.append(part)
         return np.where(self.present[:, :, None], np.concatenate(out, axis=2), 0.0)
 
-    def _columns(self) -> Iterator[tuple[str, slice, slice]]:
+    def columns(self) -> Iterator[tuple[str, slice, slice]]:
         """Every channel with its columns among the predictions' and among the residuals."""
         column = row = 0
         for channel, width in zip(self.channels, channel_widths(self.channels), strict=True):

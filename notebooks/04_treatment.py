@@ -19,7 +19,7 @@
 # medially can cure it; moving it too far loads the other facet. You will get:
 #
 # 1. springs fitted to the untreated knee, with their uncertainty, which goes into everything below;
-# 2. what each transfer from 0 to 20 mm would do, with 95 % bands;
+# 2. what each transfer from 0 to 20 mm would do, with 95 % bands from the fit's uncertainty;
 # 3. the smallest transfer that keeps the patella 3 mm from dislocating, in nine of ten draws of what is uncertain;
 # 4. two amounts together, medially and anteriorly, as a map;
 # 5. what radiologists would read before and after, and a look at how it tracks;
@@ -98,7 +98,9 @@ outcome_figure(data)
 # ## The smallest one that is safe
 #
 # Least change is least harm. The search finds the smallest transfer with which the button stays 3 mm from
-# dislocating, for the estimate itself and in nine of ten draws.
+# dislocating, for the estimate itself and in nine of ten draws. **Draws are not knees**: of 14 plants of the virtual
+# rig the transfer found so was safe in 5. 95 % bands are too narrow likewise: those of case 1, predicted from fits of
+# case 2, held the truth in 4 % (tilt), 46 % (peak contact force) and 88 % (lateral offset) of repeated experiments.
 
 # %%
 margin = Limit("dislocation_margin", at_least=0.003)

@@ -47,6 +47,14 @@ def fit(
     use: UseOption = "position",
     noise: NoiseOption = None,
     loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
+    limit: Annotated[
+        list[str] | None,
+        Option(
+            "--limit",
+            metavar="NAME=NAMED:REFUSED",
+            help="Of a check of what was measured: reading, position, orientation, force, noise or shift.",
+        ),
+    ] = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
     checkpoint: Annotated[Path | None, Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
@@ -64,7 +72,7 @@ def fit(
     """
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
-    levels = noise_levels(noise)
+    levels, allowed = noise_levels(noise), check_limits(limit)
     chosen = knee.load()
     if chosen.measured is None:
         raise InputError("nothing to compare with", where=knee.scene, expected="a table [measured] in the scene file")
@@ -92,6 +100,7 @@ def fit(
             progress=tell,
             checkpoint=checkpoint,
             resume=resume,
+            limits=allowed,
             **options,
         )
     interrupted = estimate.reason.startswith("interrupted")
@@ -207,3 +216,16 @@ def noise_levels(given: list[str] | None) -> dict[str, float] | None:
         except ValueError:
             raise InputError(f"found {text!r}", where="--noise", expected='such as "position=2e-4"') from None
     return levels or None
+
+
+def check_limits(given: list[str] | None) -> dict[str, tuple[float, float]] | None:
+    """Pairs from "name=named:refused"; InputError for anything else."""
+    found = {}
+    for text in given or []:
+        name, _, pair = text.partition("=")
+        try:
+            named, refused = (float(value) for value in pair.split(":"))
+        except ValueError:
+            raise InputError(f"found {text!r}", where="--limit", expected='such as "force=0.2:0.8"') from None
+        found[name.strip()] = (named, refused)
+    return found or None

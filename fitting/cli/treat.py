@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from fitting.cli.amounts import Given, by_kind, limits, with_amounts
+from fitting.coverage import BANDS
 from fitting.prediction.ranges import values
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
@@ -81,6 +82,7 @@ def treat(
     terminal.present(told, *parts, data.attrs.get("note", ""), terminal.written_line(files), json=json)
     if doubt:
         exit_flagged(doubt)
+    _check_estimate(found)
 
 
 @with_amounts("FROM:TO", ", within these limits")
@@ -135,7 +137,8 @@ def optimise(
             dt=dt,
         )
 
-    notes = [SYNTHETIC] if chosen.scene.synthetic else []
+    notes = [] if found is None else [f"INVALID estimate: {doubt}" for doubt in found.doubts]
+    notes += [SYNTHETIC] if chosen.scene.synthetic else []
     if found is not None and found.synthetic:
         notes.append("the parameters were estimated from synthetic measurements")
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
@@ -153,6 +156,7 @@ def optimise(
         exit_flagged(plan.invalid)
     if not plan.met:
         exit_flagged("no amount within the range meets the limits")
+    _check_estimate(found)
 
 
 def _treatment(
@@ -230,7 +234,8 @@ def _sheet(data: Dataset) -> Sheet:
     headings, lines = rows(data)
     hidden = len(lines) - _MOST_ROWS
     title = data.attrs["title"] + (f" ({hidden} of {len(lines)} variants not shown)" if hidden > 0 else "")
-    return Sheet(title, tuple(headings), tuple(map(tuple, lines[:_MOST_ROWS])), words=())
+    notes = (f"in brackets: 95 % of the draws; {BANDS}",) if "sample" in data.dims else ()
+    return Sheet(title, tuple(headings), tuple(map(tuple, lines[:_MOST_ROWS])), words=(), notes=notes)
 
 
 def _loaded(path: Path | None) -> Estimate | None:
@@ -238,3 +243,9 @@ def _loaded(path: Path | None) -> Estimate | None:
     from fitting.estimate import Estimate
 
     return None if path is None else Estimate.load(path)
+
+
+def _check_estimate(found: Estimate | None) -> None:
+    """Ends with `FLAGGED` where the estimate says itself that it may not be relied on."""
+    if found is not None and found.invalid:
+        exit_flagged(found.sentence())

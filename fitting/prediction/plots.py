@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.coverage import BANDS
 from pftwin.base.errors import InputError
 from pftwin.results.plots.quantities import as_read
 from pftwin.results.verdict import INVALID
@@ -126,7 +127,7 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
 def _note(data: Dataset) -> str:
     parts = ["crosses: dislocated"]
     if "sample" in data.dims:
-        parts.append(f"bands: 95 % of {data.sizes['sample'] - 1} draws from the estimate")
+        parts.append(f"bands: 95 % of {data.sizes['sample'] - 1} draws from the estimate, too narrow for a knee")
     if data.attrs.get("note"):
         parts.append(data.attrs["note"])
     return "; ".join(parts)
@@ -273,4 +274,5 @@ def facts(data: Dataset) -> dict[str, Any]:
     drawn = [n for n in outcomes if n != "failed"] if "sample" in data.dims else []
     bands = {name: list(central_and_range(data[name])[1:]) for name in drawn}
     variants = [{n: values[i] for n, values in columns.items()} for i in range(data.sizes["variant"])]
-    return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands}
+    coverage = {"coverage": BANDS} if drawn else {}
+    return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands, **coverage}

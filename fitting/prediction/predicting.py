@@ -262,7 +262,8 @@ def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: 
     names = list(dict.fromkeys(b.scene.name for b in batches))
     synthetic = bool(getattr(estimate, "synthetic", False))
     source = getattr(estimate, "source", "")
-    said = [SYNTHETIC] if any(b.scene.synthetic for b in batches) else []
+    said = [f"INVALID estimate: {doubt}" for doubt in getattr(estimate, "doubts", ())]
+    said += [SYNTHETIC] if any(b.scene.synthetic for b in batches) else []
     said += ["the parameters were estimated from synthetic measurements"] if synthetic else []
     return {
         "title": f"predicted outcomes: {', '.join(names)}",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fitting.coverage import PLANS
 from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import Treatment
 from pftwin.base.errors import InputError
@@ -112,7 +113,7 @@ class TreatmentPlan:
         if self.share is not None:
             drawn = (
                 f"; all limits hold in {self.share:.0%} of {self.samples} draws from the estimate's uncertainty "
-                f"({self.confidence:.0%} asked for)"
+                f"({self.confidence:.0%} asked for); {PLANS}"
             )
         if self.met:
             said = [

@@ -53,6 +53,17 @@ def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
     assert "95 % interval" in result.stderr
 
 
+def test_a_fit_to_doubted_measurements_is_written_and_flagged(toy, tmp_path):
+    """The toy's patella was "measured" not to move, which its springs cannot do to 0.1 mm."""
+    output = tmp_path / "fit.json"
+    options = ("--free", "K1,L1", "--starts", 2, "--no-figures", "--limit", "position=1e-4:1")
+    result = pftwin("fit", toy, "-o", output, *options)
+    assert result.exit_code == 3, result.output
+    assert result.stdout.startswith("INVALID: of position the fit leaves")
+    assert "flagged: INVALID: of position the fit leaves" in result.stderr
+    assert json.loads(output.read_text())["doubts"][0].startswith("of position the fit leaves")
+
+
 @pytest.mark.slow
 def test_fit_with_a_posterior(toy, tmp_path):
     output = tmp_path / "fit.json"
@@ -88,6 +99,8 @@ def test_mistakes_at_the_command_line(toy, tmp_path):
     paper = refused("fit", toy, "-o", tmp_path / "fit.json", "--posterior", 10, "--objective", "paper")
     assert "no likelihood" in paper
     assert "nothing to resume" in refused("fit", toy, "-o", tmp_path / "fit.json", "--resume")
+    assert 'such as "force=0.2:0.8"' in refused("fit", toy, "-o", tmp_path / "fit.json", "--limit", "force=0.2")
+    assert "no limit 'forces'" in refused("fit", toy, "-o", tmp_path / "fit.json", "--limit", "forces=0.2:0.8")
     assert "no channel" in refused("plan-experiment", toy, "--use", "magic")
     assert not list(tmp_path.iterdir())
 

@@ -9,6 +9,7 @@ import pytest
 from made_estimates import made_estimate
 from scipy import stats
 
+from fitting.coverage import INTERVALS
 from fitting.estimate import Estimate
 from fitting.uncertainty import percent, relative
 
@@ -65,6 +66,20 @@ def test_remarks_say_what_weakens_the_numbers():
     assert "3 of 8 starts found no equilibrium" in correlated(dropped=3, starts=8).remarks()[-1]
 
 
+def test_doubts_of_the_measurements_come_before_any_number():
+    e = correlated(doubts=["measured contact looks negated", "of position the fit leaves 12 mm rms"])
+    assert e.invalid
+    assert e.summary().splitlines()[0] == e.sentence()
+    assert e.sentence() == (
+        "INVALID: measured contact looks negated; of position the fit leaves 12 mm rms. "
+        "What the data tell of K1, L1, K2 is not known"
+    )
+    assert "fix" not in e.summary()
+    assert list(e.to_dict())[:3] == ["format", "sentence", "doubts"]
+    assert not correlated().invalid
+    assert INTERVALS in correlated().sentence()
+
+
 def two_stiffnesses(deviation: float, correlation: float, **more):
     values, rho = np.array([160.0, 600.0]), np.array([[1.0, correlation], [correlation, 1.0]])
     covariance = deviation**2 * rho * np.outer(values, values)
@@ -80,7 +95,7 @@ def test_the_sentence_splits_two_stiffnesses_into_ratio_and_scale(correlation):
     if common > 3 * ratio:
         assert words == (
             f"positions fix K1/K2 to {ratio:.2g} %, the common scale of K1 and K2 only to {common:.2g} %: "
-            "measure one force to fix both"
+            f"measure one force to fix both. But {INTERVALS}"
         )
     else:
         assert words.startswith("positions fix K1 to 5 % and K2 to 5 %; the weakest combination is of ")

@@ -49,7 +49,8 @@ def test_measurements_of_another_length_rate_or_frame():
     for times, center, said in (
         (truth().times[:-1], truth().center[:-1], "40 frames at 100 Hz"),
         (2 * truth().times, truth().center, "was measured at"),
-        (truth().times, truth().center * 1000, "measured positions lie"),
+        (truth().times, truth().center * 1000, "measured positions look 1000 times too large: in millimetres"),
+        (truth().times, truth().center + 0.2, "measured positions lie 346 mm from the scene's"),
         (truth().times, np.full_like(truth().center, np.nan), "no 'position' was measured"),
     ):
         with pytest.raises(InputError, match=said):

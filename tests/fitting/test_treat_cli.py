@@ -10,6 +10,7 @@ from made_estimates import made_estimate
 from typer.testing import CliRunner
 
 from fitting.cli.amounts import values
+from fitting.coverage import BANDS
 from pftwin.base.errors import InputError
 from pftwin.cli import app
 from pftwin.files.result_files import load_dataset
@@ -43,6 +44,17 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
     assert "100 % of draws" in outcome.stdout
     assert SYNTHETIC in outcome.stdout
     assert "estimated from synthetic measurements" in outcome.stdout
+    assert f"in brackets: 95 % of the draws; {BANDS}" in outcome.stdout
+
+
+@pytest.mark.slow
+def test_what_follows_from_doubted_measurements_is_flagged(tmp_path):
+    doubted = made_estimate({"K1": (157.0, 2.0)}, doubts=["measured position is 30 ms late"])
+    command = ["treat", "--case", "2", "--estimate", str(doubted.save(tmp_path / "fit.json")), "--medialise", "0:16:8"]
+    outcome = RUNNER.invoke(app, [*command, "--samples", "4", "--dt", "0.005", "-o", str(tmp_path / "v.nc")])
+    assert outcome.exit_code == 3
+    assert "INVALID estimate: measured position is 30 ms late" in outcome.stdout
+    assert "flagged: INVALID: measured position is 30 ms late" in outcome.stderr
 
 
 def test_files_hold_the_outcomes(treated):
@@ -55,6 +67,7 @@ def test_files_hold_the_outcomes(treated):
     plain = json.loads((folder / "v.json").read_text())
     assert plain["variants"][1]["largest_offset"] == pytest.approx(float(data["largest_offset"][1, 0]))
     assert plain["units"]["largest_offset"] == "m"
+    assert plain["coverage"] == BANDS
     low, high = plain["bands_95"]["largest_offset"]
     assert low[1] <= plain["variants"][1]["largest_offset"] <= high[1]
     assert (folder / "v.png").stat().st_size > 10_000

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.pages import number
+from fitting.coverage import BANDS
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import csv_cells, read_lines
@@ -194,7 +195,7 @@ def reservations(data: Dataset) -> list[str]:
 
     said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
-        said.append(f"In brackets: 95 % of {data.sizes['sample'] - 1} draws from the fit's uncertainty.")
+        said.append(f"In brackets: 95 % of {data.sizes['sample'] - 1} draws from the fit's uncertainty. {BANDS}.")
     if doubt := invalid_variants(data):
         said.append(f"{doubt}: their rows are empty.")
     if left := data.attrs.get("variants_missing"):

@@ -1,0 +1,246 @@
+"""Is every measured channel what it is taken for? Before a fit by other readings of it, after a fit by what is left.
+
+| limit | what it bounds | named from | refused from |
+|---|---|---:|---:|
+| reading | how many times nearer to the twin a channel is in other units, signs or axes, or swapped | 1.5 | 2 |
+| position | what a fit leaves of positions, rms [m] | 0.01 | 0.03 |
+| orientation | what it leaves of orientations, rms [rad] | 0.26 | 0.7 |
+| force | what it leaves of a force, as a share of the force, rms | 0.15 | 0.5 |
+| noise | what it leaves of a channel, rms, in units of the noise that was stated | 30 | 300 |
+| shift | by how much a channel is late or early [s] (`fitting.time_shift`) | 0.02 | 0.1 |
+
+The rig's own measurements, whose plant differs from the twin in springs, attachments, friction and surface, reach 1.0,
+4.8 mm, 0.12 rad, 0.05, 14 and, for positions, 12 ms; pounds taken for newtons a reading of 2.4. "Named" means:
+before any number of the estimate.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.objective import Objective
+from fitting.programs import ORIENTATION, POSITION
+from pftwin.base.errors import InputError
+
+Floats = NDArray[np.float64]
+Limits = Mapping[str, tuple[float, float]]
+
+LIMITS: dict[str, tuple[float, float]] = {
+    "reading": (1.5, 2.0),
+    "position": (0.01, 0.03),
+    "orientation": (0.26, 0.7),
+    "force": (0.15, 0.5),
+    "noise": (30.0, 300.0),
+    "shift": (0.02, 0.1),
+}
+_UNITS = {  # by what a number must be multiplied, and what it then was
+    POSITION: {
+        1e-3: "1000 times too large: in millimetres",
+        1e-2: "100 times too large: in centimetres",
+        0.0254: "39 times too large: in inches",
+        1e3: "1000 times too small: turned from millimetres to metres twice",
+    },
+    "force": {
+        1e-3: "1000 times too large: newtons written as millinewtons",
+        1e3: "1000 times too small: in kilonewtons",
+        4.4482216: "4.45 times too small: in pounds-force",
+        9.80665: "9.81 times too small: in kilograms-force",
+    },
+}
+_AXES = "xyz"
+_FRAMES = 400  # looked at for other readings, evenly over the recording
+_SIMPLER = 1.1  # a simpler reading is preferred where it is at most this much farther off
+_FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance to which any reading is as good [m], [rad]
+_FORCE_FLOOR = 0.01  # the same of a force, as a share of the twin's
+
+
+class Reading(NamedTuple):
+    """A way to read a channel's numbers that lies nearer to the twin than the numbers as they are."""
+
+    channels: tuple[str, ...]
+    words: str  # what the channels look like
+    as_read: float  # distance from the nearest trial motion: shares of the twin's own size, in metres for positions
+    so_read: float
+    times: float  # how many times nearer
+
+
+def limits_of(given: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
+    """`LIMITS` with those given by name in their places.
+
+    Raises:
+        InputError: a name that is no limit; a pair that is not positive and in order.
+    """
+    for name, pair in (given or {}).items():
+        if name not in LIMITS:
+            raise InputError(f"no limit {name!r}", where="limits", expected=f"one of: {', '.join(LIMITS)}")
+        if len(pair) != 2 or not 0 < pair[0] <= pair[1]:
+            expected = "two positive numbers: named from, refused from"
+            raise InputError(f"{name}: found {pair!r}", where="limits", expected=expected)
+    return LIMITS | dict(given or {})
+
+
+def raised(name: str, limits: Limits, value: float) -> str:
+    """How to allow a value, for messages: in Python and on the command line."""
+    named, refused = limits[name][0], float(f"{2 * value:.2g}")
+    return f"limits={{{name!r}: ({named:g}, {refused:g})}} (--limit {name}={named:g}:{refused:g})"
+
+
+def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
+    """What the channels look like, in words, where another reading lies nearer to one of the trial motions (N, n, c).
+
+    Raises:
+        InputError: a channel to which another reading lies nearer than the limit allows.
+    """
+    found = []
+    for r in readings(objective, trials):
+        named, refused = limits["reading"]
+        said = f"{_listed(r.channels)} {r.words}"
+        if r.times >= refused:
+            raise InputError(
+                f"{said}? So read, the numbers lie {r.times:.3g} times nearer to what the scene can do",
+                where=objective.source,
+                expected=_expected(r.channels),
+                remedy=f"correct the file; or, if it is right, {raised('reading', limits, r.times)}",
+            )
+        if r.times >= named:
+            found.append(f"{said} ({r.times:.2g} times nearer to the twin)")
+    return found
+
+
+def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
+    """Of each channel the best other reading, and pairs of forces that fit better swapped."""
+    for channel, at, rows in objective.columns():
+        keep = _some(objective.present[:, rows.start])
+        data, seen = objective.measured[keep, at], trials[:, keep, at]
+        tried = _poses(channel, data) if channel in _FLOOR else _forces(data)
+        size = 1.0 if channel in _FLOOR else max(float(_rms(seen).mean()), 1e-300)
+        floor = _FLOOR.get(channel, _FORCE_FLOOR)
+        off = {words: max(float(_off(channel, values, seen).min()) / size, floor) for words, values in tried}
+        best = min(off.values())
+        words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # from simple to odd
+        if words:
+            yield Reading((channel,), words, off[""], off[words], off[""] / off[words])
+    forces = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
+    for (one, i, j), (other, k, m) in itertools.combinations(forces, 2):
+        keep = _some(objective.present[:, j] & objective.present[:, m])
+        if not keep.size:
+            continue
+        data, seen = objective.measured[keep][:, [i, k]], trials[:, keep][..., [i, k]]
+        straight, swapped = (max(_up_to_scale(d, seen), _FORCE_FLOOR) for d in (data, data[:, ::-1]))
+        if straight > swapped:
+            yield Reading((one, other), "swapped", straight, swapped, straight / swapped)
+
+
+def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: Mapping[str, float] | None) -> list[str]:
+    """What a fit leaves (n, m) that its noise does not explain, in words.
+
+    Raises:
+        InputError: more than the limits allow.
+    """
+    found = []
+    for channel, columns, rows in objective.columns():
+        there = objective.present[:, rows.start]
+        left = _rms(residuals[there, rows])
+        kind = channel if channel in _FLOOR else "force"
+        size = 1.0 if kind != "force" else max(float(_rms(objective.measured[there, columns])), 1e-300)
+        unit = {POSITION: (1e3, "mm"), ORIENTATION: (180 / np.pi, "deg")}.get(channel, (1.0, "N"))
+        shown = f"{unit[0] * float(left):.3g} {unit[1]}"
+        cases = [(kind, float(left) / size, f"of {channel} the fit leaves {shown} rms")]
+        if kind == "force":
+            cases = [(kind, cases[0][1], f"{cases[0][2]} of {size:.3g} N that were measured")]
+        if stated is not None:
+            times = float(left) / (stated[channel] * np.sqrt(rows.stop - rows.start))
+            cases.append(("noise", times, f"{cases[0][2]}, {times:.0f} times the stated noise"))
+        for limit, value, said in cases:
+            if value >= limits[limit][1]:
+                raise InputError(
+                    said,
+                    where=objective.source,
+                    expected=f"less than {limits[limit][1]:g} by the limit {limit!r}: within the bounds the twin does "
+                    "not move or pull like this",
+                    remedy=f"check unit, sign and channel of {channel}; or {raised(limit, limits, value)}",
+                )
+            if value >= limits[limit][0]:
+                found.append(said)
+    return found
+
+
+def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
+    """Positions in other axes, signs and units, or orientations the other way round; as they are first, in no words."""
+    yield "", data
+    if channel == ORIENTATION:
+        yield "turned the other way: the femur in the patella's frame", data * [1.0, -1.0, -1.0, -1.0]
+        yield "written with the scalar last", np.roll(data, 1, axis=1)
+        return
+    units = {1.0: "", **_UNITS[POSITION]}
+    turns = itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3))
+    every = [(unit, order, signs) for order, signs in turns for unit in units]
+
+    def oddity(case: tuple[float, tuple[int, ...], tuple[float, ...]]) -> int:
+        unit, order, signs = case
+        return (unit != 1.0) + sum(i != o for i, o in enumerate(order)) + signs.count(-1.0)
+
+    for unit, order, signs in sorted(every, key=oddity)[1:]:
+        said = [units[unit]] if unit != 1.0 else []
+        if order != (0, 1, 2) or -1.0 in signs:
+            axes = ", ".join(f"{'-' if s < 0 else ''}{_AXES[i]}" for i, s in zip(order, signs, strict=True))
+            even = order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+            mirrored = " (mirrored)" if np.prod(signs) * (1 if even else -1) < 0 else ""
+            said.append(f"like ({axes}) in the place of (x, y, z){mirrored}")
+        yield " and ".join(said), unit * data[:, order] * np.array(signs)
+
+
+def _forces(data: Floats) -> Iterator[tuple[str, Floats]]:
+    """A force as it is, in other units, and with the other sign."""
+    yield "", data
+    yield "negated", -data
+    for factor, words in _UNITS["force"].items():
+        yield words, factor * data
+    for factor, words in _UNITS["force"].items():
+        yield f"negated and {words}", -factor * data
+
+
+def _rms(values: Floats) -> Floats:
+    """The root mean square length over frames (..., n, k)."""
+    return np.sqrt(np.mean(np.sum(values**2, axis=-1), axis=-1))
+
+
+def _off(channel: str, data: Floats, seen: Floats) -> Floats:
+    """Distance of a channel (n, k) from each trial (N, n, k); either sign of a quaternion is the same orientation."""
+    if channel == ORIENTATION:
+        data = data * np.where(np.sum(data * seen, axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    return _rms(data - seen)
+
+
+def _some(present: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Up to `_FRAMES` of the frames that were measured, evenly."""
+    there = np.flatnonzero(present)
+    return there[np.unique(np.linspace(0, there.size - 1, _FRAMES).round().astype(int))] if there.size else there
+
+
+def _up_to_scale(data: Floats, seen: Floats) -> float:
+    """Distance of two forces (n, 2) from the nearest trial (N, n, 2), but for a scale, which no equilibrium fixes."""
+    size = np.maximum(np.sqrt(np.mean(seen**2, axis=1, keepdims=True)), 1e-300)
+    a, b = (data / size).reshape(len(seen), -1), (seen / size).reshape(len(seen), -1)
+    scale = np.maximum(np.sum(a * b, axis=1) / np.maximum(np.sum(a * a, axis=1), 1e-300), 0.0)
+    return float(np.sqrt(np.mean((scale[:, None] * a - b) ** 2, axis=1)).min())
+
+
+def _expected(channels: tuple[str, ...]) -> str:
+    if channels == (POSITION,):
+        return "the button's centre in the femur frame (x, y, z), in metres"
+    if channels == (ORIENTATION,):
+        return "unit quaternions (w, x, y, z) of the patella in the femur"
+    return "tensions and contact forces in newtons, none negative, each under its own name"
+
+
+def _listed(channels: tuple[str, ...]) -> str:
+    """The channels and their verb."""
+    if channels == (POSITION,):
+        return "measured positions look"
+    return f"measured {' and '.join(channels)} {'look' if len(channels) > 1 else 'looks'}"

@@ -1,0 +1,18 @@
+"""How often intervals, bands and plans held the truth where it was known: less often than they say.
+
+Measured by independent repeats of the virtual rig's whole chain (markers' noise, filter, poses of the segments, fit),
+with plants like the twin and with plants that differ from it. What is printed beside a 95 % interval or band comes from
+here, so that no text says more.
+"""
+
+from __future__ import annotations
+
+INTERVALS = (
+    "95 % intervals of such fits held the truth in 55 to 87 % of repeated experiments on a knee like the twin, and in "
+    "28 to 76 % on one that differs from it"
+)
+BANDS = (
+    "95 % bands of the rig's case 1, predicted from fits of case 2, held the truth in 4 % (tilt), 46 % (peak contact "
+    "force) and 88 % (lateral offset) of repeated experiments"
+)
+PLANS = "plans that were safe in nine of ten draws were safe in 5 of 14 plants of the virtual rig"

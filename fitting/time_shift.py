@@ -1,0 +1,170 @@
+"""By how much a measured channel is late or early, estimated together with what the parameters would make good for.
+
+Each channel is compared with the fitted motion shifted in time, p(t - s), with the parameters' linear effect taken out.
+Residuals of a wrong model are correlated from frame to frame, and such errors are slow: so neighbouring frames are
+differenced by their own correlation (generalised least squares, autoregressive noise of first order) before the sum of
+squares is made least over s. The standard deviation is from its curvature there. Clocks that agree can look some
+milliseconds apart: friction in the joint and what else the twin lacks delay what is measured (on the rig positions by 5
+to 13 ms, tensions by up to 60). So a shift is said only where it is beyond the limit by two standard deviations, is
+known to a quarter of the limit (slow motion, as the DM knee's, does not tell a shift from a wrong model), and explains
+more of the whitened squares than those effects do: `EXPLAINED`, of which the rig's positions reach 0.07, and 0.20 to
+0.39 where they are 30 ms late; its tensions 0.25, and 0.18 to 0.45.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.channel_checks import Limits, raised
+from fitting.objective import Objective
+from pftwin.base.errors import InputError
+
+Floats = NDArray[np.float64]
+
+EXPLAINED = (1 / 6, 1 / 3)  # share of the whitened squares of a pose and of a force that a shift must explain
+_REACH = 0.2  # largest shift looked for [s], and at most this share of the recording:
+_SHARE = 1 / 8
+_STEPS = 40  # of the search, to either side, at most
+_ROUNDS = 3  # of shift, and correlation of what it leaves
+
+
+class TimeShift(NamedTuple):
+    """A channel's shift against the motion of femur and tibia."""
+
+    seconds: float  # positive: the channel is late
+    deviation: float  # its standard deviation [s]
+    explained: float  # the share of the channel's whitened squares
+    enough: float  # the least such share of a shift that is said
+    change: Floats  # (p,) by which the parameters would change without it
+
+    def beyond(self, limit: float) -> bool:
+        """Whether it is surely larger than a limit [s], well known, and explains the residuals."""
+        sure = abs(self.seconds) - 2 * self.deviation > limit and self.deviation < 0.25 * limit
+        return sure and self.explained >= self.enough
+
+
+def time_shifts(objective: Objective, times: Floats, values: Floats, slopes: Floats) -> dict[str, TimeShift]:
+    """The shift of each channel, from a fit's motion (n, c) and its derivatives by the parameters (n, c, p).
+
+    A recording too short for a shift of two frames has none.
+    """
+    reach = min(_REACH, _SHARE * float(times[-1] - times[0]))
+    if reach < 2 * float(np.median(np.diff(times))):
+        return {}
+    inner = (times >= times[0] + reach) & (times <= times[-1] - reach)
+    present = objective.present & inner[:, None]
+    seen = _Fitted(objective, times, values, objective.slopes(slopes[None], values[None])[0], present)
+    return {
+        channel: found
+        for channel, columns, rows in objective.columns()
+        if (found := _shift(seen, columns, rows, reach)) is not None
+    }
+
+
+def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) -> list[str]:
+    """The channels that are late or early beyond the limit "shift" [s], in words.
+
+    Raises:
+        InputError: a shift so large that the measurements are not of this motion.
+    """
+    said = []
+    for channel, s in shifts.items():
+        if not s.beyond(limits["shift"][0]):
+            continue
+        words = (
+            f"measured {channel} {'is' if s.seconds > 0 else 'comes'} {1e3 * abs(s.seconds):.0f} ms (+- "
+            f"{2e3 * s.deviation:.1f}) {'late' if s.seconds > 0 else 'early'} against the motion of the bones"
+        )
+        if s.beyond(limits["shift"][1]):
+            raise InputError(
+                words,
+                where=source,
+                expected=f"less than {1e3 * limits['shift'][1]:g} ms, by the limit 'shift'",
+                remedy=f"move its times by {-1e3 * s.seconds:+.0f} ms; or {raised('shift', limits, abs(s.seconds))}",
+            )
+        said.append(words)
+    return said
+
+
+class _Fitted(NamedTuple):
+    """A fit's motion (n, c), its residuals' derivatives (n, m, p), and which residuals are looked at (n, m)."""
+
+    objective: Objective
+    times: Floats
+    values: Floats
+    slopes: Floats
+    present: NDArray[np.bool_]
+
+    def residuals(self, columns: slice, seconds: float) -> Floats:
+        """With these columns of the motion later by so much (n, m)."""
+        moved = self.values.copy()
+        late = [np.interp(self.times - seconds, self.times, v) for v in self.values[:, columns].T]
+        moved[:, columns] = np.stack(late, axis=1)
+        return np.where(self.present, self.objective.residuals(moved[None])[0], 0.0)
+
+
+class _Whitened(NamedTuple):
+    """Residuals less their correlation with the frame before, over their own size, and the parameters' directions."""
+
+    correlation: Floats  # (m,)
+    size: Floats  # (m,)
+    pairs: NDArray[np.bool_]  # (n - 1, m) frames that exist together with the one before
+    q: Floats  # orthonormal directions of the parameters (k, p)
+    root: Floats  # (p, p) whose product with the parameters' changes they are
+
+    @staticmethod
+    def of(seen: _Fitted, r: Floats) -> _Whitened:
+        """By the correlation of these residuals (n, m)."""
+        pairs = seen.present[1:] & seen.present[:-1]
+        squares = np.maximum(np.sum(r**2, axis=0), 1e-300)
+        correlation = np.sum(np.where(pairs, r[1:] * r[:-1], 0.0), axis=0) / squares
+        steps = np.where(pairs, r[1:] - correlation * r[:-1], 0.0)
+        size = np.maximum(np.sqrt(np.sum(steps**2, axis=0) / np.maximum(pairs.sum(axis=0), 1)), 1e-12)
+        j = seen.slopes
+        directions = np.where(pairs[..., None], j[1:] - correlation[:, None] * j[:-1], 0.0) / size[:, None]
+        return _Whitened(correlation, size, pairs, *np.linalg.qr(directions.reshape(-1, j.shape[-1])))
+
+    def residuals(self, r: Floats) -> Floats:
+        """Whitened (k,), from residuals (n, m)."""
+        return np.where(self.pairs, (r[1:] - self.correlation * r[:-1]) / self.size, 0.0).ravel()
+
+    def change(self, z: Floats) -> Floats:
+        """Of the parameters (p,), which makes the least of whitened residuals."""
+        return np.asarray(-np.linalg.lstsq(self.root, self.q.T @ z, rcond=None)[0], dtype=np.float64)
+
+    def left(self, z: Floats) -> Floats:
+        """What the parameters do not make good for (n - 1, m)."""
+        return (z - self.q @ (self.q.T @ z)).reshape(self.pairs.shape)
+
+
+def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShift | None:
+    """The shift of one channel; None where too little of it was measured, or no shift within reach is best."""
+    frame = float(np.median(np.diff(seen.times)))  # whole frames: between them interpolation would smooth the motion
+    h = frame * max(1, int(reach / frame) // _STEPS)
+    grid = h * np.arange(-int(reach / h), int(reach / h) + 1)
+    plain = seen.residuals(columns, 0.0)
+    model = _Whitened.of(seen, plain)
+    freedom = int(model.pairs.sum()) - model.q.shape[1] - 1
+    if freedom <= 0 or not model.pairs[:, rows].any():
+        return None
+    for _ in range(_ROUNDS):
+        squares = np.array([np.sum(model.left(model.residuals(seen.residuals(columns, s))) ** 2) for s in grid])
+        best = int(np.argmin(squares))
+        if best in (0, len(grid) - 1):
+            return None
+        used, r = model, seen.residuals(columns, grid[best])
+        model = _Whitened.of(seen, np.where(seen.present, r + seen.slopes @ model.change(model.residuals(r)), 0.0))
+    below, least, above = squares[best - 1 : best + 2]
+    curvature = (below - 2 * least + above) / h**2
+    if not curvature > 0:
+        return None
+    seconds = float(grid[best] + 0.5 * (below - above) / (h * curvature))
+    one, other = used.residuals(plain), used.residuals(r)
+    before, after = (float(np.sum(used.left(z)[:, rows] ** 2)) for z in (one, other))
+    deviation = float(np.sqrt(2 * least / freedom / curvature))
+    enough = EXPLAINED[rows.stop - rows.start == 1]
+    return TimeShift(seconds, deviation, 1 - after / max(before, 1e-300), enough, used.change(other) - used.change(one))

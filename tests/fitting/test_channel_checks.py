@@ -1,0 +1,112 @@
+"""Other readings of channels, from a motion that is a formula: which is found, in which words, and where none is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_problems import objective
+from scipy.spatial.transform import Rotation
+
+from fitting.channel_checks import LIMITS, left_over, limits_of, misread, readings
+from pftwin.base.errors import InputError
+
+TIMES = np.linspace(0.0, 4.0, 101)
+POSITION = np.stack([0.02 * np.sin(2 * TIMES), 0.008 + 0.002 * np.cos(3 * TIMES), 0.045 + 0.004 * TIMES], axis=1)
+FORCES = np.stack([12 + 3 * np.sin(2 * TIMES), 20 + 8 * np.sin(3 * TIMES)], axis=1)
+TURNS = np.roll(Rotation.from_rotvec(np.outer(TIMES, [0.1, 0.3, 0.05])).as_quat(), 1, axis=1)
+SCALES = np.array([0.8, 1.0, 1.3])  # of the trial motions' forces
+
+
+def target(channels, measured, widths):
+    rows = np.repeat(np.arange(len(channels)), [3 if c in ("position", "orientation") else 1 for c in channels])
+    ends = np.cumsum(widths)
+    there = [np.isfinite(measured[:, e - w : e]).all(axis=1) for e, w in zip(ends, widths, strict=True)]
+    return objective(
+        measured, None, channels=channels, groups=channels, group_of=rows, present=np.stack(there, axis=1)[:, rows]
+    )
+
+
+def read(channels, measured, truth, widths):
+    trials = np.stack([truth * s if widths[-1] == 1 else truth for s in SCALES])
+    return [(r.channels, r.words, r.times) for r in readings(target(channels, measured, widths), trials)]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p: 1000 * p, "1000 times too large: in millimetres"),
+        (lambda p: p / 0.0254, "39 times too large: in inches"),
+        (lambda p: p / 1000, "1000 times too small: turned from millimetres to metres twice"),
+        (lambda p: p * [1, -1, 1], "like (x, -y, z) in the place of (x, y, z) (mirrored)"),
+        (lambda p: p[:, [2, 0, 1]], "like (y, z, x) in the place of (x, y, z)"),
+        (lambda p: 100 * p[:, [0, 2, 1]] * [1, -1, 1], "100 times too large: in centimetres and like (x, z, -y)"),
+    ],
+)
+def test_positions_in_other_units_and_axes(change, words):
+    measured = change(POSITION) + 0.0
+    measured[10:14] = np.nan
+    [(channels, said, times)] = read(("position",), measured, POSITION, (3,))
+    assert channels == ("position",)
+    assert said.startswith(words)
+    assert times > 4
+
+
+def test_positions_as_they_are_and_a_millimetre_off_have_no_other_reading():
+    for off in (0.0, 1e-3, -3e-3):
+        assert read(("position",), POSITION + off, POSITION, (3,)) == []
+
+
+def test_orientations_the_other_way_round_or_with_the_scalar_last():
+    for measured, words in (
+        (TURNS * [1, -1, -1, -1], "turned the other way"),
+        (np.roll(TURNS, -1, 1), "the scalar last"),
+    ):
+        [(_, said, times)] = read(("orientation",), measured, TURNS, (4,))
+        assert words in said
+        assert times > 10
+    assert read(("orientation",), TURNS, TURNS, (4,)) == []
+    assert read(("orientation",), -TURNS, TURNS, (4,)) == []  # the same orientation
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda f: f / 9.80665, "9.81 times too small: in kilograms-force"),
+        (lambda f: -f / 1000, "negated and 1000 times too small: in kilonewtons"),
+        (lambda f: 0.9 * f, ""),  # within what the trial motions pull with
+        (lambda f: f[:, ::-1], "swapped"),
+    ],
+)
+def test_forces(change, found):
+    said = read(("one", "other"), change(FORCES), FORCES, (1, 1))
+    words = [w for _, w, times in said if times > LIMITS["reading"][0]]
+    assert set(words) == ({found} if found else set())
+    if found == "swapped":
+        assert said[-1][0] == ("one", "other")
+
+
+def test_a_reading_between_the_limits_is_named_and_beyond_them_refused():
+    halfway = POSITION * [1, -1, 1]
+    times = read(("position",), halfway, POSITION, (3,))[0][2]
+    seen, trials = target(("position",), halfway, (3,)), POSITION[None]
+    [said] = misread(seen, trials, limits_of({"reading": (1.5, 2 * times)}))
+    assert said.startswith("measured positions look like (x, -y, z)")
+    assert misread(seen, trials, limits_of({"reading": (2 * times, 3 * times)})) == []
+    with pytest.raises(InputError, match=r"mirrored.*correct the file.*--limit reading=1\.5:"):
+        misread(seen, trials, LIMITS)
+
+
+def test_what_is_left_over_is_named_by_size_and_by_the_stated_noise():
+    seen = target(("position", "one"), np.concatenate([POSITION, FORCES[:, :1]], axis=1), (3, 1))
+    left = np.zeros((101, 4))
+    left[:, 0], left[:, 3] = 0.012, 2.0
+    said = left_over(seen, left, LIMITS, None)
+    size = np.sqrt(np.mean(FORCES[:, 0] ** 2))
+    assert said == [
+        "of position the fit leaves 12 mm rms",
+        f"of one the fit leaves 2 N rms of {size:.3g} N that were measured",
+    ]
+    noisy = left_over(seen, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
+    assert noisy == ["of position the fit leaves 1.2 mm rms, 50 times the stated noise"]
+    with pytest.raises(InputError, match="of one the fit leaves 8 N rms"):
+        left_over(seen, 4 * left * [0, 0, 0, 1], LIMITS, None)

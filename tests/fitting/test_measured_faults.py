@@ -1,0 +1,163 @@
+"""Measurements in other units, signs or axes, swapped or late: named before any number, refused where far off."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from small_scene import small_scene
+
+import fitting
+import pftwin
+from fitting.channel_checks import LIMITS, readings
+from fitting.estimate import Estimate
+from fitting.evaluation import Evaluator
+from fitting.objective import Objective
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+
+SPRINGS = ("K1", "L1", "K2", "L2")
+USE = ("position", "contact", "quadriceps", "patellar_tendon")
+TRUTH = np.array([156.0, 0.1432, 629.0, 0.0714]) * np.array([1.1, 0.97, 0.92, 1.02])
+FORCES = ("contact_force", "femoral_spring_force", "tibial_spring_force")
+
+
+@cache
+def scene() -> Scene:
+    return small_scene(121)
+
+
+@cache
+def truth(late: float = 0.0) -> Measured:
+    """The motion with other springs than nominal; late by so much [s]."""
+    twin = fitting.free_parameters(scene(), SPRINGS).apply(scene(), TRUTH)
+    r = pftwin.simulate(twin, dt=1 / 600)
+    random = np.random.default_rng(0)
+
+    def seen(values: np.ndarray, noise: float) -> np.ndarray:
+        columns = np.reshape(values, (len(r.times), -1))
+        then = np.stack([np.interp(r.times - late, r.times, c) for c in columns.T], axis=1)
+        return np.reshape(then, np.shape(values)) + random.normal(0.0, noise, np.shape(values))
+
+    force = {"contact": "force", "quadriceps": "tension", "patellar_tendon": "tension"}
+    seen_forces = [seen(np.asarray(r.effects[name][what]), 0.02) for name, what in force.items()]
+    return Measured(r.times, seen(r.center, 1e-4), None, seen_forces[0], seen_forces[2], seen_forces[1], source="cells")
+
+
+def forces(change) -> Measured:
+    return replace(truth(), **{name: change(getattr(truth(), name)) for name in FORCES})
+
+
+def fit(measured: Measured, use=USE, **more) -> Estimate:
+    return fitting.fit_tendons(scene(), measured, use=use, starts=4, computed=USE, **more)
+
+
+def test_what_is_right_is_fitted_without_a_doubt():
+    found = fit(truth())
+    assert found.doubts == []
+    np.testing.assert_allclose(found.values, TRUTH, rtol=0.02)
+    assert found.sentence().startswith("position, contact, quadriceps, patellar_tendon fix K1")
+    assert abs(found.time_shifts["position"][0]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("measured", "said"),
+    [
+        (lambda: forces(lambda f: 1000 * f), "measured contact looks 1000 times too large"),
+        (lambda: forces(lambda f: f / 1000), "measured contact looks 1000 times too small: in kilonewtons"),
+        (lambda: forces(np.negative), "measured contact looks negated"),
+        (lambda: forces(lambda f: f / 4.4482216), "measured contact looks 4.45 times too small: in pounds-force"),
+        (
+            lambda: replace(
+                truth(),
+                femoral_spring_force=truth().tibial_spring_force,
+                tibial_spring_force=truth().femoral_spring_force,
+            ),
+            "measured quadriceps and patellar_tendon look swapped",
+        ),
+        (lambda: replace(truth(), center=1000 * truth().center), "positions look 1000 times too large: in millimetres"),
+        (lambda: replace(truth(), center=truth().center / 1000), "positions look 1000 times too small"),
+        (lambda: replace(truth(), center=truth().center * [1, -1, 1]), r"like \(x, -y, z\) .* \(mirrored\)"),
+        (
+            lambda: replace(truth(), center=truth().center[:, [2, 1, 0]]),
+            r"like \(z, y, x\) in the place of \(x, y, z\)",
+        ),
+    ],
+    ids=["x1000", "kN", "negated", "pounds", "swapped", "mm", "/1000", "mirrored", "x-z"],
+)
+def test_other_units_signs_and_axes_are_refused_by_name(measured, said):
+    with pytest.raises(InputError, match=said) as refused:
+        fit(measured())
+    assert "cells" in str(refused.value)
+    assert "correct the file" in str(refused.value)
+
+
+@pytest.mark.parametrize("channel", ["position", "quadriceps"])
+def test_a_shift_in_time_is_estimated_and_named_before_any_number(channel, tmp_path):
+    late = truth(0.03)
+    if channel == "quadriceps":
+        late = replace(truth(), femoral_spring_force=late.femoral_spring_force)
+    found = fit(late, ("position", "quadriceps") if channel == "quadriceps" else ("position",))
+    shift, deviation = found.time_shifts[channel]
+    assert shift == pytest.approx(0.03, abs=0.003)
+    assert deviation < 0.002
+    assert len(found.doubts) == 1
+    first = found.summary().splitlines()[0]
+    assert first == found.sentence()
+    assert first.startswith(f"INVALID: measured {channel} is {1e3 * shift:.0f} ms")
+    assert "fix" not in first
+    told = json.loads(found.save(tmp_path / "fit.json").read_text())
+    assert list(told)[:3] == ["format", "sentence", "doubts"]
+    assert told["doubts"] == found.doubts
+    assert ((found.intervals[:, 0] < TRUTH) & (found.intervals[:, 1] > TRUTH)).all()
+    assert Estimate.load(tmp_path / "fit.json").to_dict() == found.to_dict()
+
+
+def test_a_shift_beyond_the_limit_is_refused_and_limits_are_the_users():
+    with pytest.raises(InputError, match=r"measured position is .* ms .* late .*limit 'shift'"):
+        fit(truth(0.03), ("position",), limits={"shift": (0.01, 0.02)})
+    assert fit(truth(0.03), ("position",), limits={"shift": (0.05, 0.1)}).doubts == []
+    with pytest.raises(InputError, match="no limit 'shifts'"):
+        fit(truth(), limits={"shifts": (1.0, 2.0)})
+    with pytest.raises(InputError, match="two positive numbers"):
+        fit(truth(), limits={"shift": (2.0, 1.0)})
+
+
+def test_what_no_reading_explains_is_left_over_and_named_or_refused():
+    """A spring's force with half of its size missing in every other frame: within no bound of the parameters."""
+    odd = truth().femoral_spring_force * np.where(np.arange(121) % 2, 0.5, 1.0)
+    broken = replace(truth(), femoral_spring_force=odd)
+    named = fit(broken, ("position", "quadriceps"))
+    assert named.sentence().startswith("INVALID: of quadriceps the fit leaves")
+    with pytest.raises(InputError, match=r"of quadriceps the fit leaves .* N rms .*limit 'force'"):
+        fit(broken, ("position", "quadriceps"), limits={"force": (0.1, 0.2)})
+    with pytest.raises(InputError, match=r"times the stated noise.*limit 'noise'"):
+        fit(broken, ("position", "quadriceps"), noise={"position": 1e-4, "quadriceps": 1e-3})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_the_rigs_own_measurements_raise_no_doubt_and_faulty_ones_do(n):
+    """Its plant differs from the twin in springs, attachments, friction and surface; markers and cells are noisy."""
+    case = pftwin.rig.case(n, contact="P5")
+    m, computed = pftwin.rig.measured(n), fitting.channels_of(case)
+    for use in ("position", ("position", "quadriceps"), "all"):
+        assert fitting.fit_tendons(case, m, use=use, computed=computed).doubts == []
+    target = Objective.of(case, m, use="all")
+    free = fitting.free_parameters(case, SPRINGS)
+    evaluator = Evaluator(case, free, target.channels, computed=computed)
+    evaluator.prepare(None)
+    trials = evaluator.with_slopes(
+        np.concatenate([free.nominal[None], free.latin_hypercube(31, np.random.default_rng(1))]), 2
+    )
+    assert m.tibial_spring_force is not None
+    faulty = replace(m, femoral_spring_force=m.tibial_spring_force, tibial_spring_force=m.femoral_spring_force)
+    for data, limit in ((m, 1.05), (faulty, LIMITS["reading"][1])):
+        seen = [r.times for r in readings(Objective.of(case, data, use="all"), trials.values[trials.usable])]
+        assert (max(seen, default=1.0) > limit) == (data is faulty)
+    late = replace(m, center=m.center[np.maximum(np.arange(len(m.times)) - 3, 0)])
+    assert "measured position is" in fitting.fit_tendons(case, late, computed=computed).sentence()

@@ -22,7 +22,7 @@ CLUSTERS = {
     "patella": {"P1": (0.02, 0.015, 0.03), "P2": (-0.02, 0.01, 0.03), "P3": (0.0, -0.02, 0.04)},
 }
 START = ((-0.005, 0.001, 0.05), (1.0, 0.0, 0.0, 0.0))
-SCENE = """
+SCENE = """limits = { most_start_shift_mm = 20, most_start_turn_deg = 30 }  # its start is a guess
 schema = 1
 name = "toy"
 

@@ -138,14 +138,17 @@ class Treatment(eqx.Module):
         return Treatment((*self.steps, *after.steps))
 
     def __call__(self, scene: Scene) -> Scene:
-        """The treated scene, without measurements, since those are of the untreated knee.
+        """The treated scene, without measurements, since those are of the untreated knee, as is the recorded start.
 
         Raises:
             InputError: the scene lacks the part that a step changes.
         """
         for step in self.steps:
             scene = step(scene)
-        return replace(scene, measured=None) if self.steps else scene
+        if not self.steps:
+            return scene
+        limits = None if scene.limits is None else scene.limits.of_treated()
+        return replace(scene, measured=None, limits=limits)
 
     def prepared(self, scene: Scene) -> Treatment:
         """The treatment with what it needs from the untreated scene, ready to be traced.

@@ -10,10 +10,10 @@ import typer
 from typer import Option
 from typer.core import TyperGroup
 
-from pftwin.base.errors import PftwinError, PftwinWarning
+from pftwin.base.errors import InputError, PftwinError, PftwinWarning
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
 from pftwin.cli.plugins import installed_commands
-from pftwin.cli.scenes import allow_outside
+from pftwin.cli.scenes import allow_outside, limits
 from pftwin.cli.terminal import tell
 
 
@@ -68,9 +68,23 @@ def _options(
     outside: Annotated[
         bool, Option("--allow-outside", help="Let a scene file name files outside its folder: one you trust.")
     ] = False,
+    allow: Annotated[
+        list[str] | None,
+        Option("--allow", metavar="NAME=VALUE", help="Set a limit of what a knee can be, as its message names it."),
+    ] = None,
 ) -> None:
     """Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."""
     allow_outside.set(outside)
+    limits.set(dict(_limit(text) for text in allow or []))
+
+
+def _limit(text: str) -> tuple[str, float]:
+    """A limit's name and value; InputError for anything else."""
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise InputError(f"found {text!r}", where="--allow", expected="a limit, such as most_mass_kg=5") from None
 
 
 COMMANDS = installed_commands()

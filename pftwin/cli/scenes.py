@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, fields
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, get_type_hints
 
 from typer import Argument, Option
@@ -30,6 +31,8 @@ CaseOption = Annotated[
 ]
 # Whether scene files may name files outside their folders: --allow-outside, set before each command by the program.
 allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
+# Limits of what a knee can be that are set by name: --allow, set likewise.
+limits: ContextVar[Mapping[str, float]] = ContextVar("limits", default=MappingProxyType({}))
 _CONTACTS = "P2|P4|P5|spline|CM|FM|volume"
 
 
@@ -103,7 +106,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
         from pftwin.files.scene_file import load_scene_file
 
         with spinner(f"reading {scene}"):
-            loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get())
+            loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get(), limits=limits.get())
         for note in loaded.notes:
             tell(note, "dim")
         return Chosen(loaded.scene, contact or _contact(loaded.scene), loaded.button)

@@ -12,7 +12,7 @@ from typer import Option
 from pftwin.base.errors import InputError
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
-from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside
+from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside, limits
 
 if TYPE_CHECKING:
     from pftwin.model.measured import Measured
@@ -102,9 +102,11 @@ def _source(scene: Path | None, case: int | None) -> _Source:
         allowed = allow_outside.get()
 
         def of_the_file(name: str) -> Scene:
-            return load_scene_file(scene, contact=None if name == OWN else name, allow_outside=allowed).scene
+            return load_scene_file(
+                scene, contact=None if name == OWN else name, allow_outside=allowed, limits=limits.get()
+            ).scene
 
-        loaded = load_scene_file(scene, allow_outside=allowed)
+        loaded = load_scene_file(scene, allow_outside=allowed, limits=limits.get())
         return _Source(of_the_file, OWN, loaded.measured, loaded.scene.name)
     from pftwin import rig
     from pftwin.studies.accuracy.programs import CYLINDER

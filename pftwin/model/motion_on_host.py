@@ -36,6 +36,17 @@ def seen_from_femur(motion: KneeMotion, points: Floats) -> Floats:
     return np.einsum("nij,nki->nkj", axes, points - origin[:, None])
 
 
+def first_pose(motion: KneeMotion, body: str) -> tuple[Floats, Floats] | None:
+    """Origin (3,) [m] and axes as columns (3, 3) of "femur" or "tibia" at the first frame; None: it is the world."""
+    segment = motion.femur if body == "femur" else motion.tibia
+    if segment is None:
+        return None
+    times = motion.times[:1]
+    turn = _orientation(segment, times).rotation()
+    axes = np.stack([np.concatenate([a.x, a.y, a.z]) for a in (turn.ex, turn.ey, turn.ez)], axis=1)
+    return _spline(segment, segment.position_coefficients, times)[0], axes
+
+
 def _orientation(motion: SegmentMotion, times: Floats) -> Quaternion:
     """The spline's quaternions at times (n,) [s], as `SegmentMotion.frames` has them, in double precision."""
     q = _spline(motion, motion.quaternion_coefficients, times)

@@ -15,6 +15,7 @@ from pftwin.base.quantities import bounded_leaves, declarations, quantity
 from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Effect
+from pftwin.model.limits import Limits, check_limits
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene_parameters import get_value, with_value
 
@@ -46,6 +47,7 @@ class Scene(eqx.Module):
     synthetic: bool = eqx.field(static=True, default=False)  # whether its motion was made up; outputs say so
     # Measurements of this motion, if any. A treated knee moves differently, so treatments drop them.
     measured: Measured | None = eqx.field(static=True, default=None)
+    limits: Limits | None = eqx.field(static=True, default=None)  # what a knee can be; None: it may be any body
 
     def effect(self, name: str) -> Effect:
         """The effect of that name.
@@ -79,8 +81,16 @@ class Scene(eqx.Module):
         return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not gone))
 
     def unnamed(self) -> Scene:
-        """The scene without names and measurements, which no program depends on, so that like scenes share one."""
-        return dataclasses.replace(self, name="", synthetic=False, measured=None)
+        """The scene without names, measurements and limits: no program depends on them, and like scenes share one."""
+        return dataclasses.replace(self, name="", synthetic=False, measured=None, limits=None)
+
+    def with_limits(self, **limits: float) -> Scene:
+        """The scene as a knee, whose numbers `check` keeps within limits; any of them can be set by name.
+
+        Raises:
+            InputError: no such limit (`pftwin.model.limits.Limits`).
+        """
+        return dataclasses.replace(self, limits=Limits.of(limits))
 
     @property
     def contact(self) -> Contact | None:
@@ -122,7 +132,7 @@ def check(scene: Scene) -> None:
 
     Raises:
         InputError: a parameter that is not finite, or not positive where it must be, by its path in the scene; two
-            effects of one name.
+            effects of one name; in a scene that has limits, a number beyond them.
     """
     names = [e.name for e in scene.effects]
     for name in names:
@@ -136,6 +146,8 @@ def check(scene: Scene) -> None:
         fine = fine and declared.offender(np.concatenate([values[i] for i in which])) is None
     if not fine:
         _refuse(scene)
+    if scene.limits is not None and not any(isinstance(leaf, Tracer) for leaf in leaves):
+        check_limits(scene, scene.limits)
 
 
 def _refuse(scene: Scene) -> None:

@@ -203,7 +203,20 @@ class Result:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether the motion may be spoken of, and if not, why."""
-        return verdict_of(self.flags)
+        return verdict_of(self.flags, self._far_from_start())
+
+    def _far_from_start(self) -> tuple[str, ...]:
+        """That the equilibrium is not that of the recorded start, in a scene that has limits."""
+        limits, start = self.scene.limits, self.equilibrium
+        if limits is None or not start.converged:
+            return ()
+        shift, turn = 1e3 * start.moved, float(np.degrees(start.turned))
+        pairs = ((shift, "mm", "most_start_shift_mm"), (turn, "deg", "most_start_turn_deg"))
+        return tuple(
+            f"the equilibrium is {found:.1f} {unit} from the recorded start (at most {getattr(limits, name):g}: {name})"
+            for found, unit, name in pairs
+            if found > getattr(limits, name)
+        )
 
     @property
     def tracking(self) -> str:

@@ -61,10 +61,11 @@ def is_invalid(counts: Any, frames: int) -> Any:
     return broken
 
 
-def verdict_of(flags: ArrayLike) -> Verdict:
-    """The verdict on a motion from the flags of its frames, (n,) bits of `Status`."""
+def verdict_of(flags: ArrayLike, more: tuple[str, ...] = ()) -> Verdict:
+    """The verdict on a motion from the flags of its frames, (n,) bits of `Status`, and from further reasons."""
     found = np.asarray(flags, dtype=np.int64)
-    return verdict_of_counts([np.count_nonzero(found & int(flag)) for flag in FLAGS], found.size)
+    said = verdict_of_counts([np.count_nonzero(found & int(flag)) for flag in FLAGS], found.size)
+    return Verdict((*said.reasons, *more))
 
 
 def verdict_of_counts(counts: ArrayLike, frames: int) -> Verdict:

@@ -248,7 +248,8 @@ def test_init_writes_an_example_that_simulates(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "knee"
     assert sorted(p.name for p in folder.iterdir()) == ["femur.stl", "forces.csv", "scene.toml", "walk.trc"]
     assert f"next: pftwin simulate {folder / 'scene.toml'}" in result.stdout
-    result = pftwin("validate", folder / "scene.toml", "--json", "-", *STEP)
+    toys_start = ("--allow", "most_start_shift_mm=20", "--allow", "most_start_turn_deg=30")
+    result = pftwin(*toys_start, "validate", folder / "scene.toml", "--json", "-", *STEP)
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["synthetic"] is True
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +23,7 @@ from pftwin.files.scene_file.registry import effect_tables
 from pftwin.files.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
 from pftwin.files.scene_file.segments import MotionSection, PoseSection, SegmentRecording
 from pftwin.files.scene_file.side import AxesSection, HostPose, Side
+from pftwin.model.limits import Limits
 from pftwin.model.scene import Scene, check
 
 if TYPE_CHECKING:
@@ -48,6 +50,9 @@ class SceneSection(Section):
         default_factory=lambda: FemurSection(fixed=PoseSection()), description="table: where the femur is"
     )
     tibia: TibiaSection = Field(description="table: where the tibia is")
+    limits: dict[str, float] = Field(
+        default_factory=dict, description="table: limits of what a knee can be, set by name, such as most_mass_kg = 5"
+    )
     measured: MeasuredSection | None = Field(
         default=None, description="table: what the simulation is to be compared with"
     )
@@ -85,40 +90,59 @@ class LoadedScene:
         return self.scene.measured
 
 
-def load_scene(path: str | os.PathLike[str], *, contact: str | None = None, allow_outside: bool = False) -> Scene:
+def load_scene(
+    path: str | os.PathLike[str],
+    *,
+    contact: str | None = None,
+    allow_outside: bool = False,
+    limits: Mapping[str, float] | None = None,
+) -> Scene:
     """The scene that a TOML file describes.
 
     Args:
         path: the scene file; relative paths in it start at its folder.
         contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), in place of the file's.
         allow_outside: whether the file may name others outside its folder; allow it to files whose origin you know.
+        limits: of what a knee can be (`pftwin.model.limits.Limits`), by name, in place of the file's.
 
     Raises:
         InputError: a file that cannot be read, unknown or missing fields, values that cannot be right; one message that
             lists every problem with its line and field.
     """
-    return load_scene_file(path, contact=contact, allow_outside=allow_outside).scene
+    return load_scene_file(path, contact=contact, allow_outside=allow_outside, limits=limits).scene
 
 
 def load_scene_file(
-    path: str | os.PathLike[str], *, contact: str | None = None, allow_outside: bool = False
+    path: str | os.PathLike[str],
+    *,
+    contact: str | None = None,
+    allow_outside: bool = False,
+    limits: Mapping[str, float] | None = None,
 ) -> LoadedScene:
     """As `load_scene`, with the measurements that the file names and with notes for the user."""
     float_type = str(canonicalize_dtype(float))
     files = Document.read(path, allow_outside=allow_outside).files()
     others = tuple(table.kind for table in effect_tables())
-    return cached(_loaded, os.fspath(path), contact, float_type, allow_outside, others, files=files)
+    own = tuple(sorted((limits or {}).items()))
+    return cached(_loaded, os.fspath(path), contact, float_type, allow_outside, others, own, files=files)
 
 
 def _loaded(
-    path: str, contact: str | None, float_type: str, allow_outside: bool, tables: tuple[str, ...]
+    path: str,
+    contact: str | None,
+    float_type: str,
+    allow_outside: bool,
+    tables: tuple[str, ...],
+    own_limits: tuple[tuple[str, float], ...],
 ) -> LoadedScene:
     """The scene with leaves of this float type, JAX's default one; kept by these and the kinds of tables there are."""
     document = Document.read(path, allow_outside=allow_outside)
     file = _validated(document)
     side = Side.read(file.side == "left", file.axes, document)
+    with document.naming("limits"):
+        limits = Limits.of({**file.limits, **dict(own_limits)})
     notes: list[str] = []
-    recording = SegmentRecording(file.motion, document, notes)
+    recording = SegmentRecording(file.motion, document, notes, limits)
     motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, recording, side)
     start = start_pose(file.patella.start, recording, side, motion, fixed_femur, femur)
     beside = start if femur is None else HostPose.of(femur.positions[0], femur.quaternions[0]).inverse() @ start
@@ -135,9 +159,11 @@ def _loaded(
     scene = Scene(
         file.patella.body(side), effects, motion, start.pose(), file.name or Path(path).stem, file.motion.synthetic
     )
+    scene = replace(scene, limits=limits)
     with document.naming():
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
+    recording.clusters.compare(document)
     button = None if scene.contact is None else setting.buttons.get(scene.contact.name)
     return LoadedScene(replace(scene, measured=measured), button, tuple(notes), document.path)
 

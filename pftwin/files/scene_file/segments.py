@@ -20,9 +20,11 @@ from pftwin.files.mocap import (
     segment_poses,
     three_point_frames,
 )
+from pftwin.files.scene_file.clusters import ClusterFits
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.section import FileName, NotNegative, Point, Positive, Section, UnitQuaternion, problem
 from pftwin.files.scene_file.side import HostPose
+from pftwin.model.limits import Limits
 
 
 class PoseSection(Section):
@@ -114,8 +116,9 @@ def _check_there(file: Path) -> None:
 class SegmentRecording:
     """Reads the recording once, and gives each segment's poses in the world."""
 
-    def __init__(self, motion: MotionSection, document: Document, notes: list[str]) -> None:
+    def __init__(self, motion: MotionSection, document: Document, notes: list[str], limits: Limits) -> None:
         self.motion, self.document, self.notes = motion, document, notes
+        self.clusters = ClusterFits(limits, notes)
         self._poses: dict[str, PoseSeries] = {}
         self._markers: MarkerTrajectories | None = None
 
@@ -128,8 +131,7 @@ class SegmentRecording:
             with self.document.naming(*at, "cluster_m"):
                 markers = self._filtered(section.marker_names())
                 poses = segment_poses(markers, section.cluster_m, source=f"{markers.source}, {at[0]}")
-                worst = float(np.max(poses.residual_rms)) if poses.residual_rms is not None else 0.0
-                self.notes.append(f"{'.'.join(at)}: markers fit a rigid body within {1e3 * worst:.2f} mm rms")
+                self.clusters.take(".".join(at), section.cluster_m, markers, poses)
                 return poses
         assert section.three_points is not None
         three = section.three_points

@@ -114,6 +114,9 @@ def test_a_moving_femur_is_recorded_like_a_tibia(toy: Path) -> None:
     by_poses = load(toy, changed('"poses.csv"', '"moving.csv"') + '\n[femur]\nbody = "femur"\n')
     text = changed('poses = "poses.csv"', 'markers = "moving.trc"')
     text = changed('body = "tibia"', 'three_points = { markers = ["T1", "T2", "T3"] }', text)
+    text = changed(
+        "limits = {", "limits = { least_flexion_deg = -180, most_adduction_deg = 90, most_rotation_deg = 180,", text
+    )
     text += "\n[femur]\ncluster_m = " + json.dumps(CLUSTERS["femur"]).replace('":', '" =') + "\n"
     by_markers = load(toy, text)
     assert by_markers.motion.femur is not None
@@ -151,7 +154,8 @@ def test_a_fixed_femur_anywhere_in_the_world_gives_the_scene_in_its_own_frame(to
 def test_a_start_can_be_given_in_the_femur(toy: Path) -> None:
     femur = "\n[femur]\nfixed = { position_m = [0.3, 0.1, 0.2], quaternion_wxyz = [0.6, 0.8, 0, 0] }\n"
     start = 'start = { relative_to = "femur", fixed'
-    scene = load(toy, changed("start = { fixed", start, LIGHT + femur))
+    text = changed("limits = {", "limits = { most_adduction_deg = 90, most_rotation_deg = 180,", LIGHT + femur)
+    scene = load(toy, changed("start = { fixed", start, text))
     np.testing.assert_allclose(scene.start.position.array(), START[0], atol=1e-12)
 
 

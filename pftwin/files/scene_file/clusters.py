@@ -1,0 +1,80 @@
+"""Whether clusters of markers are rigid bodies of the side that a scene file states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.files.mocap import MarkerTrajectories, PoseSeries, cluster_poses
+from pftwin.files.scene_file.document import Document
+from pftwin.model.limits import Limits, beyond
+
+MISFIT, MIRROR_FITS, SHARE = 2e-3, 5e-3, 1 / 3  # of the other side: fits worse, its mirror image better [m], by a share
+COMPARED = 1e-3  # a smaller residual is noise, however small the others' are [m]
+FLAT = 0.05  # a cluster that is thinner than this share of its extent is a plane
+
+
+class ClusterFits:
+    """The fits of a scene's clusters."""
+
+    def __init__(self, limits: Limits, notes: list[str]) -> None:
+        self.limits, self.notes = limits, notes
+        self._worst: dict[str, float] = {}  # residual of each cluster in its worst frame, by its place in the file [m]
+        self._flat: list[str] = []  # clusters in a plane
+
+    def take(
+        self, name: str, cluster: Mapping[str, Sequence[float]], markers: MarkerTrajectories, poses: PoseSeries
+    ) -> None:
+        """Judges a fit by itself, and notes how good it is.
+
+        Raises:
+            InputError: a cluster of the other side; one that is too far from its markers.
+        """
+        assert poses.residual_rms is not None
+        place = np.array(list(cluster.values()))
+        seen = markers.select(list(cluster)).positions
+        mirrored = cluster_poses(seen, place * [1.0, -1.0, 1.0], markers.times).residual_rms
+        assert mirrored is not None
+        own, other = (1e3 * float(np.median(r)) for r in (poses.residual_rms, mirrored))
+        if own > 1e3 * MISFIT and other < min(SHARE * own, 1e3 * MIRROR_FITS):
+            raise InputError(
+                f"the markers fit the cluster within {own:.1f} mm rms, and its mirror image within {other:.1f} mm",
+                expected="places of the markers on this side of the body",
+                remedy="measure the cluster on this knee, or change the signs of its medial-lateral coordinates",
+            )
+        frame = int(np.argmax(poses.residual_rms))
+        worst = float(poses.residual_rms[frame])
+        if 1e3 * worst > (most := self.limits.most_marker_residual_mm):
+            found = (
+                f"markers fit a rigid body within {1e3 * worst:.1f} mm rms in frame {frame} (from 0): names swapped?"
+            )
+            raise beyond("most_marker_residual_mm", most, found, 1e3 * worst)
+        self.notes.append(f"{name}: markers fit a rigid body within {1e3 * worst:.2f} mm rms")
+        self._worst[name] = worst
+        if np.linalg.svd(place - place.mean(axis=0), compute_uv=False)[2] < FLAT * np.ptp(place, axis=0).max():
+            self._flat.append(name)
+
+    def compare(self, document: Document) -> None:
+        """Compares the fits with each other; notes which clusters do not tell their side.
+
+        Raises:
+            InputError: a cluster whose fit is far worse than the others'.
+        """
+        most = self.limits.most_marker_residual_ratio
+        for name, worst in self._worst.items():
+            others = [r for n, r in self._worst.items() if n != name]
+            if not others or worst < COMPARED:
+                continue
+            usual = max(float(np.median(others)), 1e-3 * COMPARED)
+            if worst > most * usual:
+                words = f"{1e3 * worst:.1f} mm rms, {worst / usual:.3g} times the other clusters': names swapped?"
+                place = document.where(*name.split("."), "cluster_m")
+                raise beyond(
+                    "most_marker_residual_ratio", most, f"markers fit a rigid body within {words}", worst / usual, place
+                )
+        if self._flat:
+            self.notes.append(
+                f"{', '.join(self._flat)}: markers in one plane do not tell a left cluster from a right one"
+            )

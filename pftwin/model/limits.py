@@ -1,0 +1,207 @@
+"""What a knee can be: the one table of limits, and what of a scene lies beyond them.
+
+They hold for scenes that say that they are knees: those of scene files (`pftwin.load_scene`), which imported models
+are too. A scene that is built in Python is any body on any surface, and has none unless `scene.with_limits()` gives it
+them. Each is wide enough for instrumented rigs, implants and children, and can be set by its name: `[limits]` in a
+scene file, `pftwin --allow NAME=VALUE`, `load_scene(path, limits={...})` and `scene.with_limits(NAME=VALUE)`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.base.quantities import declarations
+from pftwin.base.rotations import tibiofemoral_angles
+from pftwin.model.motion_on_host import first_pose, tibia_orientation
+
+if TYPE_CHECKING:
+    from pftwin.model.effects.line_elements import LineElement
+    from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
+_ROUNDED = 0.02  # by how much, as a share, rounded moments of inertia may break the triangle inequality
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """The limits, in the units of their names."""
+
+    least_mass_kg: float = 0.001
+    most_mass_kg: float = 1.0  # a patella weighs 0.03 to 0.1; the rig's carrier 0.12
+    least_gyration_mm: float = 1.0  # radius of gyration: root of moment of inertia by mass
+    most_gyration_mm: float = 100.0
+    least_button_radius_mm: float = 2.0
+    most_button_radius_mm: float = 100.0
+    least_lines: float = 1.0  # of force; without any nothing holds the patella
+    most_line_mm: float = 1000.0  # distance from insertion to origin at the start
+    least_slack_share: float = 0.05  # slack length by that distance
+    most_slack_share: float = 1.5
+    most_force_N: float = 20_000.0  # of a line at the start, and of any force that is given  # noqa: N815
+    most_acceleration_m_per_s2: float = 100.0  # of gravity
+    least_flexion_deg: float = -40.0  # of the knee, in any frame
+    most_flexion_deg: float = 175.0
+    most_adduction_deg: float = 45.0  # to either side
+    most_rotation_deg: float = 75.0  # to either side
+    most_angular_speed_rad_per_s: float = 50.0  # of the tibia in the femur between frames; a fast kick has 30
+    most_marker_residual_mm: float = 5.0  # root mean square over a cluster in one frame
+    most_marker_residual_ratio: float = 10.0  # to the median of the other clusters, where it exceeds 1 mm
+    most_start_shift_mm: float = 10.0  # from the recorded start to the equilibrium
+    most_start_turn_deg: float = 15.0
+
+    @staticmethod
+    def of(given: Mapping[str, Any]) -> Limits:
+        """The limits with some of them set by name.
+
+        Raises:
+            InputError: no such limit; something that is no number.
+        """
+        known = [f.name for f in dataclasses.fields(Limits)]
+        for name, value in given.items():
+            if name not in known:
+                raise InputError(f"no limit {name!r}", expected=f"one of: {', '.join(known)}")
+            if isinstance(value, bool) or not isinstance(value, int | float) or np.isnan(value):
+                raise InputError(f"found {value!r}", where=name, expected="a number")
+        return Limits(**{name: float(value) for name, value in given.items()})
+
+    def of_treated(self) -> Limits:
+        """For a treated knee, which need not rest where the untreated one was recorded."""
+        return dataclasses.replace(self, most_start_shift_mm=np.inf, most_start_turn_deg=np.inf)
+
+
+def beyond(name: str, limit: float, found: str, value: float, where: str | None = None) -> InputError:
+    """The error of a value beyond the limit of that name."""
+    sense, way = ("at least", -1) if name.startswith("least") else ("at most", 1)
+    enough = f"{name}={float(f'{value + way * 0.01 * abs(value):.3g}'):g}"
+    return InputError(
+        found,
+        where=where,
+        expected=f"{sense} {limit:g} {_unit(name)}".rstrip() + f", which is wide enough for knees ({name})",
+        remedy=f"check values and units; if it is meant: pftwin --allow {enough}, or {enough} in the file's [limits]",
+    )
+
+
+class Found(NamedTuple):
+    """A number of a scene, and the limits that it has to keep."""
+
+    what: str
+    value: float  # in the limits' unit
+    least: str = ""
+    most: str = ""
+
+
+def check_limits(scene: Scene, limits: Limits) -> None:
+    """Refuses a scene that no knee can be.
+
+    Raises:
+        InputError: the first number beyond its limit; principal moments of inertia that no body can have.
+    """
+    inertia = _numbers(scene.patella.inertia)
+    if inertia.max() > (inertia.sum() - inertia.max()) * (1 + _ROUNDED):
+        raise InputError(
+            f"found principal moments of {', '.join(f'{v:.3g}' for v in inertia)} kg m^2",
+            where=f"{scene.name}: patella.inertia",
+            expected="none larger than the sum of the other two, as every body has them",
+            remedy="check the moments, their order and units",
+        )
+    for found in (*_of_body(scene), *_of_effects(scene), *_of_motion(scene)):
+        for name, broken in ((found.least, np.less), (found.most, np.greater)):
+            if name and broken(found.value, limit := getattr(limits, name)):
+                words = f"{found.what} is {found.value:.4g} {_unit(name)}".rstrip()
+                raise beyond(name, limit, words, found.value, scene.name)
+
+
+def _unit(name: str) -> str:
+    """The unit at the end of a limit's name, as it is written."""
+    for ending, unit in (("rad_per_s", "rad/s"), ("m_per_s2", "m/s^2"), ("share", "times the distance"), ("lines", "")):
+        if name.endswith(ending):
+            return unit
+    return name.rpartition("_")[2]
+
+
+def _of_body(scene: Scene) -> Iterator[Found]:
+    mass, inertia = float(scene.patella.mass), _numbers(scene.patella.inertia)
+    yield Found("the patella's mass", mass, "least_mass_kg", "most_mass_kg")
+    for radius in 1e3 * np.sqrt(np.sort(inertia)[[0, -1]] / mass):
+        what = "the root of the patella's moment of inertia by its mass"
+        yield Found(what, float(radius), "least_gyration_mm", "most_gyration_mm")
+
+
+def _of_effects(scene: Scene) -> Iterator[Found]:
+    lines = [line for e in scene.effects if (line := e.line_element()) is not None]
+    yield Found("the number of lines of force (tendons, ligaments, muscles)", len(lines), "least_lines")
+    for line in lines:
+        yield from _of_line(scene, line)
+    for effect in scene.effects:
+        contact = effect.contact_role()
+        if contact is not None:
+            radius = 1e3 * float(np.max(_numbers(contact.button_radius())))
+            yield Found(
+                f"the button's radius ({effect.name})", radius, "least_button_radius_mm", "most_button_radius_mm"
+            )
+        for path, leaf, declared in declarations(effect):
+            most = {"N": "most_force_N", "m/s^2": "most_acceleration_m_per_s2"}.get(
+                "" if declared is None else declared.unit
+            )
+            if most is not None:
+                largest = float(np.max(np.abs(np.asarray(leaf, dtype=float)), initial=0.0))
+                yield Found(f"{'.'.join((effect.name, *path))}", largest, most=most)
+
+
+def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
+    """Of the line of a group that is farthest off."""
+    inserted, body = line.line_ends
+    start = scene.start
+    here = _numbers(start.position) + _turned(start.orientation.rotation(), _numbers(inserted))
+    there = _numbers(line.origin_at(float(scene.motion.times[0])))
+    if body != "ground" and (pose := first_pose(scene.motion, body)) is not None:
+        there = pose[0] + there @ pose[1].T
+    length = np.atleast_1d(np.linalg.norm(there - here, axis=-1))
+    yield Found(
+        f"the distance of {line.name} from insertion to origin at the start", 1e3 * length.max(), most="most_line_mm"
+    )
+    if not line.elastic:
+        return
+    slack, stiffness = (np.asarray(getattr(line, n), dtype=float) for n in ("slack_length", "stiffness"))
+    share = np.ravel(slack / np.maximum(length, 1e-9))
+    what = f"the slack length of {line.name}"
+    yield Found(what, float(share.max()), most="most_slack_share")
+    yield Found(what, float(share.min()), least="least_slack_share")
+    pull = float(np.max(stiffness * np.maximum(length - slack, 0.0)))
+    yield Found(f"the pull of {line.name} at the start", pull, most="most_force_N")
+
+
+def _of_motion(scene: Scene) -> Iterator[Found]:
+    q = tibia_orientation(scene.motion)
+    angles = tibiofemoral_angles(q)
+    flexion, adduction, rotation = (np.degrees(a) for a in angles)
+    rows = np.stack([q.w, q.x, q.y, q.z], axis=1)
+    cosine = np.minimum(np.abs(np.einsum("ij,ij->i", rows[1:], rows[:-1])), 1.0)
+    speed = 2 * np.arccos(cosine) / np.diff(scene.motion.times)
+    fastest = int(np.argmax(speed))
+    when = f"the knee's angular speed after {scene.motion.times[fastest]:.3f} s"
+    yield Found(when, float(speed[fastest]), most="most_angular_speed_rad_per_s")
+    for what, values, least, most in (
+        ("flexion", flexion, "least_flexion_deg", "most_flexion_deg"),
+        ("adduction", np.abs(adduction), "", "most_adduction_deg"),
+        ("internal or external rotation", np.abs(rotation), "", "most_rotation_deg"),
+    ):
+        for i, limit in ((int(np.argmin(values)), least), (int(np.argmax(values)), most)):
+            kind = {"least": limit} if limit == least else {"most": limit}
+            yield Found(f"the knee's {what} at {scene.motion.times[i]:.3f} s", float(values[i]), **kind)
+
+
+def _numbers(v: Any) -> Floats:
+    """A vector's components on the host, (3,) or (n, 3); a number's as it is."""
+    parts = (v.x, v.y, v.z) if hasattr(v, "x") else (v,)
+    return np.stack([np.asarray(p, dtype=np.float64) for p in parts], axis=-1)
+
+
+def _turned(rotation: Any, points: Floats) -> Floats:
+    axes = np.stack([_numbers(a) for a in (rotation.ex, rotation.ey, rotation.ez)])  # images of x, y, z
+    return points @ axes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
@@ -15,6 +15,10 @@ from pftwin.cli.exit_codes import check_trust, exit_flagged, report_written_on_i
 from pftwin.cli.plugins import with_scene_changes
 from pftwin.cli.scenes import RunOptions, SceneOptions, ToleranceOption, on_scene, simulated
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, spinner, written_line
+
+if TYPE_CHECKING:
+    from pftwin.cli.scenes import Chosen
+    from pftwin.results.result import Result
 
 
 @with_scene_changes
@@ -42,7 +46,15 @@ def simulate(
     with report_written_on_interrupt(*files), spinner("writing"):
         for path in files:
             {".nc": result.save, ".csv": result.to_csv, ".sto": result.to_sto}[path.suffix.lower()](path)
-    facts = {
+    present(_facts(result, chosen, first, files), result.summary(), written_line(files), json=json)
+    check_trust(result)
+
+
+def _facts(result: Result, chosen: Chosen, first: float, files: list[Path]) -> dict[str, Any]:
+    """What the JSON of every command that runs one scene says of the run."""
+    from pftwin.dynamics.status import status_facts
+
+    return {
         "scene": result.scene_name,
         "contact": chosen.contact,
         "frames": result.times.size,
@@ -50,14 +62,12 @@ def simulate(
         "settings": result.settings,
         "timing": {**result.timing, "first_run_s": first},
         "real_time_factor": result.real_time_factor,
-        "status": result.status.describe(),
+        **status_facts(result.flags),
         "largest_indentation_m": result.largest_indentation,
         "equilibrium": result.equilibrium.to_dict(),
         "dtype": result.dtype,
         "files": [str(p) for p in files],
     }
-    present(facts, result.summary(), written_line(files), json=json)
-    check_trust(result)
 
 
 @on_scene
@@ -88,12 +98,23 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
 
 
 @on_scene
-def validate(*, knee: RunOptions, tolerance: ToleranceOption = None, json: JsonOption = None) -> None:
+def validate(
+    *,
+    output: Annotated[
+        Path | None, Option("-o", "--output", metavar="OUT.nc", help="The simulated result as NetCDF.")
+    ] = None,
+    knee: RunOptions,
+    tolerance: ToleranceOption = None,
+    json: JsonOption = None,
+) -> None:
     """Simulate, and compare with the measurements: the rows of Table 1 of Michaud et al. 2024.
 
     Example: `pftwin validate --case 1 --contact P5`
     """
-    check_outputs(json)
+    files = [] if output is None else [output]
+    for path in files:
+        check_suffix(path, [".nc"], "results are NetCDF")
+    check_outputs(*files, json)
     chosen = knee.load()
     measured = chosen.measured
     if measured is None:
@@ -117,8 +138,11 @@ def validate(*, knee: RunOptions, tolerance: ToleranceOption = None, json: JsonO
     headings = ("", "this", *beside, "unit")
     sheet = Sheet(f"{found.scene} against {against}", headings, tuple(cells), words=(0, len(headings) - 1))
     shown = [row._asdict() for row in rows]
-    facts = {"contact": chosen.contact, **found.to_dict(), "first_run_s": first, "rows": shown}
-    present(facts, sheet, json=json)
+    with report_written_on_interrupt(*files):
+        for path in files:
+            result.save(path)
+    facts = {**_facts(result, chosen, first, files), **found.to_dict(), "rows": shown}
+    present(facts, sheet, written_line(files), json=json)
     check_trust(result)
 
 

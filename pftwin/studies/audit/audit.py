@@ -12,6 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.status import status_facts
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
@@ -46,6 +47,7 @@ class Audit:
     run_time: float | None  # of the scene's own run: median [s]; None where an interrupt came before times were taken
     tracking: str | None  # the patella's tracking in the scene; None without a contact surface
     status: str
+    status_frames: dict[str, int]  # how many frames have each flag
     programs: int  # compiled: of motion and of equilibrium
     rows: tuple[Worth, ...]
     not_applicable: tuple[NotApplicable, ...]
@@ -112,7 +114,7 @@ def audit(
         tolerance=tolerance,
         run_time=None if shares[0] is None else shares[0].seconds,
         tracking=None if tracking is None else tracking.describe(),
-        status=own.result.status.describe(),
+        **status_facts(own.result.flags),
         programs=_programs(scene, done, integrator),
         rows=tuple(rows),
         not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),

@@ -274,5 +274,15 @@ def facts(data: Dataset) -> dict[str, Any]:
     drawn = [n for n in outcomes if n != "failed"] if "sample" in data.dims else []
     bands = {name: list(central_and_range(data[name])[1:]) for name in drawn}
     variants = [{n: values[i] for n, values in columns.items()} for i in range(data.sizes["variant"])]
+    if "status_frames" in first:
+        trust = (_trust(first["status_frames"].isel(variant=i)) for i in range(data.sizes["variant"]))
+        variants = [{**variant, **said} for variant, said in zip(variants, trust, strict=True)]
     coverage = {"coverage": BANDS} if drawn else {}
     return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands, **coverage}
+
+
+def _trust(frames: DataArray) -> dict[str, Any]:
+    """As `pftwin.dynamics.status.status_facts`, from how many frames of a variant have each flag."""
+    counts = {str(name): int(n) for name, n in zip(frames["flag"].values, frames.values, strict=True)}
+    words = [str(w) for w, n in zip(frames.attrs["flags"], counts.values(), strict=True) if n]
+    return {"status": "; ".join(words) or "ok", "status_frames": counts}

@@ -148,10 +148,15 @@ def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> P
 def _facts(found: ContactMap) -> dict[str, Any]:
     import numpy as np
 
+    from pftwin.dynamics.status import Status, status_facts
+
+    apart = np.where(found.touching, 0, int(Status.NO_CONTACT))
+    flags = apart | np.where(found.too_deep, int(Status.DEEP_INDENTATION), 0)
     return {
         "frames": found.times.size,
         "frames_in_contact": int(found.touching.sum()),
         "frames_too_deep": int(found.too_deep.sum()),
+        **status_facts(flags),
         "largest_force_N": float(np.linalg.norm(found.force, axis=1).max()),
         "largest_pressure_MPa": float(found.max_pressure.max() / 1e6),
         "largest_area_mm2": float(1e6 * found.area.max()),

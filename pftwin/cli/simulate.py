@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
@@ -16,6 +16,10 @@ from pftwin.cli.exit_codes import check_trust, exit_flagged, report_written_on_i
 from pftwin.cli.plugins import with_scene_changes
 from pftwin.cli.scenes import RunOptions, SceneOptions, ToleranceOption, on_scene, simulated
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, spinner, written_line
+
+if TYPE_CHECKING:
+    from pftwin.cli.scenes import Chosen
+    from pftwin.results.result import Result
 
 
 @with_scene_changes
@@ -43,7 +47,15 @@ def simulate(
     with report_written_on_interrupt(*files), spinner("writing"):
         for path in files:
             {".nc": result.save, ".csv": result.to_csv, ".sto": result.to_sto}[path.suffix.lower()](path)
-    facts = {
+    present(_facts(result, chosen, first, files), result.summary(), written_line(files), json=json)
+    check_trust(result)
+
+
+def _facts(result: Result, chosen: Chosen, first: float, files: list[Path]) -> dict[str, Any]:
+    """What the JSON of every command that runs one scene says of the run."""
+    from pftwin.dynamics.status import status_facts
+
+    return {
         "scene": result.scene_name,
         "contact": chosen.contact,
         "frames": result.times.size,
@@ -53,15 +65,13 @@ def simulate(
         "real_time_factor": result.real_time_factor,
         "verdict": result.verdict.describe(),
         "tracking": result.tracking,
-        "status": result.status.describe(),
+        **status_facts(result.flags),
         "largest_indentation_m": result.largest_indentation,
         "estimated_error": _largest_errors(result),
         "equilibrium": result.equilibrium.to_dict(),
         "dtype": result.dtype,
         "files": [str(p) for p in files],
     }
-    present(facts, result.summary(), written_line(files), json=json)
-    check_trust(result)
 
 
 def _largest_errors(result: Any) -> dict[str, float | None] | None:
@@ -100,12 +110,23 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
 
 
 @on_scene
-def validate(*, knee: RunOptions, tolerance: ToleranceOption = None, json: JsonOption = None) -> None:
+def validate(
+    *,
+    output: Annotated[
+        Path | None, Option("-o", "--output", metavar="OUT.nc", help="The simulated result as NetCDF.")
+    ] = None,
+    knee: RunOptions,
+    tolerance: ToleranceOption = None,
+    json: JsonOption = None,
+) -> None:
     """Simulate, and compare with the measurements: the rows of Table 1 of Michaud et al. 2024.
 
     Example: `pftwin validate --case 1 --contact P5`
     """
-    check_outputs(json)
+    files = [] if output is None else [output]
+    for path in files:
+        check_suffix(path, [".nc"], "results are NetCDF")
+    check_outputs(*files, json)
     chosen = knee.load()
     measured = chosen.measured
     if measured is None:
@@ -129,9 +150,12 @@ def validate(*, knee: RunOptions, tolerance: ToleranceOption = None, json: JsonO
     headings = ("", "this", *beside, "unit")
     sheet = Sheet(f"{found.scene} against {against}", headings, tuple(cells), words=(0, len(headings) - 1))
     shown = [row._asdict() for row in rows]
-    verdict = result.verdict.describe()
-    facts = {"contact": chosen.contact, "verdict": verdict, **found.to_dict(), "first_run_s": first, "rows": shown}
-    present(facts, "" if result.verdict.valid else verdict, sheet, json=json)
+    with report_written_on_interrupt(*files):
+        for path in files:
+            result.save(path)
+    facts = {**_facts(result, chosen, first, files), **found.to_dict(), "rows": shown}
+    first_line = "" if result.verdict.valid else result.verdict.describe()
+    present(facts, first_line, sheet, written_line(files), json=json)
     check_trust(result)
 
 

@@ -16,7 +16,7 @@ from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide
 from pftwin.dynamics.state import System
 from pftwin.dynamics.static_load import LEVER
-from pftwin.dynamics.status import RESERVATIONS, Status
+from pftwin.dynamics.status import RESERVATIONS, Status, status_facts
 from pftwin.model.effects.base import Patella
 from pftwin.model.scene import Scene
 
@@ -128,7 +128,7 @@ class EquilibriumReport:
             "quaternion": self.quaternion.tolist(),
             "residual_N": self.residual,
             "converged": self.converged,
-            "status": self.status.describe(),
+            **status_facts([self.status]),
             "iterations": self.iterations,
             "relaxed": self.relaxed,
             "kind": self.kind,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
+from numpy.typing import ArrayLike
 
 from pftwin.base.spatial import Scalar
 from pftwin.dynamics.state import State
@@ -71,6 +73,17 @@ _WORDS = {
 }
 
 FLAGS = tuple(flag for flag in Status if flag)
+
+
+def status_facts(flags: ArrayLike) -> dict[str, Any]:
+    """What every command's JSON says of trust, from the flags of frames (n,): words, and how many frames have each."""
+    found = np.asarray(flags, dtype=np.int64)
+    return {
+        "status": Status(int(np.bitwise_or.reduce(found, initial=0))).describe(),
+        "status_frames": {str(f.name).lower(): int(np.count_nonzero(found & int(f))) for f in FLAGS},
+    }
+
+
 RESERVATIONS = {  # the flag that an observable raises where it is positive
     "off_patch": Status.LEFT_PATCH,
     "at_rim": Status.LEFT_PATCH,

@@ -19,6 +19,8 @@ from typer.testing import CliRunner, Result
 from pftwin import rig
 from pftwin.base.errors import InputError
 from pftwin.cli import app
+from pftwin.dynamics.status import Status
+from pftwin.files.result_files import load_dataset
 from pftwin.files.scene_file import load_scene, load_scene_file
 from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.geometry.patch.implant import rig_implant
@@ -77,8 +79,6 @@ def test_simulate_writes_the_result_in_three_formats(toy: Path, tmp_path: Path) 
     assert facts["dtype"] == "float64"
     assert facts["files"] == [str(tmp_path / f"out.{k}") for k in ("nc", "csv", "sto")]
     assert facts["timing"]["run_s"] <= facts["timing"]["first_run_s"]
-    from pftwin.files.result_files import load_dataset
-
     assert load_dataset(tmp_path / "out.nc").sizes["time"] == 41
 
 
@@ -95,10 +95,12 @@ def test_json_on_stdout_is_json_alone(toy: Path) -> None:
 
 
 def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
-    result = pftwin("validate", toy, "--json", tmp_path / "o.json", *STEP)
+    result = pftwin("validate", toy, "-o", tmp_path / "o.nc", "--json", tmp_path / "o.json", *STEP)
     assert result.exit_code == 0, result.output
     assert "paper, P5" in result.stdout
     facts = json.loads((tmp_path / "o.json").read_text())
+    assert facts["files"] == [str(tmp_path / "o.nc")]
+    assert load_dataset(tmp_path / "o.nc").sizes["time"] == 41
     assert [row["key"] for row in facts["rows"]][:2] == ["contact_force", "tibial_spring"]
     by_key = {row["key"]: row for row in facts["rows"]}
     assert by_key["contact_force"]["paper"] == 3.33
@@ -106,6 +108,25 @@ def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
     assert by_key["mean_distance"]["value"] == pytest.approx(facts["mean_distance"])
     assert 5 < facts["mean_distance"] < 30  # the toy's "recorded" patella stays where it was put
     assert facts["frames_compared"] == 41
+
+
+def test_every_command_that_runs_a_scene_says_the_same_of_trust(toy: Path, tmp_path: Path) -> None:
+    """Each flag by name with its frames, none left out: a patella that lifts off has frames without contact."""
+    said = {}
+    for command in ("simulate", "validate", "equilibrium"):
+        options = {"simulate": ("-o", tmp_path / "o.nc", *STEP), "validate": STEP, "equilibrium": ()}[command]
+        said[command] = json.loads(pftwin(command, toy, "--json", "-", *options).stdout)
+    flags = [str(f.name).lower() for f in Status if f]
+    for facts in said.values():
+        assert list(facts["status_frames"]) == flags
+        assert (facts["status"] == "ok") == (not any(facts["status_frames"].values()))
+    assert set(said["simulate"]) <= set(said["validate"])
+    assert said["simulate"]["status_frames"] == said["validate"]["status_frames"]
+    data = load_dataset(tmp_path / "o.nc")
+    for flag in Status:
+        if flag:
+            count = int(np.count_nonzero(data["status"].values & int(flag)))
+            assert said["simulate"]["status_frames"][str(flag.name).lower()] == count
 
 
 def test_another_polynomial_can_be_asked_for(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,6 +68,10 @@ def test_files_hold_the_outcomes(treated):
     assert plain["variants"][1]["largest_offset"] == pytest.approx(float(data["largest_offset"][1, 0]))
     assert plain["units"]["largest_offset"] == "m"
     assert plain["coverage"] == BANDS
+    for i, variant in enumerate(plain["variants"]):  # the estimate's own, not a draw's
+        assert list(variant["status_frames"].values()) == data["status_frames"].values[i, 0].tolist()
+        assert variant["status_frames"]["left_patch"] == int(data["status_frames"].sel(flag="left_patch")[i, 0])
+        assert ("beyond the edge" in variant["status"]) == (variant["status_frames"]["left_patch"] > 0)
     low, high = plain["bands_95"]["largest_offset"]
     assert low[1] <= plain["variants"][1]["largest_offset"] <= high[1]
     assert (folder / "v.png").stat().st_size > 10_000

@@ -12,6 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.status import status_facts
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
@@ -48,6 +49,7 @@ class Audit:
     tracking: str  # what becomes of the patella in the scene, in words
     verdict: str  # whether the scene's own motion may be spoken of: "valid", or "INVALID" and why
     status: str
+    status_frames: dict[str, int]  # how many frames have each flag
     programs: int  # compiled: of motion and of equilibrium
     rows: tuple[Worth, ...]
     not_applicable: tuple[NotApplicable, ...]
@@ -115,7 +117,7 @@ def audit(
         run_time=None if shares[0] is None else shares[0].seconds,
         tracking=own.result.tracking,
         verdict=own.result.verdict.describe(),
-        status=own.result.status.describe(),
+        **status_facts(own.result.flags),
         programs=_programs(scene, done, integrator),
         rows=tuple(rows),
         not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),

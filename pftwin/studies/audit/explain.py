@@ -8,12 +8,13 @@ from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.simulate import settle_first_frame
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import Status, status_facts
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.studies.audit.account import Account, EffectPart, PartAccount, account, parts
@@ -50,13 +51,18 @@ class Explanation:
     step_time: float  # median [s]
     parts: tuple[PartCost, ...]
     kinetic_change: float  # of the patella's kinetic energy over the run [J]
-    status: Status
+    flags: NDArray[np.int32]  # of every frame (n,), bits of `Status`
     programs: int  # number of programs compiled
 
     @property
     def shared_equations(self) -> int:
         """Equations of a step that belong to no part: inertia, guided motion, the step's own solution."""
         return self.equations - sum(p.equations for p in self.parts if p.of is None)
+
+    @property
+    def status(self) -> Status:
+        """All flags that any frame has."""
+        return Status(int(np.bitwise_or.reduce(self.flags, initial=0)))
 
     @property
     def shared_time(self) -> float:
@@ -70,9 +76,9 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        own = {k: v for k, v in asdict(self).items() if k != "status"}
+        own = {k: v for k, v in asdict(self).items() if k != "flags"}
         more = ("shared_equations", "shared_time", "energy_gap")
-        return {**own, **{k: getattr(self, k) for k in more}, "status": self.status.describe()}
+        return {**own, **{k: getattr(self, k) for k in more}, **status_facts(self.flags)}
 
 
 def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float = 1e-3) -> Explanation:
@@ -110,7 +116,7 @@ def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float = 1
         step_time=shares[0].seconds / steps,
         parts=tuple(costs),
         kinetic_change=float(kinetic[1] - kinetic[0]),
-        status=Status(int(np.bitwise_or.reduce(flags, initial=0))),
+        flags=flags,
         programs=3 + len(listed),  # equilibrium, account, a timed one with all and one without each
     )
 

@@ -53,7 +53,11 @@ def test_a_ball_on_a_plate(files, tmp_path):
         assert data.sizes["triangle"] == len(areas)
         assert float((data.pressure[1] > 0).sum()) > 50
         assert data.force.attrs["units"] == "N"
-    assert json.loads(facts.read_text())["frames_in_contact"] == 2
+    said = json.loads(facts.read_text())
+    assert said["frames_in_contact"] == 2
+    assert said["status_frames"]["no_contact"] == 1
+    assert sum(said["status_frames"].values()) == 1
+    assert said["status"] == "the button touches nothing"
     assert png.stat().st_size > 20_000
 
 

@@ -161,7 +161,7 @@ def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:
         entry = head[place[1]] if isinstance(head, list) and place[1] < len(head) else None
         name = entry.get("name") if isinstance(entry, dict) else None
         first, rest = f"[[{place[0]}]] number {place[1] + 1}", place[2:]
-        first += f" ({name})" if isinstance(name, str) else ""
+        first += f" ({name[:60]})" if isinstance(name, str) and name[:60].isprintable() else ""
         lead = ", "
     elif isinstance(head, dict):
         first, rest, lead = f"[{place[0]}]", place[1:], " "

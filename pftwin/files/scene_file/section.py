@@ -95,6 +95,12 @@ def one_number_or_many(value: Any, info: ValidationInfo) -> Any:
     return value if isinstance(value, list) else _wrapped(value, info)
 
 
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise problem(f"found {text[:60]!r}", expected="a name of printable characters")
+    return text
+
+
 def _point_or_points(value: Any, info: ValidationInfo) -> Any:
     if isinstance(value, list) and value and isinstance(value[0], list):
         return value
@@ -117,7 +123,7 @@ Direction = Annotated[Point, AfterValidator(_direction)]
 UnitQuaternion = Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
 Polynomial = Annotated[str, AfterValidator(_polynomial)]
 LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in"]
-FileName = Annotated[str, Field(min_length=1)]
+FileName = Annotated[str, Field(min_length=1), AfterValidator(_printable)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 # Groups: one value for all members, or a list with one for each.
 Positives = Annotated[list[Positive], Field(min_length=1), BeforeValidator(one_number_or_many)]

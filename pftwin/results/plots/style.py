@@ -46,6 +46,7 @@ STYLE: Any = {
     "lines.linewidth": 1.3,
     "legend.frameon": False,
     "figure.constrained_layout.use": True,
+    "text.parse_math": False,  # names are text: one with two "$" would be set as a formula, or end in an error
     "svg.fonttype": "none",  # letters stay letters: searchable, and editable in a drawing program
     "svg.hashsalt": "pftwin",
     "pdf.fonttype": 42,

@@ -214,9 +214,13 @@ def audit_figure(found: Audit, title: str) -> Figure:
 
 def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> None:
     """Bars on a logarithmic axis that starts at the smallest change that matters."""
+    from matplotlib.ticker import NullFormatter
+
     ends = np.array(largest.values)
     high = max(10 * _LEAST, np.nanmax(ends, initial=_LEAST))
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlim(_LEAST, 2 * high)
     for i, row in enumerate(rows):
         if row.changes is None:

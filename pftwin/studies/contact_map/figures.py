@@ -96,7 +96,7 @@ def _courses(panels: dict[str, Any], found: ContactMap) -> None:
     force.legend(ncols=4, loc="best")
     force.set(title="Contact force on the patella, femur axes", ylabel="force [N]", xlabel="time [s]")
     area.plot(t, 1e6 * found.area, color=COLOURS[0])
-    area.set(title="Contact area", ylabel="area [mm$^2$]", xlabel="time [s]")
+    area.set(title="Contact area", ylabel="area [mm²]", xlabel="time [s]")
     pressure.plot(t, found.max_pressure / 1e6, color=COLOURS[1], label="maximum")
     pressure.plot(t, found.mean_pressure / 1e6, color=COLOURS[0], label="mean")
     pressure.legend(loc="best")

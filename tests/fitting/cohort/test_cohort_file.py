@@ -96,6 +96,11 @@ def test_choices_are_those_of_fits():
         (HEAD.replace("[0, 10]", '"0:999999"') + PATIENT, "at most 1000000 simulations of a patient, and not 3000000"),
         (HEAD.replace("samples = 2", "samples = -1") + PATIENT, "[predict] samples: found -1"),
         (HEAD.replace('name = "cheap"', 'output = "../x"') + PATIENT, "output: '../x' leads out of"),
+        (
+            HEAD.replace('name = "cheap"', 'output = "x\\u0000y"') + PATIENT,
+            "output: found 'x\\x00y'; expected: a name of print",
+        ),
+        (HEAD + PATIENT.replace('"A"', '"\\u001b[31mA"'), "[[patient]] number 1, name: found '\\x1b[31mA'; expected"),
         ("schema = ", "not valid TOML"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -118,3 +119,20 @@ def test_using_a_result_does_not_import_matplotlib():
     code = "import sys, pftwin; pftwin.Result, pftwin.plots.ResultPlots; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("name", ["knee $\\frac{$ of A", "$5 and $6", "a_b^c", "100 % {x} <b>&amp;</b>", "\\"])
+def test_names_are_text_and_no_formulas(tmp_path, name):
+    """A formula that does not parse is an error of matplotlib's; one that does would show another name."""
+    from matplotlib.figure import Figure
+
+    with house_style():
+        figure = Figure(figsize=(5, 3))
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1], label=name)
+        axes.legend()
+        title(figure, name)
+    (path,) = save_figure(figure, tmp_path / "a", ("svg",))
+    text = ElementTree.parse(path).getroot()
+    shown = [e.text for e in text.iter("{http://www.w3.org/2000/svg}text")]
+    assert shown.count(name) == 2

@@ -23,20 +23,18 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 gc.set_threshold(100_000, 20, 20)  # tracing makes many objects, little garbage: looking for it took a tenth of the time
 
 OPTIMISATION = "--xla_backend_optimization_level"
-FUSION_EMITTERS = "--xla_cpu_use_fusion_emitters"
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """The default run compiles programs without LLVM's optimisations: it takes half the time, and motions are short.
 
-    Each kernel becomes LLVM's code directly, not by way of MLIR: that takes a sixth less. XLA's own passes and the
-    switches of `configure` are those of users. Slow tests, the demo and the benchmarks compile as users do, and so does
-    any run with a level of its own in XLA_FLAGS:
+    XLA's own passes and the switches of `configure` are those of users. Slow tests, the demo and the benchmarks run
+    with all optimisations, and so does any run with a level of its own in XLA_FLAGS:
     XLA_FLAGS=--xla_backend_optimization_level=3 python -m pytest
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "not slow" in config.option.markexpr and OPTIMISATION not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {OPTIMISATION}=0 {FUSION_EMITTERS}=false".strip()
+        os.environ["XLA_FLAGS"] = f"{flags} {OPTIMISATION}=0".strip()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -17,6 +17,7 @@ configure(cache_dir=os.environ.get("PFTWIN_TEST_CACHE", str(_ROOT / ".jax_cache"
 # has replaced: a test that replaces one traces a function of its own.
 # Single operations too are kept: both processes of a run need them, some thousands, each of a thirtieth of a second.
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_traceback_in_locations_limit", 0)  # where an operation was written: nobody reads it in a program
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 gc.set_threshold(100_000, 20, 20)  # tracing makes many objects, little garbage: looking for it took a tenth of the time
@@ -61,7 +62,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-MOST_MEMORY = 3e9  # bytes of a test process from which on compiled programs are dropped
+MOST_MEMORY = 5e9  # bytes of a test process from which on compiled programs are dropped
 _limit = {"now": MOST_MEMORY}
 
 

@@ -65,7 +65,7 @@ def test_case_1_is_case_2_after_the_transfer():
 
 @pytest.fixture(scope="module")
 def knee():
-    return small_scene(13)
+    return small_scene()
 
 
 @dataclass(eq=False)

@@ -107,7 +107,7 @@ def test_a_button_in_the_groove(search):
 
 
 def test_a_batch_is_what_its_members_are(search):
-    poses = on_the_groove(4, 0.3e-3, seed=1)
+    poses = on_the_groove(6, 0.3e-3, seed=1)  # as many as above: one program
     for a, b in zip(*(jax.tree.leaves(f(search, poses)) for f in (one_by_one, at_once)), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -120,10 +120,10 @@ def test_overflow_is_flagged_where_room_is_short(search, room):
 
 def test_a_clear_pose_has_no_pairs(search):
     far = Pose(
-        Vec3(*(jnp.array([x]) for x in (0.0, 0.0, 0.2))), Quaternion(*(jnp.array([x]) for x in (1.0, 0.0, 0.0, 0.0)))
+        Vec3(*(jnp.full(6, x) for x in (0.0, 0.0, 0.2))), Quaternion(*(jnp.full(6, x) for x in (1.0, 0.0, 0.0, 0.0)))
     )
     pairs = one_by_one(search, far)
-    assert pairs.count.tolist() == [0]
+    assert pairs.count.tolist() == [0] * 6
     assert not pairs.overflow.any()
 
 

@@ -28,6 +28,7 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 J = jnp.asarray
 R = 0.025
+cut_by_ball = jax.jit(ball_cut)
 LARGE = J([-1.0, -1.0, 0.0, 2.0, -1.0, 0.0, -1.0, 2.0, 0.0])  # a triangle far larger than the ball
 
 
@@ -43,7 +44,7 @@ def test_the_angle_is_that_of_the_c_library():
 @pytest.mark.parametrize("depth", [1e-6, 1e-4, 5e-3, 0.02, 0.03])
 def test_a_ball_in_the_middle_of_a_large_triangle_cuts_a_circle(depth):
     """The integral of (R^2 - q^2) / (2 R) over a circle of radius rho is pi rho^4 / (4 R)."""
-    cut = ball_cut(Triangle.of_rows(LARGE - J([0.0, 0.0, R - depth] * 3)), J(R))
+    cut = cut_by_ball(Triangle.of_rows((LARGE - J([0.0, 0.0, R - depth] * 3))[None]), J(R))
     rho = R**2 - (R - depth) ** 2
     np.testing.assert_allclose(cut.area, np.pi * rho, rtol=1e-9)
     np.testing.assert_allclose(cut.doubled, np.pi * rho**2 / 2, rtol=1e-9)
@@ -70,7 +71,7 @@ def test_a_triangle_anywhere_is_cut_as_by_counting_points(seed):
     way = rng.normal(size=3)
     size = 10 ** rng.uniform(-3.5, -1)
     t = rng.uniform(0, 1) * R * way / np.linalg.norm(way) + rng.normal(size=(3, 3)) * size
-    cut = jax.jit(ball_cut)(Triangle.of_rows(J(t.reshape(1, 9))), J(R))
+    cut = cut_by_ball(Triangle.of_rows(J(t.reshape(1, 9))), J(R))
     area, doubled, moment = by_points(t)
     whole = min(0.5 * np.linalg.norm(np.cross(t[1] - t[0], t[2] - t[0])), np.pi * R**2)
     assert abs(float(cut.area[0]) - area) < 2e-3 * whole

@@ -19,12 +19,16 @@ from pftwin.model.effects.tension import PrescribedTension
 # A tendon of 500 N/m and 50 mm slack length that runs straight up to z = 100 mm.
 
 
+def load_of(effect, position, velocity=(0, 0, 0), time: Any = 0.0) -> Any:
+    """By one program for all places and times: numbers that are no arrays would be compiled in."""
+    return _load_of(effect, *(jnp.asarray(x, dtype=float) for x in (*position, *velocity, time)))
+
+
 @eqx.filter_jit
-def load_of(effect, position, velocity=(0, 0, 0), step: Any = 0.0, time: Any = 0.0) -> Any:
-    z = [jnp.asarray(x, dtype=float) for x in (*position, *velocity)]
+def _load_of(effect, x, y, z, along_x, along_y, along_z, time):
     now = look()
-    now = eqx.tree_at(lambda n: (n.patella.position, n.patella.velocity), now, (Vec3(*z[:3]), Vec3(*z[3:])))
-    return effect.load(eqx.tree_at(lambda n: (n.step, n.time), now, (step, time)), None)[0]
+    then = Vec3(x, y, z), Vec3(along_x, along_y, along_z), time
+    return effect.load(eqx.tree_at(lambda n: (n.patella.position, n.patella.velocity, n.time), now, then), None)[0]
 
 
 def pull(load) -> float:
@@ -46,20 +50,21 @@ def test_stretching_faster_pulls_harder():
 
 @pytest.mark.parametrize("velocity", [(0, 0, 0), (0, 0, -1), (1, 2, 3)])
 def test_slack_is_nothing_in_value_and_gradient(velocity):
-    @jax.jit
+    at = (J(500.0), J(0.05), J(5.0), J(0.06))
+    value, slopes = everything_and_slopes(*at, jnp.asarray(velocity, dtype=float))
+    assert float(value) == 0
+    assert [float(g) for g in slopes] == [0, 0, 0, 0]
+
+
+@jax.jit
+def everything_and_slopes(k, slack, c, z, velocity):
     def everything(k, slack, c, z):
         load = load_of(eqx.tree_at(lambda t: (t.stiffness, t.slack_length, t.damping), tendon(), (k, slack, c)),
                        (0.0, 0.0, z), velocity)  # fmt: skip
         w = load.total()
-        return load.energy + sum(jnp.square(x) for x in jax.tree.leaves(w)) + pull_array(load)
+        return load.energy + sum(jnp.square(x) for x in jax.tree.leaves(w)) + jnp.sum(load.stiff[0].force)
 
-    at = (J(500.0), J(0.05), J(5.0), J(0.06))
-    assert float(everything(*at)) == 0
-    assert [float(g) for g in jax.jit(jax.grad(everything, (0, 1, 2, 3)))(*at)] == [0, 0, 0, 0]
-
-
-def pull_array(load) -> jax.Array:
-    return jnp.sum(load.stiff[0].force)
+    return jax.value_and_grad(everything, (0, 1, 2, 3))(k, slack, c, z)
 
 
 def test_a_tendon_without_length_is_harmless():
@@ -128,13 +133,12 @@ def test_force_and_moment_are_the_gradient_of_energy(which):
         together = StrandGroup(together.stiffness, together.slack_length, 0.5 * like, 0 * like, together.insertion,
                                together.origin, "tibia", name="strands")  # fmt: skip
 
-    def load(d) -> Any:
+    def energy_and_wrench(d) -> Any:
         turn = Quaternion.from_rotation_vector(Vec3(d[3], d[4], d[5]))
-        return together.load(_at(d, turn), None)[0]
+        load = together.load(_at(d, turn), None)[0]
+        return load.energy, load.total()
 
-    zero = jnp.zeros(6)
-    slope = jax.jit(jax.grad(lambda d: load(d).energy))(zero)
-    wrench = load(zero).total()
+    slope, wrench = jax.jit(jax.grad(energy_and_wrench, has_aux=True))(jnp.zeros(6))
     np.testing.assert_allclose(-slope[:3], wrench.force.array(), rtol=1e-10)
     np.testing.assert_allclose(-slope[3:], wrench.moment.array(), rtol=1e-10)
 

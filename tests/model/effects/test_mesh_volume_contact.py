@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from height_meshes import grid, lateral, level
@@ -115,21 +116,25 @@ def test_between_two_contacts_and_one_the_force_is_the_energys_slope(height):
     assert (0.1 < float(_merged(GROOVE, J(place))) < 0.9) is (height < 0)
 
 
-def energy_of(effect, p):
+def energy_and_force(effect, p):
+    """In one array."""
     now = eqx.tree_at(lambda n: n.patella.position, look(), Vec3.from_array(p))
-    return effect.load(now, effect.remember(now))[0].energy
-
-
-def force_of(effect, p):
-    now = eqx.tree_at(lambda n: n.patella.position, look(), Vec3.from_array(p))
-    return effect.load(now, effect.remember(now))[0].total().force.array()
+    load = effect.load(now, effect.remember(now))[0]
+    return jnp.concatenate([load.energy[None], load.total().force.array()])
 
 
 @pytest.fixture(scope="module")
 def rates():
-    """Force, the energy's gradient, and the force's slopes in both modes."""
-    both = [eqx.filter_jit(lambda e, p, m=m: m(lambda q: force_of(e, q))(p)) for m in (jax.jacfwd, jax.jacrev)]
-    return eqx.filter_jit(force_of), eqx.filter_jit(lambda e, p: jax.grad(lambda q: energy_of(e, q))(p)), *both
+    """By mode: energy and force, and their slopes by the place."""
+
+    def program(mode):
+        def both(effect, p):
+            found = energy_and_force(effect, p)
+            return found, found
+
+        return eqx.filter_jit(lambda e, p: mode(lambda q: both(e, q), has_aux=True)(p))
+
+    return program(jax.jacfwd), program(jax.jacrev)
 
 
 @pytest.mark.slow
@@ -143,11 +148,13 @@ def test_force_and_energy_go_on_smoothly_while_two_contacts_become_one(rates):
     assert merged.min() == 0
     assert merged.max() == 1
     assert ((merged > 0.02) & (merged < 0.98)).sum() >= 3
-    forces = np.array([rates[0](effect, p) for p in path])
-    slopes = np.array([rates[1](effect, p) for p in path])
-    np.testing.assert_allclose(forces, -slopes, rtol=1e-7, atol=1e-6)
+    _, reverse = rates
+    found = [reverse(effect, p) for p in path]
+    forces = np.array([values[1:] for _, values in found])
+    np.testing.assert_allclose(forces, [-slopes[0] for slopes, _ in found], rtol=1e-7, atol=1e-6)
     # Continuous: halving the step halves the largest jump.
-    fine = np.array([rates[0](effect, J([1e-4, 2e-5, z])) for z in np.linspace(heights[0], heights[-1], 91)])
+    finer = np.linspace(heights[0], heights[-1], 91)
+    fine = np.array([reverse(effect, J([1e-4, 2e-5, z]))[1][1:] for z in finer])
     jumps = [np.abs(np.diff(f[:, 2])).max() for f in (forces, fine)]
     assert jumps[1] < 0.62 * jumps[0]
 
@@ -175,16 +182,18 @@ def test_derivatives_are_finite_and_those_of_differences(spot, rates):
         "inside": (0.0004, 0.0002, -0.004),
         "rim": (0.035, 0.0002, top + RADIUS - 3e-3),
     }[spot]
-    force, gradient, forward, reverse = rates
+    forward, reverse = rates
     p = J(place)
-    slopes = forward(effect, p)
+    slopes, found = forward(effect, p)
     assert np.isfinite(slopes).all()
-    np.testing.assert_allclose(reverse(effect, p), slopes, rtol=1e-8, atol=1e-6)
-    np.testing.assert_allclose(force(effect, p), -gradient(effect, p), rtol=1e-8, atol=1e-7)
+    backward, _ = reverse(effect, p)
+    np.testing.assert_allclose(backward[1:], slopes[1:], rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(backward[0], -found[1:], rtol=1e-8, atol=1e-7)
     if spot not in ("touch", "clear"):
-        difference = np.stack([(force(effect, p + h) - force(effect, p - h)) / 2e-9 for h in 1e-9 * np.eye(3)], axis=1)
-        np.testing.assert_allclose(slopes, difference, atol=2e-4 * np.abs(slopes).max())
-        assert float(force(effect, p)[2]) > 0
+        sides = [[forward(effect, p + s * h)[1][1:] for s in (1, -1)] for h in 1e-9 * np.eye(3)]
+        difference = np.stack([(high - low) / 2e-9 for high, low in sides], axis=1)
+        np.testing.assert_allclose(slopes[1:], difference, atol=2e-4 * np.abs(slopes[1:]).max())
+        assert float(found[3]) > 0
 
 
 def test_deep_inside_is_pushed_out_or_seen():

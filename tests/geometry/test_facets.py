@@ -22,12 +22,26 @@ def observed(button, now):
     return button.observe(now, button.remember(now))
 
 
+@eqx.filter_jit
+def section(patch, v):
+    return jax.vmap(patch.height, (None, 0))(J(0.0), v)
+
+
 def nearest(patch, center):
     """Distance from a point to the patch at u = 0 and the coordinate v of the nearest point, by samples."""
     v = np.linspace(-0.05, 0.05, 200_001)
-    height = np.asarray(jax.vmap(patch.height, (None, 0))(J(0.0), J(v)))
+    height = np.asarray(section(patch, J(v)))
     distance = np.hypot(v - center[1], height - center[2])
     return float(distance.min()), float(abs(v[np.argmin(distance)]))
+
+
+def height_over(patch, v, depth):
+    """Where a button whose centre is at (0, v) is indented by `depth`."""
+    low, high = -0.05, 0.3
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if nearest(patch, (0, v, middle))[0] < RADIUS - depth else (low, middle)
+    return high
 
 
 @pytest.mark.parametrize(
@@ -37,10 +51,7 @@ def nearest(patch, center):
 def test_walls_steeper_than_the_fan_is_wide(angle, half):
     """A button wedged 0.1 mm deep between walls that it touches farther out than the fan's last sample."""
     patch = fitted(lambda u, v: np.sqrt(v**2 + 0.006**2) * np.tan(np.radians(angle)), 4, (0.024, half))
-    low, high = -0.05, 0.3
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if nearest(patch, (0, 0, middle))[0] < RADIUS - 1e-4 else (low, middle)
+    high = height_over(patch, 0, 1e-4)
     distance, place = nearest(patch, (0, 0, high))
     assert place > FAN[-1] * RADIUS  # or this shows nothing
     seen = observed(contact(LAW, patch), look((0, 0, high)))
@@ -76,7 +87,7 @@ def test_a_frame_shows_the_contact_that_the_step_has_had():
     """
     stiffness, restitution, floor = 2e8, 0.6, 0.01
     button = contact(Flores(J(stiffness), J(restitution)), fitted(lambda u, v: 25 * v**2, 2, (0.024, 0.02)))
-    height = next(z for z in np.linspace(0.02, 0.03, 1001) if nearest(button.surface, (0, 0, z))[0] > RADIUS - 3e-5)
+    height = height_over(button.surface, 0, 3e-5)
     velocity = (0.0, 0.02, 0.0)  # away from the medial facet, into the lateral one
     now = look((0, 0, height), velocity)
 
@@ -96,3 +107,61 @@ def test_a_frame_shows_the_contact_that_the_step_has_had():
     report, next_step = seen(button, now)
     assert float(next_step) > 2 * alone  # or there is no other contact to find
     assert float(report["force"]) == pytest.approx(alone, rel=1e-4)
+
+
+def touching(patch, v, depth=3e-5):
+    """The centre of a button indented by `depth` at (0, v) of a patch over a plane, along the patch's normal there."""
+    slope = float(jax.grad(patch.height, 1)(J(0.0), J(v)))
+    normal = np.array([0.0, -slope, 1.0]) / np.hypot(slope, 1.0)
+    return (0.0, v, float(patch.height(J(0.0), J(v)))) + (RADIUS - depth) * normal
+
+
+@pytest.mark.parametrize("middle", [0.0, 0.002])
+def test_a_contact_belongs_to_the_facet_of_its_side_of_the_groove(middle):
+    """On a groove's walls, and beyond its ridges, where the surface leans the other way and the contact is on the other
+    side of the button's centre: ridges at 9 mm from the bottom, 3 mm high.
+    """
+
+    def profile(u, v):
+        x = ((v - middle) / 0.009) ** 2
+        return 3e-3 * x * (2 - x)
+
+    button = contact(LAW, fitted(profile, 4))
+    beyond = (-0.012, -0.0105, 0.0105, 0.012)  # from the bottom, or both walls of the groove are touched
+    for beside in beyond:
+        seen = observed(button, look(touching(button.surface, middle + beside)))
+        own, other = ("medial", "lateral") if beside < 0 else ("lateral", "medial")
+        assert float(seen[f"force_{own}"]) == float(seen["force"]) == pytest.approx(2e8 * 3e-5**1.5, rel=1e-3)
+        assert float(seen[f"point_{own}"][1]) == pytest.approx(middle + beside, abs=1e-5)
+        assert float(seen[f"indentation_{own}"]) == pytest.approx(3e-5, rel=1e-3)
+        assert float(seen[f"force_{other}"]) == 0
+        assert np.isnan(float(seen[f"indentation_{other}"]))
+        assert np.isnan(seen[f"point_{other}"]).all()
+    height = height_over(button.surface, middle, 3e-5)
+    both = observed(button, look((0, middle, height)))
+    assert float(both["force_medial"]) == pytest.approx(float(both["force_lateral"]), rel=1e-4)
+
+
+def test_two_contacts_beyond_one_ridge_belong_to_one_facet():
+    """A button in a dent beyond the groove's lateral ridge, on both walls of the dent."""
+    dent, half = 0.016, (0.024, 0.026)
+
+    def profile(u, v):
+        return -4e-3 * np.exp(-((v / 0.005) ** 2)) - 2e-3 * np.exp(-(((v - dent) / 0.004) ** 2))
+
+    button = contact(LAW, fitted(profile, 14, half))
+    at = (0, dent, height_over(button.surface, dent, 3e-4))
+    two = observed_touches(button, look(at))
+    assert float(two[1].at.v - two[0].at.v) > 0.2 * RADIUS  # two contacts, or this shows nothing
+    seen = observed(button, look(at))
+    each = [float(t.push.term.force) for t in two]
+    assert min(each) > 0
+    assert float(seen["force_lateral"]) == pytest.approx(sum(each), rel=1e-6)
+    assert float(seen["indentation_lateral"]) == pytest.approx(max(float(t.indentation) for t in two), rel=1e-6)
+    deeper = two[0] if each[0] > each[1] else two[1]
+    assert float(seen["point_lateral"][1]) == pytest.approx(float(deeper.at.v), abs=1e-6)
+
+
+@eqx.filter_jit
+def observed_touches(button, now):
+    return button.touches(now, button.remember(now))[:2]

@@ -32,6 +32,8 @@ SPACING = 0.11  # of the fan's samples across the groove, in radii
 FAN = tuple(SPACING * k for k in range(-6, 7))  # their places, in radii from the sphere's centre
 LONGEST = 0.12  # radii: the longest Newton step
 MERGED, APART = 0.02, 0.20  # separations, in radii, between which one contact becomes two
+SECTION = 33  # samples of a section across the surface
+SHALLOW = 1e-4  # a groove less deep than this is none [m]
 ASTRAY = 1.2  # distance from the fan's minimum, in spacings, beyond which a followed point starts again
 
 
@@ -126,3 +128,20 @@ def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[S
     for k, (before, after) in reversed(list(enumerate(pairwise(phi)))):
         first = jnp.where(before < after, FAN[k], first)
     return first, last
+
+
+def medial_of_groove(surface: Surface, p: ClosestPoint) -> Scalar:
+    """Whether a contact lies on the medial side of the groove's bottom, in the section through it; bool.
+
+    Away from the bottom its place tells, since beyond a ridge the surface leans the other way again. Next to the bottom
+    the lean tells, which is exact where a sample is not; and everywhere on a surface without a groove.
+    """
+    (u, v, lean), surface = stop_gradient((p.u, p.v, p.normal.y)), _without_derivatives(surface)
+    places = jnp.linspace(surface.clipped(-jnp.ones_like(v)), surface.clipped(jnp.ones_like(v)), SECTION)
+    height, _ = surface.profile(u).height_and_slope(places)
+    # Filled with water, the groove is where it would stand deepest: below the lower of the highest walls on both sides.
+    walls = jax.lax.cummax(height), jax.lax.cummax(height, reverse=True)
+    depth = jnp.minimum(*walls) - height
+    beyond = v - places[jnp.argmax(depth)]
+    by_lean = (jnp.abs(beyond) < places[1] - places[0]) | (depth.max() < SHALLOW)
+    return jnp.where(by_lean, lean >= 0, beyond < 0)

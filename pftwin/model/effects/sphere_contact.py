@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.base.traced_once import traced_once
-from pftwin.geometry.contact.facets import MERGED, Facets, FollowedPoint, facets_from, follow_facets
+from pftwin.geometry.contact.facets import MERGED, Facets, FollowedPoint, facets_from, follow_facets, medial_of_groove
 from pftwin.geometry.patch.closest import ClosestPoint, Surface
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch, facet_report, load_of
@@ -115,22 +115,28 @@ class SphereContact(ButtonSphere):
     def report(self, now: Instant, memory: ContactMemory) -> tuple[dict[str, Any], Scalar | None]:
         """Forces, points and indentations, told apart as medial and lateral."""
         touches = self.standing_touches(now, memory)
-        (one, two), (c, _) = (t.at for t in touches), self.centre_in_chart(now)
-        # A single contact, of which both points bear half, belongs to the facet on its side of the sphere's centre.
-        single = jnp.abs(one.v - two.v) < MERGED * self.radius
-        on_medial = one.v <= self.surface.chart.foot(c)[1]
-        medial, lateral = (t.push.term for t in touches)
-        total = medial.force + lateral.force
-        vector = now.femur.local_direction(medial.force * medial.direction + lateral.force * lateral.direction)
-        forces, indentations, points, off_patch = [], [], [], jnp.zeros_like(total)
-        for touch, p, there in zip(touches, (one, two), (on_medial, ~on_medial), strict=True):
-            force = jnp.where(single, jnp.where(there, total, 0.0), touch.push.term.force)
-            forces.append(force)
-            indentations.append(jnp.where(single & ~there, jnp.nan, touch.indentation))
-            point = self.surface.chart.point(p.u, p.v, self.surface.jet(p.u, p.v).f).array()
-            points.append(jnp.where(force > 0, point, jnp.nan))
-            off_patch = jnp.maximum(off_patch, jnp.where(force > 0, self.surface.outside(p.u, p.v), 0.0))
-        shown = {**facet_report(vector, forces, indentations, points), "off_patch": off_patch}
+        ends = [t.push.term for t in touches]
+        vector = ends[0].force * ends[0].direction + ends[1].force * ends[1].direction
+        one, two = (t.at for t in touches)
+        # A single contact, of which both points bear half, belongs to one facet.
+        first = medial_of_groove(self.surface, one)
+        second = jnp.where(jnp.abs(one.v - two.v) < MERGED * self.radius, first, medial_of_groove(self.surface, two))
+        places, off_patch = [], jnp.zeros_like(one.u)
+        for p, term in zip((one, two), ends, strict=True):
+            places.append(self.surface.chart.point(p.u, p.v, self.surface.jet(p.u, p.v).f).array())
+            off_patch = jnp.maximum(off_patch, jnp.where(term.force > 0, self.surface.outside(p.u, p.v), 0.0))
+        forces, indentations, points = [], [], []
+        for here in ((first, second), (~first, ~second)):
+            borne = [jnp.where(on, term.force, 0.0) for on, term in zip(here, ends, strict=True)]
+            depths = [jnp.where(on, t.indentation, -jnp.inf) for on, t in zip(here, touches, strict=True)]
+            forces.append(borne[0] + borne[1])
+            indentations.append(jnp.where(here[0] | here[1], jnp.maximum(*depths), jnp.nan))
+            more = jnp.where(borne[0] >= borne[1], places[0], places[1])
+            points.append(jnp.where(forces[-1] > 0, more, jnp.nan))
+        shown = {
+            **facet_report(now.femur.local_direction(vector), forces, indentations, points),
+            "off_patch": off_patch,
+        }
         return shown, load_of([t.push for t in touches])[0].energy
 
     def fitted_surface(self) -> Surface:

@@ -193,7 +193,8 @@ def _of_motion(scene: Scene) -> Iterator[Found]:
     ):
         for i, limit in ((int(np.argmin(values)), least), (int(np.argmax(values)), most)):
             kind = {"least": limit} if limit == least else {"most": limit}
-            yield Found(f"the knee's {what} at {scene.motion.times[i]:.3f} s", float(values[i]), **kind)
+            when = f"{scene.motion.times[i]:.3f} s (axes, side, or clusters of the other side?)"
+            yield Found(f"the knee's {what} at {when}", float(values[i]), **kind)
 
 
 def _numbers(v: Any) -> Floats:

@@ -285,7 +285,8 @@ class Result:
             lines.insert(0, self.verdict.describe())
         elif self.surface is not None:
             lines.append(f"tracking: {self.tracking}")
-        lines += marks or (["status: all frames clean"] if self.verdict.valid else [])
+        lines += marks
+        lines += ["status: all frames clean"] if self.verdict.valid and not said else []
         if self.largest_indentation > 0:
             lines.append(f"largest indentation: {1e3 * self.largest_indentation:.3f} mm")
         if self.error is not None:

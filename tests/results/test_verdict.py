@@ -88,6 +88,7 @@ def test_a_harmless_remark_is_the_last_line():
     assert lines[-1].startswith("remark: 3 of 41 frames: a loaded contact lies beyond the edge")
     assert not any("beyond the edge" in line for line in lines[:-1])
     assert "tracking: normal tracking" in lines
+    assert "status: all frames clean" not in lines
 
 
 def test_a_file_keeps_its_verdict_and_an_older_one_gets_it_from_its_status():

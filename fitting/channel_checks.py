@@ -53,7 +53,7 @@ _UNITS = {  # by what a number must be multiplied, and what it then was
     },
 }
 _AXES = "xyz"
-_FRAMES = 400  # looked at for other readings, evenly over the recording
+_FRAMES = 200  # looked at for other readings, evenly over the recording
 _SIMPLER = 1.1  # a simpler reading is preferred where it is at most this much farther off
 _FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance to which any reading is as good [m], [rad]
 _FORCE_FLOOR = 0.01  # the same of a force, as a share of the twin's

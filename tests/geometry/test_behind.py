@@ -35,8 +35,12 @@ def surface(mesh: SurfaceMesh) -> tuple[Array, Array, Array]:
 
 def looks(mesh: SurfaceMesh, points: list[list[float]], wanted: bool = True) -> list[Behind]:
     whole = surface(mesh)
-    one = jax.jit(lambda p: behind(*whole, p, jnp.asarray(wanted)))
-    return [one(point(J(p, dtype=float))) for p in points]
+    return [_look(whole, point(J(p, dtype=float)), jnp.asarray(wanted)) for p in points]
+
+
+@jax.jit
+def _look(whole, p, wanted):
+    return behind(*whole, p, wanted)
 
 
 def told(mesh: SurfaceMesh, points: list[list[float]], wanted: bool = True) -> list[bool]:

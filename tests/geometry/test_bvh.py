@@ -74,7 +74,8 @@ def test_one_program_serves_moved_meshes_and_maps_over_them():
     moved = [build_tree(SurfaceMesh(mesh.vertices + shift, mesh.faces), leaf=1) for shift in (0.0, 0.004)]
     stacked = jax.tree.map(lambda *a: jnp.stack(a), *((wide_tree(t), t.triangles) for t in moved))
     p = jnp.array([0.01, 0.02, 0.0])
-    places = jax.vmap(lambda wide, triangles: nearest_wide(wide, triangles, point(p)).place)(*stacked)
+    mapped = jax.jit(jax.vmap(lambda wide, triangles: nearest_wide(wide, triangles, point(p)).place))
+    places = mapped(*stacked)
     for tree_of, place in zip(moved, places, strict=True):
         assert int(place) == int(searched(tree_of, p[None]).place[0])
     assert jax.tree.structure(moved[0]) == jax.tree.structure(moved[1])

@@ -24,23 +24,55 @@ def fine() -> SurfaceMesh:
     return rig_implant().mesh(deviation=0.006e-3)
 
 
-def places(component: FemoralComponent, n: int, seed: int = 0, share: float = 0.98) -> tuple[jax.Array, jax.Array]:
+LARGEST = 4001
+
+
+def places(component: FemoralComponent, n: int, seed: int = 0, share: float = 0.98) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     sides = zip(component.center, component.half_size, strict=True)
     u, v = (float(c) + float(h) * rng.uniform(-share, share, n) for c, h in sides)
-    return jnp.asarray(u), jnp.asarray(v)
+    return u, v
+
+
+@eqx.filter_jit
+def _height(component, u, v):
+    return component.height(u, v)
+
+
+@eqx.filter_jit
+def _jet(component, u, v):
+    return component.jet(u, v)
+
+
+def traced(component: FemoralComponent) -> FemoralComponent:
+    """With its parameters as arrays: a program then serves all of them."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype=float), component)
+
+
+def height_of(component, u, v):
+    return _padded(_height, component, u, v)
+
+
+def jet_of(component, u, v):
+    return _padded(_jet, component, u, v)
+
+
+def _padded(function, component, u, v):
+    """Of arrays of any shape by one program: filled up to the size of the largest."""
+    u, v = np.broadcast_arrays(u, v)
+    found = function(traced(component), *(jnp.asarray(np.resize(x, LARGEST)) for x in (u, v)))
+    return jax.tree.map(lambda a: np.asarray(a)[: u.size].reshape(u.shape), found)
 
 
 def test_jet_against_finite_differences():
     c = rig_implant()
     u, v = places(c, 300)
-    evaluate = jax.jit(c.jet)
-    jet = evaluate(u, v)
+    jet = jet_of(c, u, v)
     e = 1e-6
-    np.testing.assert_allclose(jet.f, c.height(u, v), rtol=1e-14)
-    np.testing.assert_allclose(jet.u, (c.height(u + e, v) - c.height(u - e, v)) / (2 * e), atol=1e-8)
-    np.testing.assert_allclose(jet.v, (c.height(u, v + e) - c.height(u, v - e)) / (2 * e), atol=1e-8)
-    up, down, left, right = evaluate(u + e, v), evaluate(u - e, v), evaluate(u, v - e), evaluate(u, v + e)
+    np.testing.assert_allclose(jet.f, height_of(c, u, v), rtol=1e-14)
+    np.testing.assert_allclose(jet.u, (height_of(c, u + e, v) - height_of(c, u - e, v)) / (2 * e), atol=1e-8)
+    np.testing.assert_allclose(jet.v, (height_of(c, u, v + e) - height_of(c, u, v - e)) / (2 * e), atol=1e-8)
+    up, down, left, right = (jet_of(c, *at) for at in ((u + e, v), (u - e, v), (u, v - e), (u, v + e)))
     np.testing.assert_allclose(jet.uu, (up.u - down.u) / (2 * e), atol=1e-5)
     np.testing.assert_allclose(jet.uv, (up.v - down.v) / (2 * e), atol=1e-5)
     np.testing.assert_allclose(jet.uv, (right.u - left.u) / (2 * e), atol=1e-5)
@@ -50,29 +82,31 @@ def test_jet_against_finite_differences():
 def test_second_derivatives_have_no_jumps():
     c = rig_implant()
     (u0, v0), (half_u, half_v) = c.center, c.half_size
-    t, evaluate = jnp.linspace(-1, 1, 4001), jax.jit(c.jet)
-    for jet in (evaluate(u0 + half_u * t, jnp.full(4001, 0.009)), evaluate(jnp.full(4001, -0.01), v0 + half_v * t)):
+    t = np.linspace(-1, 1, LARGEST)
+    lines = (u0 + half_u * t, 0.009), (-0.01, v0 + half_v * t)
+    for jet in (jet_of(c, *line) for line in lines):
         for name in ("uu", "uv", "vv"):
             values = np.asarray(getattr(jet, name))
             assert np.abs(np.diff(values)).max() < 0.02 * max(np.ptp(values), 1.0)
 
 
 def test_derivatives_with_respect_to_every_parameter_are_finite_and_true():
-    c = jax.tree.map(lambda x: jnp.asarray(x, dtype=float), rig_implant())
+    c = traced(rig_implant())
     u, v = places(c, 40)
 
     @jax.jit
+    @jax.value_and_grad
     def total(component: FemoralComponent) -> jax.Array:
         jet = component.jet(u, v)
         return jnp.sum(jet.f * (1 + u / 0.02)) + jnp.sum(jet.uv)
 
-    gradient = jax.jit(jax.grad(total))(c)
+    _, gradient = total(c)
     for field in dataclasses.fields(c):
         if field.name in ("proximal_end", "distal_end", "half_width"):
             continue
         exact, value = float(getattr(gradient, field.name)), getattr(c, field.name)
         e = 1e-5 * max(abs(float(value)), 1e-3)
-        high, low = (total(eqx.tree_at(lambda t, n=field.name: getattr(t, n), c, value + s * e)) for s in (1, -1))
+        high, low = (total(eqx.tree_at(lambda t, n=field.name: getattr(t, n), c, value + s * e))[0] for s in (1, -1))
         assert exact != 0, field.name
         assert exact == pytest.approx(float(high - low) / (2 * e), rel=1e-4, abs=1e-6), field.name
 
@@ -80,12 +114,12 @@ def test_derivatives_with_respect_to_every_parameter_are_finite_and_true():
 def test_the_groove_is_what_its_parameters_say():
     c = FemoralComponent(lateral_steepness=0.0, groove_obliquity=0.0, notch_depth=0.0)
     u = -20 * _DEG * c.trochlear_radius  # far from flange and distal arc
-    bottom = c.jet(jnp.asarray(u), jnp.zeros(()))
+    bottom = jet_of(c, u, 0.0)
     assert float(bottom.f) == pytest.approx(c.trochlear_radius, abs=0.3e-3)
     assert float(bottom.v) == pytest.approx(0, abs=1e-12)
     assert 1 / float(bottom.vv) == pytest.approx(c.groove_radius, rel=5e-3)
     far = dataclasses.replace(c, facet_width=0.5, flange_angle=3.0, distal_angle=-3.0, sulcus_transition=3.0)
-    slope = float(far.jet(jnp.asarray(u), jnp.asarray(0.2)).v)
+    slope = float(jet_of(far, u, 0.2).v)
     assert 2 * np.arctan(1 / slope) == pytest.approx(c.sulcus_angle, rel=1e-3)
 
 
@@ -93,7 +127,7 @@ def test_the_sagittal_arcs_are_circles_of_the_stated_radii():
     c = FemoralComponent(sagittal_blend=0.5 * _DEG, notch_depth=0.0, groove_obliquity=0.0)
     for angle, radius in ((-15, c.trochlear_radius), (35, c.flange_radius), (-85, c.distal_radius)):
         t = (angle + np.array([-4.0, 0.0, 4.0])) * _DEG
-        r = np.asarray(c.height(jnp.asarray(t * c.trochlear_radius), jnp.zeros(3)))
+        r = height_of(c, t * c.trochlear_radius, 0.0)
         x, z = r * np.sin(t), r * np.cos(t)
         sides = [np.hypot(x[i] - x[j], z[i] - z[j]) for i, j in ((0, 1), (1, 2), (2, 0))]
         area = 0.5 * abs((x[1] - x[0]) * (z[2] - z[0]) - (x[2] - x[0]) * (z[1] - z[0]))
@@ -103,10 +137,10 @@ def test_the_sagittal_arcs_are_circles_of_the_stated_radii():
 def test_anatomy_of_the_rig_implant():
     c = rig_implant()
     assert c.groove_radius < 18e-3  # narrower than a button's 20 to 25 mm: it rides on two facets at once
-    v = jnp.linspace(-0.025, 0.025, 501)
+    v = np.linspace(-0.025, 0.025, 501)
 
     def facets(angle: float) -> tuple[float, float]:
-        h = np.asarray(c.height(jnp.full(501, angle * _DEG * c.trochlear_radius), v))
+        h = height_of(c, angle * _DEG * c.trochlear_radius, v)
         valley = 150 + int(np.argmin(h[150:350]))
         return h[valley:].max() - h[valley], h[:valley].max() - h[valley]
 
@@ -121,7 +155,7 @@ def test_a_sphere_rests_on_two_facets():
     radius, angle = 25e-3, -30 * _DEG
     v = np.linspace(-0.016, 0.016, 1601)
     u = np.full_like(v, angle * c.trochlear_radius)
-    h = np.asarray(c.height(jnp.asarray(u), jnp.asarray(v)))
+    h = height_of(c, u, v)
     y = np.linspace(-0.008, 0.008, 801)
     above = np.max(h + np.sqrt(radius**2 - (v - y[:, None]) ** 2), axis=1)  # height of the center that just touches
     rest = int(np.argmin(above))
@@ -138,7 +172,7 @@ def test_outside_measures_the_way_past_the_edge():
     assert float(c.outside(u0, v0)) == 0
     assert float(c.outside(u0 + half_u + 0.002, v0)) == pytest.approx(0.002)
     assert float(c.outside(u0, v0 - half_v - 0.003)) == pytest.approx(0.003)
-    assert np.isfinite(np.asarray(c.jet(u0 + half_u + 0.01, v0 + half_v + 0.02))).all()
+    assert np.isfinite(jet_of(c, float(u0) + float(half_u) + 0.01, float(v0) + float(half_v) + 0.02)).all()
 
 
 @pytest.mark.parametrize("deviation", [0.1e-3, 0.006e-3])

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_scene import small_scene, vec
-from toy_scene_files import SCENE, write_toy
+from toy_scene_files import LIGHT, write_toy
 
 import fitting
 import pftwin
@@ -95,7 +95,7 @@ def test_its_declarations_are_its_names_bounds_and_units() -> None:
 
 def test_it_is_read_from_a_scene_file(tmp_path: Path) -> None:
     pftwin.register_effect(Band)
-    head, tail = SCENE.split("[[tendon]]", 1)
+    head, tail = LIGHT.split("[[tendon]]", 1)
     rest = tail.split("[[tendon]]", 1)[1]
     table = """[[band]]
 name = "quadriceps"

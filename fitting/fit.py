@@ -12,7 +12,7 @@ import numpy as np
 
 from fitting.channel_checks import Limits, left_over, limits_of, misread
 from fitting.estimate import Estimate
-from fitting.methods.problem import Method, Problem, Request, State, load_checkpoint, save_checkpoint
+from fitting.methods.problem import MOST_SEED, Method, Problem, Request, State, load_checkpoint, save_checkpoint
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, free_parameters
 from fitting.programs import POSITION, channels_of
@@ -240,6 +240,9 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
     return doubts
 
 
+_MOST = 1_000_000  # starts, generations, ...: beyond, the memory or the life of the machine ends
+
+
 def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> Method:
     module, kind = METHODS[name]
     chosen = getattr(import_module(f"fitting.methods.{module}"), kind)
@@ -247,8 +250,10 @@ def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> 
     for key, value in options.items():
         if key not in known:
             raise InputError(f"{name} has no option {key!r}", where="options", expected=f"one of: {', '.join(known)}")
-        if not (isinstance(value, int) and value >= 1):
-            raise InputError(f"found {value!r}", where=key, expected="a whole number of at least 1")
+        if not (isinstance(value, int) and 1 <= value <= _MOST):
+            raise InputError(f"found {value!r}", where=key, expected=f"a whole number, at least 1, at most {_MOST:,}")
+    if not 0 <= seed <= MOST_SEED:
+        raise InputError(f"found {seed!r}", where="seed", expected=f"a whole number from 0 to {MOST_SEED}")
     return chosen(problem, seed, **options)
 
 

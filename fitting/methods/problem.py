@@ -109,6 +109,9 @@ class Problem:
 State = dict[str, Any]  # arrays, numbers, strings and None: everything a method knows, so that a checkpoint can hold it
 
 
+MOST_SEED = 2**63 - 1  # JAX's and NumPy's generators both take it
+
+
 class Method(ABC):
     """A search method. All its randomness comes from the seed, and its state holds everything it knows."""
 

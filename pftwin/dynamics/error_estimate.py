@@ -61,13 +61,13 @@ class ErrorEstimate:
 
     path: Any  # how far the patella's points within 20 mm of the tracked one may be off [m]
     contact_force: Any  # length of the difference of the contact force [N]
-    contact_force_medial: Any  # of the size of the force on each facet [N]
-    contact_force_lateral: Any
+    medial_facet: Any  # of the size of the force on each facet [N]
+    lateral_facet: Any
     most_force: Any  # what a force may be off before it is flagged, () [N]
 
     @property
     def _all(self) -> tuple[Any, ...]:
-        return self.path, self.contact_force, self.contact_force_medial, self.contact_force_lateral
+        return self.path, self.contact_force, self.medial_facet, self.lateral_facet
 
     def _each(self, function: Callable[..., Any], *others: ErrorEstimate) -> ErrorEstimate:
         return ErrorEstimate(*map(function, *(e._all for e in (self, *others))), most_force=self.most_force)
@@ -91,13 +91,13 @@ class ErrorEstimate:
         """Bits of `Status` that follow (n,)."""
         most = self.most_force
         off = (self.path > MOST_PATH_ERROR) | (self.contact_force > most)
-        unshared = (self.contact_force_medial > most) | (self.contact_force_lateral > most)
+        unshared = (self.medial_facet > most) | (self.lateral_facet > most)
         return off.astype(np.int32) * int(Status.INACCURATE) + unshared.astype(np.int32) * int(Status.FACETS_INACCURATE)
 
     @property
     def largest(self) -> dict[str, Any]:
         """Of all frames, by quantity."""
-        names = ("path", "contact_force", "contact_force_medial", "contact_force_lateral")
+        names = ("path", "contact_force", "medial_facet", "lateral_facet")
         return {name: values.max() for name, values in zip(names, self._all, strict=True)}
 
     def describe(self) -> str:

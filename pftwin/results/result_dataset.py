@@ -156,8 +156,8 @@ def _errors(result: Result) -> Variables:
     rows = {
         "path": ("m", "patella's points within 20 mm of the tracked one"),
         "contact_force": ("N", "contact force, length of the difference"),
-        "contact_force_medial": ("N", "force on the medial facet"),
-        "contact_force_lateral": ("N", "force on the lateral facet"),
+        "medial_facet": ("N", "force on the medial facet"),
+        "lateral_facet": ("N", "force on the lateral facet"),
     }
     return {
         f"estimated_error_{name}": _row(getattr(result.error, name), unit, f"estimated error of the steps: {text}")

@@ -52,16 +52,19 @@ IntegratorOption = Annotated[
     Option(
         "--integrator",
         metavar="NAME",
-        help="linear_implicit (with --tolerance linear_implicit_bdf2), linear_implicit_bdf2, newmark, quasi_static,"
-        " symplectic_euler or diffrax:SOLVER.",
+        help="linear_implicit_bdf2 (of simulate and validate, if left out), linear_implicit (of explain and audit),"
+        " newmark, quasi_static, symplectic_euler, ali3p or diffrax:SOLVER.",
     ),
 ]
 StepOption = Annotated[
-    float | None, Option("--dt", metavar="SECONDS", help="Longest time step [s]: 0.001 if left out.")
+    float | None,
+    Option(
+        "--dt", metavar="SECONDS", help="Longest time step [s]. If left out: 0.001, or shorter where errors ask for it."
+    ),
 ]
 ToleranceOption = Annotated[
     str | None,
-    Option("--tolerance", metavar='"0.05 mm"', help="Instead of --dt: the longest step with an error below."),
+    Option("--tolerance", metavar='"0.05 mm"|"0.5 N"', help="Instead of --dt: the longest step with an error below."),
 ]
 
 

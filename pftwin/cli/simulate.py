@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -52,12 +53,21 @@ def simulate(
         "real_time_factor": result.real_time_factor,
         "status": result.status.describe(),
         "largest_indentation_m": result.largest_indentation,
+        "estimated_error": _largest_errors(result),
         "equilibrium": result.equilibrium.to_dict(),
         "dtype": result.dtype,
         "files": [str(p) for p in files],
     }
     present(facts, result.summary(), written_line(files), json=json)
     check_trust(result)
+
+
+def _largest_errors(result: Any) -> dict[str, float | None] | None:
+    """Of all frames; None where it is not known."""
+    if result.error is None:
+        return None
+    units = {"path": "m"}
+    return {f"{k}_{units.get(k, 'N')}": v if isfinite(v) else None for k, v in result.error.largest.items()}
 
 
 @on_scene

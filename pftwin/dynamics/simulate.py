@@ -18,6 +18,7 @@ from pftwin.base.program_cache import Program, Timed
 from pftwin.base.program_cache import settings as jax_settings
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
+from pftwin.dynamics.error_estimate import Course
 from pftwin.dynamics.frame_states import (
     first_guide,
     frame_states,
@@ -26,14 +27,21 @@ from pftwin.dynamics.frame_states import (
     substeps_for,
 )
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import BDF2, LinearImplicit
+from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.relaxation import ended_far_away, relax
 from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.tolerance import Path, coarsest, settings_of, tolerance_in_metres
-from pftwin.dynamics.trajectory import checked_integrator
+from pftwin.dynamics.tolerance import (
+    Choice,
+    Tried,
+    accurate_enough,
+    coarsest,
+    parse_tolerance,
+    with_estimate,
+)
+from pftwin.dynamics.trajectory import DEFAULT_STEP, checked_integrator
 from pftwin.model.scene import Scene, check
 
 if TYPE_CHECKING:
@@ -54,7 +62,7 @@ def _relaxed(scene: Scene) -> Pose:
 
 @Program
 def _run(
-    scene: Scene, start: Solution, integrator: Integrator, substeps: int | Array, energy: bool
+    scene: Scene, start: Solution, integrator: Integrator, substeps: Array, energy: bool
 ) -> tuple[Observation, Ledger | None]:
     path = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy)
     return observe(scene, path), path.ledger
@@ -84,7 +92,7 @@ def _converged(solution: Solution) -> bool:
     return bool(np.asarray(solution.residual) < tolerance_on_host(solution))
 
 
-def _compiled_side_by_side(scene: Scene, integrator: Integrator, substeps: int, energy: bool) -> float:
+def _compiled_side_by_side(scene: Scene, integrator: Integrator, substeps: Array, energy: bool) -> float:
     """Compiles both programs on two cores at once where neither is compiled yet; returns the seconds it took."""
     began = time.perf_counter()
     if _solve.at_hand(scene):
@@ -111,15 +119,20 @@ def simulate(
 ) -> Result:
     """The patella's motion and forces through the recorded frames, starting from static equilibrium.
 
+    Without `dt` and `tolerance` the step is 1 ms, or a half or a quarter of it where the estimated error of path or
+    force is large. Every result holds these estimates (`Result.error`), from runs of the same scene with other steps,
+    and flags the frames where they are large: see `pftwin.dynamics.error_estimate`.
+
     Args:
         scene: what is there.
-        integrator: `pftwin.LinearImplicit()` (default); `BDF2()`, of second order at the same cost (default with a
-            tolerance); `Newmark()`, iterated, with options as in `Newmark(rho=0.8)`; `QuasiStatic()`, without inertia;
-            `ALI3P()`, the paper's formulation in natural coordinates; `SymplecticEuler()`, explicit;
-            `Diffrax("Tsit5")` and the like.
-        dt: longest step [s], 1e-3 by default; the step used is the largest that divides the interval between frames.
-        tolerance: instead of `dt`, how far off the path may be, such as "0.05 mm": see `pftwin.dynamics.tolerance`. The
-            result's settings say which step was chosen and what error is left by estimate.
+        integrator: `pftwin.BDF2()` (default), of second order; `LinearImplicit()`, of first order at the same cost,
+            with more damping of its own; `Newmark()`, iterated, with options as in `Newmark(rho=0.8)`;
+            `QuasiStatic()`, without inertia; `ALI3P()`, the paper's formulation in natural coordinates;
+            `SymplecticEuler()`, explicit; `Diffrax("Tsit5")` and the like.
+        dt: longest step [s], which is kept to; the step used is the largest that divides the interval between frames.
+        tolerance: instead of `dt`, how far off the path or the contact force may be, such as "0.05 mm" or "0.5 N": see
+            `pftwin.dynamics.tolerance`. The result's settings say which step was chosen and what error is left by
+            estimate.
         energy_budget: keep account of work and heat at every step.
 
     Raises:
@@ -128,20 +141,20 @@ def simulate(
     """
     refuse_traced(scene, "simulate", "trajectory")
     check(scene)
-    if tolerance is not None:
-        if dt is not None:
-            raise InputError("found both dt and tolerance", where="simulate", expected="one of them")
-        return _simulate_within_tolerance(
-            scene, tolerance_in_metres(tolerance), integrator or BDF2(), bool(energy_budget)
-        )
-    chosen = checked_integrator(integrator or LinearImplicit(), "simulate")
+    if tolerance is not None and dt is not None:
+        raise InputError("found both dt and tolerance", where="simulate", expected="one of them")
+    asked = None if tolerance is None else parse_tolerance(tolerance)
+    chosen = checked_integrator(integrator or BDF2(), "simulate")
     chosen.refuse_unfit(scene.effects)
-    substeps = substeps_for(scene.motion.frame_interval, 1e-3 if dt is None else dt)
-    plain = scene.unnamed()
-    ahead = _compiled_side_by_side(plain, chosen, substeps, bool(energy_budget))
-    start, relaxed = settle_first_frame(plain)
-    ran = _run.timed(plain, start.answer, chosen, substeps, bool(energy_budget))
-    return _result(scene, start, relaxed, ran, ahead, {"integrator": chosen.text, **_step(scene, substeps)})
+    substeps = substeps_for(scene.motion.frame_interval, DEFAULT_STEP if dt is None else dt)
+    runs = _Runs(scene, chosen, bool(energy_budget))
+    if asked is not None:
+        choice = coarsest(runs, chosen.order, asked)
+    elif dt is not None:
+        choice = with_estimate(runs, substeps, chosen.order)
+    else:
+        choice = accurate_enough(runs, substeps + substeps % 2, chosen.order)
+    return runs.result(choice)
 
 
 def refuse_traced(scene: Scene, verb: str, pure: str) -> None:
@@ -159,49 +172,54 @@ def refuse_traced(scene: Scene, verb: str, pure: str) -> None:
         )
 
 
-def _simulate_within_tolerance(scene: Scene, tolerance: float, integrator: Integrator, energy: bool) -> Result:
-    """Runs with the longest steps that hold a tolerance; one program serves every number of steps.
+class _Runs:
+    """Runs of one scene with different numbers of steps, by one program, from one equilibrium."""
 
-    BDF2 is the default: least work for errors between 0.3 and 0.0001 mm (docs/accuracy.md).
-    """
-    chosen = checked_integrator(integrator, "simulate")
-    chosen.refuse_unfit(scene.effects)
-    plain = scene.unnamed()
-    start, relaxed = settle_first_frame(plain)
-    spent = 0.0
+    def __init__(self, scene: Scene, integrator: Integrator, energy: bool) -> None:
+        """Finds the equilibrium; compiles what is not compiled yet."""
+        self._scene, self._plain, self._integrator, self._energy = scene, scene.unnamed(), integrator, energy
+        self._ahead = _compiled_side_by_side(self._plain, integrator, jnp.asarray(1), energy)
+        self._start, self._relaxed = settle_first_frame(self._plain)
+        self._preparation = self._time = 0.0
 
-    def run(n: int) -> tuple[Timed, Path, bool]:
-        nonlocal spent
-        ran = _run.timed(plain, start.answer, chosen, jnp.asarray(n), energy)
-        spent += ran.preparation
+    def __call__(self, substeps: int) -> Tried[Timed]:
+        """The run with so many steps between two frames."""
+        ran = _run.timed(self._plain, self._start.answer, self._integrator, jnp.asarray(substeps), self._energy)
+        self._preparation += ran.preparation
+        self._time += ran.run
         seen: Observation = ran.answer[0]
-        center, turn = (np.stack([np.asarray(a, float) for a in leaves], axis=-1) for leaves in _leaves(seen))
-        return ran, Path(center, turn), not (np.asarray(seen.status) & int(Status.STEP_TOO_LONG)).any()
+        contact = self._scene.contact
+        course = Course.of(seen, None if contact is None else contact.name)
+        return Tried(ran, course, not (np.asarray(seen.status) & int(Status.STEP_TOO_LONG)).any())
 
-    choice = coarsest(run, chosen.order, tolerance)
-    settings = {"integrator": chosen.text, **_step(scene, choice.substeps), **settings_of(choice, tolerance)}
-    return _result(scene, start, relaxed, choice.run._replace(preparation=spent), 0.0, settings)
+    def result(self, choice: Choice[Timed]) -> Result:
+        """What is handed out of the run that was chosen."""
+        from pftwin.results.result import Result
 
-
-def _leaves(seen: Observation) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    c, q = seen.center, seen.patella.orientation
-    return (c.x, c.y, c.z), (q.w, q.x, q.y, q.z)
-
-
-def _step(scene: Scene, substeps: int) -> dict[str, float | int]:
-    return {"dt_s": scene.motion.frame_interval / substeps, "substeps": substeps}
-
-
-def _result(scene: Scene, start: Timed, relaxed: bool, ran: Timed, ahead: float, settings: dict[str, Any]) -> Result:
-    from pftwin.results.result import Result
-
-    seen, ledger = ran.answer
-    timing = {
-        "equilibrium_s": start.run,
-        "run_s": ran.run,
-        "compile_s": ahead + start.preparation + ran.preparation,
-    }
-    return Result.build(scene, start.answer, seen, ledger, relaxed=relaxed, settings=settings, timing=timing)
+        seen, ledger = choice.run.answer
+        settings: dict[str, Any] = {
+            "integrator": self._integrator.text,
+            "dt_s": self._scene.motion.frame_interval / choice.substeps,
+            "substeps": choice.substeps,
+            **choice.settings,
+        }
+        timing = {
+            "equilibrium_s": self._start.run,
+            "run_s": choice.run.run,
+            "estimate_s": self._time - choice.run.run,  # of the runs with other steps
+            "compile_s": self._ahead + self._start.preparation + self._preparation,
+        }
+        start = self._start.answer
+        return Result.build(
+            self._scene,
+            start,
+            seen,
+            ledger,
+            relaxed=self._relaxed,
+            settings=settings,
+            timing=timing,
+            error=choice.error,
+        )
 
 
 def equilibrium(scene: Scene) -> EquilibriumReport:

@@ -21,6 +21,8 @@ MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is
 MOST_CREATED = 0.02  # created energy as a share of the largest change of energy; for steps above 1 ms, per ms
 MOST_SO_FAR = 0.2  # and as a share of the largest change so far
 LEAST_CREATED = 1e-6  # smaller amounts are ignored [J]
+MOST_PATH_ERROR = 1e-3  # estimated errors of the steps above these are flagged [m]
+MOST_FORCE_ERROR, MOST_ERROR_SHARE = 5.0, 0.2  # [N]; and as a share of the largest contact force
 DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
 
 
@@ -37,6 +39,8 @@ class Status(enum.IntFlag):
     SEARCH_OVERFLOW = 64
     ENERGY_FROM_NOWHERE = 128
     SNAPPED = 256
+    INACCURATE = 512
+    FACETS_INACCURATE = 1024
 
     def describe(self) -> str:
         """The status in words."""
@@ -45,6 +49,7 @@ class Status(enum.IntFlag):
         return "; ".join(_WORDS[flag] for flag in Status if flag in self)
 
 
+_FORCE = f"{MOST_FORCE_ERROR:g} N or {MOST_ERROR_SHARE:.0%} of the largest"
 _WORDS = {
     Status.NO_CONTACT: "the button touches nothing",
     Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation, or"
@@ -58,6 +63,10 @@ _WORDS = {
     Status.SNAPPED: "the equilibrium ended and the patella snapped to another one, in a dynamic burst without a time",
     Status.ENERGY_FROM_NOWHERE: "there is more energy than before, less the work done: step too long, or forces that"
     " have no potential, as those of coarse meshes",
+    Status.INACCURATE: "by estimate the steps make an error above"
+    f" {1e3 * MOST_PATH_ERROR:g} mm in place, or above {_FORCE} in contact force: take shorter steps",
+    Status.FACETS_INACCURATE: f"by estimate the steps make an error above {_FORCE} in the force on one facet:"
+    " take shorter steps, or use the sum of both",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 

@@ -1,9 +1,8 @@
-"""The longest step that holds a tolerance on a scene, found by doubling the number of steps on that very scene.
+"""How long steps may be on a scene, found by doubling their number on that very scene.
 
-The error of n steps between two frames is told from the distance to 2 n steps: where errors fall with the power p of
-the step, e(n) = |x(n) - x(2 n)| / (1 - 2^-p). Contacts that open and close cost part of an integrator's order, so p is
-taken as half of what it declares. Distance is the root of the mean square, over all frames, of how far the patella's
-points within 20 mm of the tracked one are apart at most.
+`accurate_enough` starts from a step and halves it until the estimated errors of path and contact force are small.
+`coarsest` looks for the longest step that holds a tolerance, of the path (the root of the mean square over all frames)
+or of the contact force (the largest of all frames). Estimates: `pftwin.dynamics.error_estimate`.
 """
 
 from __future__ import annotations
@@ -16,23 +15,41 @@ from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError, PftwinWarning
+from pftwin.dynamics.error_estimate import Course, ErrorEstimate, after_halving, error_of
 
-Floats = NDArray[np.float64]
 Run = TypeVar("Run")
 
-REACH = 0.02  # of the points that count, from the tracked one [m]
 MOST_SUBSTEPS = 256
-UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6}
+UNCONFIRMED = 2.0  # factor on an estimate from the first pair of runs
+HALVINGS = 2  # of the first step, at most, where no step was asked for
+UNITS = {"m": (1.0, "m"), "mm": (1e-3, "m"), "um": (1e-6, "m"), "µm": (1e-6, "m"), "N": (1.0, "N"), "mN": (1e-3, "N")}
 
 
-class Path(NamedTuple):
-    """Where the patella is at the frames; leading axes of batches are allowed."""
+class Tolerance(NamedTuple):
+    """How far off a run may be."""
 
-    center: Floats  # (..., n, 3) tracked point, femur frame [m]
-    quaternion: Floats  # (..., n, 4)
+    value: float
+    unit: str  # "m" of the path, "N" of the contact force
+
+    def measure(self, error: ErrorEstimate) -> float:
+        """The one number of an estimate that has to stay within it."""
+        if self.unit == "N":
+            return float(np.max(error.contact_force))
+        return float(np.sqrt(np.mean(np.square(error.path))))
+
+    def text(self, value: float) -> str:
+        """A number of its kind, for people."""
+        return f"{value:.3g} N" if self.unit == "N" else f"{1e3 * value:.3g} mm"
+
+
+class Tried(NamedTuple, Generic[Run]):
+    """A run that was made."""
+
+    run: Run  # what is kept of it
+    course: Course
+    sound: bool  # whether its steps were short enough for it to count at all
 
 
 @dataclass(frozen=True)
@@ -41,76 +58,122 @@ class Choice(Generic[Run]):
 
     run: Run  # what was computed with it
     substeps: int
-    error: float  # estimated, rms [m]
-    held: bool  # whether that is within the tolerance
-    tried: dict[int, float]  # estimates of all that was tried [m]
+    error: ErrorEstimate
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What a result should say of it, beside the steps."""
+        return {}
 
 
-def tolerance_in_metres(given: str | float) -> float:
-    """From "0.05 mm", or a number of metres.
+@dataclass(frozen=True)
+class Held(Choice[Run]):
+    """The choice for a tolerance."""
+
+    tolerance: Tolerance
+    tried: dict[int, float]  # estimates of all that was tried [m or N]
+
+    @property
+    def estimate(self) -> float:
+        """What of the error is to stay within the tolerance [m or N]."""
+        return self.tried[self.substeps]
+
+    @property
+    def held(self) -> bool:
+        """Whether it is."""
+        return self.estimate <= self.tolerance.value
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The tolerance, the estimate, and whether it is held."""
+        unit = self.tolerance.unit
+        found = {f"tolerance_{unit}": self.tolerance.value, f"estimated_error_{unit}": self.estimate}
+        return {**found, "tolerance_held": self.held}
+
+
+def parse_tolerance(given: str | float) -> Tolerance:
+    """From "0.05 mm" or "0.5 N", or a number of metres.
 
     Raises:
-        InputError: no positive length.
+        InputError: no positive length or force.
     """
     number, unit = given, "m"
     if isinstance(given, str):
-        match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([a-zµ]*)\s*", given)
+        match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([a-zµN]*)\s*", given)
         number, unit = (match[1], match[2] or "?") if match else (given, "?")
     try:
-        value = float(number) * UNITS[unit]
+        factor, kind = UNITS[unit]
+        value = float(number) * factor
     except (KeyError, ValueError, TypeError):
-        value = math.nan
+        value, kind = math.nan, "m"
     if not (math.isfinite(value) and value > 0):
-        raise InputError(f"found {given!r}", where="tolerance", expected='a length such as "0.05 mm"')
-    return value
+        expected = 'a length such as "0.05 mm", or a force such as "0.5 N"'
+        raise InputError(f"found {given!r}", where="tolerance", expected=expected)
+    return Tolerance(value, kind)
 
 
-def distance(a: Path, b: Path) -> Floats:
-    """Root mean square over the frames of how far two paths are apart (...,) [m]; infinite where one is not finite."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        apart = np.linalg.norm(a.center - b.center, axis=-1)
-        cosine = np.abs(np.sum(a.quaternion * b.quaternion, axis=-1))
-        sine = np.sqrt(np.clip(1 - cosine**2, 0, 1))
-        turned = 2 * np.arctan2(sine, cosine)
-        found = np.sqrt(np.mean(np.square(apart + REACH * turned), axis=-1))
-    return np.where(np.isfinite(found), found, np.inf)
+def with_estimate(run: Callable[[int], Tried[Run]], n: int, order: float) -> Choice[Run]:
+    """A run of n steps between two frames, with the estimate of its error from one of half as many.
+
+    Where that says that it is large, it may be the other run that is wrong: one of twice as many then decides.
+    """
+    here = run(n)
+    if n > 1:
+        coarse = run(n // 2)
+        error = _error_of(here, coarse, order, n / (n // 2))
+        if error.small:
+            return Choice(here.run, n, error)
+    fine = run(2 * n)
+    return Choice(here.run, n, _error_of(here, fine, order, 0.5))
 
 
-def estimated_error(coarse: Path, fine: Path, order: float) -> Floats:
-    """Of the coarse path, from one of twice as many steps (...,) [m]."""
-    return distance(coarse, fine) / (1 - 2 ** (-order / 2))
+def accurate_enough(run: Callable[[int], Tried[Run]], n: int, order: float) -> Choice[Run]:
+    """From n steps between two frames, an even number: as many as it takes for a small error, at most `HALVINGS` on.
+
+    An estimate from the first pair counts double; later ones are not below what the estimate before leads to expect.
+    """
+    coarse, here = run(n // 2), run(n)
+    error = pair = _error_of(here, coarse, order, 2.0)
+    error = error.times(UNCONFIRMED, UNCONFIRMED)
+    for _ in range(HALVINGS):
+        if error.small:
+            break
+        n, before, coarse, here = 2 * n, after_halving(pair, order), here, run(2 * n)
+        pair = _error_of(here, coarse, order, 2.0)
+        error = pair.or_larger(before)
+    return Choice(here.run, n, error)
 
 
-def coarsest(run: Callable[[int], tuple[Run, Path, bool]], order: float, tolerance: float) -> Choice[Run]:
+def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Tolerance) -> Held[Run]:
     """The fewest steps between two frames, of 1, 2, 4, ..., that hold the tolerance.
 
     Args:
-        run: from a number of steps to what is to be kept, its path, and whether its steps were short enough for it to
-            count at all.
+        run: from a number of steps to what is to be kept.
         order: of the integrator.
-        tolerance: [m].
+        tolerance: of path or force.
 
     Warns where none holds it: the finest that an error is known of is then the choice.
     """
     tried: dict[int, float] = {}
-    n, (kept, path, sound) = 1, run(1)
+    n, here = 1, run(1)
     while True:
         finer = run(2 * n)
-        error = float(estimated_error(path, finer[1], order)) if sound and finer[2] else math.inf
-        tried[n] = error
-        if error <= tolerance or 2 * n >= MOST_SUBSTEPS:
+        error = _error_of(here, finer, order, 0.5)
+        tried[n] = found = tolerance.measure(error)
+        if found <= tolerance.value or 2 * n >= MOST_SUBSTEPS:
             break
-        n, (kept, path, sound) = 2 * n, finer
-    if error > tolerance:
+        n, here = 2 * n, finer
+    if found > tolerance.value:
         warnings.warn(
-            f"a tolerance of {1e3 * tolerance:g} mm is not met with {n} steps between two frames:"
-            f" the estimated error is {1e3 * error:.3g} mm",
+            f"a tolerance of {tolerance.text(tolerance.value)} is not met with {n} steps between two frames:"
+            f" the estimated error is {tolerance.text(found)}",
             PftwinWarning,
             stacklevel=4,
         )
-    return Choice(kept, n, error, error <= tolerance, tried)
+    return Held(here.run, n, error, tolerance, tried)
 
 
-def settings_of(choice: Choice[Any], tolerance: float) -> dict[str, Any]:
-    """What a result should say of it."""
-    return {"tolerance_m": tolerance, "estimated_error_m": choice.error, "tolerance_held": choice.held}
+def _error_of(run: Tried[Any], other: Tried[Any], order: float, ratio: float) -> ErrorEstimate:
+    """As `error_of`, infinite where one of the runs does not count."""
+    error = error_of(run.course, other.course, order, ratio)
+    return error if run.sound and other.sound else error.unknown

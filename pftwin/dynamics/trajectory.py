@@ -19,7 +19,7 @@ from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium, substeps_for
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import observe
 from pftwin.model.scene import Scene
 
@@ -99,8 +99,9 @@ def trajectory(
 
     Args:
         scene: any number of it may be traced.
-        integrator: `pftwin.LinearImplicit()` by default; see `pftwin.Integrator`.
-        dt: longest step [s]; the step used is the largest that divides the interval between frames.
+        integrator: `pftwin.BDF2()` by default; see `pftwin.Integrator`.
+        dt: longest step [s]; the step used is the largest that divides the interval between frames. It is kept, and
+            nothing tells its error: `pftwin.simulate` does.
         start: an equilibrium to start from; by default it is solved for, and derivatives go through it.
         energy_budget: keep account of work and heat at every step.
 
@@ -108,7 +109,7 @@ def trajectory(
         InputError: a step that is not positive, something that is no integrator, or an effect that the integrator has
             no answer for.
     """
-    chosen = LinearImplicit() if integrator is None else checked_integrator(integrator, "trajectory")
+    chosen = BDF2() if integrator is None else checked_integrator(integrator, "trajectory")
     substeps = substeps_for(scene.motion.frame_interval, dt)
     return _computed(scene.unnamed(), start, chosen, substeps, energy_budget)
 

@@ -22,6 +22,7 @@ from pftwin.base.rotations import (
 from pftwin.base.spatial import Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.equilibrium_report import EquilibriumReport, on_host
+from pftwin.dynamics.error_estimate import ErrorEstimate
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.status import Status
@@ -86,6 +87,7 @@ class Result:
     dtype: str  # of the simulation
     scene: Scene = field(repr=False)  # what was simulated; what a file keeps of it: `pftwin.results.scene_geometry`
     constraint_drift: float | None = None  # largest, where the integrator has constraints to keep [m]
+    error: ErrorEstimate | None = None  # of the steps, by estimate; None where nothing was run to tell it from
 
     @classmethod
     def build(
@@ -98,6 +100,7 @@ class Result:
         relaxed: bool,
         settings: dict[str, Any],
         timing: dict[str, float],
+        error: ErrorEstimate | None = None,
     ) -> Result:
         """The result from what the compiled program returned for one scene.
 
@@ -108,7 +111,8 @@ class Result:
             ledger: work and heat at the frames, where an account was kept.
             relaxed: whether damped relaxation helped to find the starting equilibrium.
             settings: integrator, "dt_s", "substeps".
-            timing: "equilibrium_s", "run_s", "compile_s".
+            timing: "equilibrium_s", "run_s", "estimate_s", "compile_s".
+            error: estimated error of its steps; frames where it is large are flagged.
         """
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
@@ -126,7 +130,7 @@ class Result:
             observables={e.name: dict(type(e).observables) for e in scene.effects},
             groups={line.name: line.count for line in lines if line is not None and line.count is not None},
             energies=Energies(_double(seen.kinetic_energy), stored, work, heat),
-            flags=np.asarray(seen.status, dtype=np.int32),
+            flags=np.asarray(seen.status, dtype=np.int32) | (0 if error is None else error.flags),
             equilibrium=EquilibriumReport.build(scene, start, relaxed, there=first),
             contact=None if contact is None else contact.name,
             surface=None if contact is None else contact.groove_surface(),
@@ -135,6 +139,7 @@ class Result:
             dtype=str(seen.center.x.dtype),
             scene=scene,
             constraint_drift=None if seen.drift is None else float(np.max(seen.drift)),
+            error=error,
         )
 
     @cached_property
@@ -252,6 +257,8 @@ class Result:
         lines += [f"status: {mark}" for mark in marks]
         if np.isfinite(self.largest_indentation):
             lines.append(f"largest indentation: {1e3 * self.largest_indentation:.3f} mm")
+        if self.error is not None:
+            lines.append(f"estimated error, at most: {self.error.describe()}")
         if self.constraint_drift is not None:
             lines.append(f"largest constraint drift: {self.constraint_drift:.2g} m")
         if np.isfinite(self.real_time_factor):

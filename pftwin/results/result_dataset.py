@@ -32,7 +32,7 @@ def dataset(result: Result) -> Dataset:
             described = result.observables[name].get(key, Observable("1", key.replace("_", " ")))
             attributes = _about(described.unit, f"{name.replace('_', ' ')}: {described.long_name}")
             variables[f"{name}_{key}"] = (_dimensions(result, name, values), values, attributes)
-    variables |= _energies(result)
+    variables |= {**_energies(result), **_errors(result)}
     flags = [f for f in Status if f]
     status = {
         **_about("1", "how far the frame can be trusted; 0: no reservation"),
@@ -146,6 +146,21 @@ def _energies(result: Result) -> Variables:
         found["heat"] = (e.heat, "energy lost in damping since the start")
         found["energy_budget_error"] = (e.budget_error, "energy that no effect accounts for: the integrator's own")
     return {name: _row(values, "J", text) for name, (values, text) in found.items()}
+
+
+def _errors(result: Result) -> Variables:
+    if result.error is None:
+        return {}
+    rows = {
+        "path": ("m", "patella's points within 20 mm of the tracked one"),
+        "contact_force": ("N", "contact force, length of the difference"),
+        "medial_facet": ("N", "force on the medial facet"),
+        "lateral_facet": ("N", "force on the lateral facet"),
+    }
+    return {
+        f"estimated_error_{name}": _row(getattr(result.error, name), unit, f"estimated error of the steps: {text}")
+        for name, (unit, text) in rows.items()
+    }
 
 
 def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, ...]:

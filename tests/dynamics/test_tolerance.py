@@ -12,16 +12,29 @@ from scenes import OPTIMISED, knee
 from pftwin import rig
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.dynamics.batch.batched import batched
+from pftwin.dynamics.error_estimate import Course, apart
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrators import BDF2, LinearImplicit, Newmark
 from pftwin.dynamics.simulate import simulate
-from pftwin.dynamics.tolerance import Path, coarsest, distance, tolerance_in_metres
+from pftwin.dynamics.tolerance import Tolerance, Tried, coarsest, parse_tolerance
 from pftwin.files.result_files import load_dataset
 from pftwin.model.scene import Scene
 from tests.benchmarks.problem import with_springs
 
+METRES = Tolerance(1e-5, "m")
 J, slow = jnp.asarray, pytest.mark.slow
 EACH, REFERENCE = 50, 256  # variants of each case; steps between two frames, of 0.04 ms
+
+
+def course(center, quaternion) -> Course:
+    """A path, and no forces."""
+    nothing = np.zeros(center.shape[:-1])
+    return Course(center, quaternion, np.zeros_like(center), nothing, nothing)
+
+
+def distance(a: Course, b: Course) -> float:
+    """Root of the mean square over the frames of how far they are apart [m]."""
+    return METRES.measure(apart(a, b))
 
 
 def varied(scene: Scene, factors: jax.Array) -> Scene:
@@ -57,13 +70,13 @@ class Scenes:
             return batched(lambda f: one(varied(scene, f), BDF2(), substeps))(factors)
 
         self.compiled = jax.jit(all_paths, compiler_options=OPTIMISED)
-        self.known: dict[int, list[Path]] = {}
+        self.known: dict[int, list[Course]] = {}
 
-    def paths(self, n: int) -> list[Path]:
+    def paths(self, n: int) -> list[Course]:
         """One for each scene."""
         if n not in self.known:
             found = [self.compiled(a, J(f), J(n)) for a, f in zip(self.arrays, self.factors, strict=True)]
-            self.known[n] = [Path(*row) for some in found for row in zip(*map(np.asarray, some), strict=True)]
+            self.known[n] = [course(*row) for some in found for row in zip(*map(np.asarray, some), strict=True)]
         return self.known[n]
 
 
@@ -82,9 +95,9 @@ def test_the_estimate_bounds_the_error(tolerance, scenes):
     order = BDF2().order
     bounded, kept, steps = [], [], []
     for i, fine in enumerate(scenes.paths(REFERENCE)):
-        choice = coarsest(lambda n, i=i: (n, scenes.paths(n)[i], True), order, tolerance)
+        choice = coarsest(lambda n, i=i: Tried(n, scenes.paths(n)[i], True), order, Tolerance(tolerance, "m"))
         true = distance(scenes.paths(choice.run)[i], fine)
-        bounded.append(true <= 2 * choice.error)
+        bounded.append(true <= 2 * choice.estimate)
         if choice.held:
             kept.append(true <= tolerance)
             steps.append(choice.substeps)
@@ -121,7 +134,7 @@ def test_the_error_is_what_it_says(small):
     """Against a path of steps two hundred times as short."""
     found = simulate(small, tolerance="0.01 mm")
     fine = simulate(small, integrator=Newmark(), dt=5e-5)
-    error = distance(Path(found.center, found.quaternion), Path(fine.center, fine.quaternion))
+    error = distance(course(found.center, found.quaternion), course(fine.center, fine.quaternion))
     assert 0.01 * found.settings["estimated_error_m"] < error < 2 * found.settings["estimated_error_m"]
 
 
@@ -137,31 +150,43 @@ def test_what_cannot_be_held_is_said_and_still_handed_out(small, tmp_path):
 
 def test_steps_that_are_too_long_count_for_nothing():
     """A path that was not sound, or that is not finite, has no error that is known."""
-    straight = Path(np.zeros((5, 3)), np.tile([1.0, 0, 0, 0], (5, 1)))
-    lost = Path(np.full((5, 3), np.nan), straight.quaternion)
+    straight = course(np.zeros((5, 3)), np.tile([1.0, 0, 0, 0], (5, 1)))
+    lost = course(np.full((5, 3), np.nan), straight.quaternion)
     wild = {1: (straight, False), 2: (lost, True)}
-    choice = coarsest(lambda n: (n, *wild.get(n, (straight, True))), 2, 1e-5)
+    choice = coarsest(lambda n: Tried(n, *wild.get(n, (straight, True))), 2, METRES)
     assert (choice.run, choice.held) == (4, True)
     assert choice.tried == {1: np.inf, 2: np.inf, 4: 0.0}
 
 
 def test_turning_counts_as_way():
     """At 20 mm from the tracked point; which sign a quaternion has does not."""
-    a = Path(np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
+    a = course(np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
     angle = 0.01
-    b = Path(a.center + np.array([3e-5, 0, 0]), -np.tile([np.cos(angle / 2), 0, np.sin(angle / 2), 0], (3, 1)))
+    b = course(a.center + np.array([3e-5, 0, 0]), -np.tile([np.cos(angle / 2), 0, np.sin(angle / 2), 0], (3, 1)))
     assert distance(a, b) == pytest.approx(3e-5 + 0.02 * angle)
 
 
-@pytest.mark.parametrize(("given", "metres"), [("0.05 mm", 5e-5), ("20um", 2e-5), ("1e-4 m", 1e-4), (3e-5, 3e-5)])
-def test_lengths(given, metres):
-    assert tolerance_in_metres(given) == pytest.approx(metres)
+@pytest.mark.parametrize(
+    ("given", "value", "unit"),
+    [
+        ("0.05 mm", 5e-5, "m"),
+        ("20um", 2e-5, "m"),
+        ("1e-4 m", 1e-4, "m"),
+        (3e-5, 3e-5, "m"),
+        ("0.5 N", 0.5, "N"),
+        ("20mN", 0.02, "N"),
+    ],
+)
+def test_lengths_and_forces(given, value, unit):
+    assert parse_tolerance(given) == (pytest.approx(value), unit)
 
 
-@pytest.mark.parametrize("given", ["0.05", "mm", "0.05 deg", "-1 mm", "0 mm", "nan mm", float("inf"), 0.0, "1 mm 2"])
-def test_what_is_no_length(given):
-    with pytest.raises(InputError, match=r'"0\.05 mm"'):
-        tolerance_in_metres(given)
+@pytest.mark.parametrize(
+    "given", ["0.05", "mm", "0.05 deg", "-1 mm", "0 mm", "nan mm", float("inf"), 0.0, "1 mm 2", "-1 N", "1 n", "1 kN m"]
+)
+def test_what_is_neither_length_nor_force(given):
+    with pytest.raises(InputError, match=r'"0\.05 mm", or a force such as "0\.5 N"'):
+        parse_tolerance(given)
 
 
 def test_a_step_or_a_tolerance(small):

@@ -41,10 +41,11 @@ def data(result):
 UNITS = {  # written by hand, from docs/conventions.md: SI, and degrees for angles
     "m": "sphere_center patella_position tibia_position patella_shift groove_position groove_offset "
     "contact_indentation_lateral contact_indentation_medial contact_off_patch contact_point_lateral "
-    "contact_point_medial patellar_tendon_length quadriceps_length",
+    "contact_point_medial patellar_tendon_length quadriceps_length estimated_error_path",
     "deg": "patella_flexion patella_tilt patella_rotation knee_flexion knee_adduction knee_internal_rotation",
     "N": "contact_force contact_force_lateral contact_force_medial contact_force_x contact_force_y contact_force_z "
-    "gravity_weight patellar_tendon_tension quadriceps_tension",
+    "gravity_weight patellar_tendon_tension quadriceps_tension estimated_error_contact_force "
+    "estimated_error_medial_facet estimated_error_lateral_facet",
     "J": "kinetic_energy stored_energy_contact stored_energy_gravity stored_energy_patellar_tendon "
     "stored_energy_quadriceps total_energy work heat energy_budget_error",
     "s": "time",

@@ -26,6 +26,10 @@ SUMMARY = {  # unit, meaning
     "last_anterior": ("m", "tracked point at the last frame, femur frame: anterior"),
     "largest_contact_force": ("N", "largest contact force of the button"),
     "mean_contact_force": ("N", "mean contact force of the button"),
+    "estimated_error_path": ("m", "estimated error of the steps, largest of all frames: points near the tracked one"),
+    "estimated_error_contact_force": ("N", "estimated error of the steps, largest of all frames: contact force"),
+    "estimated_error_medial_facet": ("N", "estimated error of the steps, largest: force on the medial facet"),
+    "estimated_error_lateral_facet": ("N", "estimated error of the steps, largest: force on the lateral facet"),
 }
 COURSES = {
     "sphere_center": ("axis", "m", "tracked point in the femur frame"),

@@ -13,8 +13,9 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import bounded_leaves
 from pftwin.base.rotations import patellar_angles
-from pftwin.base.spatial import Pose, Scalar, Vec3
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.error_estimate import Course, ErrorEstimate, error_of
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import Observation, ObservedFrame, observe, observe_on_the_way
@@ -37,6 +38,7 @@ class Task(NamedTuple):
     energy: bool
     courses: bool
     outcome: Outcome | None
+    estimate: bool = False  # whether the error of the steps is told from a second run
 
 
 def member_equilibrium(task: Task, row: Any) -> Solution:
@@ -57,24 +59,42 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
     """The member's motion from an equilibrium, as `batch_dataset` names it."""
     scene = task.change(task.scene, row)
     options: Any = {"integrator": task.integrator, "start": start, "ledger": task.energy}
-    options["substeps"] = task.substeps  # a traced number: smaller steps are the same program
-    own: Any = {}
-    if task.outcome is None:
-        seen, status, _ = observe_on_the_way(scene, lambda frame: _Kept.of(scene, frame), **options)
-    else:  # which may look at anything
-        whole = observe(scene, frame_states(scene, **options))
-        seen, status, own = _Kept.of(scene, whole), whole.status, task.outcome(scene, whole)
-        if not isinstance(own, dict):
-            kind = type(own).__name__
-            raise InputError(f"gives {kind}", where="outcome", expected="a dictionary of numbers or arrays")
+
+    def run(substeps: Array) -> tuple[_Kept, Array, Observation | None]:  # a traced number: one program for all steps
+        if task.outcome is None:
+            seen, status, _ = observe_on_the_way(
+                scene, lambda frame: _Kept.of(scene, frame), substeps=substeps, **options
+            )
+            return seen, status, None
+        whole = observe(scene, frame_states(scene, substeps=substeps, **options))  # an outcome may look at anything
+        return _Kept.of(scene, whole), whole.status, whole
+
+    error = None
+    if task.estimate:
+        n, others = task.substeps, jnp.where(task.substeps > 1, task.substeps // 2, 2)
+        both = jax.lax.map(run, jnp.stack([n, others]))
+        (seen, status, whole), (other, _, _) = (jax.tree.map(lambda a, i=i: a[i], both) for i in (0, 1))
+        ratio = n.astype(float) / others.astype(float)
+        error = error_of(seen.course(), other.course(), task.integrator.order, ratio, jnp)
+        status = status | error.flags.astype(status.dtype)
+    else:
+        seen, status, whole = run(task.substeps)
+    own = {} if task.outcome is None or whole is None else task.outcome(scene, whole)
+    if not isinstance(own, dict):
+        kind = type(own).__name__
+        raise InputError(f"gives {kind}", where="outcome", expected="a dictionary of numbers or arrays")
     return {
         "sensible": scene_is_valid(scene),
         "status_frames": jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS]),
         "equilibrium_residual": start.residual,
-        "summary": seen.summary(),
+        "summary": {**seen.summary(), **_largest(error)},
         "own": own,
         "courses": seen.courses(status) if task.courses else {},
     }
+
+
+def _largest(error: ErrorEstimate | None) -> dict[str, Array]:
+    return {} if error is None else {f"estimated_error_{name}": value for name, value in error.largest.items()}
 
 
 class _Kept(NamedTuple):
@@ -83,12 +103,20 @@ class _Kept(NamedTuple):
     patella: Pose
     center: Vec3
     force: Scalar | None  # of contact, where there is any [N]
+    push: tuple[Scalar, ...]  # of contact: x, y, z; sizes on the medial and the lateral facet [N]
 
     @staticmethod
     def of(scene: Scene, seen: ObservedFrame | Observation) -> _Kept:
         """Of what is seen."""
-        contact = scene.contact
-        return _Kept(seen.patella, seen.center, None if contact is None else seen.effects[contact.name]["force"])
+        contact, nothing = scene.contact, jnp.zeros_like(seen.center.x)
+        report = {} if contact is None else seen.effects[contact.name]
+        push = (report.get(f"force_{part}", nothing) for part in ("x", "y", "z", "medial", "lateral"))
+        return _Kept(seen.patella, seen.center, report.get("force"), tuple(push))
+
+    def course(self) -> Course:
+        """What an estimate of the error compares."""
+        force = jnp.stack(self.push[:3], axis=-1)
+        return Course(_rows(self.center), _quaternions(self.patella.orientation), force, *self.push[3:])
 
     def summary(self) -> dict[str, Scalar]:
         """Of the whole motion."""
@@ -108,13 +136,16 @@ class _Kept(NamedTuple):
 
     def courses(self, status: Array) -> dict[str, Array]:
         """Frame by frame."""
-        q = self.patella.orientation
         return {
             "sphere_center": _rows(self.center),
             "patella_position": _rows(self.patella.position),
-            "patella_quaternion": jnp.stack([q.w, q.x, q.y, q.z], axis=-1),
+            "patella_quaternion": _quaternions(self.patella.orientation),
             "frame_status": status,
         }
+
+
+def _quaternions(q: Quaternion) -> Array:
+    return jnp.stack([q.w, q.x, q.y, q.z], axis=-1)
 
 
 def _rows(v: Vec3) -> Array:

@@ -19,6 +19,7 @@ from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion
 from pftwin.dynamics.batch.retry import Found, all_members, with_care
 from pftwin.dynamics.batch.sharding import Sharding
 from pftwin.dynamics.batch.variants import Group
+from pftwin.dynamics.status import Status
 
 
 class BatchPlan(NamedTuple):
@@ -28,7 +29,7 @@ class BatchPlan(NamedTuple):
     tasks: list[Task]  # of each group
     values: Any  # what the change was given, (n, k); None for a list of scenes
     settings: dict[str, Any]  # that the dataset names
-    care: bool
+    care: tuple[Status, ...]  # flags of members that are computed again
     spread: Sharding
     threads: int
 
@@ -42,7 +43,7 @@ class BatchPlan(NamedTuple):
         task = self.tasks[k]
         found = all_members(self.spread, task, rows, threads=self.threads, progress=progress)
         nothing = np.zeros(len(found["sensible"]), dtype=np.int8)
-        return {**found, "recomputed": with_care(self.spread, task, rows, found) if self.care else nothing}
+        return {**found, "recomputed": with_care(self.spread, task, rows, found, self.care) if self.care else nothing}
 
 
 def some_of(group: Group, which: NDArray[np.int64]) -> Group:

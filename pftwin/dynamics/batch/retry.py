@@ -18,6 +18,7 @@ from pftwin.dynamics.status import Status
 
 # Flags of a run that cannot be trusted. A patella that leaves its patch or its groove is physics, not an error.
 BAD = (Status.STEP_TOO_LONG, Status.NOT_FINITE, Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM)
+BAD_BY_DEFAULT = (*BAD, Status.INACCURATE)  # where the step was not asked for either
 WAYS = ("no", "relaxed_start", "smaller_step", "other_integrator", "in_vain")  # `recomputed` is an index into these
 SMALLER = 4  # factor on the number of steps
 _OTHERS: tuple[Integrator, ...] = (Newmark(), LinearImplicit())
@@ -46,8 +47,17 @@ def all_members(
     return spread.over(work, len(jax.tree.leaves(rows)[0]), threads, progress)
 
 
-def with_care(spread: Sharding, task: Task, rows: Any, found: Found) -> NDArray[np.int8]:
+def with_care(
+    spread: Sharding, task: Task, rows: Any, found: Found, bad_ones: tuple[Status, ...] = BAD
+) -> NDArray[np.int8]:
     """Recomputes, in `found`, the members that are bad: from another start, by smaller steps, by another integrator.
+
+    Args:
+        spread: the devices.
+        task: what members share.
+        rows: tree of (n, ...).
+        found: what came out of them.
+        bad_ones: flags that make a member bad.
 
     Returns:
         What was done, (n,), an index into `WAYS`. A member that stays bad keeps its first result.
@@ -65,12 +75,12 @@ def with_care(spread: Sharding, task: Task, rows: Any, found: Found) -> NDArray[
     if other := _fallback_integrator(task):
         ways.append((WAYS.index("other_integrator"), careful._replace(integrator=other)))
     for way, with_more in ways:
-        bad = _flagged(found, BAD) & found["sensible"] & (done != WAYS.index("in_vain"))
+        bad = _flagged(found, bad_ones) & found["sensible"] & (done != WAYS.index("in_vain"))
         for group, from_relaxed in ((bad & ~relaxed, False), (bad & relaxed, True)):
             if group.any():
                 better = all_members(spread, with_more, _selected_rows(rows, group), relaxed=from_relaxed)
-                done[_taken_over(found, better, group, ~_flagged(better, BAD))] = way
-    still = _flagged(found, BAD) & found["sensible"]
+                done[_taken_over(found, better, group, ~_flagged(better, bad_ones))] = way
+    still = _flagged(found, bad_ones) & found["sensible"]
     done[still] = WAYS.index("in_vain")
     return done
 

@@ -14,11 +14,12 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.batch.member import Outcome, Task
 from pftwin.dynamics.batch.plan import BatchPlan, check_outcomes
+from pftwin.dynamics.batch.retry import BAD, BAD_BY_DEFAULT
 from pftwin.dynamics.batch.sharding import Sharding, piece_for
 from pftwin.dynamics.batch.variants import Group, Variants, groups_of
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import BDF2, LinearImplicit
+from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene
@@ -42,6 +43,7 @@ def simulate_batch(
     outcome: Outcome | None = None,
     trajectories: bool | None = None,
     energy_budget: bool = True,
+    estimate: bool = True,
     care: bool = True,
     progress: Callable[[int, int], None] | None = None,
     parts: str | os.PathLike[str] | None = None,
@@ -62,8 +64,10 @@ def simulate_batch(
             dictionary of numbers or arrays: they are kept as well. A function that is defined once compiles once.
         trajectories: whether paths are kept; by default where all members together have up to 300,000 frames.
         energy_budget: keep account of work and heat, by which energy from nowhere is found.
+        estimate: tell the error of each member's steps from a second run in twice the step (see
+            `pftwin.dynamics.error_estimate`) and flag where it is large. It takes half as long again.
         care: recompute members whose status says that the run is not to be trusted: from a relaxed start, by steps of a
-            quarter, by another integrator.
+            quarter, by another integrator. Without `dt` and `tolerance` those whose estimated error is large as well.
         progress: called with the number of members done and of all; with `parts`, of those that this process computes.
         parts: a folder in which members are kept as they are computed, a NetCDF file for each 1,920 of them or more (or
             for each `chunk`). The same call again computes only what is missing there. Under `jax.distributed` the
@@ -91,7 +95,7 @@ def simulate_batch(
         raise InputError("found both dt and tolerance", where="simulate_batch", expected="one of them")
     _check_share(parts, share)
     groups = groups_of(scenes)
-    chosen = checked_integrator(integrator or (LinearImplicit() if tolerance is None else BDF2()), "simulate_batch")
+    chosen = checked_integrator(integrator or BDF2(), "simulate_batch")
     for group in groups:
         chosen.refuse_unfit(group.scene.effects)
     courses = _with_courses(groups, trajectories)
@@ -101,14 +105,15 @@ def simulate_batch(
     threads = feeding_threads(devices)
     substeps = [_substeps(group, chosen, dt, tolerance) for group in groups]
     tasks = [
-        Task(g.scene, g.change, jnp.asarray(n), chosen, bool(energy_budget), courses, outcome)
+        Task(g.scene, g.change, jnp.asarray(n), chosen, bool(energy_budget), courses, outcome, bool(estimate))
         for g, n in zip(groups, substeps, strict=True)
     ]
     check_outcomes(tasks, [g.rows for g in groups])
     dt_s = max(float(g.scene.motion.frame_interval) / n for g, n in zip(groups, substeps, strict=True))
     settings = {"integrator": chosen.text, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
     values = scenes.values if isinstance(scenes, Variants) else None
-    plan = BatchPlan(groups, tasks, values, settings, care, spread, threads)
+    bad = () if not care else BAD_BY_DEFAULT if dt is None and tolerance is None else BAD
+    plan = BatchPlan(groups, tasks, values, settings, bad, spread, threads)
     if parts is None:
         return _simulate_whole(plan, progress)
     from pftwin.dynamics.batch.resumable import InParts

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from functools import cache
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -47,6 +48,8 @@ def test_each_member_is_what_simulate_gives():
         np.testing.assert_allclose(five()["sphere_center"].values[i], alone.center, atol=1e-12)
         np.testing.assert_allclose(five()["first_force"].values[i], alone.effects["contact"]["force"][0], rtol=1e-7)
         assert five()["status"].values[i] == int(np.bitwise_or.reduce(alone.flags))
+        for name, largest in alone.error.largest.items():
+            assert five()[f"estimated_error_{name}"].values[i] == pytest.approx(largest, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -105,6 +108,29 @@ def test_a_bad_member_is_done_again_and_its_mates_stay_as_they_were():
     assert not after["status"].values[2] & bad
     del before["recomputed"], after["recomputed"]
     assert bits(after, mates) == bits(before, mates)
+
+
+@pytest.mark.slow
+def test_members_with_large_errors_are_done_again_unless_the_step_was_asked_for():
+    """A contact a hundred thousand times as stiff as usual, tendons without damping: 1 ms is too long for it."""
+    scene = small_scene(31).set("quadriceps.damping", 0.0).set("patellar_tendon.damping", 0.0)
+    rows = np.array([[1.0], [1e5]])
+
+    def stiffer(scene, row):
+        button = scene.contact
+        return scene.with_effect(eqx.tree_at(lambda e: e.law.contact_stiffness, button, 2e8 * row[0]))
+
+    large = int(pftwin.Status.INACCURATE)
+    asked, free = (simulate_batch(Variants(scene, stiffer, rows), devices=1, **dt) for dt in ({"dt": 1e-3}, {}))
+    assert (asked["status"].values & large).tolist() == [0, large]
+    shorter = again.WAYS.index("smaller_step")
+    assert shorter not in asked["recomputed"].values
+    assert free["recomputed"].values.tolist() == [0, shorter]
+    assert not (free["status"].values & large).any()
+    assert free["estimated_error_contact_force"].values[1] < asked["estimated_error_contact_force"].values[1]
+    unsaid = simulate_batch(Variants(scene, stiffer, rows), devices=1, dt=1e-3, estimate=False)
+    assert "estimated_error_path" not in unsaid
+    assert not (unsaid["status"].values & large).any()
 
 
 @pytest.mark.slow

@@ -1,0 +1,149 @@
+"""How far off a run's path and forces are, frame by frame: told from runs of the same scene with other steps.
+
+Where errors fall with the power p of the step, two runs whose steps have the ratio r are as far apart as r^p - 1 times
+the error of the finer one, and 1 - r^-p times that of the coarser. Contacts that open and close cost part of an
+integrator's order: for paths p is half of what it declares, at most 1. A force jumps where a contact opens, and at a
+single frame it errs with the square root of the step at best, with any integrator: for forces p = 1/2.
+
+Two runs can agree by chance where contacts chatter. So `pftwin.simulate` counts a first estimate double, and has later
+ones borne out by the pair before, of steps twice as long.
+
+Arrays are numpy's on the host and JAX's in a compiled program: `xp` is the module that has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.dynamics.observe import Observation
+from pftwin.dynamics.status import MOST_ERROR_SHARE, MOST_FORCE_ERROR, MOST_PATH_ERROR, Status
+
+Floats = NDArray[np.float64]
+
+REACH = 0.02  # of the patella's points that count, from the tracked one [m]
+FORCE_POWER = 0.5  # with which errors of forces at single frames fall, at worst
+LEAST_FORCE = 0.05  # errors of force below this are never flagged [N]
+
+
+class Course(NamedTuple):
+    """Where the patella is at the frames and what presses on it; on the host leading axes of batches are allowed."""
+
+    center: Any  # (..., n, 3) tracked point, femur frame [m]
+    quaternion: Any  # (..., n, 4)
+    force: Any  # (..., n, 3) contact force on the patella [N]; zero without a contact
+    medial: Any  # (..., n) size of the force on each facet [N]
+    lateral: Any
+
+    @classmethod
+    def of(cls, seen: Observation, contact: str | None) -> Course:
+        """Of what was observed of a scene whose tracked contact has this name, on the host."""
+        c, q = seen.center, seen.patella.orientation
+        center, turn = _stacked(c.x, c.y, c.z), _stacked(q.w, q.x, q.y, q.z)
+        nothing = np.zeros(center.shape[:-1])
+        report = {} if contact is None else seen.effects[contact]
+        force = _stacked(*(report.get(f"force_{axis}", nothing) for axis in "xyz"))
+        facets = (np.asarray(report.get(f"force_{facet}", nothing), float) for facet in ("medial", "lateral"))
+        return cls(center, turn, force, *facets)
+
+
+def _stacked(*leaves: Any) -> Floats:
+    return np.stack([np.asarray(a, float) for a in leaves], axis=-1)
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Of a run, at every frame (n,); infinite where it is not known. Estimates, not bounds: see above."""
+
+    path: Any  # how far the patella's points within 20 mm of the tracked one may be off [m]
+    contact_force: Any  # length of the difference of the contact force [N]
+    medial_facet: Any  # of the size of the force on each facet [N]
+    lateral_facet: Any
+    most_force: Any  # what a force may be off before it is flagged, () [N]
+
+    @property
+    def _all(self) -> tuple[Any, ...]:
+        return self.path, self.contact_force, self.medial_facet, self.lateral_facet
+
+    def _each(self, function: Callable[..., Any], *others: ErrorEstimate) -> ErrorEstimate:
+        return ErrorEstimate(*map(function, *(e._all for e in (self, *others))), most_force=self.most_force)
+
+    def times(self, path: Any, force: Any) -> ErrorEstimate:
+        """With factors on lengths and on forces."""
+        length, *forces = self._all
+        return ErrorEstimate(path * length, *(force * f for f in forces), most_force=self.most_force)
+
+    @property
+    def unknown(self) -> ErrorEstimate:
+        """The same, but infinite at every frame."""
+        return self._each(lambda x: np.full_like(x, np.inf))
+
+    def or_larger(self, other: ErrorEstimate) -> ErrorEstimate:
+        """At each frame the larger of two."""
+        return self._each(np.maximum, other)
+
+    @property
+    def flags(self) -> Any:
+        """Bits of `Status` that follow (n,)."""
+        most = self.most_force
+        off = (self.path > MOST_PATH_ERROR) | (self.contact_force > most)
+        unshared = (self.medial_facet > most) | (self.lateral_facet > most)
+        return off.astype(np.int32) * int(Status.INACCURATE) + unshared.astype(np.int32) * int(Status.FACETS_INACCURATE)
+
+    @property
+    def largest(self) -> dict[str, Any]:
+        """Of all frames, by quantity."""
+        names = ("path", "contact_force", "medial_facet", "lateral_facet")
+        return {name: values.max() for name, values in zip(names, self._all, strict=True)}
+
+    def describe(self) -> str:
+        """The largest of all frames, in words."""
+        path, force, *facets = self.largest.values()
+        return f"{1e3 * path:.2g} mm of path, {force:.2g} N of contact force, {max(facets):.2g} N on one facet"
+
+    @property
+    def small(self) -> bool:
+        """Whether nothing is flagged."""
+        return not self.flags.any()
+
+
+def error_of(run: Course, other: Course, order: float, ratio: Any, xp: Any = np) -> ErrorEstimate:
+    """Of a run, from another one of the same scene.
+
+    Args:
+        run: whose error it is.
+        other: to compare it with.
+        order: of the integrator.
+        ratio: of the other's step to the run's: 2 where the other has half as many steps, 1/2 where twice as many.
+        xp: numpy, or `jax.numpy` in a program.
+    """
+    found = apart(run, other, xp)
+    return found.times(1 / abs(ratio ** path_power(order) - 1), 1 / abs(ratio**FORCE_POWER - 1))
+
+
+def apart(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
+    """How far two runs are apart at every frame; infinite where one is not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = xp.linalg.norm(a.center - b.center, axis=-1)
+        cosine = xp.abs(xp.sum(a.quaternion * b.quaternion, axis=-1))
+        turned = 2 * xp.arctan2(xp.sqrt(xp.clip(1 - cosine**2, 0, 1)), cosine)
+        force = xp.linalg.norm(a.force - b.force, axis=-1)
+        found = moved + REACH * turned, force, xp.abs(a.medial - b.medial), xp.abs(a.lateral - b.lateral)
+        sizes = [xp.linalg.norm(x.force, axis=-1) for x in (a, b)]
+    peaks = [xp.where(xp.isfinite(x), x, 0.0).max() for x in sizes]
+    most = xp.clip(MOST_ERROR_SHARE * xp.minimum(*peaks), LEAST_FORCE, MOST_FORCE_ERROR)
+    return ErrorEstimate(*(xp.where(xp.isfinite(x), x, xp.inf) for x in found), most_force=most)
+
+
+def after_halving(before: ErrorEstimate, order: float) -> ErrorEstimate:
+    """What an error comes down to with half the step."""
+    return before.times(2 ** -path_power(order), 2**-FORCE_POWER)
+
+
+def path_power(order: float) -> float:
+    """With which errors of the path fall, of an integrator of this order."""
+    return min(1.0, order / 2)

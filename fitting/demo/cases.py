@@ -65,7 +65,7 @@ def run_demo(
     facts = {
         "label": rig.measured(1).source,
         "synthetic": True,
-        "settings": {"integrator": "linear_implicit", "dt_s": STEP},
+        "settings": {"integrator": results[CASES[0]][CONTACTS[0]].settings["integrator"], "dt_s": STEP},
         "surface_fits": {
             c: {"r_squared": f.r_squared, "rms_m": f.rms, "max_error_m": f.max_error} for c, f in fits.items()
         },

@@ -70,7 +70,7 @@ def test_simulate_writes_the_result_in_three_formats(toy: Path, tmp_path: Path) 
     assert "toy: 41 frames, 0.40 s" in result.stdout
     assert "R^2 99." in result.stderr
     facts = json.loads((tmp_path / "o.json").read_text())
-    assert facts["settings"] == {"integrator": "linear_implicit", "dt_s": 0.005, "substeps": 2}
+    assert facts["settings"] == {"integrator": "linear_implicit_bdf2", "dt_s": 0.005, "substeps": 2}
     assert facts["frames"] == 41
     assert facts["contact"] == "P5"
     assert facts["equilibrium"]["converged"]
@@ -79,7 +79,11 @@ def test_simulate_writes_the_result_in_three_formats(toy: Path, tmp_path: Path) 
     assert facts["timing"]["run_s"] <= facts["timing"]["first_run_s"]
     from pftwin.files.result_files import load_dataset
 
-    assert load_dataset(tmp_path / "out.nc").sizes["time"] == 41
+    data = load_dataset(tmp_path / "out.nc")
+    assert data.sizes["time"] == 41
+    assert 0 < facts["estimated_error"]["path_m"] == data["estimated_error_path"].values.max() < 1e-3
+    assert facts["estimated_error"]["contact_force_N"] == data["estimated_error_contact_force"].values.max()
+    assert sorted(facts["estimated_error"]) == ["contact_force_N", "lateral_facet_N", "medial_facet_N", "path_m"]
 
 
 def test_json_on_stdout_is_json_alone(toy: Path) -> None:

@@ -63,8 +63,8 @@ assert measured.synthetic
 # %% [markdown]
 # ## A small study
 #
-# `linear_implicit` is pftwin's default: one evaluation of the forces per step, strongly damped.
-# `linear_implicit_bdf2` costs the same and remembers one step more, which makes it of second order. `newmark` solves
+# `linear_implicit` takes one evaluation of the forces per step and damps strongly. `linear_implicit_bdf2`, pftwin's
+# default, costs the same and remembers one step more, which makes it of second order. `newmark` solves
 # each step by iteration. These are the functions that `pftwin accuracy --case 1` calls.
 #
 # Errors are those **of the steps alone**: the distance of the button's centre from a converged run of the *same*

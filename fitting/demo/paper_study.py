@@ -177,11 +177,11 @@ def simulated(case: int, springs: str, theta: np.ndarray, dt: float = STEP) -> R
     import jax.numpy as jnp
 
     from fitting.parameters import free_parameters
-    from pftwin import rig, simulate, validate
+    from pftwin import LinearImplicit, rig, simulate, validate
 
     nominal, measured = rig.case(case), rig.measured(case)
     scene = free_parameters(nominal, SPRING_PARAMETERS).apply(nominal, jnp.asarray(theta, dtype=float))
-    result = simulate(scene, dt=dt)
+    result = simulate(scene, integrator=LinearImplicit(), dt=dt)  # as fits and predictions take their steps
     predicted = result.dislocations()
     assert predicted is not None
     assert result.surface is not None

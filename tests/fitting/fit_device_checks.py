@@ -22,7 +22,7 @@ def main(cache: str) -> None:
     from pftwin.model.measured import Measured
 
     scene = small_scene(12)
-    truth = pftwin.simulate(scene, dt=1 / 600).center
+    truth = pftwin.simulate(scene, dt=1 / 600, integrator=pftwin.LinearImplicit()).center
     seen = Measured(scene.motion.times, truth * 1.001)
 
     def found(method: str, devices: int) -> dict:

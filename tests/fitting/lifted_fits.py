@@ -27,7 +27,9 @@ def scene() -> Scene:
 @cache
 def truth() -> pftwin.Result:
     """The motion with the true springs, at the steps that fits end with."""
-    return pftwin.simulate(fitting.free_parameters(scene(), SPRINGS).apply(scene(), TRUTH), dt=1 / 600)
+    return pftwin.simulate(
+        fitting.free_parameters(scene(), SPRINGS).apply(scene(), TRUTH), dt=1 / 600, integrator=pftwin.LinearImplicit()
+    )
 
 
 @cache

@@ -54,7 +54,9 @@ def parameters(scene):
 
 @pytest.fixture(scope="module")
 def measured(scene, parameters):
-    truth = pftwin.simulate(parameters.apply(scene, efficiency.TRUE * parameters.nominal), dt=1 / 600)
+    truth = pftwin.simulate(
+        parameters.apply(scene, efficiency.TRUE * parameters.nominal), dt=1 / 600, integrator=pftwin.LinearImplicit()
+    )
     return Measured(truth.times, truth.center, synthetic=True, source="twin")
 
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fitting.prediction.outcomes import MEASURES, Course, dislocated, groove_surface, measure, outcomes, running_median
-from pftwin import rig, simulate
+from pftwin import LinearImplicit, rig, simulate
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
 from pftwin.results.tracking import find_dislocations
@@ -22,7 +22,7 @@ from pftwin.results.tracking import find_dislocations
 
 @pytest.fixture(scope="module", params=[1, 2])
 def result(request):
-    return simulate(rig.case(request.param), dt=2.5e-3)
+    return simulate(rig.case(request.param), dt=2.5e-3, integrator=LinearImplicit())
 
 
 def test_dislocation_is_that_of_the_result(result):

@@ -29,7 +29,9 @@ def scene():
 
 @pytest.fixture(scope="module")
 def truth(scene):
-    return pftwin.simulate(fitting.free_parameters(scene, SPRINGS).apply(scene, TRUTH), dt=1 / 600)
+    return pftwin.simulate(
+        fitting.free_parameters(scene, SPRINGS).apply(scene, TRUTH), dt=1 / 600, integrator=pftwin.LinearImplicit()
+    )
 
 
 def fitted(scene, truth, noise):
@@ -52,7 +54,7 @@ def design(scene):
     p = fitting.free_parameters(scene, SPRINGS)
 
     def seen(theta):
-        result = pftwin.simulate(p.apply(scene, theta), dt=1 / 600)
+        result = pftwin.simulate(p.apply(scene, theta), dt=1 / 600, integrator=pftwin.LinearImplicit())
         return np.column_stack([result.center, result.effects["quadriceps"]["tension"]])
 
     steps = np.diag(1e-4 * TRUTH)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Jaxpr, Var, jaxprs_in_params
+from jax.extend.core import ClosedJaxpr, Jaxpr, Var
 from jaxtyping import Array
 
 from pftwin.base.program_cache import Program
@@ -95,8 +95,15 @@ def count(jaxpr: Jaxpr) -> int:
         if not eqn.effects and needed.isdisjoint(eqn.outvars):
             continue
         needed.update(v for v in eqn.invars if isinstance(v, Var))
-        found += (eqn.primitive.name not in _CALLS) + sum(map(count, jaxprs_in_params(eqn.params)))
+        found += (eqn.primitive.name not in _CALLS) + sum(map(count, _inside(eqn.params)))
     return found
+
+
+def _inside(parameters: dict[str, Any]) -> list[Jaxpr]:
+    """The programs among an equation's parameters: of loops, branches and calls."""
+    kinds = (Jaxpr, ClosedJaxpr)
+    found = jax.tree.leaves(parameters, is_leaf=lambda p: isinstance(p, kinds))
+    return [p.jaxpr if isinstance(p, ClosedJaxpr) else p for p in found if isinstance(p, kinds)]
 
 
 class Rates(NamedTuple):

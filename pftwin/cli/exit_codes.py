@@ -44,9 +44,13 @@ def exit_flagged(why: str) -> NoReturn:
 
 
 def check_trust(result: Result) -> None:
-    """Ends with `FLAGGED` where the motion may not be spoken of (`pftwin.results.verdict`)."""
+    """Ends with `FLAGGED` where the motion may not be spoken of (`pftwin.results.verdict`), or frames are inaccurate."""
+    from pftwin.dynamics.status import Status
+
     if not result.verdict.valid:
         exit_flagged(f"{result.verdict.describe()} ({result.scene_name})")
+    if inaccurate := result.status & Status.INACCURATE:
+        exit_flagged(f"{inaccurate.describe()} ({result.scene_name})")
 
 
 class Interrupted(KeyboardInterrupt):

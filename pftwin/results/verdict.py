@@ -22,6 +22,7 @@ ALLOWED = {
     Status.NO_CONTACT: 0.5,  # beyond, what is called tracking is mostly a patella in the air
     Status.LEFT_PATCH: 1.0,  # true of the motion: the surface is continued there
     Status.SNAPPED: 1.0,  # true of a motion without inertia
+    Status.INACCURATE: 0.1,  # an impact or a change of facets takes a few frames; beyond, the steps are too long
     Status.FACETS_INACCURATE: 1.0,  # the sum of both facets' forces may be good; where it is not, INACCURATE says so
 }
 REMARKS = Status.LEFT_PATCH  # what is said of a sound motion in one line at the end

@@ -66,10 +66,15 @@ def test_a_sound_motion_is_spoken_of():
 
 @pytest.mark.parametrize("flag", FLAGS)
 def test_which_flags_forbid_it(flag):
-    told = {Status.LEFT_PATCH, Status.SNAPPED}
+    told, in_part = (
+        {Status.LEFT_PATCH, Status.SNAPPED, Status.FACETS_INACCURATE},
+        {Status.NO_CONTACT, Status.INACCURATE},
+    )
     n = small_result().times.size
     assert flagged({flag: n}).verdict.valid == (flag in told)
-    assert flagged({flag: 1}).verdict.valid == (flag in told or flag is Status.NO_CONTACT)
+    assert flagged({flag: 1}).verdict.valid == (flag in told | in_part)
+    assert flagged({Status.INACCURATE: n // 10}).verdict.valid
+    assert not flagged({Status.INACCURATE: n // 10 + 1}).verdict.valid
     assert flagged({Status.NO_CONTACT: n // 2}).verdict.valid
     assert not flagged({Status.NO_CONTACT: n // 2 + 1}).verdict.valid
 

@@ -44,7 +44,7 @@ def exit_flagged(why: str) -> NoReturn:
 
 
 def check_trust(result: Result) -> None:
-    """Ends with `FLAGGED` where the motion may not be spoken of (`pftwin.results.verdict`), or frames are inaccurate."""
+    """Ends with `FLAGGED` where a motion may not be spoken of (`pftwin.results.verdict`) or frames are inaccurate."""
     from pftwin.dynamics.status import Status
 
     if not result.verdict.valid:

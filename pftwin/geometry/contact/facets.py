@@ -140,8 +140,10 @@ def medial_of_groove(surface: Surface, p: ClosestPoint) -> Scalar:
     places = jnp.linspace(surface.clipped(-jnp.ones_like(v)), surface.clipped(jnp.ones_like(v)), SECTION)
     height, _ = surface.profile(u).height_and_slope(places)
     # Filled with water, the groove is where it would stand deepest: below the lower of the highest walls on both sides.
-    walls = jax.lax.cummax(height), jax.lax.cummax(height, reverse=True)
+    # By comparing all pairs: XLA aborts the process on running maxima in a loop over several devices of a CPU.
+    before = jnp.tri(SECTION, dtype=bool)
+    walls = (jnp.max(jnp.where(side, height[None], -jnp.inf), axis=-1) for side in (before, before.T))
     depth = jnp.minimum(*walls) - height
-    beyond = v - places[jnp.argmax(depth)]
+    beyond = v - jnp.max(jnp.where(depth == depth.max(), places, -jnp.inf))
     by_lean = (jnp.abs(beyond) < places[1] - places[0]) | (depth.max() < SHALLOW)
     return jnp.where(by_lean, lean >= 0, beyond < 0)

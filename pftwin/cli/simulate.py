@@ -74,7 +74,7 @@ def _facts(result: Result, chosen: Chosen, first: float, files: list[Path]) -> d
     }
 
 
-def _largest_errors(result: Any) -> dict[str, float | None] | None:
+def _largest_errors(result: Result) -> dict[str, float | None] | None:
     """Of all frames; None where it is not known."""
     if result.error is None:
         return None

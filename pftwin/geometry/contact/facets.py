@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
-from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.spatial import Scalar, Vec3, safe_sqrt
 from pftwin.geometry.patch.charts import Jet
 from pftwin.geometry.patch.closest import ClosestPoint, Surface, newton_step
 
@@ -32,6 +32,8 @@ SPACING = 0.11  # of the fan's samples across the groove, in radii
 FAN = tuple(SPACING * k for k in range(-6, 7))  # their places, in radii from the sphere's centre
 LONGEST = 0.12  # radii: the longest Newton step
 MERGED, APART = 0.02, 0.20  # separations, in radii, between which one contact becomes two
+REACH = 2.2  # spacings of the fan: how far from its middle a polynomial through five samples is believed
+FLAT = 1e-10  # bumps below this are none [m]
 SECTION = 33  # samples of a section across the surface
 SHALLOW = 1e-4  # a groove less deep than this is none [m]
 ASTRAY = 1.2  # distance from the fan's minimum, in spacings, beyond which a followed point starts again
@@ -45,12 +47,19 @@ class FollowedPoint(NamedTuple):
     settled: Scalar  # 1 if it had arrived in a minimum, else 0; a number, which XLA fuses with its neighbours
 
 
+class Ridge(NamedTuple):
+    """Between the medial and the lateral closest point, where the distance along the groove's section is largest."""
+
+    distance: Scalar  # from the sphere's centre; at least that of either point [m]
+    place: Scalar  # 0 at the medial point to 1 at the lateral one
+
+
 class Facets(NamedTuple):
     """The medial and the lateral closest point (the same where there is but one) and the share that each bears."""
 
     medial: ClosestPoint
     lateral: ClosestPoint
-    share: Scalar  # of the contact law's force, for each: 1/2 where they are one, 1 where they are two
+    ridge: Ridge
 
 
 def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> Facets:
@@ -64,7 +73,8 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
             a Newton step forgets its start to second order where it is whole, and not where it is held.
     """
     near = 0.5 * (places[0].u + places[1].u)
-    seen = scan_facets(_without_derivatives(surface), *stop_gradient((c, radius, near)))  # decides, and no more
+    # The fan decides, and no more: nothing is differentiated through it.
+    seen, section = scan_facets(_without_derivatives(surface), *stop_gradient((c, radius, near)))
     _, middle = surface.chart.foot(c)
     ends = middle + FAN[0] * radius, middle + FAN[-1] * radius
     astray = ASTRAY * SPACING * radius
@@ -80,6 +90,14 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
         u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
         v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
         starts.append(FollowedPoint(u, v, own.settled))
+    spacing = SPACING * radius
+    alone = (starts[0].v + starts[1].v) * 0.5
+    other = middle + spacing * _other_minimum(section, (alone - middle) / spacing)
+    merged = jnp.abs(starts[1].v - starts[0].v) < MERGED * radius
+    starts = [
+        start._replace(v=jnp.where(merged & (side * (other - alone) > 0), other, start.v))
+        for start, side in zip(starts, (-1.0, 1.0), strict=True)
+    ]
     return facets_from(surface, c, radius, (starts[0], starts[1]))
 
 
@@ -89,10 +107,22 @@ def facets_from(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Followe
         newton_step(surface, c, p.u, p.v, LONGEST * radius, push=side)
         for p, side in zip(places, (-1.0, 1.0), strict=True)
     )
-    gap = lateral.v - medial.v
-    t = (jnp.where(gap < 0, -gap, gap) / radius - MERGED) * (1 / (APART - MERGED))
-    share = jnp.where(t > 1, 1.0, jnp.where(t > 0, 0.5 + t * t * (1.5 - t), 0.5))
-    return Facets(medial, lateral, share)
+    return Facets(medial, lateral, _ridge_between(surface, c, medial, lateral))
+
+
+def _ridge_between(surface: Surface, c: Vec3, medial: ClosestPoint, lateral: ClosestPoint) -> Ridge:
+    """The ridge by a polynomial of fourth degree: flat at both points, and through the distance midway between them."""
+    u, v = 0.5 * (medial.u + lateral.u), 0.5 * (medial.v + lateral.v)
+    away = c - surface.chart.local_point(u, v, surface.height(u, v))
+    middle = away.norm()
+    middle = jnp.where(away.dot(medial.normal + lateral.normal) < 0, -middle, middle)
+    rise = lateral.distance - medial.distance
+    bump = middle - 0.5 * (medial.distance + lateral.distance)
+    bump = jnp.where(bump > FLAT, bump, FLAT)
+    place = 0.5 + (3 / 32) * rise / bump
+    place = jnp.where(place > 1, 1.0, jnp.where(place < 0, 0.0, place))
+    top = medial.distance + (16 / 3) * bump * place**3 * (2 - place)
+    return Ridge(jnp.maximum(jnp.maximum(top, medial.distance), lateral.distance), place)
 
 
 def _too_far(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
@@ -100,12 +130,34 @@ def _too_far(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
     return ((beyond < -limit) & ~at_end[0]) | ((beyond > limit) & ~at_end[1])
 
 
+def _other_minimum(section: tuple[Scalar, Scalar, Scalar], here: Scalar) -> Scalar:
+    """Where a polynomial of fourth degree with a minimum `here` has another one; `here` where it has none.
+
+    Args:
+        section: its second to fourth derivative at 0, in spacings of the fan, as is all here.
+        here: the place of the known minimum.
+    """
+    second, third, fourth = section
+    # The slope is (x - here) times fourth / 6 (x^2 + sum x + product).
+    scale = 1 / jnp.where(fourth > 0, fourth, 1.0)
+    total = 3 * third * scale + here
+    product = 6 * second * scale + total * here
+    room = 0.25 * total * total - product
+    half = safe_sqrt(jnp.where(room > 0, room, 0.0))
+    centre = -0.5 * total
+    other = jnp.where(centre > here, centre + half, centre - half)
+    found = (fourth > 0) & (room > 0) & (jnp.abs(other) < REACH) & (jnp.abs(centre - here) > half)
+    return jnp.where(found, other, here)
+
+
 def _without_derivatives(surface: Surface) -> Surface:
     return jax.tree.map(lambda a: stop_gradient(a) if eqx.is_inexact_array(a) else a, surface)
 
 
-def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[Scalar, Scalar]:
+def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar, Scalar]]:
     """The fan's samples (of `FAN`) at its first and last local minimum of the distance, at one u near both.
+
+    And the section's second to fourth derivative at the fan's middle, in spacings.
 
     Along the groove the distance has one well-shaped minimum, which each sample takes at its own place by a Newton
     step of u. The fan stays on the surface's domain; contacts beyond it are reached from its edge.
@@ -127,7 +179,11 @@ def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[S
         last = jnp.where(after < before, FAN[k + 1], last)
     for k, (before, after) in reversed(list(enumerate(pairwise(phi)))):
         first = jnp.where(before < after, FAN[k], first)
-    return first, last
+    a, b, m, d, e = phi[len(FAN) // 2 - 2 : len(FAN) // 2 + 3]
+    second = (16 * (b + d) - (a + e) - 30 * m) / 12
+    third = 0.5 * (e - a) - (d - b)
+    fourth = a + e - 4 * (b + d) + 6 * m
+    return (first, last), (second, third, fourth)
 
 
 def medial_of_groove(surface: Surface, p: ClosestPoint) -> Scalar:

@@ -70,6 +70,10 @@ class ContactLaw(eqx.Module):
         """The memory before anything has touched, in the float type of `like`."""
         return (jnp.zeros_like(like),) * contacts if self.remembers_approach else None
 
+    def elastic_share(self, depth: Scalar) -> Scalar:
+        """The elastic force at a share of an indentation, as a share of the force there; 0 where it is negative."""
+        return _power(jnp.where(depth > 0, depth, 0.0), self.hertz_exponent)
+
     def force(self, indentation: Scalar, rate: Scalar, approach_speed: Scalar | None = None) -> ContactForce:
         """Force and slopes at an indentation [m] and its rate [m/s].
 

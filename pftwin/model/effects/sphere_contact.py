@@ -22,6 +22,7 @@ from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch,
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
 
+SHALLOWEST = 1e-6  # [m]
 SEARCH_STEPS = 10  # iterations that find the contacts without a previous guess
 
 
@@ -96,9 +97,15 @@ class SphereContact(ButtonSphere):
         _, velocity = self.centre_in_chart(now)
         speeds, way = memory.approach_speeds or (None, None), now.step * velocity
         touches, places = [], []
-        for p, speed in zip((facets.medial, facets.lateral), speeds, strict=True):
+        ridge = facets.ridge
+        for p, speed, near in zip(
+            (facets.medial, facets.lateral), speeds, (1 - ridge.place, ridge.place), strict=True
+        ):
             normal = self.surface.chart.axes.apply(p.normal)
-            touches.append(self.touch(now, p, normal, -p.normal.dot(velocity), speed, facets.share))
+            depth = jnp.maximum(self.radius - p.distance, SHALLOWEST)
+            left = 1 - (ridge.distance - p.distance) / depth
+            share = 1 - near * self.law.elastic_share(left)
+            touches.append(self.touch(now, p, normal, -p.normal.dot(velocity), speed, share))
             places.append(FollowedPoint(p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled))
         (one, two), (medial, lateral) = touches, places
         return one, two, ContactMemory((medial, lateral), load_of([one.push, two.push])[1])

@@ -253,3 +253,22 @@ def _melting() -> np.ndarray:
 
 
 MELTING = _melting()
+
+
+def test_a_facet_that_comes_into_being_beside_the_other_makes_no_jump():
+    """Along a groove that narrows, a fifth of a millimetre off its middle: a second minimum appears next to the first,
+    at first as a ledge, 2 mm away. On the way back it vanishes there.
+    """
+    surface = patch_of(MELTING, 5)
+    button = contact(Hertz(J(2e8)), surface).recentred(vec(0, 0, 0))
+    u = 0.018 * np.sin(np.linspace(0, 2 * np.pi, 8001))
+    path = np.stack([u, np.full_like(u, 3e-5), 0 * u], 1)
+    v = np.linspace(-0.01, 0.01, 4001)
+    height = np.asarray(jax.jit(jax.vmap(lambda u: surface.height(jnp.full(v.shape, u), J(v))))(J(u)))
+    path[:, 2] = np.max(height + np.sqrt(RADIUS**2 - (v - 3e-5) ** 2), axis=1)
+    for _ in range(4):  # 20 um deep in the deeper facet
+        _, indentation, _, _ = ride(button, J(path), jnp.zeros_like(path), J(STEP))
+        path[:, 2] += np.max(indentation, axis=1) - 2e-5
+    force, _, share, _ = (np.asarray(a) for a in ride(button, J(path), jnp.zeros_like(path), J(STEP)))
+    assert share.min() < 0.1  # a minimum has come and gone while the other stayed
+    assert np.abs(np.diff(force, axis=0)).max() < 0.03 * np.linalg.norm(force, axis=1).max()

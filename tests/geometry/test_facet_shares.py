@@ -1,4 +1,4 @@
-"""How two facets share a contact's force: by their separation, on a patch and on a mesh."""
+"""How two facets share a contact's force: on a patch by the ridge between them, on a mesh by their separation."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import pytest
 from scenes import RADIUS, J, contact, look, patch_of, vec
 
 from pftwin.geometry.contact.mesh_facets import FacetPoint
-from pftwin.geometry.patch.polynomial import exponents
+from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.effects.contact_law import Hertz
 from pftwin.model.effects.mesh_sphere_contact import _shares
 
 K = 2e8
 HALF = (0.024, 0.02)
+DEEP = 1e-4  # indentation of both facets [m]
 ONE, TWO = 0.02, 0.20  # separations, in radii, up to which two contacts are one and from which on they are two
 
 
@@ -34,34 +35,59 @@ def seen(effect, now):
     return effect.observe(now, effect.remember(now)), effect.load(now, effect.remember(now))[0]
 
 
-def two_humps(separation: float) -> tuple[float, float, float]:
-    """A groove z = b v^2 + a v^4, and the height of a sphere's centre that is 0.1 mm deep at v = +- half of it.
+def two_humps(separation: float, ridge: float) -> tuple[np.ndarray, float]:
+    """A groove z = b v^2 + a v^4 as (b, a), and the height of a sphere's centre: 0.1 mm deep at v = +- half of a
+    separation (radii), and `ridge` deep between, at v = 0.
 
     The normal there leads to the centre, on the axis: the slope is v over what is left of the distance.
     """
-    v, distance = 0.5 * separation * RADIUS, RADIUS - 1e-4
-    up = np.sqrt(distance**2 - v**2)
-    a = -1 / (8 * v**2 * RADIUS)  # the walls bend away from the sphere, by as much for every separation
-    b = (v / up - 4 * a * v**3) / (2 * v)
-    return a, b, a * v**4 + b * v**2 + up
+    v, height = 0.5 * separation * RADIUS, RADIUS - ridge
+    up = np.sqrt((RADIUS - DEEP) ** 2 - v**2)
+    quartic = 0.5 * v**2 / up - (height - up)
+    return np.array([(height - up - quartic) / v**2, quartic / v**4]), height
 
 
-@pytest.mark.parametrize("separation", [0.06, 0.11, 0.16, 0.24])
-def test_on_a_patch_facets_bear_what_their_separation_says(separation):
-    a, b, height = two_humps(separation)
+def groove(terms: np.ndarray) -> PolynomialPatch:
     coefficients = np.zeros(len(exponents(4)))
-    for k, powers in enumerate(exponents(4)):
-        if powers == (0, 4):
-            coefficients[k] = a * HALF[1] ** 4
-        if powers == (0, 2):
-            coefficients[k] = b * HALF[1] ** 2
-    report, load = seen(contact(Hertz(J(K)), patch_of(coefficients, 4, HALF)), look((0, 0, height)))
-    law = K * 1e-4**1.5
+    for power, term in zip((2, 4), terms, strict=True):
+        coefficients[exponents(4).index((0, power))] = term * HALF[1] ** power
+    return patch_of(coefficients, 4, HALF)
+
+
+@pytest.mark.parametrize("ridge", [9e-5, 5e-5, 1e-6, -2e-5])
+def test_on_a_patch_what_both_facets_have_in_common_counts_once(ridge):
+    separation = 0.22
+    terms, height = two_humps(separation, ridge)
+    report, load = seen(contact(Hertz(J(K)), groove(terms)), look((0, 0, height)))
+    common = max(ridge, 0) / DEEP
     for facet, side in (("medial", -1), ("lateral", 1)):
-        assert float(report[f"point_{facet}"][1]) == pytest.approx(side * 0.5 * separation * RADIUS, rel=1e-5)
-        assert float(report[f"indentation_{facet}"]) == pytest.approx(1e-4, rel=1e-6)
-        assert float(report[f"force_{facet}"]) == pytest.approx(share_at(separation) * law, rel=1e-4)
-    assert float(load.energy) == pytest.approx(2 * share_at(separation) * K * 1e-4**2.5 / 2.5, rel=1e-4)
+        assert float(report[f"point_{facet}"][1]) == pytest.approx(side * 0.5 * separation * RADIUS, rel=1e-4)
+        assert float(report[f"indentation_{facet}"]) == pytest.approx(DEEP, rel=1e-5)
+        assert float(report[f"force_{facet}"]) == pytest.approx((1 - 0.5 * common**1.5) * K * DEEP**1.5, rel=1e-4)
+    assert float(load.energy) == pytest.approx((2 - common**2.5) * K * DEEP**2.5 / 2.5, rel=1e-4)
+
+
+@pytest.mark.parametrize("beside", [-1e-5, 3e-6, 2e-5, 6e-5])
+def test_facets_of_different_depth_store_what_the_section_says(beside):
+    """Minima and the ridge by samples of numpy's: V(medial) + V(lateral) - V(ridge), its slope the force."""
+    terms, height = two_humps(0.2, 8e-5)
+    v = np.linspace(-0.25 * RADIUS, 0.25 * RADIUS, 200001)
+
+    def stored(y: float, z: float) -> float:
+        d = RADIUS - np.hypot(v - y, z - terms[0] * v**2 - terms[1] * v**4)
+        inner = slice(1, -1)
+        tops = d[inner][(d[inner] > d[:-2]) & (d[inner] >= d[2:])]
+        between = d[inner][(d[inner] < d[:-2]) & (d[inner] <= d[2:])]
+        assert (len(tops), len(between)) == (2, 1)
+        return K / 2.5 * float(sum(np.maximum(tops, 0) ** 2.5) - np.maximum(between[0], 0) ** 2.5)
+
+    report, load = seen(contact(Hertz(J(K)), groove(terms)), look((0, beside, height)))
+    assert float(load.energy) == pytest.approx(stored(beside, height), rel=2e-3)
+    step = 1e-6
+    across = (stored(beside - step, height) - stored(beside + step, height)) / (2 * step)
+    up = (stored(beside, height - step) - stored(beside, height + step)) / (2 * step)
+    assert float(report["force_z"]) == pytest.approx(up, rel=3e-3)
+    assert float(report["force_y"]) == pytest.approx(across, abs=0.02 * up)
 
 
 def point(y: float, distance: float = RADIUS, on_seam: bool = False) -> FacetPoint:

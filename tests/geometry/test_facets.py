@@ -77,7 +77,7 @@ def test_the_fan_finds_the_bottom_from_a_wrong_place_along_the_groove(along, twi
     half = (0.024, 0.02)
     second = {(2, 0): along / 2 * half[0] ** 2, (1, 1): twist * half[0] * half[1], (0, 2): across / 2 * half[1] ** 2}
     valley = patch_of([second.get(ij, 0.0) for ij in exponents(2)], 2, half)
-    found = scan_facets(valley, vec(0, 0, RADIUS - 1e-4), J(RADIUS), J(astray))
+    found, _ = scan_facets(valley, vec(0, 0, RADIUS - 1e-4), J(RADIUS), J(astray))
     np.testing.assert_allclose(found, 0.0, atol=1e-12)
 
 

@@ -10,8 +10,10 @@ keep them right:
   (medial) minimum the medial point starts again there, and likewise the lateral one near the last, so a facet that
   comes near is found before it touches. A point whose minimum has vanished goes where the other point is. Where the
   distance still falls at the fan's end, as on a wall steeper than the fan is wide, who has gone on beyond it is right.
-- They share: each bears half of the contact law's force where they are one and all of it where they are two, smoothly
-  in between, so the force has no jump where facets merge and nothing is counted twice.
+- What both have in common counts once. Where the button is pressed in over the ridge between the two points as well,
+  the contacts overlap, and what is stored is V(medial) + V(lateral) - V(ridge): all of both where the ridge is not
+  touched, that of one where a point and the ridge meet and vanish. So no force jumps where facets part or merge, and
+  none of it can make energy.
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ from pftwin.geometry.patch.closest import ClosestPoint, Surface, newton_step
 SPACING = 0.11  # of the fan's samples across the groove, in radii
 FAN = tuple(SPACING * k for k in range(-6, 7))  # their places, in radii from the sphere's centre
 LONGEST = 0.12  # radii: the longest Newton step
-MERGED, APART = 0.02, 0.20  # separations, in radii, between which one contact becomes two
+MERGED = 0.02  # separation, in radii, below which two points are one
 REACH = 2.2  # spacings of the fan: how far from its middle a polynomial through five samples is believed
-FLAT = 1e-10  # bumps below this are none [m]
+FLAT = 1e-10  # a ridge much lower than this is none [m]
 SECTION = 33  # samples of a section across the surface
 SHALLOW = 1e-4  # a groove less deep than this is none [m]
 ASTRAY = 1.2  # distance from the fan's minimum, in spacings, beyond which a followed point starts again
@@ -48,14 +50,14 @@ class FollowedPoint(NamedTuple):
 
 
 class Ridge(NamedTuple):
-    """Between the medial and the lateral closest point, where the distance along the groove's section is largest."""
+    """Where the distance is largest between the medial and the lateral closest point, or the farther of these."""
 
     distance: Scalar  # from the sphere's centre; at least that of either point [m]
     place: Scalar  # 0 at the medial point to 1 at the lateral one
 
 
 class Facets(NamedTuple):
-    """The medial and the lateral closest point (the same where there is but one) and the share that each bears."""
+    """The medial and the lateral closest point, the same where there is but one, and what is between them."""
 
     medial: ClosestPoint
     lateral: ClosestPoint
@@ -90,15 +92,15 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
         u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
         v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
         starts.append(FollowedPoint(u, v, own.settled))
-    spacing = SPACING * radius
-    alone = (starts[0].v + starts[1].v) * 0.5
-    other = middle + spacing * _other_minimum(section, (alone - middle) / spacing)
+    # A minimum that has just parted from the one that both follow is too near for the fan to see.
+    here, spacing = 0.5 * (starts[0].v + starts[1].v), SPACING * radius
+    new = middle + spacing * stop_gradient(_other_minimum(section, (here - middle) / spacing))
     merged = jnp.abs(starts[1].v - starts[0].v) < MERGED * radius
-    starts = [
-        start._replace(v=jnp.where(merged & (side * (other - alone) > 0), other, start.v))
-        for start, side in zip(starts, (-1.0, 1.0), strict=True)
-    ]
-    return facets_from(surface, c, radius, (starts[0], starts[1]))
+    medial, lateral = (
+        start._replace(v=jnp.where(merged & beyond, new, start.v))
+        for start, beyond in zip(starts, (new < here, new > here), strict=True)
+    )
+    return facets_from(surface, c, radius, (medial, lateral))
 
 
 def facets_from(surface: Surface, c: Vec3, radius: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> Facets:
@@ -111,15 +113,15 @@ def facets_from(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Followe
 
 
 def _ridge_between(surface: Surface, c: Vec3, medial: ClosestPoint, lateral: ClosestPoint) -> Ridge:
-    """The ridge by a polynomial of fourth degree: flat at both points, and through the distance midway between them."""
+    """The ridge of a polynomial of fourth degree, flat at both points, through the distance midway between them."""
     u, v = 0.5 * (medial.u + lateral.u), 0.5 * (medial.v + lateral.v)
     away = c - surface.chart.local_point(u, v, surface.height(u, v))
     middle = away.norm()
     middle = jnp.where(away.dot(medial.normal + lateral.normal) < 0, -middle, middle)
     rise = lateral.distance - medial.distance
     bump = middle - 0.5 * (medial.distance + lateral.distance)
-    bump = jnp.where(bump > FLAT, bump, FLAT)
-    place = 0.5 + (3 / 32) * rise / bump
+    bump = jnp.where(bump > 0, bump, 0.0)
+    place = 0.5 + (3 / 32) * rise / (bump + FLAT)
     place = jnp.where(place > 1, 1.0, jnp.where(place < 0, 0.0, place))
     top = medial.distance + (16 / 3) * bump * place**3 * (2 - place)
     return Ridge(jnp.maximum(jnp.maximum(top, medial.distance), lateral.distance), place)
@@ -130,23 +132,18 @@ def _too_far(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
     return ((beyond < -limit) & ~at_end[0]) | ((beyond > limit) & ~at_end[1])
 
 
-def _other_minimum(section: tuple[Scalar, Scalar, Scalar], here: Scalar) -> Scalar:
+def _other_minimum(section: Section, here: Scalar) -> Scalar:
     """Where a polynomial of fourth degree with a minimum `here` has another one; `here` where it has none.
 
-    Args:
-        section: its second to fourth derivative at 0, in spacings of the fan, as is all here.
-        here: the place of the known minimum.
+    Its slope is (x - here) times (x - ridge) times (x - other), up to a factor; places are counted in spacings.
     """
-    second, third, fourth = section
-    # The slope is (x - here) times fourth / 6 (x^2 + sum x + product).
-    scale = 1 / jnp.where(fourth > 0, fourth, 1.0)
-    total = 3 * third * scale + here
-    product = 6 * second * scale + total * here
-    room = 0.25 * total * total - product
-    half = safe_sqrt(jnp.where(room > 0, room, 0.0))
-    centre = -0.5 * total
-    other = jnp.where(centre > here, centre + half, centre - half)
-    found = (fourth > 0) & (room > 0) & (jnp.abs(other) < REACH) & (jnp.abs(centre - here) > half)
+    opens = section.fourth > 0
+    scale = 1 / jnp.where(opens, section.fourth, 1.0)
+    middle = -0.5 * (3 * section.third * scale + here)  # of the ridge and the other minimum
+    square = middle * middle - 6 * section.second * scale + 2 * middle * here
+    half = safe_sqrt(jnp.where(square > 0, square, 0.0))
+    other = middle + jnp.where(middle > here, half, -half)
+    found = opens & (square > 0) & (jnp.abs(other) < REACH) & (jnp.abs(middle - here) > half)
     return jnp.where(found, other, here)
 
 
@@ -154,10 +151,16 @@ def _without_derivatives(surface: Surface) -> Surface:
     return jax.tree.map(lambda a: stop_gradient(a) if eqx.is_inexact_array(a) else a, surface)
 
 
-def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar, Scalar]]:
-    """The fan's samples (of `FAN`) at its first and last local minimum of the distance, at one u near both.
+class Section(NamedTuple):
+    """Derivatives of half the squared distance across the groove, at the fan's middle, by spacings of the fan [m^2]."""
 
-    And the section's second to fourth derivative at the fan's middle, in spacings.
+    second: Scalar
+    third: Scalar
+    fourth: Scalar
+
+
+def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[tuple[Scalar, Scalar], Section]:
+    """The fan's samples (of `FAN`) at its first and last local minimum of the distance, at one u near both.
 
     Along the groove the distance has one well-shaped minimum, which each sample takes at its own place by a Newton
     step of u. The fan stays on the surface's domain; contacts beyond it are reached from its edge.
@@ -180,10 +183,8 @@ def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[t
     for k, (before, after) in reversed(list(enumerate(pairwise(phi)))):
         first = jnp.where(before < after, FAN[k], first)
     a, b, m, d, e = phi[len(FAN) // 2 - 2 : len(FAN) // 2 + 3]
-    second = (16 * (b + d) - (a + e) - 30 * m) / 12
-    third = 0.5 * (e - a) - (d - b)
-    fourth = a + e - 4 * (b + d) + 6 * m
-    return (first, last), (second, third, fourth)
+    second, third = (16 * (b + d) - (a + e) - 30 * m) / 12, 0.5 * (e - a) - (d - b)
+    return (first, last), Section(second, third, a + e - 4 * (b + d) + 6 * m)
 
 
 def medial_of_groove(surface: Surface, p: ClosestPoint) -> Scalar:

@@ -125,6 +125,7 @@ def force_along(
     moment: Vec3,
     approach_speed: Scalar | None,
     share: Scalar | float,
+    stored: Scalar | float | None = None,
 ) -> ContactPush:
     """A law's force along a direction.
 
@@ -135,6 +136,7 @@ def force_along(
         direction, moment: of a unit force on the patella: world axes, and patella axes about the centre of mass [m].
         approach_speed: `ContactPush.approach_speed` of the last load.
         share: of the law's force that this contact bears.
+        stored: of the law's energy that this contact stores; by default as much.
     """
     if approach_speed is not None:
         begun = jnp.where(approach_speed > 0, approach_speed, jnp.maximum(rate, 1e-12))
@@ -149,9 +151,9 @@ def force_along(
         force = law.force(indentation + deeper, jnp.zeros_like(rate), approach_speed)
         back = force.elastic - deeper * force.stiffness
         force = force._replace(total=back + force.damping * rate, elastic=back)
-    total, elastic, stiffness, damping, energy = (share * a for a in force)
+    total, elastic, stiffness, damping = (share * a for a in force[:4])
     term = StiffTerm(direction, moment, total, elastic, stiffness, damping, rate, unilateral=True)
-    return ContactPush(term, energy, approach_speed)
+    return ContactPush(term, (share if stored is None else stored) * force.energy, approach_speed)
 
 
 def load_of(pushes: Sequence[ContactPush]) -> tuple[Load, Speeds]:
@@ -190,7 +192,7 @@ class Touch(NamedTuple, Generic[P]):
 
     at: P
     indentation: Scalar  # [m]
-    share: Scalar  # share of the law's force: 1, less where two contacts nearly coincide, 0 for no contact
+    share: Scalar  # share of the law's force: 1, less where two contacts overlap, 0 for no contact
     push: ContactPush
 
 
@@ -227,18 +229,27 @@ class ButtonSphere(Contact):
         rate: Scalar,
         approach_speed: Scalar | None,
         share: Scalar | float,
+        stored: Scalar | float | None = None,
     ) -> ContactPush:
         """The law's force along a normal of the femur (femur axes): see `force_along`."""
         world = now.femur.direction(normal)
         moment = applied_at(self.center, now.patella, world)
-        return force_along(self.law, now, indentation, rate, world, moment, approach_speed, share)
+        return force_along(self.law, now, indentation, rate, world, moment, approach_speed, share, stored)
 
     def touch(
-        self, now: Instant, at: P, normal: Vec3, rate: Scalar, approach_speed: Scalar | None, share: Scalar
+        self,
+        now: Instant,
+        at: P,
+        normal: Vec3,
+        rate: Scalar,
+        approach_speed: Scalar | None,
+        share: Scalar,
+        stored: Scalar | None = None,
     ) -> Touch[P]:
         """The law's force at a nearest point; the normal is in the femur's axes, `rate` that of the indentation."""
         indentation = self.radius - at.distance
-        return Touch(at, indentation, share, self.push(now, normal, indentation, rate, approach_speed, share))
+        push = self.push(now, normal, indentation, rate, approach_speed, share, stored)
+        return Touch(at, indentation, share, push)
 
     def tracked_point(self) -> Vec3:
         """The sphere's centre."""

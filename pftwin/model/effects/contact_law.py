@@ -70,9 +70,10 @@ class ContactLaw(eqx.Module):
         """The memory before anything has touched, in the float type of `like`."""
         return (jnp.zeros_like(like),) * contacts if self.remembers_approach else None
 
-    def elastic_share(self, depth: Scalar) -> Scalar:
-        """The elastic force at a share of an indentation, as a share of the force there; 0 where it is negative."""
-        return _power(jnp.where(depth > 0, depth, 0.0), self.hertz_exponent)
+    def elastic_ratio(self, indentation_ratio: Scalar) -> Scalar:
+        """The elastic force at an indentation by that at another one, from their ratio; 0 where that is negative."""
+        ratio = jnp.where(indentation_ratio > 0, indentation_ratio, 0.0)
+        return ratio * _power(ratio, self.hertz_exponent - 1)
 
     def force(self, indentation: Scalar, rate: Scalar, approach_speed: Scalar | None = None) -> ContactForce:
         """Force and slopes at an indentation [m] and its rate [m/s].

@@ -15,13 +15,14 @@ from jaxtyping import Array
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.base.traced_once import traced_once
-from pftwin.geometry.contact.facets import APART, MERGED
 from pftwin.geometry.contact.mesh_facets import FacetPoint, MeshFacets
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch, facet_report, load_of, vector_sum
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
+
+ONE, TWO = 0.02, 0.20  # separations, in radii, up to which two contacts are one and from which on they are two
 
 
 class MeshSphereContact(ButtonSphere):
@@ -91,13 +92,13 @@ def _shares(points: list[FacetPoint], radius: Scalar) -> list[Scalar]:
     """The share of the law's force that each facet's contact bears.
 
     A nearest point on the seam, while the other facet is nearer, is no contact. Two that are both genuine bear all of
-    the force where they are apart and half of it where they are one, as on a patch.
+    the force where they are apart and half of it where they are one: the seam is given, and no facet vanishes in another.
     """
     if len(points) == 1:
         return [jnp.ones_like(points[0].distance)]
     one, two = points
     gap = (one.point - two.point).norm()
-    t = jnp.clip((gap / radius - MERGED) * (1 / (APART - MERGED)), 0.0, 1.0)
+    t = jnp.clip((gap / radius - ONE) * (1 / (TWO - ONE)), 0.0, 1.0)
     share = 0.5 + 0.5 * t * t * (3 - 2 * t)
     no_one = one.on_seam & (two.distance < one.distance)
     no_two = two.on_seam & (one.distance <= two.distance)

@@ -22,7 +22,7 @@ from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch,
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
 
-SHALLOWEST = 1e-6  # [m]
+SHALLOWEST = 1e-6  # indentation below which contacts are told apart as if it were this [m]
 SEARCH_STEPS = 10  # iterations that find the contacts without a previous guess
 
 
@@ -98,14 +98,14 @@ class SphereContact(ButtonSphere):
         speeds, way = memory.approach_speeds or (None, None), now.step * velocity
         touches, places = [], []
         ridge = facets.ridge
-        for p, speed, near in zip(
-            (facets.medial, facets.lateral), speeds, (1 - ridge.place, ridge.place), strict=True
-        ):
+        near = 1 - ridge.place, ridge.place  # of the ridge's force, what comes off each contact's
+        for p, speed, less in zip((facets.medial, facets.lateral), speeds, near, strict=True):
             normal = self.surface.chart.axes.apply(p.normal)
             depth = jnp.maximum(self.radius - p.distance, SHALLOWEST)
-            left = 1 - (ridge.distance - p.distance) / depth
-            share = 1 - near * self.law.elastic_share(left)
-            touches.append(self.touch(now, p, normal, -p.normal.dot(velocity), speed, share))
+            on_ridge = 1 - (ridge.distance - p.distance) / depth  # indentation there, by that of the contact
+            overlap = less * self.law.elastic_ratio(on_ridge)
+            bears, stores = 1 - overlap, 1 - overlap * on_ridge
+            touches.append(self.touch(now, p, normal, -p.normal.dot(velocity), speed, bears, stores))
             places.append(FollowedPoint(p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled))
         (one, two), (medial, lateral) = touches, places
         return one, two, ContactMemory((medial, lateral), load_of([one.push, two.push])[1])

@@ -92,7 +92,7 @@ def _shares(points: list[FacetPoint], radius: Scalar) -> list[Scalar]:
     """The share of the law's force that each facet's contact bears.
 
     A nearest point on the seam, while the other facet is nearer, is no contact. Two that are both genuine bear all of
-    the force where they are apart and half of it where they are one: the seam is given, and no facet vanishes in another.
+    the force where they are apart and half of it where they are one: no facet of a mesh vanishes in the other.
     """
     if len(points) == 1:
         return [jnp.ones_like(points[0].distance)]

@@ -30,7 +30,14 @@ _BLOCK = 4096  # members simulated in one block: at most this many are lost by C
 EstimateOption = Annotated[
     Path | None, Option("--estimate", metavar="FIT.json", help="Parameters that `pftwin fit` found.")
 ]
-StepOption = Annotated[float, Option("--dt", metavar="SECONDS", help="Longest time step [s].")]
+StepOption = Annotated[
+    float | None,
+    Option(
+        "--dt",
+        metavar="SECONDS",
+        help="Longest time step [s]. If left out: 0.0005, shorter where errors ask for it.",
+    ),
+]
 SeedOption = Annotated[int, Option("--seed", min=0, help="Of the draws.")]
 
 
@@ -44,7 +51,7 @@ def treat(
     amounts: Given,
     samples: Annotated[int, Option("--samples", min=0, help="Draws from the estimate's uncertainty, for bands.")] = 50,
     seed: SeedOption = 0,
-    dt: StepOption = 2.5e-3,
+    dt: StepOption = None,
     figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
     json: terminal.JsonOption = None,
 ) -> None:
@@ -105,7 +112,7 @@ def optimise(
         float, Option("--confidence", metavar="SHARE", help="Share of the draws in which all limits must hold.")
     ] = 0.9,
     seed: SeedOption = 0,
-    dt: StepOption = 2.5e-3,
+    dt: StepOption = None,
     json: terminal.JsonOption = None,
 ) -> None:
     """Find the smallest treatment that meets stated limits, and say how surely it does.

@@ -80,7 +80,9 @@ class PredictTable(Section):
         default=50, description="draws from the fit's uncertainty, for bands"
     )
     seed: Annotated[int, Field(ge=0)] = Field(default=0, description="of the draws")
-    dt_s: Positive = Field(default=2.5e-3, description="longest time step [s]")
+    dt_s: Positive | None = Field(
+        default=None, description="longest time step [s]; left out: 0.0005, or shorter where errors ask for it"
+    )
 
 
 class PatientTable(Section):

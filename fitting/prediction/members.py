@@ -20,9 +20,12 @@ from fitting.treatments import Treatment
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.batched import good_sizes
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
-from pftwin.dynamics.batch.member import frames_with_flags, scene_is_valid
+from pftwin.dynamics.batch.member import frames_with_flags, run_with_error, scene_is_valid
+from pftwin.dynamics.batch.retry import SMALLER
 from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.frame_states import starting_equilibrium
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import observe_on_the_way
 from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.scene import Scene
@@ -39,19 +42,32 @@ class Recipe(NamedTuple):
     treatment: Treatment
     fitted: Callable[[Scene, Any], Scene] | None  # puts parameters into the scene
     groove: Groove
-    substeps: int
+    substeps: Array  # () a traced number: one program for all steps
     threshold: float
     trajectories: bool
+    integrator: Integrator = BDF2()
 
     def made(self, amounts: Array, theta: Array) -> Scene:
         """The scene of one member: parameters first, then the treatment."""
         scene = self.scene if self.fitted is None else self.fitted(self.scene, theta)
         return self.treatment.with_values(list(amounts))(scene)
 
-    def course(self, scene: Scene) -> tuple[Course, CourseFrame]:
-        """The member's motion and its observations."""
-        seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), substeps=self.substeps)
-        return course_of(scene, seen, status, self.groove), seen
+    def observed(self, scene: Scene, substeps: Array) -> tuple[CourseFrame, Array]:
+        """The member's observations (frames,) and their status."""
+        options: Any = {"substeps": substeps, "integrator": self.integrator}
+        seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), **options)
+        return seen, status
+
+    def course(self, scene: Scene) -> Course:
+        """The member's motion, with nothing said of its error."""
+        return course_of(scene, *self.observed(scene, self.substeps), self.groove)
+
+    def course_with_error(self, scene: Scene) -> tuple[Course, CourseFrame]:
+        """The member's motion, flagged where its steps are too long, and its observations."""
+        (seen, status), error = run_with_error(
+            lambda n: self.observed(scene, n), lambda found: found[0].compared(), self.substeps, self.integrator.order
+        )
+        return course_of(scene, seen, status | error.flags.astype(status.dtype), self.groove), seen
 
 
 class Members(NamedTuple):
@@ -66,7 +82,7 @@ class Members(NamedTuple):
 def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
     """A member's outcomes."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
-    at, seen = recipe.course(scene)
+    at, seen = recipe.course_with_error(scene)
     flags = frames_with_flags(at.status)
     courses = {}
     if recipe.trajectories:
@@ -101,8 +117,11 @@ def run(
     devices: Devices = "all",
     progress: Callable[[int, int], None] | None = None,
     fewest: int = _FEWEST,
+    care: bool = False,
 ) -> Members:
     """All members of amounts (n, k) and parameters (n, p). No member's failure stops the others.
+
+    With `care`, members whose estimated error is large are simulated again in a quarter of the step.
 
     A chunk holds up to `chunk` members on each device; a study of fewer is one smaller chunk, filled up to `fewest`: at
     the size of `chunk` all sizes share one program.
@@ -110,7 +129,7 @@ def run(
     recipe = recipe._replace(scene=recipe.scene.unnamed())
     chosen = chosen_devices(devices)
 
-    def simulated(amounts: Floats, thetas: Floats, starts: Pose | None, progress: Any) -> Members:
+    def simulated(amounts: Floats, thetas: Floats, starts: Pose | None, progress: Any, recipe: Recipe) -> Members:
         n = len(amounts)
         size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # few sizes, so that programs are shared
         if starts is None:
@@ -127,12 +146,24 @@ def run(
         return sharding.over(computed, n, feeding_threads(devices), progress)
 
     starts = _starts(recipe, amounts, thetas)
-    found = simulated(amounts, thetas, starts, progress)
-    badly = found.flags[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] > 0
-    if badly.any() and starts is not None:  # retry from the scene's own start
-        retried = simulated(amounts[badly], thetas[badly], None, None)
-        jax.tree.map(lambda old, new: old.__setitem__(badly, new), found, retried)
+    found = simulated(amounts, thetas, starts, progress, recipe)
+
+    def again(which: NDArray[np.bool_], starts: Pose | None, recipe: Recipe) -> None:
+        if which.any():
+            better = simulated(amounts[which], thetas[which], starts, None, recipe)
+            jax.tree.map(lambda old, new: old.__setitem__(which, new), found, better)
+
+    if starts is not None:  # from the scene's own start
+        again(_flagged(found, Status.START_NOT_IN_EQUILIBRIUM), None, recipe)
+    if care:
+        inaccurate = _flagged(found, Status.INACCURATE)
+        chosen_starts = None if starts is None else jax.tree.map(lambda a: a[inaccurate], starts)
+        again(inaccurate, chosen_starts, recipe._replace(substeps=SMALLER * recipe.substeps))
     return found
+
+
+def _flagged(found: Members, flag: Status) -> NDArray[np.bool_]:
+    return found.flags[:, FLAGS.index(flag)] > 0
 
 
 def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:

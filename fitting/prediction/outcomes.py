@@ -16,7 +16,8 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
-from pftwin.dynamics.batch.member import frames_with_flags
+from pftwin.dynamics.batch.member import frames_with_flags, quaternions, rows
+from pftwin.dynamics.error_estimate import Course as ComparedCourse
 from pftwin.dynamics.observe import ObservedFrame
 from pftwin.dynamics.trajectory import knee_angles
 from pftwin.geometry.patch.closest import Surface
@@ -85,6 +86,7 @@ class CourseFrame(NamedTuple):
     orientation: Quaternion  # of the patella in the femur
     force: tuple[Array, Array]
     point: tuple[Array, Array]
+    total: Vec3  # contact force on the patella, femur frame [N]
 
     @staticmethod
     def of(scene: Scene, seen: ObservedFrame) -> CourseFrame:
@@ -93,7 +95,12 @@ class CourseFrame(NamedTuple):
         assert contact is not None
         report = seen.effects[contact.name]
         force, point = ((report[f"{what}_medial"], report[f"{what}_lateral"]) for what in ("force", "point"))
-        return CourseFrame(seen.center, seen.patella.orientation, force, point)
+        total = Vec3(*(report[f"force_{axis}"] for axis in "xyz"))
+        return CourseFrame(seen.center, seen.patella.orientation, force, point, total)
+
+    def compared(self) -> ComparedCourse:
+        """What an estimate of the error of steps compares, of all frames."""
+        return ComparedCourse(rows(self.center), quaternions(self.orientation), rows(self.total), *self.force)
 
 
 def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) -> Course:

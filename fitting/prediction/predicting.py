@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +25,7 @@ from pftwin.results.verdict import Verdict, is_invalid, verdict_of_counts
 if TYPE_CHECKING:
     from xarray import Dataset
 
-STEP = 2.5e-3  # [s]: peak forces of case 1 are 2 % above those at 1 ms; at 5 ms, where the path is still right, 25 %
+STEP = 5e-4  # [s]; how good it is: docs/treatments.md
 CHUNK = 256  # members for which a step of the whole chunk stays in a core's cache
 _COURSE_LIMIT = 4096  # members whose trajectories are kept: some 50 MB per thousand
 Floats = NDArray[np.float64]
@@ -54,7 +55,7 @@ def predict(
     *,
     samples: int = 0,
     seed: int = 0,
-    dt: float = STEP,
+    dt: float | None = None,
     threshold: float = DISLOCATED,
     trajectories: bool = False,
     chunk: int = CHUNK,
@@ -72,7 +73,8 @@ def predict(
         estimate: parameters that take the place of the scenes' own before any treatment.
         samples: draws from the estimate's uncertainty, besides the estimate itself. All variants see the same draws.
         seed: of the draws.
-        dt: longest time step [s].
+        dt: longest time step [s], which is then kept. By default 0.5 ms, and a quarter of that for members whose
+            estimated error is large even so.
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
         trajectories: whether the dataset holds paths, tilt and facet forces over time as well.
         chunk: most members that are simulated together on a device; it bounds the memory, not the answer.
@@ -89,7 +91,8 @@ def predict(
             estimate; numbers out of range.
     """
     given = [scenes] if isinstance(scenes, Scene) else list(scenes)
-    _check(samples, dt, threshold, chunk, estimate)
+    step, care = (STEP, True) if dt is None else (dt, False)
+    _check(samples, step, threshold, chunk, estimate)
     chosen_devices(devices)
     if stray := [s for s in given if not isinstance(s, Scene)]:
         raise InputError(f"found {stray[0]!r}", where="scenes", expected="scenes")
@@ -111,13 +114,15 @@ def predict(
         check(scene)
         if estimate is not None:
             check(estimate.apply(scene))  # refuses a scene without these parameters
-        substeps, fitted = substeps_for(scene.motion.frame_interval, dt), None if estimate is None else estimate.apply
+        substeps = jnp.asarray(substeps_for(scene.motion.frame_interval, step))
+        fitted = None if estimate is None else estimate.apply
         groove = Groove.of(scene)
         recipe = Recipe(scene, batch.treatment, fitted, groove, substeps, float(threshold), trajectories)
         amounts = np.repeat(batch.amounts, len(thetas), axis=0)  # variants by samples, samples varying fastest
-        found.append(run(recipe, amounts, np.tile(thetas, (len(batch.amounts), 1)), chunk, devices, counted))
+        members = np.tile(thetas, (len(batch.amounts), 1))
+        found.append(run(recipe, amounts, members, chunk, devices, counted, care=care))
         done += len(amounts)
-    return dataset(groups, found, estimate, thetas, dt=dt, threshold=threshold)
+    return dataset(groups, found, estimate, thetas, dt=step, threshold=threshold)
 
 
 def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floats:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.prediction.plots import invalid_variants
-from fitting.prediction.predicting import STEP, Fitted, check_draws, estimate_and_draws, predict
+from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, TreatmentPlan
 from fitting.treatments.refine import CHUNK, Search, refine
@@ -41,7 +41,7 @@ def optimise_treatment(
     samples: int = 0,
     confidence: float = 0.9,
     seed: int = 0,
-    dt: float = STEP,
+    dt: float | None = None,
     threshold: float = DISLOCATED,
 ) -> TreatmentPlan:
     """The smallest treatment that meets the limits.
@@ -61,7 +61,7 @@ def optimise_treatment(
         confidence: share of the draws in which all limits are to hold, besides for the estimate itself; a draw that
             cannot be simulated keeps none.
         seed: of the draws.
-        dt: longest time step [s].
+        dt: longest time step [s]; by default as `predict` has it.
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
 
     Returns:

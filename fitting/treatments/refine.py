@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fitting.prediction.members import Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove, measure
-from fitting.prediction.predicting import Fitted
+from fitting.prediction.predicting import STEP, Fitted
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit
 from pftwin.base.errors import InputError
@@ -47,7 +47,7 @@ def _outcomes_and_derivatives(
     def found(x: Array) -> Any:
         def one(theta: Array) -> Any:
             scene = recipe.made(fixed.at[jnp.asarray(places)].set(x), theta)
-            return measure(recipe.course(scene)[0], recipe.threshold)
+            return measure(recipe.course(scene), recipe.threshold)
 
         return batched(one)(thetas)
 
@@ -67,7 +67,7 @@ class Search:
         limits: to be kept.
         thetas: parameters (1 + draws, p): the estimate's, then draws as uncertain as it is.
         confidence: share of the draws in which all limits have to hold.
-        dt: longest time step [s].
+        dt: longest time step [s]; None: as `predict` has it.
         threshold: beyond which the button counts as dislocated [m].
     """
 
@@ -80,7 +80,7 @@ class Search:
         limits: tuple[Limit, ...],
         thetas: Floats,
         confidence: float,
-        dt: float,
+        dt: float | None,
         threshold: float,
     ) -> None:
         own = treatment.names
@@ -90,7 +90,8 @@ class Search:
         self._places = tuple(places[n] for n in names)
         self._fixed = jnp.stack([jnp.asarray(v, dtype=float) for v in treatment.values])
         self._treatment = treatment
-        substeps = substeps_for(scene.motion.frame_interval, dt)
+        self._care = dt is None
+        substeps = jnp.asarray(substeps_for(scene.motion.frame_interval, STEP if dt is None else dt))
         fitted = None if estimate is None else estimate.apply
         prepared = treatment.prepared(scene)
         self._recipe = Recipe(scene.unnamed(), prepared, fitted, Groove.of(scene), substeps, threshold, False)
@@ -112,7 +113,9 @@ class Search:
             if self.alone:  # by the program that the grid was simulated with
                 every, thetas = np.array(self._fixed), np.asarray(self._thetas)
                 every[list(self._places)] = amounts
-                members = run(self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, fewest=CHUNK)
+                members = run(
+                    self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, fewest=CHUNK, care=self._care
+                )
                 self._known[key] = members.outcomes, None
             else:
                 numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))

@@ -13,7 +13,7 @@ from fitting.prediction.predicting import predict
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment
 from fitting.treatments.optimise import Limit, optimise_treatment
-from pftwin import LinearImplicit, rig, simulate
+from pftwin import BDF2, rig, simulate
 from pftwin.base.errors import InputError
 
 DT = 5e-3
@@ -27,7 +27,7 @@ def knee():
 
 def offset(scene, **amounts):
     treated = Treatment.of("tibial_tuberosity_transfer", **amounts)(scene)
-    return outcomes(simulate(treated, dt=DT, integrator=LinearImplicit()))["largest_offset"]
+    return outcomes(simulate(treated, dt=DT, integrator=BDF2()))["largest_offset"]
 
 
 @pytest.fixture(scope="module")

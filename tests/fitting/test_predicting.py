@@ -14,7 +14,7 @@ from fitting.prediction.outcomes import MEASURES, outcomes
 from fitting.prediction.predicting import predict
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
-from pftwin import LinearImplicit, rig, simulate
+from pftwin import BDF2, rig, simulate
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
 from pftwin.model.measured import SYNTHETIC
@@ -43,7 +43,7 @@ def test_medialisation_cures_case_2(case_2):
 
 @pytest.mark.slow
 def test_a_member_is_what_simulate_gives(case_2):
-    one = outcomes(simulate(tibial_tuberosity_transfer(rig.case(2), 0.010), dt=DT, integrator=LinearImplicit()))
+    one = outcomes(simulate(tibial_tuberosity_transfer(rig.case(2), 0.010), dt=DT, integrator=BDF2()))
     member = case_2.isel(variant=5)
     for name, measure in MEASURES.items():
         expected = np.degrees(one[name]) if measure.unit == "rad" else one[name]
@@ -124,12 +124,12 @@ def test_samples_spread_around_the_estimate(sampled, knee):
     assert np.ptp(force, axis=1).min() > 0.01  # N
     treated = Treatment.of(TRANSFER, medialisation=0.004, distalisation=0.003)(Fitted().apply(knee))
     assert force[3, 0] == pytest.approx(
-        outcomes(simulate(treated, dt=DT, integrator=LinearImplicit()))["mean_contact_force"], rel=1e-7
+        outcomes(simulate(treated, dt=DT, integrator=BDF2()))["mean_contact_force"], rel=1e-7
     )
     draw = Fitted().apply(knee, Fitted().samples(6, 3)[1])
     treated = Treatment.of("quadriceps_lengthening", lengthening=0.004)(draw)
     assert force[8, 2] == pytest.approx(
-        outcomes(simulate(treated, dt=DT, integrator=LinearImplicit()))["mean_contact_force"], rel=1e-7
+        outcomes(simulate(treated, dt=DT, integrator=BDF2()))["mean_contact_force"], rel=1e-7
     )
 
 
@@ -158,7 +158,7 @@ def test_members_that_cannot_be_simulated_are_marked(knee):
 def test_trajectories_come_along_where_wanted(knee, tmp_path):
     found = predict(knee, grid(TRANSFER, medialisation=[0.0, 0.01]), dt=DT, trajectories=True)
     assert found["sphere_center"].dims == ("variant", "time", "axis")
-    result = simulate(tibial_tuberosity_transfer(knee, 0.01), dt=DT, integrator=LinearImplicit())
+    result = simulate(tibial_tuberosity_transfer(knee, 0.01), dt=DT, integrator=BDF2())
     np.testing.assert_allclose(found["sphere_center"].values[1], result.center, atol=1e-9)
     np.testing.assert_allclose(found["force_lateral"].values[1], result.effects["contact"]["force_lateral"], atol=1e-5)
     np.testing.assert_allclose(found["patella_tilt"].values[1], np.degrees(result.angles.tilt), atol=1e-6)

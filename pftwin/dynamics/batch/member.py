@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -24,6 +24,7 @@ from pftwin.dynamics.state import System
 from pftwin.dynamics.status import FLAGS
 from pftwin.model.scene import Scene
 
+Found = TypeVar("Found")
 Outcome = Callable[[Scene, Observation], dict[str, Array]]
 
 
@@ -70,11 +71,9 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
 
     error = None
     if task.estimate:
-        n, others = task.substeps, jnp.where(task.substeps > 1, task.substeps // 2, 2)
-        both = jax.lax.map(run, jnp.stack([n, others]))
-        (seen, status, whole), (other, _, _) = (jax.tree.map(lambda a, i=i: a[i], both) for i in (0, 1))
-        ratio = n.astype(float) / others.astype(float)
-        error = error_of(seen.course(), other.course(), task.integrator.order, ratio, jnp)
+        (seen, status, whole), error = run_with_error(
+            run, lambda found: found[0].course(), task.substeps, task.integrator.order
+        )
         status = status | error.flags.astype(status.dtype)
     else:
         seen, status, whole = run(task.substeps)
@@ -90,6 +89,24 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
         "own": own,
         "courses": seen.courses(status) if task.courses else {},
     }
+
+
+def run_with_error(
+    run: Callable[[Array], Found], course: Callable[[Found], Course], substeps: Array, order: float
+) -> tuple[Found, ErrorEstimate]:
+    """A run and the error of its steps, told from a second run in twice the step, or half where it has but one.
+
+    Args:
+        run: computes, by steps between two frames. It is compiled once.
+        course: what the estimate compares.
+        substeps: steps between two frames, ().
+        order: of the integrator.
+    """
+    others = jnp.where(substeps > 1, substeps // 2, 2)
+    both = jax.lax.map(run, jnp.stack([substeps, others]))
+    found, other = (jax.tree.map(lambda a, i=i: a[i], both) for i in (0, 1))
+    ratio = substeps.astype(float) / others.astype(float)
+    return found, error_of(course(found), course(other), order, ratio, jnp)
 
 
 def frames_with_flags(status: Array) -> Array:
@@ -120,7 +137,7 @@ class _Kept(NamedTuple):
     def course(self) -> Course:
         """What an estimate of the error compares."""
         force = jnp.stack(self.push[:3], axis=-1)
-        return Course(_rows(self.center), _quaternions(self.patella.orientation), force, *self.push[3:])
+        return Course(rows(self.center), quaternions(self.patella.orientation), force, *self.push[3:])
 
     def summary(self) -> dict[str, Scalar]:
         """Of the whole motion."""
@@ -141,18 +158,20 @@ class _Kept(NamedTuple):
     def courses(self, status: Array) -> dict[str, Array]:
         """Frame by frame."""
         return {
-            "sphere_center": _rows(self.center),
-            "patella_position": _rows(self.patella.position),
-            "patella_quaternion": _quaternions(self.patella.orientation),
+            "sphere_center": rows(self.center),
+            "patella_position": rows(self.patella.position),
+            "patella_quaternion": quaternions(self.patella.orientation),
             "frame_status": status,
         }
 
 
-def _quaternions(q: Quaternion) -> Array:
+def quaternions(q: Quaternion) -> Array:
+    """(..., 4)."""
     return jnp.stack([q.w, q.x, q.y, q.z], axis=-1)
 
 
-def _rows(v: Vec3) -> Array:
+def rows(v: Vec3) -> Array:
+    """(..., 3)."""
     return jnp.stack([v.x, v.y, v.z], axis=-1)
 
 

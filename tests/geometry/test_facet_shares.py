@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import RADIUS, J, contact, look, patch_of, vec
 
+from pftwin.base.spatial import Vec3
 from pftwin.geometry.contact.mesh_facets import FacetPoint
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.effects.contact_law import Hertz
@@ -88,6 +90,24 @@ def test_facets_of_different_depth_store_what_the_section_says(beside):
     up = (stored(beside, height - step) - stored(beside, height + step)) / (2 * step)
     assert float(report["force_z"]) == pytest.approx(up, rel=3e-3)
     assert float(report["force_y"]) == pytest.approx(across, abs=0.02 * up)
+
+
+@pytest.mark.parametrize("beside", [3e-6, 2e-5, 3e-4], ids=["both_alike", "one_deeper", "one_alone"])
+def test_forces_have_their_derivatives(beside):
+    terms, height = two_humps(0.2, 8e-5)
+    effect = contact(Hertz(J(K)), groove(terms))
+
+    @eqx.filter_jit
+    def forces(place):
+        now = eqx.tree_at(lambda n: n.patella.position, look(), Vec3(place[0], place[1], place[2]))
+        report = effect.observe(now, effect.remember(now))
+        return jnp.stack([report[f"force_{part}"] for part in ("x", "y", "z", "medial", "lateral")])
+
+    place, step = J([0.0, beside, height]), 1e-9 * np.eye(3)[1:]
+    expected = np.stack([(forces(place + s) - forces(place - s)) / 2e-9 for s in step], axis=1)
+    for derivatives in (jax.jacfwd, jax.jacrev):
+        found = eqx.filter_jit(derivatives(forces))(place)[:, 1:]
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def point(y: float, distance: float = RADIUS, on_seam: bool = False) -> FacetPoint:

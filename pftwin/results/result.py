@@ -45,12 +45,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Energies:
-    """The energy budget over the frames, (n,) each [J]. Work and heat are None where no account was kept."""
+    """The energy budget over the frames, (n,) each [J]: `pftwin.dynamics.ledger`.
+
+    Work, heat and numerical dissipation are None where no account was kept.
+    """
 
     kinetic: Floats
     stored: dict[str, Floats]  # by effect
     work: Floats | None  # put in by guided bodies and known pulls since the start
     heat: Floats | None  # taken out by damping since the start
+    numerical_dissipation: Floats | None  # taken out by the steps themselves since the start; negative: put in
 
     @property
     def total(self) -> Floats:
@@ -59,10 +63,10 @@ class Energies:
 
     @property
     def budget_error(self) -> Floats | None:
-        """Energy that no effect accounts for; the integrator's steps lost it where negative."""
-        if self.work is None or self.heat is None:
+        """What is left over: the account's own error, of second order in the step."""
+        if self.work is None or self.heat is None or self.numerical_dissipation is None:
             return None
-        return self.total - self.total[0] - self.work + self.heat
+        return self.total - self.total[0] - self.work + self.heat + self.numerical_dissipation
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,7 +113,7 @@ class Result:
             scene: what was simulated.
             start: the equilibrium it started from.
             seen: its observation.
-            ledger: work and heat at the frames, where an account was kept.
+            ledger: the energy account at the frames, where one was kept.
             relaxed: whether damped relaxation helped to find the starting equilibrium.
             settings: integrator, "dt_s", "substeps".
             timing: "equilibrium_s", "run_s", "estimate_s", "compile_s".
@@ -118,7 +122,13 @@ class Result:
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
         contact, lines = scene.contact, [e.line_element() for e in scene.effects]
-        work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
+        kinetic, account = _double(seen.kinetic_energy), (None, None, None)
+        if ledger is not None:
+            account = (
+                _double(ledger.work),
+                _double(ledger.heat),
+                _double(ledger.numerical_dissipation(seen.kinetic_energy)),
+            )
         stored = {name: _double(energy) for name, energy in seen.potential_energy.items()}
         return cls(
             scene_name=scene.name,
@@ -130,7 +140,7 @@ class Result:
             effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
             observables={e.name: dict(type(e).observables) for e in scene.effects},
             groups={line.name: line.count for line in lines if line is not None and line.count is not None},
-            energies=Energies(_double(seen.kinetic_energy), stored, work, heat),
+            energies=Energies(kinetic, stored, *account),
             flags=np.asarray(seen.status, dtype=np.int32) | (0 if error is None else error.flags),
             equilibrium=EquilibriumReport.build(scene, start, relaxed, there=first),
             contact=None if contact is None else contact.name,

@@ -25,6 +25,7 @@ from pftwin.dynamics.equilibrium_report import EquilibriumReport, on_host
 from pftwin.dynamics.error_estimate import ErrorEstimate
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation
+from pftwin.dynamics.rebound import Impact
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.base import Observable
 from pftwin.model.motion import KneeMotion
@@ -93,6 +94,7 @@ class Result:
     scene: Scene = field(repr=False)  # what was simulated; what a file keeps of it: `pftwin.results.scene_geometry`
     constraint_drift: float | None = None  # largest, where the integrator has constraints to keep [m]
     error: ErrorEstimate | None = None  # of the steps, by estimate; None where nothing was run to tell it from
+    impact: Impact | None = None  # the hardest approach and its rebound; None without a contact law or an account
 
     @classmethod
     def build(
@@ -106,6 +108,7 @@ class Result:
         settings: dict[str, Any],
         timing: dict[str, float],
         error: ErrorEstimate | None = None,
+        impact: Impact | None = None,
     ) -> Result:
         """The result from what the compiled program returned for one scene.
 
@@ -118,6 +121,7 @@ class Result:
             settings: integrator, "dt_s", "substeps".
             timing: "equilibrium_s", "run_s", "estimate_s", "compile_s".
             error: estimated error of its steps; frames where it is large are flagged.
+            impact: the hardest approach of its contact.
         """
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
@@ -151,6 +155,7 @@ class Result:
             scene=scene,
             constraint_drift=None if seen.drift is None else float(np.max(seen.drift)),
             error=error,
+            impact=impact,
         )
 
     @cached_property
@@ -288,6 +293,8 @@ class Result:
         counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
         said = {f: f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n}
         remarks = [f"remark: {words}" for f, words in said.items() if f in REMARKS]
+        if self.impact is not None and self.impact.unresolved:
+            remarks.append(f"remark: restitution: {self.impact.describe()}")
         marks = [f"status: {words}" for f, words in said.items() if f not in REMARKS]
         lines = [f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s"]
         lines.append(f"start: {self.equilibrium.description}")

@@ -76,6 +76,10 @@ class Contact(Effect):
         """A smooth surface that tells where the groove is: the contact's own, or a stand-in; None without any."""
         return None
 
+    def normal_law(self) -> ContactLaw | None:
+        """The law from indentation and its rate to a force; None where there is none of a single force."""
+        return None
+
     def fitted_surface(self) -> Surface | None:
         """The smooth surface that the button touches; None where it touches a mesh."""
         return None
@@ -239,6 +243,10 @@ class ButtonSphere(Contact):
         """The law's force at a nearest point; the normal is in the femur's axes, `rate` that of the indentation."""
         indentation = self.radius - at.distance
         return Touch(at, indentation, share, self.push(now, normal, indentation, rate, approach_speed, share))
+
+    def normal_law(self) -> ContactLaw:
+        """See `Contact`."""
+        return self.law
 
     def tracked_point(self) -> Vec3:
         """The sphere's centre."""

@@ -31,9 +31,10 @@ class Powers(NamedTuple):
     """The powers of an instant."""
 
     work: Scalar  # of guided bodies and known pulls [W]
-    heat: Scalar  # of damping [W]
+    heat: Scalar  # of damping between bodies [W]
     lossy: Scalar  # on the patella, of what has no potential: known pulls and damping [W]
     potential: Wrench  # what has one: force in world axes [N], moment in patella axes [N m]
+    inner: Scalar  # heat inside of effects, which give its mean over the step [W]
 
     @staticmethod
     def of(loads: Sequence[Load], looked: Twist, velocity: Twist) -> Powers:
@@ -45,7 +46,7 @@ class Powers(NamedTuple):
             velocity: its velocities.
         """
         zero = jnp.zeros_like(velocity.linear.x)
-        work, heat, lossy, potential = zero, zero, zero, _no_load(zero)
+        work, heat, lossy, inner, potential = zero, zero, zero, zero, _no_load(zero)
         for load in loads:
             if load.wrench is not None and load.energy is not None:
                 potential = potential + load.wrench
@@ -66,7 +67,7 @@ class Powers(NamedTuple):
                 work, lossy = work + bed.wrench().power(under), lossy + damped.power(velocity)
                 heat, potential = heat - damped.power(velocity.plus(-1.0, under)), potential + elastic
             if load.heat is not None:
-                heat = heat + load.heat
+                inner = inner + load.heat
             for term in load.stiff:
                 driven = term.rate + term.direction.dot(looked.linear) + term.moment.dot(looked.angular)
                 along = term.direction.dot(velocity.linear) + term.moment.dot(velocity.angular)
@@ -74,7 +75,7 @@ class Powers(NamedTuple):
                 work, lossy = work + jnp.sum(term.force * driven), lossy + jnp.sum(damped * along)
                 heat = heat + jnp.sum(damped * (driven - along))
                 potential = potential + eqx.tree_at(lambda t: t.force, term, term.elastic).wrench()
-        return Powers(work, heat, lossy, potential)
+        return Powers(work, heat, lossy, potential, inner)
 
 
 class Ledger(eqx.Module):
@@ -91,7 +92,7 @@ class Ledger(eqx.Module):
     def opened(like: Scalar) -> Ledger:
         """Nothing yet, in the float type of `like`."""
         zero = jnp.zeros_like(like)
-        return Ledger(zero, zero, zero, Powers(zero, zero, zero, _no_load(zero)), zero, zero)
+        return Ledger(zero, zero, zero, Powers(zero, zero, zero, _no_load(zero), zero), zero, zero)
 
     def entered(
         self, before: State, after: State, loads: Sequence[Load], step: Scalar, looked: Twist | None = None
@@ -114,7 +115,8 @@ class Ledger(eqx.Module):
         known = 0.5 * self.begun
         mean = jax.tree.map(lambda last, now: now + known * (last - now), self.last, now)
         done = step * mean.lossy + mean.potential.power(moved)
-        sums = (self.work + step * mean.work, self.heat + step * mean.heat, self.done + done)
+        heat = step * (mean.heat + now.inner)
+        sums = (self.work + step * mean.work, self.heat + heat, self.done + done)
         lost = looked.plus(-1.0, Twist(before.velocity, before.spin))
         approach = jnp.maximum(self.approach, _fastest_approach(loads, lost))
         return Ledger(*sums, now, jnp.ones_like(known), approach)

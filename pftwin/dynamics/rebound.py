@@ -128,10 +128,7 @@ class Impact:
     def describe(self) -> str:
         """In a sentence."""
         if self.speed <= self.slow:
-            return (
-                f"contacts close at {self.speed:.2g} m/s at most, below {self.slow:.2g} m/s: the restitution that is"
-                " set does not act"
-            )
+            return f"contacts close at {self.speed:.2g} m/s at most, too slow for it to act (below {self.slow:.2g} m/s)"
         return (
             f"contacts close at up to {self.speed:.2g} m/s, of which the law returns {self.law:.2f} and steps of"
             f" {1e3 * self.step:g} ms {self.steps:.2f}"

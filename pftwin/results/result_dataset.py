@@ -79,6 +79,8 @@ def attributes_of(result: Result) -> dict[str, Any]:
     }
     if result.scene.synthetic:
         attributes["note"] = SYNTHETIC
+    if result.impact is not None:
+        attributes["restitution"] = result.impact.describe()
     if result.constraint_drift is not None:
         attributes["largest_constraint_drift_m"] = result.constraint_drift
     plain = {k: plain_attribute(v) for k, v in result.settings.items()}

@@ -124,7 +124,8 @@ class Diffrax(Integrator):
             if ledger is not None:
                 twist = Twist(now.velocity, now.spin)
                 powers = Powers.of(loads, twist, twist)
-                rates.append(jnp.stack([powers.work, powers.heat, powers.lossy + powers.potential.power(twist)]))
+                done = powers.lossy + powers.potential.power(twist)
+                rates.append(jnp.stack([powers.work, powers.heat + powers.inner, done]))
             return jnp.concatenate(rates)
 
         books = [] if ledger is None else [jnp.stack([ledger.work, ledger.heat, ledger.done])]

@@ -152,8 +152,8 @@ with mpl.rc_context(STYLE):
 figure
 
 # %% [markdown]
-# How would you know, without a second run to compare with? By the **energy budget**, which every result has: it tells the
-# heat of damping apart from what the steps themselves took, or gave. Here the drop was worth 3.5 mJ. And
+# How would you know, without a second run to compare with? By the **energy budget**, which every result has: it tells
+# the heat of damping apart from what the steps themselves took, or gave. Here the drop was worth 3.5 mJ. And
 # `pftwin.simulate` remarks on impacts that its steps are too long for, with the rebound that they can give.
 
 # %%

@@ -9,13 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import MASS, G, J, energies, gravity, order_of, record, state_at, system, tendon, vec
+from scenes import MASS, RADIUS, G, J, contact, energies, gravity, order_of, record, state_at, system, tendon, vec
 
 from pftwin.base.spatial import Quaternion, Twist, Wrench
 from pftwin.dynamics.integrators import BDF2, LinearImplicit, Newmark
 from pftwin.dynamics.ledger import Ledger, Powers
 from pftwin.dynamics.state import State
-from pftwin.model.effects.base import Drag, Load
+from pftwin.model.effects.base import Drag, Load, StiffTerm
+from pftwin.model.effects.contact_law import Hertz
 
 K, SLACK, THROWN, DURATION = 200.0, 0.05, 0.004, 0.35
 W = np.sqrt(K / MASS)
@@ -58,6 +59,15 @@ def test_the_average_acceleration_takes_nothing():
     assert np.abs(lost).max() < 1e-12
 
 
+@pytest.mark.parametrize("integrator", [LinearImplicit(), BDF2()], ids=lambda i: i.text)
+def test_an_elastic_contact_makes_no_heat_however_it_opens_within_a_step(integrator):
+    """A weight bounces on it in steps as long as the impact, which take much of its energy."""
+    sys = system(gravity(), contact(Hertz(J(2e8))))
+    states, ledger = record(sys, state_at(sys, (0, 0, RADIUS + 0.003)), J(1e-3), 100, integrator)
+    assert np.count_nonzero(np.diff(np.sign(states.velocity.z))) >= 2
+    assert not np.asarray(ledger.heat).any()
+
+
 @pytest.mark.parametrize(("integrator", "order"), [(LinearImplicit(), 1), (BDF2(), 2)], ids=lambda x: str(x))
 def test_heat_and_numerical_dissipation_converge_with_the_integrators_order(integrator, order):
     """A damped swing loses its energy as heat: E(0) - E(t) of the closed form, and the step's own share vanishes."""
@@ -94,6 +104,21 @@ def test_a_medium_that_moves_does_work_and_a_known_pull_too():
         Powers.of([Load(drag=told)], looked, body)[:3], Powers.of([Load(drag=drag)], body, body), strict=False
     ):
         assert float(a) == pytest.approx(float(b))
+
+
+def test_the_fastest_approach_is_that_of_contacts_that_push_from_the_steps_start():
+    """A term says how fast it closes with the velocity that it was told: 0.3 of 0.5 m/s, of which 0.4 there were."""
+    nothing, z = _along(0.0), _along(1.0)
+    push = StiffTerm(z, nothing, J(5.0), J(5.0), J(1e4), J(0.0), J(0.3), unilateral=True)
+    none = eqx.tree_at(lambda t: (t.force, t.rate), push, (J(0.0), J(9.0)))
+    tied = StiffTerm(z, nothing, J(5.0), J(5.0), J(1e4), J(0.0), J(9.0))
+    before, after = (State(nothing, Quaternion.identity(), _along(v), nothing, ()) for v in (-0.4, -0.1))
+    looked = Twist(_along(-0.5), nothing)
+    ledger = Ledger.opened(J(0.0)).entered(before, after, [Load(stiff=(push, none, tied))], J(1e-3), looked)
+    assert float(ledger.approach) == pytest.approx(0.3 - 0.1)
+    slower = eqx.tree_at(lambda t: t.rate, push, J(0.1))
+    later = ledger.entered(before, after, [Load(stiff=(slower,))], J(1e-3), looked)
+    assert float(later.approach) == pytest.approx(0.2)
 
 
 def test_powers_are_summed_by_trapezoids_and_potential_forces_along_the_displacement():

@@ -169,6 +169,11 @@ def test_energy_budget_adds_up(result, data):
     assert np.abs(data["energy_budget_error"]).max() < 0.05 * np.abs(change).max()
 
 
+def test_a_file_says_how_fast_contacts_close(result, data):
+    assert data.attrs["restitution"] == result.impact.describe()
+    assert data.attrs["restitution"].startswith("contacts close at ")
+
+
 def test_groove_offset_is_measured_from_the_bottom(result):
     np.testing.assert_allclose(result.groove[1], result.center[:, 1] - GROOVE_AT, atol=1e-9)
     assert not result.dislocations().dislocated.any()

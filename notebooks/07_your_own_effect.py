@@ -139,8 +139,8 @@ for y in (-0.010, 0.004, 0.0051, 0.020):
     assert np.isclose(force, slope, rtol=1e-12, atol=1e-12)
 
 # %% [markdown]
-# **The budget closes.** Kinetic and stored energy, less the work of femur and tibia, plus the heat of damping, stay
-# what they were at the start, up to what the steps themselves damp away: that share shrinks with the step.
+# **The budget closes.** Kinetic and stored energy, less the work of femur and tibia, plus the heat of damping and what
+# the steps themselves take, stay what they were at the start, up to an error that shrinks with the square of the step.
 
 # %%
 lost = {}

@@ -139,7 +139,7 @@ def record(sys: System, state: State, step, count: int, integrator: Integrator =
         after = chosen.advance(sys, carry[0], still_guide_at, step, carry[1])
         return after, after
 
-    return jax.lax.scan(one, (state, Ledger(zero, zero)), None, length=count)[1]
+    return jax.lax.scan(one, (state, Ledger.opened(zero)), None, length=count)[1]
 
 
 def oscillator_errors(counts, integrator: Integrator) -> tuple[list[float], float]:

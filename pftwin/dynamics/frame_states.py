@@ -171,7 +171,7 @@ def _run(scene: Scene, chosen: Integrator, substeps: int | Scalar, start: Soluti
     step = motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
     first = Guide.sample(motion, jnp.asarray(motion.start_time, dtype=float))
     state = chosen.begin(system, starting_state(scene, start), first, step)
-    carry: Carry = (state, Ledger(jnp.zeros_like(step), jnp.zeros_like(step)) if ledger else None)
+    carry: Carry = (state, Ledger.opened(step) if ledger else None)
 
     @partial(jax.checkpoint, prevent_cse=False)
     def from_rows(pose: Array, rest: Array, index: Scalar) -> Carry:

@@ -1,92 +1,144 @@
-"""The two running sums of the energy budget: work of guided bodies and prescribed tensions, and heat of damping.
+"""The running sums of the energy budget: work put in, heat of damping, and what all forces do on the patella.
 
-The remainder, (T + V) - (T + V at the start) - work + heat, is the integrator's error; where it is negative, the method
-itself dissipated energy. It tends to zero with the step.
+Forces and powers are those at the end of each step, summed by trapezoids. Forces that have a potential do their work
+along the step's own displacement, whatever its velocities are, so what they do is what they store less. With T kinetic
+and V stored energy,
+
+    numerical dissipation = work done on the patella - (T - T at the start),
+    remainder = (T + V) - (T + V at the start) - work + heat + numerical dissipation.
+
+The laws of motion make the first zero: it is what the step's own formula takes, or creates where it is negative, of the
+integrator's order. The second is the trapezoids' own error, of second order. Heat is the power of dashpots alone, both
+of whose forces, damped and elastic, are of one instant: of two, heat would contain what springs store in between.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from pftwin.base.spatial import Scalar, Twist, Vec3
+from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
 from pftwin.dynamics.state import State
-from pftwin.model.effects.base import AggregateStiffness, Drag, Load
+from pftwin.model.effects.base import Load
+
+
+class Powers(NamedTuple):
+    """The powers of an instant."""
+
+    work: Scalar  # of guided bodies and known pulls [W]
+    heat: Scalar  # of damping between bodies [W]
+    lossy: Scalar  # on the patella, of what has no potential: known pulls and damping [W]
+    potential: Wrench  # what has one: force in world axes [N], moment in patella axes [N m]
+    inner: Scalar  # heat inside of effects, which give its mean over the step [W]
+
+    @staticmethod
+    def of(loads: Sequence[Load], looked: Twist, velocity: Twist) -> Powers:
+        """The powers of loads on a patella with a velocity.
+
+        Args:
+            loads: with their forces at that velocity.
+            looked: the patella's velocities that the loads were told.
+            velocity: its velocities.
+        """
+        zero = jnp.zeros_like(velocity.linear.x)
+        work, heat, lossy, inner, potential = zero, zero, zero, zero, _no_load(zero)
+        for load in loads:
+            if load.wrench is not None and load.energy is not None:
+                potential = potential + load.wrench
+            elif load.wrench is not None:
+                power = load.wrench.power(velocity)
+                work, lossy = work + power, lossy + power
+            if load.drag is not None:
+                drag = load.drag
+                medium = looked.plus(-1.0, Twist(drag.velocity, drag.spin))
+                through = velocity.plus(-1.0, medium)
+                pull = eqx.tree_at(lambda d: (d.velocity, d.spin), drag, (through.linear, through.angular)).wrench()
+                work, lossy = work + pull.power(medium), lossy + pull.power(velocity)
+                heat = heat - pull.power(through)
+            if load.bed is not None:
+                bed = load.bed
+                under = looked.plus(-1.0, Twist(bed.velocity, bed.spin))
+                elastic, damped = (_wrench(w) for w in (bed.elastic, bed.force - bed.elastic))
+                work, lossy = work + bed.wrench().power(under), lossy + damped.power(velocity)
+                heat, potential = heat - damped.power(velocity.plus(-1.0, under)), potential + elastic
+            if load.heat is not None:
+                inner = inner + load.heat
+            for term in load.stiff:
+                driven = term.rate + term.direction.dot(looked.linear) + term.moment.dot(looked.angular)
+                along = term.direction.dot(velocity.linear) + term.moment.dot(velocity.angular)
+                damped = term.force - term.elastic
+                work, lossy = work + jnp.sum(term.force * driven), lossy + jnp.sum(damped * along)
+                heat = heat + jnp.sum(damped * (driven - along))
+                potential = potential + eqx.tree_at(lambda t: t.force, term, term.elastic).wrench()
+        return Powers(work, heat, lossy, potential, inner)
 
 
 class Ledger(eqx.Module):
-    """Running sums since the start [J]."""
+    """Running sums since the start [J], and the powers at the end of the last step."""
 
-    work: Scalar
-    heat: Scalar
+    work: Scalar  # of guided bodies and known pulls
+    heat: Scalar  # of damping
+    done: Scalar  # by all forces on the patella
+    last: Powers
+    begun: Scalar  # 0 before the first step, whose powers at the start are not known, then 1
+    approach: Scalar  # the fastest so far at which something one-sided, a contact, came nearer and pushed [m/s]
+
+    @staticmethod
+    def opened(like: Scalar) -> Ledger:
+        """Nothing yet, in the float type of `like`."""
+        zero = jnp.zeros_like(like)
+        return Ledger(zero, zero, zero, Powers(zero, zero, zero, _no_load(zero), zero), zero, zero)
 
     def entered(
-        self,
-        before: State,
-        after: State,
-        loads: Sequence[Load],
-        applied: Sequence[Scalar] | None,
-        at: float,
-        step: Scalar,
-        looked: Twist | None = None,
+        self, before: State, after: State, loads: Sequence[Load], step: Scalar, looked: Twist | None = None
     ) -> Ledger:
         """The ledger after one more step.
 
         Args:
             before: state at the step's start.
             after: at its end.
-            loads: of the step.
-            applied: the forces that the stiff terms had in the step, in the loads' order; None: those at mid-step.
-            at: the instant of the loads' elastic forces within the step: 0 its start, 1 its end.
+            loads: at its end, with the forces that they have there.
             step: its length [s].
-            looked: the patella's velocities at which the loads were evaluated; by default those of `before`.
+            looked: the patella's velocities that the loads were told; by default those of `after`.
         """
-        seen = Twist(before.velocity, before.spin) if looked is None else looked
-        velocity, spin = _midpoint(before.velocity, after.velocity), _midpoint(before.spin, after.spin)
-        work, heat, forces = self.work, self.heat, None if applied is None else iter(applied)
-        for load in loads:
-            if load.wrench is not None and load.energy is None:
-                w = load.wrench
-                work = work + step * (w.force.dot(velocity) + w.moment.dot(spin))
-            if load.drag is not None:
-                put_in, lost = _drag_power(load.drag, seen, before, after, Twist(velocity, spin), at)
-                work, heat = work + step * put_in, heat + step * lost
-            if load.bed is not None:
-                put_in, lost = _bedded(load.bed, seen, Twist(velocity, spin), at, step)
-                work, heat = work + step * put_in, heat + step * lost
-            if load.heat is not None:
-                heat = heat + step * load.heat
-            for term in load.stiff:
-                guided = term.rate + term.direction.dot(seen.linear) + term.moment.dot(seen.angular)
-                rate = guided - term.direction.dot(velocity) - term.moment.dot(spin)
-                elastic = term.elastic + (0.5 - at) * step * term.stiffness * rate
-                force = term.force + (elastic - term.elastic) if forces is None else next(forces)
-                work = work + step * jnp.sum(force * guided)
-                heat = heat + step * jnp.sum((force - elastic) * rate)
-        return Ledger(work, heat)
+        end = Twist(after.velocity, after.spin)
+        looked = end if looked is None else looked
+        now = Powers.of(loads, looked, end)
+        turn = (before.orientation.conjugate() * after.orientation).rotation_vector()
+        moved = Twist(after.position - before.position, turn)
+
+        known = 0.5 * self.begun
+        mean = jax.tree.map(lambda last, now: now + known * (last - now), self.last, now)
+        done = step * mean.lossy + mean.potential.power(moved)
+        heat = step * (mean.heat + now.inner)
+        sums = (self.work + step * mean.work, self.heat + heat, self.done + done)
+        lost = looked.plus(-1.0, Twist(before.velocity, before.spin))
+        approach = jnp.maximum(self.approach, _fastest_approach(loads, lost))
+        return Ledger(*sums, now, jnp.ones_like(known), approach)
+
+    def numerical_dissipation(self, kinetic: Scalar) -> Scalar:
+        """Of a ledger over the frames, by the patella's kinetic energy there, (n,) each [J]."""
+        return self.done - (kinetic - kinetic[0])
 
 
-def _drag_power(drag: Drag, seen: Twist, before: State, after: State, mean: Twist, at: float) -> tuple[Scalar, Scalar]:
-    """Power that the moving medium puts in and power lost, with the drag's force at the instant `at` of the step."""
-    moving, turning = seen.linear - drag.velocity, seen.angular - drag.spin
-    ahead = [
-        start + at * (end - start) - own
-        for start, end, own in ((before.velocity, after.velocity, moving), (before.spin, after.spin, turning))
-    ]
-    w = Drag(drag.translational, drag.rotational, *ahead).wrench()
-    put_in = w.force.dot(moving) + w.moment.dot(turning)
-    return put_in, -w.force.dot(mean.linear - moving) - w.moment.dot(mean.angular - turning)
+def _fastest_approach(loads: Sequence[Load], lost: Twist) -> Scalar:
+    """Of one-sided forces that push, with the velocities at the step's start: `lost` since less than was looked at."""
+    fastest = jnp.zeros_like(lost.linear.x)
+    for term in (term for load in loads for term in load.stiff if term.unilateral):
+        rate = term.rate + term.direction.dot(lost.linear) + term.moment.dot(lost.angular)
+        fastest = jnp.maximum(fastest, jnp.max(jnp.where(term.force > 0, rate, 0.0)))
+    return fastest
 
 
-def _bedded(bed: AggregateStiffness, seen: Twist, mean: Twist, at: float, step: Scalar) -> tuple[Scalar, Scalar]:
-    """Power that the guided body under the foundation puts in and power lost, with the foundation's force as it is."""
-    guided = jnp.concatenate([(seen.linear - bed.velocity).array(), (seen.angular - bed.spin).array()])
-    twist = jnp.concatenate([mean.linear.array(), mean.angular.array()]) - guided
-    elastic = bed.elastic - (0.5 - at) * step * bed.stiffness @ twist
-    return bed.force @ guided, (elastic - bed.force) @ twist
+def _no_load(zero: Scalar) -> Wrench:
+    nothing = Vec3(zero, zero, zero)
+    return Wrench(nothing, nothing)
 
 
-def _midpoint(a: Vec3, b: Vec3) -> Vec3:
-    return 0.5 * (a + b)
+def _wrench(six: Array) -> Wrench:
+    return Wrench(Vec3.from_array(six[:3]), Vec3.from_array(six[3:]))

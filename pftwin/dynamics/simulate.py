@@ -30,6 +30,7 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
+from pftwin.dynamics.rebound import impact_of
 from pftwin.dynamics.relaxation import ended_far_away, relax
 from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
@@ -209,7 +210,9 @@ class _Runs:
             "estimate_s": self._time - choice.run.run,  # of the runs with other steps
             "compile_s": self._ahead + self._start.preparation + self._preparation,
         }
-        start = self._start.answer
+        start, impact = self._start.answer, None
+        if ledger is not None:
+            impact = impact_of(self._scene, self._integrator, settings["dt_s"], float(ledger.approach[-1]))
         return Result.build(
             self._scene,
             start,
@@ -219,6 +222,7 @@ class _Runs:
             settings=settings,
             timing=timing,
             error=choice.error,
+            impact=impact,
         )
 
 

@@ -127,7 +127,7 @@ def _snapped(snaps: Array | None) -> Array | int:
 def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Scalar) -> Array:
     """(n,): whether by a frame kinetic and stored energy, less the work done, have risen above what was left of them.
 
-    Heat only lowers them, so its account plays no part; that of work is of first order in the step.
+    Heat only lowers them, so its account plays no part; that of work is of second order in the step.
     """
     changes = [kinetic, work, *(energy - energy[0] for energy in stored.values())]
     total = sum(stored.values(), start=kinetic)

@@ -46,6 +46,7 @@ class Trajectory(eqx.Module):
     stored_energy: dict[str, Scalar]  # by effect
     work: Scalar | None  # put in by guided bodies and known pulls since the start; None where no account was kept
     heat: Scalar | None  # taken out by damping since the start
+    numerical_dissipation: Scalar | None  # taken out by the steps themselves since the start; negative: put in
     flags: Array  # (n,) int, bits of `pftwin.Status`: 0 is a frame that may be trusted
     start_residual: Scalar  # () of the equilibrium at the start
     units: ClassVar[dict[str, str]] = {
@@ -64,6 +65,7 @@ class Trajectory(eqx.Module):
         "stored_energy": "J",
         "work": "J",
         "heat": "J",
+        "numerical_dissipation": "J",
         "start_residual": "N",
     }
 
@@ -137,7 +139,7 @@ def _computed(
 ) -> Trajectory:
     start = starting_equilibrium(scene) if start is None else start
     states = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy_budget)
-    seen = observe(scene, states)
+    seen, books = observe(scene, states), states.ledger
     times, contact = scene.motion.frame_times(), scene.contact
     nothing = jnp.zeros_like(seen.center.x)
     report = {} if contact is None else seen.effects[contact.name]
@@ -155,8 +157,9 @@ def _computed(
         lengths={n: seen.effects[n]["length"] for n in lines if "length" in seen.effects[n]},
         kinetic_energy=seen.kinetic_energy,
         stored_energy=seen.potential_energy,
-        work=None if states.ledger is None else states.ledger.work,
-        heat=None if states.ledger is None else states.ledger.heat,
+        work=None if books is None else books.work,
+        heat=None if books is None else books.heat,
+        numerical_dissipation=None if books is None else books.numerical_dissipation(seen.kinetic_energy),
         flags=seen.status,
         start_residual=start.residual,
     )

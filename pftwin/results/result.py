@@ -25,6 +25,7 @@ from pftwin.dynamics.equilibrium_report import EquilibriumReport, on_host
 from pftwin.dynamics.error_estimate import ErrorEstimate
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation
+from pftwin.dynamics.rebound import Impact
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.base import Observable
 from pftwin.model.motion import KneeMotion
@@ -45,12 +46,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Energies:
-    """The energy budget over the frames, (n,) each [J]. Work and heat are None where no account was kept."""
+    """The energy budget over the frames, (n,) each [J]: `pftwin.dynamics.ledger`.
+
+    Work, heat and numerical dissipation are None where no account was kept.
+    """
 
     kinetic: Floats
     stored: dict[str, Floats]  # by effect
     work: Floats | None  # put in by guided bodies and known pulls since the start
     heat: Floats | None  # taken out by damping since the start
+    numerical_dissipation: Floats | None  # taken out by the steps themselves since the start; negative: put in
 
     @property
     def total(self) -> Floats:
@@ -59,10 +64,10 @@ class Energies:
 
     @property
     def budget_error(self) -> Floats | None:
-        """Energy that no effect accounts for; the integrator's steps lost it where negative."""
-        if self.work is None or self.heat is None:
+        """What is left over: the account's own error, of second order in the step."""
+        if self.work is None or self.heat is None or self.numerical_dissipation is None:
             return None
-        return self.total - self.total[0] - self.work + self.heat
+        return self.total - self.total[0] - self.work + self.heat + self.numerical_dissipation
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,6 +94,7 @@ class Result:
     scene: Scene = field(repr=False)  # what was simulated; what a file keeps of it: `pftwin.results.scene_geometry`
     constraint_drift: float | None = None  # largest, where the integrator has constraints to keep [m]
     error: ErrorEstimate | None = None  # of the steps, by estimate; None where nothing was run to tell it from
+    impact: Impact | None = None  # the hardest approach and its rebound; None without a contact law or an account
 
     @classmethod
     def build(
@@ -102,6 +108,7 @@ class Result:
         settings: dict[str, Any],
         timing: dict[str, float],
         error: ErrorEstimate | None = None,
+        impact: Impact | None = None,
     ) -> Result:
         """The result from what the compiled program returned for one scene.
 
@@ -109,16 +116,23 @@ class Result:
             scene: what was simulated.
             start: the equilibrium it started from.
             seen: its observation.
-            ledger: work and heat at the frames, where an account was kept.
+            ledger: the energy account at the frames, where one was kept.
             relaxed: whether damped relaxation helped to find the starting equilibrium.
             settings: integrator, "dt_s", "substeps".
             timing: "equilibrium_s", "run_s", "estimate_s", "compile_s".
             error: estimated error of its steps; frames where it is large are flagged.
+            impact: the hardest approach of its contact.
         """
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
         contact, lines = scene.contact, [e.line_element() for e in scene.effects]
-        work, heat = (None, None) if ledger is None else (_double(ledger.work), _double(ledger.heat))
+        kinetic, account = _double(seen.kinetic_energy), (None, None, None)
+        if ledger is not None:
+            account = (
+                _double(ledger.work),
+                _double(ledger.heat),
+                _double(ledger.numerical_dissipation(seen.kinetic_energy)),
+            )
         stored = {name: _double(energy) for name, energy in seen.potential_energy.items()}
         return cls(
             scene_name=scene.name,
@@ -130,7 +144,7 @@ class Result:
             effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
             observables={e.name: dict(type(e).observables) for e in scene.effects},
             groups={line.name: line.count for line in lines if line is not None and line.count is not None},
-            energies=Energies(_double(seen.kinetic_energy), stored, work, heat),
+            energies=Energies(kinetic, stored, *account),
             flags=np.asarray(seen.status, dtype=np.int32) | (0 if error is None else error.flags),
             equilibrium=EquilibriumReport.build(scene, start, relaxed, there=first),
             contact=None if contact is None else contact.name,
@@ -141,6 +155,7 @@ class Result:
             scene=scene,
             constraint_drift=None if seen.drift is None else float(np.max(seen.drift)),
             error=error,
+            impact=impact,
         )
 
     @cached_property
@@ -278,6 +293,8 @@ class Result:
         counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
         said = {f: f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n}
         remarks = [f"remark: {words}" for f, words in said.items() if f in REMARKS]
+        if self.impact is not None and self.impact.unresolved:
+            remarks.append(f"remark: restitution: {self.impact.describe()}")
         marks = [f"status: {words}" for f, words in said.items() if f not in REMARKS]
         lines = [f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s"]
         lines.append(f"start: {self.equilibrium.description}")

@@ -79,6 +79,8 @@ def attributes_of(result: Result) -> dict[str, Any]:
     }
     if result.scene.synthetic:
         attributes["note"] = SYNTHETIC
+    if result.impact is not None:
+        attributes["restitution"] = result.impact.describe()
     if result.constraint_drift is not None:
         attributes["largest_constraint_drift_m"] = result.constraint_drift
     plain = {k: plain_attribute(v) for k, v in result.settings.items()}
@@ -143,10 +145,14 @@ def _energies(result: Result) -> Variables:
     for name, values in e.stored.items():
         found[f"stored_energy_{name}"] = (values, f"energy stored by {name.replace('_', ' ')}")
     found["total_energy"] = (e.total, "kinetic and stored energy")
-    if e.work is not None and e.heat is not None and e.budget_error is not None:
-        found["work"] = (e.work, "work of the guided bodies and of known pulls since the start")
-        found["heat"] = (e.heat, "energy lost in damping since the start")
-        found["energy_budget_error"] = (e.budget_error, "energy that no effect accounts for: the integrator's own")
+    taken = "energy that the integrator's steps took out since the start; negative: put in"
+    account = {
+        "work": (e.work, "work of the guided bodies and of known pulls since the start"),
+        "heat": (e.heat, "energy lost in damping since the start"),
+        "numerical_dissipation": (e.numerical_dissipation, taken),
+        "energy_budget_error": (e.budget_error, "energy that is left over: the error of the account itself"),
+    }
+    found |= {name: (values, text) for name, (values, text) in account.items() if values is not None}
     return {name: _row(values, "J", text) for name, (values, text) in found.items()}
 
 

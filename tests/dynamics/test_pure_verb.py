@@ -61,6 +61,8 @@ def test_it_is_what_simulate_gives() -> None:
     np.testing.assert_allclose(path.kinetic_energy, result.energies.kinetic, **close)
     np.testing.assert_allclose(path.work, result.energies.work, **close)
     np.testing.assert_allclose(path.heat, result.energies.heat, **close)
+    taken = result.energies.numerical_dissipation
+    np.testing.assert_allclose(path.numerical_dissipation, taken, **close)
     np.testing.assert_array_equal(path.flags, result.flags)
     fields = {f for f in dir(path) if not f.startswith("_")} - {"units", "patella", "effects", "flags"}
     assert fields == set(path.units)

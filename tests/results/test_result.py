@@ -47,7 +47,7 @@ UNITS = {  # written by hand, from docs/conventions.md: SI, and degrees for angl
     "gravity_weight patellar_tendon_tension quadriceps_tension estimated_error_contact_force "
     "estimated_error_medial_facet estimated_error_lateral_facet",
     "J": "kinetic_energy stored_energy_contact stored_energy_gravity stored_energy_patellar_tendon "
-    "stored_energy_quadriceps total_energy work heat energy_budget_error",
+    "stored_energy_quadriceps total_energy work heat numerical_dissipation energy_budget_error",
     "s": "time",
     "1": "patella_quaternion tibia_quaternion dislocated status axis component",
 }
@@ -112,6 +112,7 @@ def test_holds_what_the_issue_lists(data):
         "total_energy",
         "work",
         "heat",
+        "numerical_dissipation",
         "energy_budget_error",
         "status",
         "groove_offset",
@@ -162,8 +163,15 @@ def test_energy_budget_adds_up(result, data):
     stored = sum(data[f"stored_energy_{name}"].values for name in e.stored)
     np.testing.assert_allclose(data["total_energy"], data["kinetic_energy"] + stored, atol=1e-15)
     change = data["total_energy"] - data["total_energy"][0]
-    np.testing.assert_allclose(data["energy_budget_error"], change - data["work"] + data["heat"], atol=1e-15)
+    np.testing.assert_allclose(
+        data["energy_budget_error"], change - data["work"] + data["heat"] + data["numerical_dissipation"], atol=1e-15
+    )
     assert np.abs(data["energy_budget_error"]).max() < 0.05 * np.abs(change).max()
+
+
+def test_a_file_says_how_fast_contacts_close(result, data):
+    assert data.attrs["restitution"] == result.impact.describe()
+    assert data.attrs["restitution"].startswith("contacts close at ")
 
 
 def test_groove_offset_is_measured_from_the_bottom(result):

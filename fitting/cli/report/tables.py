@@ -149,9 +149,13 @@ def checks(run: ReportedRun) -> Sheet:
         for words, key, factor, digits, unit in _CHECKS
         if key in run.about
     ]
-    if "energy_budget_error" in run.data:
-        names = {"energy_budget_error": "largest energy that no effect accounts for", "work": "work put in, largest"}
-        rows += [(w, number(1e3 * np.nanmax(np.abs(run.data[n].values)), 3), "mJ") for n, w in names.items()]
+    names = {
+        "numerical_dissipation": "largest energy that the steps took or gave",
+        "energy_budget_error": "largest energy that no account explains",
+        "work": "work put in, largest",
+    }
+    kept = {name: run.data[name].values for name in names if name in run.data}
+    rows += [(names[name], number(1e3 * np.nanmax(np.abs(values)), 3), "mJ") for name, values in kept.items()]
     return Sheet(f"Simulation: {run.name}", ("check", "value", "unit"), tuple(rows))
 
 

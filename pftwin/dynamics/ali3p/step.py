@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.errors import InputError
-from pftwin.base.spatial import Scalar, Twist
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.ali3p.bodies import Bodies, driven_targets, guided_coordinates, masses
 from pftwin.dynamics.ali3p.natural_coordinates import (
     Driven,
@@ -138,5 +138,5 @@ class ALI3P(Integrator):
         after = given.bodies.state(place, rate, state)
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
         if ledger is not None:
-            ledger = ledger.entered(state, after, loads, None, 1.0, step, Twist(after.velocity, after.spin))
+            ledger = ledger.entered(state, after, loads, step)
         return after, ledger

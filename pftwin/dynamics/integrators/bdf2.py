@@ -86,7 +86,7 @@ class BDF2(Integrator):
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
         if ledger is not None:
             ends = [load_at_end(load, dv, span) for load in loads]
-            ledger = ledger.entered(state, after, ends, None, 1.0, step, expected)
+            ledger = ledger.entered(state, after, ends, step, expected)
         return after, ledger
 
 

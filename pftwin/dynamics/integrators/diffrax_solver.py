@@ -16,9 +16,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.errors import InputError
-from pftwin.base.spatial import Quaternion, Scalar, Vec3
+from pftwin.base.spatial import Quaternion, Scalar, Twist, Vec3
 from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
-from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.ledger import Ledger, Powers
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
 
 if TYPE_CHECKING:
@@ -122,12 +122,13 @@ class Diffrax(Integrator):
             turning = Quaternion.from_array(y[3:7]) * _half_spin(now.spin)
             rates = [now.velocity.array(), turning.array(), a.linear.array(), a.angular.array()]
             if ledger is not None:
-                zero = jnp.zeros_like(t)
-                books = Ledger(zero, zero).entered(now, now, loads, None, 0.5, jnp.ones_like(t))
-                rates.append(jnp.stack([books.work, books.heat]))
+                twist = Twist(now.velocity, now.spin)
+                powers = Powers.of(loads, twist, twist)
+                done = powers.lossy + powers.potential.power(twist)
+                rates.append(jnp.stack([powers.work, powers.heat + powers.inner, done]))
             return jnp.concatenate(rates)
 
-        books = [] if ledger is None else [jnp.stack([ledger.work, ledger.heat])]
+        books = [] if ledger is None else [jnp.stack([ledger.work, ledger.heat, ledger.done])]
         start = [state.position.array(), state.orientation.array(), state.velocity.array(), state.spin.array(), *books]
         chosen = solver_named(self.solver)
         if isinstance(chosen, diffrax.AbstractImplicitSolver):
@@ -154,7 +155,9 @@ class Diffrax(Integrator):
         failed = (found.result != diffrax.RESULTS.successful).astype(y.dtype)
         carried = DiffraxStep(step / jnp.maximum(found.stats["num_accepted_steps"], 1).astype(y.dtype), failed)
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
-        return after, None if ledger is None else Ledger(y[13], y[14])
+        if ledger is not None:
+            ledger = eqx.tree_at(lambda a: (a.work, a.heat, a.done), ledger, (y[13], y[14], y[15]))
+        return after, ledger
 
 
 def _half_spin(spin: Vec3) -> Quaternion:

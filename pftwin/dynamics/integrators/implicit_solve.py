@@ -100,7 +100,7 @@ def _at_end(term: StiffTerm, dv: list[Scalar], displacement_gain: Scalar) -> Sti
     elastic = term.elastic - displacement_gain * term.stiffness * change
     force = term.force - (displacement_gain * term.stiffness + term.damping) * change
     if term.unilateral:
-        force = jnp.maximum(force, 0.0)
+        force, elastic = jnp.maximum(force, 0.0), jnp.maximum(elastic, 0.0)
     return eqx.tree_at(lambda t: (t.force, t.elastic), term, (force, elastic))
 
 

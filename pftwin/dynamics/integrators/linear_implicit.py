@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import jax
 
-from pftwin.base.spatial import Scalar, Vec3, Wrench
+from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity, load_at_end
 from pftwin.dynamics.ledger import Ledger
@@ -44,5 +44,5 @@ class LinearImplicit(Integrator):
         after = advance(state, state.velocity + Vec3(*dv[:3]), state.spin + Vec3(*dv[3:]), step, memories)
         if ledger is not None:
             ends = [load_at_end(load, dv, step) for load in loads]
-            ledger = ledger.entered(state, after, ends, [t.force for load in ends for t in load.stiff], 1.0, step)
+            ledger = ledger.entered(state, after, ends, step, Twist(state.velocity, state.spin))
         return after, ledger

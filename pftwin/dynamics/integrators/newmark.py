@@ -161,7 +161,7 @@ class Newmark(Integrator):
             lambda s: (s.memories, s.carried), after, (memories, NewmarkStep(algorithmic, actual, residual))
         )
         if ledger is not None:
-            ledger = ledger.entered(state, after, loads, None, 1.0, step, velocity)
+            ledger = ledger.entered(state, after, loads, step)
         return after, ledger
 
 

@@ -67,8 +67,8 @@ class SymplecticEuler(Integrator):
         beyond = jnp.maximum(_stiffest(system, loads, step) / LIMIT - 1, 0.0)
         after = with_carried(after, EulerStep(beyond))
         if ledger is not None:
-            applied = [term.force for load in loads for term in load.stiff]
-            ledger = ledger.entered(state, after, loads, applied, 0.0, step)
+            ends, _ = system.loads(guide_at(1.0).instant(after.patella(), 0.0), memories)
+            ledger = ledger.entered(state, after, ends, step)
         return after, ledger
 
 

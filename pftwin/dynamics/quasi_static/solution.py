@@ -92,6 +92,7 @@ def over_a_snap(ledger: Ledger, branch: Branch, landed: list[Any]) -> Ledger:
     held = branch._replace(rates=jnp.zeros_like(branch.rates))
     standing = held.after([jnp.zeros_like(branch.step)] * 6)
     loads, _ = branch.system.loads(branch.guide.instant(standing.patella(), 0.0), branch.origin.memories)
-    entered = ledger.entered(standing, standing, loads, None, 1.0, branch.step)
+    entered = ledger.entered(branch.origin, standing, loads, branch.step)
     stored = [sum((x.energy for x in own if x.energy is not None), jnp.zeros(())) for own in (loads, landed)]
-    return eqx.tree_at(lambda a: a.heat, entered, entered.heat + stored[0] - stored[1])
+    heat, unknown = entered.heat + stored[0] - stored[1], jnp.zeros_like(entered.begun)
+    return eqx.tree_at(lambda a: (a.heat, a.begun), entered, (heat, unknown))

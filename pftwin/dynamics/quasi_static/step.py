@@ -85,5 +85,5 @@ class QuasiStatic(Integrator):
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
         if ledger is None:
             return after, None
-        followed = ledger.entered(state, after, loads, None, 1.0, step, Twist(after.velocity, after.spin))
+        followed = ledger.entered(state, after, loads, step)
         return after, jax.tree.map(lambda a, b: jnp.where(snapped, a, b), over_a_snap(ledger, branch, loads), followed)

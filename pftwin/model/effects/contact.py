@@ -76,6 +76,10 @@ class Contact(Effect):
         """A smooth surface that tells where the groove is: the contact's own, or a stand-in; None without any."""
         return None
 
+    def normal_law(self) -> ContactLaw | None:
+        """The law from indentation and its rate to a force; None where there is none of a single force."""
+        return None
+
     def fitted_surface(self) -> Surface | None:
         """The smooth surface that the button touches; None where it touches a mesh."""
         return None
@@ -250,6 +254,10 @@ class ButtonSphere(Contact):
         indentation = self.radius - at.distance
         push = self.push(now, normal, indentation, rate, approach_speed, share, stored)
         return Touch(at, indentation, share, push)
+
+    def normal_law(self) -> ContactLaw:
+        """See `Contact`."""
+        return self.law
 
     def tracked_point(self) -> Vec3:
         """The sphere's centre."""

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, safe_sqrt
 
+SLOW = 0.01  # [m/s]
 Speeds = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
 
 
@@ -61,6 +62,10 @@ class ContactLaw(eqx.Module):
         default=1.5, kw_only=True, metadata=quantity("", at_least=1.0, words="exponent of the law")
     )  # p
     remembers_approach: ClassVar[bool] = False
+
+    def slow_approach(self) -> float:
+        """Up to this speed an approach is too slow for its restitution to matter [m/s]."""
+        return SLOW
 
     @abstractmethod
     def damping_factor(self, approach_speed: Scalar | None) -> Scalar | None:
@@ -120,9 +125,13 @@ class Flores(ContactLaw):
         metadata=quantity("", positive=True, at_most=1.0, words="coefficient of restitution")
     )
     approach_speed_floor: Scalar | float = eqx.field(
-        default=0.01, kw_only=True, metadata=quantity("m/s", positive=True)
+        default=SLOW, kw_only=True, metadata=quantity("m/s", positive=True)
     )
     remembers_approach: ClassVar[bool] = True
+
+    def slow_approach(self) -> float:
+        """The floor: below it the damping is that of the floor, and the restitution nearer to 1."""
+        return float(self.approach_speed_floor)
 
     def damping_factor(self, approach_speed: Scalar | None) -> Scalar:
         """8 (1 - e) / (5 e v0)."""

@@ -86,6 +86,10 @@ class MeshContact(ButtonMesh):
         hollow = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
         return jnp.stack(hollow).any()
 
+    def normal_law(self) -> ContactLaw:
+        """See `Contact`."""
+        return self.law
+
     def remember(self, now: Instant) -> Speeds:
         """No contact has begun yet."""
         return self.law.no_contact_yet(now.patella.position.x, self.femur.facets)

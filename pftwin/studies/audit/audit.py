@@ -12,12 +12,21 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.rebound import Impact, impact_of
 from pftwin.dynamics.status import status_facts
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
 from pftwin.results.verdict import INVALID
-from pftwin.studies.audit.runs import Changes, VariantRun, compare_runs, run_alone, run_side_by_side, why_incomparable
+from pftwin.studies.audit.runs import (
+    Changes,
+    VariantRun,
+    compare_runs,
+    fastest_approach,
+    run_alone,
+    run_side_by_side,
+    why_incomparable,
+)
 from pftwin.studies.audit.variants import KINDS, Kind, NotApplicable, Variant, ablations, additions
 from pftwin.studies.runs import Cost, run_each, time_in_turn
 
@@ -50,6 +59,7 @@ class Audit:
     verdict: str  # whether the scene's own motion may be spoken of: "valid", or "INVALID" and why
     status: str
     status_frames: dict[str, int]  # how many frames have each flag
+    impact: str  # what the steps make of the contact's restitution, in words; empty without a contact law
     programs: int  # compiled: of motion and of equilibrium
     rows: tuple[Worth, ...]
     not_applicable: tuple[NotApplicable, ...]
@@ -99,6 +109,7 @@ def audit(
     listed = _selected_variants(replace(scene, limits=None), integrator, only)
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
     own = run_alone(scene, integrator, substeps)
+    impact = _impact(scene, own, integrator, substeps)
     runs = _runs(scene, wanted, integrator, substeps)
     done = [v for v in wanted if (v.name, v.kind) in runs]
     shares: list[Cost | None] = [None] * (1 + len(done))
@@ -118,11 +129,20 @@ def audit(
         tracking=own.result.tracking,
         verdict=own.result.verdict.describe(),
         **status_facts(own.result.flags),
-        programs=_programs(scene, done, integrator),
+        impact="" if impact is None else impact.describe(),
+        programs=_programs(scene, done, integrator) + (impact is not None),
         rows=tuple(rows),
         not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),
         missing=tuple(v.name for v in wanted if (v.name, v.kind) not in runs),
     )
+
+
+def _impact(scene: Scene, own: VariantRun, integrator: Integrator, substeps: int) -> Impact | None:
+    """What the steps make of the hardest approach in the scene's own run."""
+    if scene.contact is None or scene.contact.normal_law() is None:
+        return None
+    approach = fastest_approach(scene.unnamed(), own.start, integrator, substeps)
+    return impact_of(scene, integrator, scene.motion.frame_interval / substeps, float(approach))
 
 
 def _selected_variants(

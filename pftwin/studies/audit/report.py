@@ -93,6 +93,7 @@ def audit_sheet(found: Audit) -> Sheet:
         "rms; time: share of the scene's run that it takes, - where several ran side by side; "
         f"{found.programs} programs compiled"
     )
+    notes += [f"restitution: {found.impact}"] if found.impact else []
     notes += [interruption(found)] if found.interrupted else []
     notes.append(f"the scene itself: {found.tracking}")
     notes += [SYNTHETIC] if found.synthetic else []

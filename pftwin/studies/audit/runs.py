@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.base.program_cache import Program
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
@@ -31,12 +32,21 @@ class VariantRun:
     """A variant's result, and a way to run it once more."""
 
     result: Result
+    start: Solution
     again: Callable[[], Any] | None  # None where it ran side by side with others
 
 
 @Program
 def _moving(scene: Scene, start: Solution, integrator: Integrator, substeps: int) -> Observation:
     return observe(scene, frame_states(scene, integrator=integrator, substeps=substeps, start=start))
+
+
+@Program
+def fastest_approach(scene: Scene, start: Solution, integrator: Integrator, substeps: int) -> Scalar:
+    """The fastest at which the scene's contact pushed: see `pftwin.dynamics.ledger.Ledger.approach`."""
+    path = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=True)
+    assert path.ledger is not None
+    return path.ledger.approach[-1]
 
 
 @Program
@@ -67,7 +77,7 @@ def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun
     plain = scene.unnamed()
     start, relaxed = settle_first_frame(plain)
     again = partial(_moving, plain, start.answer, integrator, substeps)
-    return VariantRun(_result(scene, start.answer, again(), relaxed, integrator, substeps), again)
+    return VariantRun(_result(scene, start.answer, again(), relaxed, integrator, substeps), start.answer, again)
 
 
 def run_side_by_side(
@@ -90,7 +100,7 @@ def run_side_by_side(
     runs = []
     for k, v in enumerate(variants):
         start, observed = jax.tree.map(lambda a, k=k: np.asarray(a)[k], (starts, seen))
-        run = VariantRun(_result(v.scene, start, observed, False, integrator, substeps), None)
+        run = VariantRun(_result(v.scene, start, observed, False, integrator, substeps), start, None)
         if not run.result.equilibrium.converged:  # alone, the damped relaxation helps
             run = replace(run_alone(v.scene, integrator, substeps), again=None)
         runs.append(run)

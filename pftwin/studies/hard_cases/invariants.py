@@ -113,7 +113,7 @@ def energy(look: Look) -> str | None:
     parts = [kinetic, *(v - v[0] for v in stored), work]
     scale = max((float(np.abs(p[clean]).max(initial=0.0)) for p in parts), default=0.0)
     created = (left - np.minimum.accumulate(left)).max(initial=0.0)
-    longer = max(1.0, look.step / 1e-3)  # the ledger's work is of first order in the step
+    longer = max(1.0, look.step / 1e-3)  # steps create what is of their order
     bound = look.tolerance.created * longer * scale + look.tolerance.least
     return f"{created:.2g} J from nowhere, {100 * created / scale:.1f} % of the largest" if created > bound else None
 

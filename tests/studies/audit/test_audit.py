@@ -18,6 +18,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion
 from pftwin.cli import app
 from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.rebound import Impact
 from pftwin.dynamics.status import Status
 from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene
@@ -202,6 +203,14 @@ def test_tables_have_units_and_all_rows(found):
     assert gravity().name in data.coords["variant"]
 
 
+def test_a_note_says_what_the_steps_leave_of_restitution(found):
+    """Nothing touches in this scene: see the rig's case below for one that has a contact."""
+    assert found.impact == ""
+    assert not [note for note in audit_sheet(found).notes if "restitution" in note]
+    said = Impact(0.24, 0.01, 0.47, 0.06, 1e-3).describe()
+    assert f"restitution: {said}" in audit_sheet(replace(found, impact=said)).notes
+
+
 def test_the_figure_names_every_variant(found):
     figure = audit_figure(found, "title")
     shown = [label.get_text() for label in figure.axes[0].get_yticklabels()]
@@ -264,3 +273,5 @@ def test_the_rigs_case_is_audited():
     assert row(found, "friction").changes.center_max > 1e-3
     assert row(found, "steps half as long").verdict == "steps short enough"
     assert row(found, "contact").cost > 0.3
+    assert found.impact.startswith("contacts close at 0.005")
+    assert "too slow" in found.impact

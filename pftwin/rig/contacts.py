@@ -23,8 +23,9 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.program_cache import cached
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
+from pftwin.geometry.patch.emphasis import emphasis
 from pftwin.geometry.patch.fit import SPLINE, PatchFit, fit_named, parse_name
-from pftwin.geometry.patch.implant import rig_implant, rig_region
+from pftwin.geometry.patch.implant import RIG_PARTS, RIG_RIM, rig_implant, rig_region
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.contact_law import ContactLaw, Flores
 from pftwin.model.effects.sphere_contact import SphereContact
@@ -101,7 +102,10 @@ def _fit(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> Patch
 
 def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
     mesh = implant_mesh()
-    return fit_named(mesh, name, chart=chart, region=rig_region(mesh))
+    if name == SPLINE:
+        return fit_named(mesh, name, chart=chart, region=rig_region(mesh, half_width=RIG_RIM))
+    region = rig_region(mesh)
+    return fit_named(mesh, name, chart=chart, region=region, emphasis=emphasis(region, RIG_PARTS))
 
 
 def _of_meshes(name: str, law: ContactLaw) -> Effect:

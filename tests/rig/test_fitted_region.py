@@ -2,48 +2,21 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from pftwin import Status, rig, simulate
 from pftwin.geometry.patch.fit import fit_patch
-from pftwin.geometry.patch.implant import rig_implant, rig_region
-from pftwin.model.effects.sphere_contact import SphereContact
+from pftwin.geometry.patch.implant import rig_region
 from pftwin.rig.contacts import contact_fit, implant_mesh
-
-TRUE = rig_implant()
-
-
-def errors(patch, angles, across, n=1500):
-    """Distance along the true surface's normals [m] and angle between normals [deg], at random places of it, (n,)."""
-    random = np.random.default_rng(0)
-    u = jnp.asarray(np.radians(random.uniform(*angles, n)) * TRUE.trochlear_radius)
-    v = jnp.asarray(1e-3 * random.uniform(*across, n))
-
-    @jax.jit
-    def compared(u, v):
-        jet = TRUE.jet(u, v)
-        point, normal = TRUE.chart.point(u, v, jet.f), TRUE.chart.normal(u, jet.f, jet.u, jet.v)
-        q = patch.chart.coordinates(point)
-        own = patch.jet(q.x, q.y)
-        turned = patch.chart.axes.apply(patch.chart.normal(q.x, own.f, own.u, own.v))
-        return (patch.chart.point(q.x, q.y, own.f) - point).dot(normal), turned.dot(normal), patch.outside(q.x, q.y)
-
-    along, cosine, outside = (np.asarray(a) for a in compared(u, v))
-    return along, np.degrees(np.arccos(np.clip(cosine, -1, 1))), outside
-
-
-def rms(a):
-    return np.sqrt(np.mean(a**2))
+from tests.benchmarks.fitted_region import FLANK, SLIDES, TRACKS, errors, on_surface, rms, smooth_implant
 
 
 @pytest.mark.parametrize("chart", ["plane", "cylinder"])
 @pytest.mark.parametrize("contact", ["P4", "P5"])
 def test_polynomials_are_true_where_a_dislocated_button_slides(contact, chart):
     """Beside the groove and over the lateral ridge, from 10 deg distally to full extension."""
-    along, turned, outside = errors(contact_fit(contact, chart=chart).patch, (-10, 38), (12, 21.5))
+    along, turned, outside = errors(contact_fit(contact, chart=chart).patch, *SLIDES)
     assert not outside.any()
     assert rms(along) < 0.08e-3
     assert rms(turned) < 3
@@ -51,14 +24,14 @@ def test_polynomials_are_true_where_a_dislocated_button_slides(contact, chart):
 
 @pytest.mark.parametrize(("contact", "bound"), [("P4", 0.16e-3), ("P5", 0.12e-3)])
 def test_and_where_it_tracks(contact, bound):
-    along, _, outside = errors(contact_fit(contact).patch, (-66, 38), (-14, 15))
+    along, _, outside = errors(contact_fit(contact).patch, *TRACKS)
     assert not outside.any()
     assert rms(along) < bound
 
 
 @pytest.mark.parametrize("chart", ["plane", "cylinder"])
 def test_the_spline_is_true_to_the_rim(chart):
-    along, turned, outside = errors(contact_fit("spline", chart=chart).patch, (-10, 38), (12, 31.9))
+    along, turned, outside = errors(contact_fit("spline", chart=chart).patch, *FLANK)
     assert not outside.any()
     assert rms(along) < 0.02e-3
     assert rms(turned) < 1
@@ -67,7 +40,7 @@ def test_the_spline_is_true_to_the_rim(chart):
 def test_weights_are_what_makes_polynomials_true_there():
     even = fit_patch(implant_mesh(), degree="P5", region=rig_region(implant_mesh())).patch
     weighted = contact_fit("P5").patch
-    lateral = [rms(errors(p, (-10, 38), (12, 21.5))[0]) for p in (even, weighted)]
+    lateral = [rms(errors(p, *SLIDES).along) for p in (even, weighted)]
     assert lateral[1] < 0.6 * lateral[0]
 
 
@@ -115,10 +88,7 @@ def test_one_that_dislocates_leaves_it_only_as_the_knee_bends_again(runs):
 def test_the_spline_goes_where_the_true_surface_leads(n):
     """The component's own smooth surface in the patch's place, which has no edge that its continuation could decide."""
     scene = rig.case(n, "spline")
-    contact = scene.effect("contact")
-    surface = jax.tree.map(lambda a: jnp.asarray(a) if isinstance(a, float) else a, TRUE)
-    smooth = scene.with_effect(SphereContact(surface, contact.law, contact.center, contact.radius))
-    path, true = (simulate(s, dt=0.5e-3).center for s in (scene, smooth))
+    path, true = (simulate(s, dt=0.5e-3).center for s in (scene, on_surface(scene, smooth_implant())))
     assert np.linalg.norm(path - true, axis=1).mean() < 0.15e-3
     assert np.linalg.norm(path[-1] - true[-1]) < 1e-3
 

@@ -36,7 +36,7 @@ MESHES = ("CM", "FM")
 VOLUME = "volume"
 ON_MESHES = (*MESHES, VOLUME)
 _CENTER = (0.0, 0.0, 0.0)  # of the button's sphere, patella frame
-_WIDE = 0.050  # half the meshes' width [m]: as far as a dislocated button goes; the component proper ends at 32 mm
+_WIDE = 0.050  # half the meshes' width [m]: a dislocated button touches 39 mm out; the component proper ends at 32 mm
 
 
 def parse_contact(name: str | int) -> str:

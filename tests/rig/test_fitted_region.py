@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pftwin import Status, rig, simulate
+from pftwin import Status, load_scene, rig, simulate
 from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.implant import rig_region
 from pftwin.rig.contacts import contact_fit, implant_mesh
+from pftwin.rig.scene_template import rig_laboratory, scene_text
 from tests.benchmarks.fitted_region import FLANK, SLIDES, TRACKS, errors, on_surface, rms, smooth_implant
 
 
@@ -58,6 +59,15 @@ def test_r_squared_counts_vertices_by_their_weights(degree):
     residual = h - powers @ np.linalg.lstsq(powers * root[:, None], h * root)[0]
     spread = np.average((h - np.average(h, weights=w)) ** 2, weights=w)
     assert fit.r_squared == pytest.approx(1 - np.average(residual**2, weights=w) / spread, abs=1e-7)
+
+
+def test_the_scene_that_init_writes_has_the_same_patch(tmp_path):
+    scene = rig.case(1)
+    rig.write_files(1, tmp_path)
+    (tmp_path / "scene.toml").write_text(scene_text(scene, rig_laboratory(1)))
+    one, other = (s.contact.surface for s in (scene, load_scene(tmp_path / "scene.toml")))
+    np.testing.assert_allclose(other.coefficients, one.coefficients, atol=1e-9)
+    np.testing.assert_allclose(other.half_size, one.half_size, atol=1e-9)
 
 
 @pytest.fixture(scope="module", params=["P4", "P5", "spline"])

@@ -101,7 +101,8 @@ def rows() -> Iterator[tuple[str, ...]]:
                 beyond.append(str(np.count_nonzero(result.flags & int(Status.LEFT_PATCH))))
                 off.append(f"{1e3 * np.linalg.norm(result.center - true[n], axis=1).mean():.2f}")
             fits = f"{100 * fit.r_squared:.2f}", *(f"{1e3 * rms(e.along):.3f}" for e in found)
-            yield contact, name, *fits, ", ".join(beyond), ", ".join(off)
+            title = f"the rig's: {name}" if contact == "spline" and half_width == RIG_RIM else name
+            yield contact, title, *fits, ", ".join(beyond), ", ".join(off)
 
 
 def main() -> None:

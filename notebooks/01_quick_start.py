@@ -57,7 +57,7 @@ assert result.equilibrium.converged
 # says which frames not to trust, and why: there the button has left the surface that was fitted to the trochlea.
 
 # %%
-assert result.dislocations().re_engaged is False  # it left the groove, and did not come back
+assert result.dislocations().re_engaged is False  # it left the groove, and did not come back within the recording
 result.plot.against_flexion()
 
 # %% [markdown]

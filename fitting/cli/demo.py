@@ -109,7 +109,10 @@ def _outcomes(study: PaperStudy) -> Sheet:
     from fitting.demo.paper_study_tables import outcome_rows
 
     published = "; ".join(f"case {n} {text}" for n, text in PAPER.outcomes.items())
-    title = f"Outcome of pathology and treatment\n(the paper, measured and predicted: {published})"
+    title = (
+        "Outcome of pathology and treatment within the recordings, to 49 deg of flexion"
+        f"\n(the paper, measured and predicted: {published})"
+    )
     agrees = {None: "", True: "yes", False: "NO"}
     rows = tuple((str(r.case), r.springs, r.text, agrees[r.as_measured]) for r in outcome_rows(study))
     return Sheet(title, ("case", "springs", "outcome", "as measured"), rows, narrow=True)

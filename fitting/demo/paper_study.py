@@ -60,7 +60,7 @@ PAPER = PaperFigures(
         PATHOLOGY: _column(1.12, 2.45, 0.61, 2.07, 3.63, 1.75, 2.22, 0.96, 1.66, 0.75, 4.66),
         TREATMENT: _column(1.16, 2.51, 0.67, 0.88, 5.44, 1.64, 0.87, 2.17, 2.61, 0.73, 3.95),
     },
-    outcomes={PATHOLOGY: "dislocates and does not re-engage", TREATMENT: "tracks"},
+    outcomes={PATHOLOGY: "dislocates, wedges superiorly and does not re-engage", TREATMENT: "tracks"},
 )
 
 
@@ -87,7 +87,7 @@ class Run(NamedTuple):
 
 
 def same_outcome(one: Tracking, other: Tracking) -> bool:
-    """Whether both dislocate, or neither does, and both have come back in the end, or neither has."""
+    """Whether both dislocate, or neither does, and both have come back when the recording ends, or neither has."""
     return bool(one.events) == bool(other.events) and one.re_engaged == other.re_engaged
 
 

@@ -126,7 +126,11 @@ class Dislocation:
     def describe(self) -> str:
         """The event in words."""
         flexion = "" if self.knee_flexion is None else f" at {np.degrees(self.knee_flexion):.1f} deg of knee flexion"
-        back = "did not re-engage" if self.re_engaged_at is None else f"re-engaged at {self.re_engaged_at:.2f} s"
+        back = (
+            "did not re-engage within the recording"
+            if self.re_engaged_at is None
+            else f"re-engaged at {self.re_engaged_at:.2f} s"
+        )
         return f"{self.side} dislocation at {self.time:.2f} s{flexion}, {1e3 * self.farthest:.1f} mm off; {back}"
 
 
@@ -140,7 +144,7 @@ class Tracking:
 
     @property
     def re_engaged(self) -> bool | None:
-        """Whether the button was back in the groove at the end; None if it never left."""
+        """Whether the button was back in the groove when the recording ended; None if it never left."""
         return self.events[-1].re_engaged_at is not None if self.events else None
 
     def describe(self) -> str:

@@ -23,8 +23,9 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.program_cache import cached
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
+from pftwin.geometry.patch.emphasis import emphasis
 from pftwin.geometry.patch.fit import SPLINE, PatchFit, fit_named, parse_name
-from pftwin.geometry.patch.implant import rig_implant, rig_region
+from pftwin.geometry.patch.implant import RIG_PARTS, RIG_RIM, rig_implant, rig_region
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.contact_law import ContactLaw, Flores
 from pftwin.model.effects.sphere_contact import SphereContact
@@ -35,7 +36,7 @@ MESHES = ("CM", "FM")
 VOLUME = "volume"
 ON_MESHES = (*MESHES, VOLUME)
 _CENTER = (0.0, 0.0, 0.0)  # of the button's sphere, patella frame
-_WIDE = 0.050  # half the meshes' width [m]: as far as a dislocated button goes; the component proper ends at 32 mm
+_WIDE = 0.050  # half the meshes' width [m]: a dislocated button touches 39 mm out; the component proper ends at 32 mm
 
 
 def parse_contact(name: str | int) -> str:
@@ -101,7 +102,10 @@ def _fit(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> Patch
 
 def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
     mesh = implant_mesh()
-    return fit_named(mesh, name, chart=chart, region=rig_region(mesh))
+    if name == SPLINE:
+        return fit_named(mesh, name, chart=chart, region=rig_region(mesh, half_width=RIG_RIM))
+    region = rig_region(mesh)
+    return fit_named(mesh, name, chart=chart, region=region, emphasis=emphasis(region, RIG_PARTS))
 
 
 def _of_meshes(name: str, law: ContactLaw) -> Effect:

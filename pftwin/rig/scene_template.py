@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from pftwin.base.errors import OutputError
 
 if TYPE_CHECKING:
     from pftwin.base.spatial import Vec3
+    from pftwin.geometry.patch.emphasis import WeightedPart
     from pftwin.model.scene import Scene
 
 Cluster = Mapping[str, Sequence[float]]
@@ -35,13 +37,19 @@ class LaboratoryFiles:
     cutoff_hz: float = 12.0
     window: int = 30
     axis_radius: float = 0.0248  # of the groove about the implant's axis [m]
+    angles_deg: tuple[float, float] = (-75.0, 30.0)  # of the region that the patch is fitted to
+    half_width: float = 0.020  # of that region [m]
+    parts: tuple[WeightedPart, ...] = ()  # of it that count more, or less
     synthetic: bool = True
 
 
-def rig_laboratory(case: int) -> LaboratoryFiles:
-    """The files of the virtual rig's laboratory for a case."""
-    from pftwin.geometry.patch.implant import rig_implant
+def rig_laboratory(case: int, contact: str = "P5") -> LaboratoryFiles:
+    """The files of the virtual rig's laboratory for a case, and the region that a patch of that name is fitted to."""
+    from pftwin.geometry.patch.fit import SPLINE
+    from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, RIG_RIM, rig_implant
     from pftwin.rig import geometry, recording
+
+    low, high = RIG_ANGLES
 
     return LaboratoryFiles(
         markers=f"case{case}_markers.trc",
@@ -55,6 +63,9 @@ def rig_laboratory(case: int) -> LaboratoryFiles:
         cutoff_hz=recording.CUTOFF,
         window=recording.WINDOW,
         axis_radius=float(rig_implant().trochlear_radius),
+        angles_deg=(math.degrees(low), math.degrees(high)),
+        half_width=RIG_RIM if contact == SPLINE else RIG_HALF_WIDTH,
+        parts=() if contact == SPLINE else RIG_PARTS,
     )
 
 
@@ -100,7 +111,7 @@ def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
     contact: Any = scene.contact
     surface, others = contact.fitted_surface(), {e.name: e for e in scene.effects}
     environment = Environment(loader=PackageLoader("pftwin.rig", ""), keep_trailing_newline=True, autoescape=False)
-    environment.filters |= {"number": _number, "point": _point, "cluster": _cluster}
+    environment.filters |= {"number": _number, "point": _point, "cluster": _cluster, "part": _part}
     return environment.get_template("scene.toml.jinja").render(
         name=f"example, after {scene.name}",  # not that of a case: an edited copy is none
         files=files,
@@ -122,6 +133,15 @@ def _number(value: Any, scale: float = 1.0) -> str:
 def _point(v: Vec3 | Sequence[float], scale: float = 1.0) -> str:
     values = v if isinstance(v, Sequence) else np.asarray(v.array())
     return "[" + ", ".join(_number(c, scale) for c in values) + "]"
+
+
+def _part(part: WeightedPart) -> str:
+    limits = ""
+    if math.isfinite(part.across[0]):
+        limits += f", across_mm = {_point(part.across, 1e3)}"
+    if part.angles[1] < math.pi:
+        limits += f", angles_deg = {_point(part.angles, 180 / math.pi)}"
+    return f"{{ weight = {_number(part.weight)}{limits} }}"
 
 
 def _cluster(places: Cluster) -> str:

@@ -14,7 +14,7 @@ from scenes import plane_chart
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.geometry.mesh.mesh import load_mesh
 from pftwin.geometry.patch.fit import TOLERANCE, fit_named, fit_patch, fit_spline, name_of, parse_name
-from pftwin.geometry.patch.implant import rig_implant, rig_region
+from pftwin.geometry.patch.implant import RIG_RIM, rig_implant, rig_region
 from pftwin.geometry.patch.region import trochlear_region
 from pftwin.geometry.patch.spline import SplinePatch
 from pftwin.rig.contacts import contact_fit, implant_mesh
@@ -48,7 +48,7 @@ def test_mesh_accuracy_on_the_rigs_implant(chart):
     assert fit.rms <= 0.02e-3
     assert fit.rms_normal <= fit.rms
     assert fit.max_error < 0.1e-3
-    assert fit.n_vertices == rig_region(implant_mesh()).n_vertices  # all of the trochlea
+    assert fit.n_vertices == rig_region(implant_mesh(), half_width=RIG_RIM).n_vertices  # all of the trochlea
     assert fit.rms < 0.1 * contact_fit("P5", chart=chart).rms
 
 

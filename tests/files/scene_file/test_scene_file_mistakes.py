@@ -88,6 +88,12 @@ MESH_MISTAKES = [
     ("axis_radius_mm = 24.8, ", "", "only one of axis_origin_m and axis_radius_m is given"),
     ("region = {", "region = { anterior = [1, 0, 0],", "anterior and proximal are nearly parallel"),
     ("region = {", "region = { anterior = [0, 0, 0],", "region.anterior: found the zero vector"),
+    ("region = {", "emphasis = [{ weight = 0 }]\nregion = {", "surface.emphasis number 1.weight: found 0"),
+    (
+        "region = {",
+        "emphasis = [{ weight = 2, across_mm = [5, -5] }]\nregion = {",
+        "across_m is [0.005, -0.005]; expected: the lower limit first",
+    ),
 ]
 
 

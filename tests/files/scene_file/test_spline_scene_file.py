@@ -97,7 +97,7 @@ def test_a_left_knees_is_the_mirror_image(toy: Path, fitted: SplinePatch) -> Non
 def test_what_a_case_writes_reads_as_a_spline(tmp_path: Path) -> None:
     scene = rig.case(1, "spline")
     rig.write_files(1, tmp_path)
-    (tmp_path / "scene.toml").write_text(scene_text(scene, rig_laboratory(1)))
+    (tmp_path / "scene.toml").write_text(scene_text(scene, rig_laboratory(1, "spline")))
     np.testing.assert_allclose(
         surface(load_scene(tmp_path / "scene.toml")).height(U, V), surface(scene).height(U, V), atol=1e-9
     )

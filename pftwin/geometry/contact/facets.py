@@ -93,12 +93,12 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
         v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
         starts.append(FollowedPoint(u, v, own.settled))
     # A minimum that has just parted from the one that both follow is too near for the fan to see.
-    here, spacing = 0.5 * (starts[0].v + starts[1].v), SPACING * radius
-    new = middle + spacing * stop_gradient(_other_minimum(section, (here - middle) / spacing))
+    spacing = SPACING * radius
+    apart = stop_gradient(_other_minimum(section, (0.5 * (starts[0].v + starts[1].v) - middle) / spacing))
     merged = jnp.abs(starts[1].v - starts[0].v) < MERGED * radius
     medial, lateral = (
-        start._replace(v=jnp.where(merged & beyond, new, start.v))
-        for start, beyond in zip(starts, (new < here, new > here), strict=True)
+        start._replace(v=jnp.where(merged & parted, start.v + spacing * apart, start.v))
+        for start, parted in zip(starts, (apart < 0, apart > 0), strict=True)
     )
     return facets_from(surface, c, radius, (medial, lateral))
 
@@ -133,7 +133,7 @@ def _too_far(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
 
 
 def _other_minimum(section: Section, here: Scalar) -> Scalar:
-    """Where a polynomial of fourth degree with a minimum `here` has another one; `here` where it has none.
+    """How far from a minimum `here` a polynomial of fourth degree has another one; 0 where it has none.
 
     Its slope is (x - here) times (x - ridge) times (x - other), up to a factor; places are counted in spacings.
     """
@@ -144,7 +144,7 @@ def _other_minimum(section: Section, here: Scalar) -> Scalar:
     half = safe_sqrt(jnp.where(square > 0, square, 0.0))
     other = middle + jnp.where(middle > here, half, -half)
     found = opens & (square > 0) & (jnp.abs(other) < REACH) & (jnp.abs(middle - here) > half)
-    return jnp.where(found, other, here)
+    return jnp.where(found, other - here, 0.0)
 
 
 def _without_derivatives(surface: Surface) -> Surface:

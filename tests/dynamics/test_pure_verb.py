@@ -13,8 +13,12 @@ import pftwin
 from pftwin.base.leaves import number
 from pftwin.dynamics import simulate as simulate_module
 from pftwin.dynamics.frame_states import start_before_search
+from pftwin.geometry.patch.fit import fit_patch
+from pftwin.geometry.patch.implant import rig_implant
+from pftwin.geometry.patch.region import region_about
 from pftwin.model.effects.tendon import Tendon
 from pftwin.model.scene import Scene
+from pftwin.rig.contacts import implant_mesh
 
 STEP = 2.5e-3  # [s]
 
@@ -37,8 +41,12 @@ def hung(small: Scene) -> Scene:
 
 @pytest.fixture(scope="module")
 def rig() -> Scene:
-    """Near extension its button rests beyond the fitted patch's edge."""
-    return pftwin.rig.case(1, contact="P5")
+    """On a patch that ends at 30 deg, beyond whose edge its button rests near extension."""
+    mesh, angles = implant_mesh(), (np.radians(-75.0), np.radians(30.0))
+    region = region_about(mesh, rig_implant().chart, angles=angles, half_width=0.02)
+    scene = pftwin.rig.case(1, contact="P5")
+    short = fit_patch(mesh, degree="P5", region=region).patch
+    return scene.with_effect(scene.effect("contact").with_fitted_surface(short))
 
 
 def moved(scene: Scene) -> pftwin.Trajectory:

@@ -48,7 +48,7 @@ def bouncing_scene() -> Scene:
     pulled = np.zeros((t.size, 3))
     pulled[:, 0] = -0.02 * (t / t[-1]) ** 2
     motion = KneeMotion.from_poses(None, PoseSeries(t, pulled, still))
-    start = Pose(vec(0, 0.0004, RADIUS + 0.0045), Quaternion.identity())
+    start = Pose(vec(0, 0.0004, RADIUS + 0.0065), Quaternion.identity())
     return Scene(PatellaBody(J(MASS), vec(3e-5, 3e-5, 4e-5), vec(0.001, 0, 0)), effects, motion, start)
 
 

@@ -123,10 +123,13 @@ def test_what_a_scene_lacks_is_not_guessed():
     assert "patellar_tendon" in loose.tt_tg.note
     assert loose.q_angle.value is None
     assert "neither" in loose.q_angle.note
-    rising = clinical_indices(rig.case(2), level=0.0)
+    contact = knee().contact
+    assert contact is not None
+    bowl = contact.with_fitted_surface(scenes.fitted(lambda u, v: 25 * v**2, 2))
+    rising = clinical_indices(knee().with_effect(bowl))
     assert rising.sulcus_angle.value is None
-    assert "no lateral ridge" in rising.sulcus_angle.note
-    assert "sulcus angle: not known (no lateral ridge" in rising.describe()
+    assert "no medial and no lateral ridge" in rising.sulcus_angle.note
+    assert "sulcus angle: not known (no medial and no lateral ridge" in rising.describe()
 
 
 def test_cases_1_and_2_differ_by_their_tuberosities():

@@ -31,7 +31,7 @@ def treated(fit, tmp_path_factory):
     folder = tmp_path_factory.mktemp("treated")
     command = ["treat", "--case", "2", "--estimate", str(fit), "--medialise", "0:16:8", "--samples", "4"]
     outcome = RUNNER.invoke(
-        app, [*command, "--dt", "0.005", "-o", str(folder / "v.nc"), "--json", str(folder / "v.json")]
+        app, [*command, "--dt", "0.001", "-o", str(folder / "v.nc"), "--json", str(folder / "v.json")]
     )
     assert outcome.exit_code == 0, outcome.output
     return outcome, folder

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.results.result import Result
 from pftwin.studies.hard_cases.batch import batches, built_scene, member, starts_of, steps_of
 from pftwin.studies.hard_cases.case import HardCase, method_named
@@ -203,7 +202,7 @@ def results(
         for batch in stacks:
             starts = starts_of(batch, "float64").chosen
             substeps = [steps_of(c, method) for c in batch.cases]
-            forward = compiled(run, True, integrator=integrator_from_text(integrator))
+            forward = compiled(run, True, integrator=method.integrator)
             nothing = jnp.zeros((len(substeps), len(PARAMETERS)))
             ran = jax.device_get(forward(batch.scenes, starts, jnp.asarray(substeps), nothing))
             for k, case in enumerate(batch.cases):

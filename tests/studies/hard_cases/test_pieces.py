@@ -7,7 +7,7 @@ import json
 import pytest
 
 from pftwin.base.errors import InputError
-from pftwin.studies.hard_cases import case_named, method_named
+from pftwin.studies.hard_cases import CONTACTS, INTEGRATORS, case_named, method_named, whole
 from pftwin.studies.hard_cases.batch import batches, short_enough
 from pftwin.studies.hard_cases.table import KeptPiece, merged_pieces, read_piece, read_pieces, runs
 from pftwin.studies.hard_cases.verdict import Cell
@@ -70,3 +70,33 @@ def test_a_slow_method_leaves_out_the_cases_of_many_steps():
     (batch,), _ = batches([case_named(n) for n in ("plain_knee", "step_of_50_us", "bounce_to_rest")], "P5")
     assert short_enough(batch, method_named("ali3p")) == [0, 2]
     assert short_enough(batch, method_named("linear_implicit")) == [0, 1, 2]
+
+
+def test_what_is_missing_is_run_and_what_is_there_is_not(tmp_path, monkeypatch):
+    """A run that breaks off keeps what it has, and the next one goes on from there."""
+    ran: list[tuple[str, str]] = []
+    breaks = [("P2", "newmark")]
+
+    def cells_of(prepared, method, say):
+        if (prepared.contact, method.name) in breaks:
+            breaks.clear()
+            raise KeyboardInterrupt
+        ran.append((prepared.contact, method.name))
+        return [Cell("a", prepared.contact, method.name, "float64", "pass", "")]
+
+    monkeypatch.setattr(whole, "cells_of", cells_of)
+    chosen = whole.EVERYTHING._replace(contacts=("P2", "P5"))
+    wanted = {c: [m.name for m in INTEGRATORS if m.only is None or c in m.only] for c in ("P5", "P2")}
+    with pytest.raises(KeyboardInterrupt):
+        whole.run_missing(tmp_path, chosen, processes=1, cache_dir="")
+    assert len(list(tmp_path.glob("*.json"))) == len(ran) == 11
+    before = list(ran)
+    written = whole.run_missing(tmp_path, chosen, processes=1, cache_dir="")
+    assert [(c, m) for c, names in wanted.items() for m in names] == ran
+    assert len(written) == len(ran) - len(before) > 0
+    assert {(c.contact, c.integrator) for p in read_pieces(tmp_path) for c in p.rows} == set(ran)
+    assert whole.run_missing(tmp_path, chosen, processes=1, cache_dir="") == []
+
+
+def test_every_contact_has_its_place_in_the_order_of_work():
+    assert sorted(whole.LONGEST_FIRST) == sorted(CONTACTS)

@@ -150,11 +150,11 @@ class Diffrax(Integrator):
             throw=False,
         )
         assert found.ys is not None
-        given_up = found.result != diffrax.RESULTS.successful
+        given_up = found.result == diffrax.RESULTS.max_steps_reached
         y = jnp.where(given_up, jnp.nan, found.ys[-1])
         after = _state(y, state)
         _, memories = system.loads(guide_at(1.0).instant(after.patella(), step), state.memories)
-        failed = (given_up | ~known).astype(y.dtype)
+        failed = ((found.result != diffrax.RESULTS.successful) | ~known).astype(y.dtype)
         carried = DiffraxStep(step / jnp.maximum(found.stats["num_accepted_steps"], 1).astype(y.dtype), failed)
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
         return after, None if ledger is None else Ledger(y[13], y[14])

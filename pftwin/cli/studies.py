@@ -243,7 +243,7 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
 
     found = run_each(chosen.contacts, one)
     cells = tuple(cell for of_contact in found for cell in of_contact)
-    piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives)
+    piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives, chosen.truths)
     terminal.write_json(piece.as_dict(), json)
     if len(found) < len(chosen.contacts):
         raise Interrupted(*([Path(json)] if json not in (None, "-") else []))

@@ -83,7 +83,8 @@ def run_contact(
     for method in methods:
         began = time.perf_counter()
         cells = cells_of(prepared, method, say)
-        piece = KeptPiece(tuple(cells), time.perf_counter() - began, describe(), not selection.derivatives)
+        seconds = time.perf_counter() - began
+        piece = KeptPiece(tuple(cells), seconds, describe(), not selection.derivatives, selection.truths)
         path = piece_path(folder, contact, method)
         with written_whole(path) as temporary:
             temporary.write_text(json.dumps(piece.as_dict(), indent=1), encoding="utf-8")

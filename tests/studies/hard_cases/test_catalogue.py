@@ -121,7 +121,7 @@ def test_tables_count_every_cell_once(cells):
     assert sum(int(x) for x in row[3:]) == len(cells)
     assert len(by_case(cells).rows) == len({c.case for c in cells})
     machine = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
-    page = markdown(cells, catalogue(), [KeptPiece(tuple(cells), 60.0, machine, False)])
+    page = markdown(cells, catalogue(), [KeptPiece(tuple(cells), 60.0, machine, False, True)])
     cases = len({c.case for c in cells})
     assert f"| 2026-01-01T10:00 | 1.0 | P5 | linear_implicit | float64 | {cases} | everything |" in page
     assert all(f"**{c.name}**" in page for c in catalogue())

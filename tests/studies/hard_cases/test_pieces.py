@@ -33,6 +33,14 @@ def test_a_piece_is_read_as_it_was_written(tmp_path):
     assert runs([wanted]).rows == (("2026-01-01T10:00", "1.0", "P5", "newmark", "float64", "2", "the run alone"),)
 
 
+def test_what_was_looked_at_is_told_of_each_piece(tmp_path):
+    path = tmp_path / "piece.json"
+    for truths, words in ((True, "everything"), (False, "everything but converged runs")):
+        whole_piece = piece("pass", "a")._replace(quick=False, truths=truths)
+        path.write_text(json.dumps(whole_piece.as_dict()), encoding="utf-8")
+        assert runs([read_piece(path)]).rows[0][-1] == words
+
+
 def test_pieces_of_a_folder_come_from_the_oldest_to_the_newest(tmp_path):
     newer = {**MACHINE, "date": "2026-02-01T10:00+00:00"}
     made = {"a": piece("pass", "b")._replace(machine=newer), "b": piece("fail", "b"), "c": piece("pass", "a")}

@@ -108,3 +108,15 @@ def test_what_is_missing_is_run_and_what_is_there_is_not(tmp_path, monkeypatch):
 
 def test_every_contact_has_its_place_in_the_order_of_work():
     assert sorted(whole.LONGEST_FIRST) == sorted(CONTACTS)
+
+
+def test_a_part_of_the_matrix_is_not_kept_as_if_it_were_whole(tmp_path):
+    from typer.testing import CliRunner
+
+    from pftwin.cli.program import app
+
+    for part in (["--case", "mass_zero"], ["--dtype", "float64"], ["--quick"], ["--from", str(tmp_path)]):
+        done = CliRunner().invoke(app, ["hard-cases", "--into", str(tmp_path), *part])
+        assert done.exit_code == 2
+        assert "--into given with a part of the matrix" in done.output
+    assert list(tmp_path.iterdir()) == []

@@ -143,6 +143,17 @@ def hard_cases(
     quick: Annotated[
         bool, Option("--quick", help="Neither derivatives nor batches side by side: a third of the time.")
     ] = False,
+    into: Annotated[
+        Path | None,
+        Option(
+            "--into",
+            metavar="DIR",
+            help="Run what has no file there yet, several contacts at a time, keep it, and show all that is there.",
+        ),
+    ] = None,
+    processes: Annotated[
+        int, Option("--processes", metavar="N", help="With --into: contacts at a time; as many as cores if left out.")
+    ] = 0,
     from_: Annotated[
         list[Path] | None,
         Option(
@@ -156,14 +167,13 @@ def hard_cases(
 ) -> None:
     """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
 
-    Everything takes hours of one core, most of it compiling; one contact with one integrator minutes. Pieces that were
-    run one by one, with --json, make one page: --from FOLDER --markdown FILE.
+    Everything, with --into DIR, takes about an hour of two cores, most of it compiling; one contact with one integrator
+    minutes. What is interrupted goes on where it was; to run a piece again, remove its file.
 
     Example: `pftwin hard-cases --contact P5 --integrator linear_implicit --dtype float64`
     """
     terminal.check_outputs(json, markdown)
     terminal.start_computing()
-    from pftwin.dynamics.integrators import integrator_from_text
     from pftwin.studies.hard_cases import (
         CONTACTS,
         DTYPES,
@@ -179,15 +189,22 @@ def hard_cases(
     if list_:
         terminal.show(table.named_cases(cases), json=json)
         return
-    for name in integrator or ():
-        integrator_from_text(name)
+    methods = tuple(method_named(n) for n in integrator) if integrator else INTEGRATORS
+    for method in methods:
+        _ = method.integrator  # a name that is none is refused
     chosen = Selection(
         _known(contact, CONTACTS, "--contact"),
-        tuple(method_named(n) for n in integrator) if integrator else INTEGRATORS,
+        methods,
         _known(dtype, DTYPES, "--dtype"),
         derivatives=not quick,
         mates=not quick,
+        truths=not quick,
     )
+    if into is not None:
+        if case or dtype or quick or from_:
+            raise InputError("--into given with a part of the matrix", expected="--contact and --integrator at most")
+        _run_missing(into, chosen, processes)
+        from_ = [into]
     found = [piece for path in from_ for piece in table.read_pieces(path)] if from_ else [_run(cases, chosen, json)]
     order = tuple(c.name for c in catalogue()), CONTACTS, tuple(m.name for m in INTEGRATORS), DTYPES
     cells = table.merged_pieces(found, order)
@@ -199,6 +216,17 @@ def hard_cases(
     if failed := table.counts(cells)["fail"]:
         terminal.show(table.reasons(cells, "fail"), json=json)
         exit_flagged(f"{failed} of {len(cells)} cells fail")
+
+
+def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
+    """Runs the pieces that are not in a folder yet, with progress on stderr."""
+    from pftwin.base.runtime import cores, default_cache_dir
+    from pftwin.studies.hard_cases.whole import run_missing
+
+    try:
+        run_missing(folder, chosen, processes=processes or cores(), cache_dir=default_cache_dir(), say=_tell)
+    except KeyboardInterrupt:
+        raise Interrupted(folder) from None
 
 
 def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> KeptPiece:
@@ -215,7 +243,7 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
 
     found = run_each(chosen.contacts, one)
     cells = tuple(cell for of_contact in found for cell in of_contact)
-    piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives)
+    piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives, chosen.truths)
     terminal.write_json(piece.as_dict(), json)
     if len(found) < len(chosen.contacts):
         raise Interrupted(*([Path(json)] if json not in (None, "-") else []))

@@ -66,6 +66,20 @@ def tolerance_on_host(solution: Solution) -> NDArray[np.floating]:
     return np.maximum(tolerance_of(solution.residual.dtype), np.asarray(solution.rounding))
 
 
+def place_unknown(solution: Solution) -> float:
+    """How far from the true equilibrium the patella may rest because of the float type's rounding [m]; on the host.
+
+    What is left of the load, and what of it rounding hides, over the stiffness of the softest direction. 0 where the
+    load is known to the usual tolerance, as it always is in float64 but for extreme stiffness.
+    """
+    rounding = float(solution.rounding)
+    if rounding <= tolerance_of(solution.residual.dtype):
+        return 0.0
+    stiffness = np.asarray(solution.stiffness, np.float64)
+    softest = np.linalg.svd(stiffness, compute_uv=False)[-1] if np.isfinite(stiffness).all() else 0.0
+    return (float(solution.residual) + rounding) / softest if softest > 0 else np.inf
+
+
 def _rounding(system: System, pose: Pose, there: Surroundings) -> Scalar:
     """Uncertainty of the load due to the rounding of positions [N].
 

@@ -14,7 +14,7 @@ Arrays are numpy's on the host and JAX's in a compiled program: `xp` is the modu
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,6 +76,10 @@ class ErrorEstimate:
         """With factors on lengths and on forces."""
         length, *forces = self._all
         return ErrorEstimate(path * length, *(force * f for f in forces), most_force=self.most_force)
+
+    def with_start(self, off: float) -> ErrorEstimate:
+        """With the path off by so much from its start on [m]."""
+        return replace(self, path=self.path + off)
 
     @property
     def unknown(self) -> ErrorEstimate:

@@ -17,7 +17,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.program_cache import Program, Timed
 from pftwin.base.program_cache import settings as jax_settings
 from pftwin.base.spatial import Pose
-from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
+from pftwin.dynamics.equilibrium import Solution, place_unknown, tolerance_on_host
 from pftwin.dynamics.error_estimate import Course
 from pftwin.dynamics.frame_states import (
     first_guide,
@@ -221,7 +221,7 @@ class _Runs:
             relaxed=self._relaxed,
             settings=settings,
             timing=timing,
-            error=choice.error,
+            error=choice.error.with_start(place_unknown(start)),
             impact=impact,
         )
 

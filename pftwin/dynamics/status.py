@@ -65,8 +65,8 @@ _WORDS = {
     Status.SNAPPED: "the equilibrium ended and the patella snapped to another one, in a dynamic burst without a time",
     Status.ENERGY_FROM_NOWHERE: "there is more energy than before, less the work done: step too long, or forces that"
     " have no potential, as those of coarse meshes",
-    Status.INACCURATE: "by estimate the steps make an error above"
-    f" {1e3 * MOST_PATH_ERROR:g} mm in place, or above {_FORCE} in contact force: take shorter steps",
+    Status.INACCURATE: "by estimate the steps, or rounding at the start, make an error above"
+    f" {1e3 * MOST_PATH_ERROR:g} mm in place, or above {_FORCE} in contact force: take shorter steps, or float64",
     Status.FACETS_INACCURATE: f"by estimate the steps make an error above {_FORCE} in the force on one facet:"
     " take shorter steps, or use the sum of both",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",

@@ -136,11 +136,13 @@ class Diffrax(Integrator):
         controller = diffrax.ConstantStepSize()
         if self.adaptive:
             controller = diffrax.PIDController(rtol=self.rtol, atol=self.atol)
+        # Once it has given up there is no state to go on from: the rest of the motion is not known, and costs nothing.
+        known = jnp.isfinite(state.position.x)
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(slope),  # pyright: ignore[reportArgumentType]
             chosen,
             t0=jnp.zeros_like(step),
-            t1=step,
+            t1=jnp.where(known, step, 0.0),
             dt0=jnp.minimum(state.carried.pace, step) if self.adaptive else step,
             y0=jnp.concatenate(start),
             stepsize_controller=controller,
@@ -149,10 +151,11 @@ class Diffrax(Integrator):
             throw=False,
         )
         assert found.ys is not None
-        y = found.ys[-1]
+        given_up = found.result == diffrax.RESULTS.max_steps_reached
+        y = jnp.where(given_up, jnp.nan, found.ys[-1])
         after = _state(y, state)
         _, memories = system.loads(guide_at(1.0).instant(after.patella(), step), state.memories)
-        failed = (found.result != diffrax.RESULTS.successful).astype(y.dtype)
+        failed = ((found.result != diffrax.RESULTS.successful) | ~known).astype(y.dtype)
         carried = DiffraxStep(step / jnp.maximum(found.stats["num_accepted_steps"], 1).astype(y.dtype), failed)
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
         if ledger is not None:

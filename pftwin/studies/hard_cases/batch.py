@@ -14,22 +14,21 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import substeps_for
-from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.dynamics.relaxation import ended_far_away
+from pftwin.dynamics.trajectory import DEFAULT_STEP
 from pftwin.model.scene import Scene, check
 from pftwin.studies.hard_cases import derivatives
 from pftwin.studies.hard_cases.case import CaseIntegrator, HardCase
-from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import (
     PARAMETERS,
-    CaseRun,
     Rest,
     compiled,
     equilibrium_with_derivatives,
     poses,
     relaxed,
     run,
+    side_by_side,
 )
 
 
@@ -46,8 +45,7 @@ def built_scene(case: HardCase, contact: str) -> Scene:
     Raises:
         InputError: the case is refused.
     """
-    knee = case.builder()
-    scene = knee.scene(contact_on(knee, contact), case.name)
+    scene = case.builder().scene_on(contact, case.name)
     check(scene)
     return scene
 
@@ -95,8 +93,9 @@ def member(tree: Any, k: int) -> Any:
 
 
 def steps_of(case: HardCase, method: CaseIntegrator) -> int:
-    """Steps within a frame."""
-    return substeps_for(1 / RATE, min(case.step, method.longest_step))
+    """Steps within a frame; the first to be tried where the method chooses them."""
+    step = DEFAULT_STEP if method.chooses_steps else min(case.step, method.longest_step)
+    return substeps_for(1 / RATE, step)
 
 
 def short_enough(batch: CaseBatch, method: CaseIntegrator) -> list[int]:
@@ -116,9 +115,7 @@ LARGEST = 2000  # steps of the runs compared: side by side all take as many as t
 AGREE = {"float64": 1e-10, "float32": 1e-4}  # of poses, beside other batch mates [m, quaternion components]
 
 
-def batch_mates(
-    batch: CaseBatch, starts: Any, substeps: Any, plain: CaseRun, method: CaseIntegrator, dtype: str
-) -> dict[str, str]:
+def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegrator, dtype: str) -> dict[str, str]:
     """By case: how its result depends on the rest of the batch.
 
     All cases run side by side (`jax.vmap`), in reversed order with every second one NaN in all its numbers, and then
@@ -127,8 +124,8 @@ def batch_mates(
     if not method.side_by_side:
         return {}
     n = len(batch.cases)
-    program = compiled(run, dtype == "float64", side_by_side=True, integrator=integrator_from_text(method.name))
-    frames = np.asarray(plain.seen.status).shape[1] - 1
+    program = side_by_side(run, dtype == "float64", integrator=method.integrator)
+    frames = batch.scenes.motion.n_frames - 1
     steps = jnp.minimum(substeps, max(1, LARGEST // frames))
     args = (batch.scenes, starts, steps, jnp.zeros((n, 4)))
     alone = np.asarray(poses(program(*args).states))
@@ -210,21 +207,23 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
     n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, _patella_frame(scenes, found.equilibrium))
     said, columns = {}, np.asarray(found.slopes)
     converged = _converged(found.equilibrium)
-    reference = None
-    if dtype == "float64":
+    # A failed search flags every frame.
+    looked = [k for k, case in enumerate(batch.cases) if not case.released and converged[k]]
+    smooth = [k for k in looked if batch.cases[k].expected.smooth and dtype == "float64"]
+    reference: dict[int, np.ndarray] = {}
+    if smooth:
         sides = [
-            [np.asarray(poses(search(near, jnp.tile(jnp.asarray(p), (n, 1))).equilibrium.pose)) for p in side]
+            [poses(search(near, jnp.tile(jnp.asarray(p), (n, 1)), only=smooth).equilibrium.pose) for p in side]
             for side in derivatives.parameter_changes()
         ]
-        reference = derivatives.differences(np.stack(sides[0]), np.stack(sides[1]))
-    for k, case in enumerate(batch.cases):
-        if case.released or not converged[k]:
-            continue  # a failed search flags every frame
+        ahead, back = (np.stack(side) for side in sides)
+        reference = dict(zip(smooth, derivatives.differences(ahead, back), strict=True))
+    for k in looked:
         words = derivatives.not_finite(columns[k][None], np.array([True]))
-        if words is None and case.expected.smooth and reference is not None:
+        if words is None and k in reference:
             words = derivatives.disagree(columns[k], reference[k], dtype)
         if words is not None:
-            said[case.name] = f"equilibrium: {words}"
+            said[batch.cases[k].name] = f"equilibrium: {words}"
     return said
 
 

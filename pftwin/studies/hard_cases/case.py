@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
-from pftwin.studies.hard_cases.knee import KneeNumbers
+from pftwin.studies.hard_cases.knee import Numbers
 
 NOTHING = Status.OK
 RELEASED = Status.START_NOT_IN_EQUILIBRIUM
@@ -45,19 +47,23 @@ class HardCase:
     name: str
     topic: str
     about: str  # what is hard, and what is expected, in a sentence or two
-    builder: Callable[[], KneeNumbers]
+    builder: Callable[[], Numbers]
     expected: Expected = Expected()
     step: float = 1e-3  # [s]
     released: bool = False  # released at rest from the scene's start pose, not from its equilibrium
     contacts: tuple[str, ...] = CONTACTS  # kinds of contact that it exists for
     group: str = "short"  # cases of one group have motions of one length and meshes of one structure
+    no_equilibrium: Mapping[str, Sequence[str]] = field(default_factory=dict)  # by contact, float types in which
+    limit: str | None = None  # why it is refused there
     unmended: str | None = None  # known failures, and their reasons
 
 
 class CaseIntegrator(NamedTuple):
     """An integrator, and how it is used here."""
 
-    name: str  # as `pftwin.dynamics.integrators` has it
+    name: str  # as `pftwin.dynamics.integrators` has it, or another one for `of`
+    of: str | None = None  # the integrator's name there
+    chooses_steps: bool = False  # whether it takes shorter steps where `pftwin.simulate` does without a step given
     longest_step: float = 1.0  # in the matrix [s]
     most_steps: int | None = None  # of a run: cases that need more are left out; None: no limit
     may_refuse: bool = False  # whether it may flag a step as too long where the case does not expect it
@@ -67,17 +73,28 @@ class CaseIntegrator(NamedTuple):
     differentiated_on: tuple[str, ...] | None = None  # kinds of contact with which derivatives are checked; None: all
     side_by_side: bool = True  # whether its batches are checked too
 
+    @property
+    def integrator(self) -> Integrator:
+        """The integrator itself.
+
+        Raises:
+            InputError: no such integrator.
+        """
+        return integrator_from_text(self.of or self.name)
+
 
 QUICK = (*PATCHES, "volume")  # derivatives on contours take tens of minutes but for the linearly implicit steps
 
 INTEGRATORS = (
+    CaseIntegrator("simulate", of="linear_implicit_bdf2", chooses_steps=True, may_refuse=True, side_by_side=False),
     CaseIntegrator("linear_implicit"),
     CaseIntegrator("linear_implicit_bdf2", may_refuse=True),  # not damped enough for impacts shorter than a step
     CaseIntegrator(
         "newmark", may_refuse=True, side_by_side=False, differentiated_on=QUICK
     ),  # a batch compiles for minutes
     CaseIntegrator("symplectic_euler", longest_step=1e-4, may_refuse=True, differentiated_on=QUICK),
-    CaseIntegrator("diffrax:Tsit5", may_refuse=True, only=("P5",), float32=False),
+    # Explicit: it gives up where it would take more than 4,096 steps of its own within one, and says so.
+    CaseIntegrator("diffrax:Tsit5", most_steps=1000, may_refuse=True, only=("P5",), float32=False, side_by_side=False),
     # Its derivatives by volume take more than 40 minutes, most of it compiling.
     CaseIntegrator("quasi_static", may_refuse=True, inertia=False, side_by_side=False, differentiated_on=PATCHES),
     # Some 0.3 ms a step, and so few steps; undamped, as Newmark's method.
@@ -94,7 +111,7 @@ INTEGRATORS = (
 
 
 def method_named(name: str) -> CaseIntegrator:
-    """The integrator of that name in `INTEGRATORS`, or any other with its default settings."""
+    """What has that name in `INTEGRATORS`, or any other integrator with its default settings."""
     return next((m for m in INTEGRATORS if m.name == name), CaseIntegrator(name))
 
 

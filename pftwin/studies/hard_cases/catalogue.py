@@ -14,7 +14,17 @@ from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases.case import RELEASED, Expected, HardCase
 from pftwin.studies.hard_cases.contacts import CONTACTS, MESHES, PATCHES
 from pftwin.studies.hard_cases.ground import GROUNDS, MESH_MAKERS, PLATE
-from pftwin.studies.hard_cases.knee import MOTIONS, RADIUS, TROCHLEA, KneeNumbers, TendonNumbers, drawn, standing
+from pftwin.studies.hard_cases.knee import (
+    MOTIONS,
+    RADIUS,
+    TROCHLEA,
+    KneeNumbers,
+    Numbers,
+    TendonNumbers,
+    drawn,
+    standing,
+)
+from pftwin.studies.hard_cases.rig_numbers import RigNumbers
 
 _ABSENT = TendonNumbers(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -72,7 +82,9 @@ def _case(topic: str, entry: dict[str, Any]) -> HardCase:
     return HardCase(topic=topic, builder=lambda: _knee(entry), expected=expected, contacts=tuple(kinds), **own)
 
 
-def _knee(entry: dict[str, Any]) -> KneeNumbers:
+def _knee(entry: dict[str, Any]) -> Numbers:
+    if "rig" in entry:
+        return RigNumbers(entry["rig"], entry.get("factors", {}))
     base = drawn(entry["seed"]) if "seed" in entry else KNEES[entry.get("knee", "plain")]
     return _changed(base, entry.get("change", {}))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -21,7 +22,9 @@ from pftwin.model.effects.mesh_contact import MeshContact
 from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
 from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.studies.hard_cases.ground import lateral_of, patch_on
-from pftwin.studies.hard_cases.knee import KneeNumbers
+
+if TYPE_CHECKING:
+    from pftwin.studies.hard_cases.knee import KneeNumbers
 
 PATCHES = ("P2", "P4", "P5", "P5 cylinder", "P8", "spline")
 MESHES = ("contours", "volume")

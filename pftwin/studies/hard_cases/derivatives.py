@@ -7,6 +7,8 @@ quartering the parameters' changes alters the differences, that frame and all la
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,12 +20,20 @@ CHANGE = 1e-5  # of a parameter, in its unit, to either side
 FINER = 0.25  # share of it that is tried where differences and derivatives disagree
 SHARE = 0.02  # tolerance of a derivative, as a share of its column's largest entry
 LEAST = {"float64": 1e-7, "float32": 1e-4}  # [m or quaternion component per unit] smaller differences are not judged
+PARTED = 2e-5  # [m or quaternion component] between paths in float32 and float64: thousands of roundings
 SHARE_IN_SINGLE = 0.10  # tolerance of float32 derivatives against float64 differences
 
 
 def parameter_changes(share: float = 1.0) -> Floats:
     """(2, 4, 4): the parameters' changes, forward and backward, a row for each parameter; or a share of them."""
     return share * CHANGE * np.stack([np.eye(len(PARAMETERS)), -np.eye(len(PARAMETERS))])
+
+
+class Reference(NamedTuple):
+    """What derivatives of a run are compared with, in whichever float type they are."""
+
+    differences: Floats  # (n, 7, 4) finite differences of float64
+    path: Floats  # (n, 7) poses of float64 that they belong to
 
 
 def differences(ahead: Floats, back: Floats, share: float = 1.0) -> Floats:
@@ -37,6 +47,15 @@ def agreeing_differences(coarse: Floats, fine: Floats) -> Floats:
     off = np.abs(fine - coarse).max(axis=1)
     unsettled = np.logical_or.accumulate(~(off <= 0.5 * SHARE * size + LEAST["float64"]), axis=0)
     return np.where(unsettled[:, None, :], np.nan, fine)
+
+
+def known_on(reference: Reference, path: Floats) -> Floats:
+    """Finite differences (n, 7, 4) for derivatives on a path (n, 7) of float32: NaN once it has left that of float64.
+
+    From there on rounding has been multiplied a thousandfold, and derivatives are those of another path.
+    """
+    parted = np.logical_or.accumulate(~(np.abs(path - reference.path).max(axis=1) <= PARTED))
+    return np.where(parted[:, None, None], np.nan, reference.differences)
 
 
 def not_finite(slopes: Floats, until: NDArray[np.bool_]) -> str | None:

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from pftwin.dynamics.status import DEEPEST, Status
 from pftwin.studies.hard_cases.case import UNKNOWN, HardCase
-from pftwin.studies.hard_cases.ground import axis_below
-from pftwin.studies.hard_cases.knee import KneeNumbers
+from pftwin.studies.hard_cases.knee import Numbers
 from pftwin.studies.hard_cases.programs import CaseRun
 
 Floats = NDArray[np.float64]
 GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with checks of their own
+ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE  # and those of steps, which are judged by a converged run
 
 
 class Tolerance(NamedTuple):
@@ -40,7 +40,7 @@ class Look(NamedTuple):
     """One case's run on the host, with what the checks need."""
 
     case: HardCase
-    knee: KneeNumbers
+    knee: Numbers
     contact: str
     run: CaseRun
     tolerance: Tolerance
@@ -93,7 +93,7 @@ def flags_allowed(look: Look) -> str | None:
     expected = look.case.expected
     if expected.must & ~every:
         return f"flag missing: {(expected.must & ~every).describe()}"
-    allowed = expected.may | expected.must | GEOMETRY
+    allowed = expected.may | expected.must | GEOMETRY | ERRORS
     if not look.inertia:
         allowed |= Status.SNAPPED  # reported, so not wrong
     more = every & ~allowed
@@ -198,7 +198,7 @@ def at_end(look: Look) -> str | None:
     Where it touches that place is the button's radius away from the chart's plane, or that and the plane from the axis.
     """
     wanted, force = look.case.expected.force_at_end, look.report("force")[-1]
-    law, size = look.knee.law, look.knee.radius + axis_below(look.knee.ground, look.contact)
+    law, size = look.knee.law, look.knee.radius + look.knee.axis_below(look.contact)
     rounding = np.finfo(np.asarray(look.run.states.position.x).dtype).eps * size
     if wanted is None or (force > law.stiffness * rounding**law.exponent) == wanted:
         return None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,8 @@ from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.tendon import Tendon
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody, Scene
-from pftwin.studies.hard_cases.ground import TROCHLEA, TiltedGround, mesh_on
+from pftwin.studies.hard_cases.contacts import contact_on
+from pftwin.studies.hard_cases.ground import TROCHLEA, TiltedGround, axis_below, mesh_on
 
 Triple = tuple[float, float, float]
 Floats = NDArray[np.float64]
@@ -95,6 +97,32 @@ QUADRICEPS = TendonNumbers(156, 0.1432, (0.02, 0, -0.008), (0.22, 0.012, 0.035))
 PATELLAR_TENDON = TendonNumbers(629, 0.0714, (-0.02, 0, -0.008), (-0.07, 0.01, 0.045))
 
 
+class Numbers(Protocol):
+    """What a case's checks have to know of its scene, and how it is made."""
+
+    @property
+    def law(self) -> Law:
+        """Of the contact."""
+        ...
+
+    @property
+    def radius(self) -> float:
+        """Of the button [m]."""
+        ...
+
+    def scene_on(self, kind: str, name: str) -> Scene:
+        """The scene with a kind of contact.
+
+        Raises:
+            InputError: impossible numbers, motion or surface.
+        """
+        ...
+
+    def axis_below(self, kind: str) -> float:
+        """Depth of a cylindrical patch's axis below the ground; 0 where there is none [m]."""
+        ...
+
+
 @dataclass(frozen=True)
 class KneeNumbers:
     """All numbers of a scene."""
@@ -114,12 +142,15 @@ class KneeNumbers:
     mesh: Callable[[TiltedGround], SurfaceMesh] = mesh_on  # the femur's, where contact is between meshes
     facets: int = 2  # of that mesh
 
-    def scene(self, contact: Effect, name: str) -> Scene:
-        """The scene with a contact that was made for it.
+    def scene_on(self, kind: str, name: str) -> Scene:
+        """See `Numbers`."""
+        return self._scene(contact_on(self, kind), name)
 
-        Raises:
-            InputError: impossible numbers, motion or surface.
-        """
+    def axis_below(self, kind: str) -> float:
+        """See `Numbers`."""
+        return axis_below(self.ground, kind)
+
+    def _scene(self, contact: Effect, name: str) -> Scene:
         inertia = tuple(i * self.mass / MASS for i in INERTIA)
         effects = (
             Gravity(number(self.mass), vector(self.gravity)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.studies.hard_cases import derivatives
 from pftwin.studies.hard_cases.batch import (
     CaseBatch,
     Starts,
     batch_mates,
     batches,
-    member,
     selected_cases,
     short_enough,
     starts_of,
@@ -28,13 +27,16 @@ from pftwin.studies.hard_cases.batch import (
 )
 from pftwin.studies.hard_cases.case import INTEGRATORS, CaseIntegrator, HardCase, limit_of
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
+from pftwin.studies.hard_cases.derivatives import Reference
+from pftwin.studies.hard_cases.errors import BatchRuns, Truth, truths, with_flags
 from pftwin.studies.hard_cases.knee import RATE
-from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, compiled, depths, poses, run, slopes
+from pftwin.studies.hard_cases.programs import CaseRun, compiled, depths, poses, slopes
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
 
 DTYPES = ("float64", "float32")
 MOST_LOOKS = 200  # frames of a run for which the depth is searched
 Say = Callable[[str], None]
+Forward = Callable[[Any, list[int]], CaseRun]  # runs of some cases with changed parameters
 
 
 class Selection(NamedTuple):
@@ -45,6 +47,7 @@ class Selection(NamedTuple):
     dtypes: tuple[str, ...] = DTYPES
     derivatives: bool = True
     mates: bool = True
+    truths: bool = True
 
 
 EVERYTHING = Selection()
@@ -55,7 +58,7 @@ def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say
 
     Args:
         cases: from `pftwin.studies.hard_cases.catalogue`.
-        selection: contacts, integrators, float types; whether to check derivatives and batches.
+        selection: contacts, integrators, float types; whether to look at derivatives, batches and converged runs.
         say: called with the current step.
 
     Returns:
@@ -63,40 +66,95 @@ def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say
     """
     cells: list[Cell] = []
     for contact in selection.contacts:
-        references: dict[tuple[str, str], NDArray[np.float64]] = {}
-        for dtype in sorted(selection.dtypes, key=DTYPES.index):
-            with jax.enable_x64(dtype == "float64"):
-                cells += _of_contact(cases, contact, dtype, selection, references, say)
+        prepared = Prepared(cases, contact, selection)
+        for method in selection.integrators:
+            cells += cells_of(prepared, method, say)
     return cells
 
 
-def _of_contact(
-    cases: Sequence[HardCase],
-    contact: str,
-    dtype: str,
-    selection: Selection,
-    references: dict[tuple[str, str], NDArray[np.float64]],
-    say: Say,
+class Stack(NamedTuple):
+    """A batch of cases, with what every integrator needs of it."""
+
+    batch: CaseBatch
+    starts: Starts
+    truths: dict[str, Truth]  # by case; none where they are not looked at
+
+
+class Prepared:
+    """The cases on one kind of contact: made, and their starts and converged runs found, when first asked for."""
+
+    def __init__(self, cases: Sequence[HardCase], contact: str, selection: Selection) -> None:
+        """Computes nothing yet."""
+        self.cases, self.contact, self.selection = cases, contact, selection
+        self._built: dict[str, tuple[list[CaseBatch], dict[str, InputError]]] = {}
+        self._starts: dict[str, list[Starts]] = {}
+
+    def refused(self, dtype: str) -> dict[str, InputError]:
+        """Why scenes could not be made, by case."""
+        return self._batches(dtype)[1]
+
+    def batches(self, dtype: str) -> list[CaseBatch]:
+        """The others."""
+        return self._batches(dtype)[0]
+
+    def stacks(self, dtype: str) -> list[Stack]:
+        """The same with their starts and converged runs."""
+        known = self._truths if self.selection.truths else {}
+        return [Stack(b, s, known) for b, s in zip(self.batches(dtype), self._starts_of(dtype), strict=True)]
+
+    def _batches(self, dtype: str) -> tuple[list[CaseBatch], dict[str, InputError]]:
+        if dtype not in self._built:
+            with jax.enable_x64(dtype == "float64"):
+                self._built[dtype] = batches(self.cases, self.contact)
+        return self._built[dtype]
+
+    def _starts_of(self, dtype: str) -> list[Starts]:
+        if dtype not in self._starts:
+            with jax.enable_x64(dtype == "float64"):
+                self._starts[dtype] = [starts_of(batch, dtype) for batch in self.batches(dtype)]
+        return self._starts[dtype]
+
+    @cached_property
+    def _truths(self) -> dict[str, Truth]:
+        """By case; in float64, whatever float type they are compared with."""
+        found: dict[str, Truth] = {}
+        with jax.enable_x64(True):
+            for batch, starts in zip(self.batches("float64"), self._starts_of("float64"), strict=True):
+                found |= truths(batch, starts.chosen, self.contact)
+        return found
+
+
+def cells_of(prepared: Prepared, method: CaseIntegrator, say: Say = lambda _: None) -> list[Cell]:
+    """Runs all cases on one kind of contact with one integrator, in the selected float types."""
+    contact, selection = prepared.contact, prepared.selection
+    if method.only is not None and contact not in method.only:
+        return []
+    cells: list[Cell] = []
+    references: dict[str, Reference] = {}
+    for dtype in sorted(selection.dtypes, key=DTYPES.index):
+        if dtype != "float64" and not method.float32:
+            continue
+        with jax.enable_x64(dtype == "float64"):
+            cells += _of_float_type(prepared, method, dtype, references, say)
+    return cells
+
+
+def _of_float_type(
+    prepared: Prepared, method: CaseIntegrator, dtype: str, references: dict[str, Reference], say: Say
 ) -> list[Cell]:
-    """Runs all integrators in one float type; finite differences are kept for the other."""
-    stacks, refused = batches(cases, contact)
-    methods = [m for m in selection.integrators if m.only is None or contact in m.only]
-    methods = [m for m in methods if m.float32 or dtype == "float64"]
-    cells = [_refusal(c, contact, m, dtype, refused[c.name]) for m in methods for c in cases if c.name in refused]
-    words = limit_of(contact).without_inertia
-    unfit = [m for m in methods if words is not None and not m.inertia]
-    cells += [_refusal_cell(c, batch, contact, m, dtype) for m in unfit for batch in stacks for c in batch.cases]
-    methods = [m for m in methods if m not in unfit]
-    for batch in stacks if methods else ():
-        starts = starts_of(batch, dtype)
-        for method in methods:
-            began = time.perf_counter()
-            which = short_enough(batch, method)
-            if not which:
-                continue
-            own, own_starts = selected_cases(batch, which), starts_part(starts, which)
-            cells += _run_batch(own, own_starts, contact, method, dtype, selection, references)
-            say(f"{contact}, {method.name}, {dtype}: {len(which)} cases in {time.perf_counter() - began:.1f} s")
+    """In one float type; finite differences are kept for the other."""
+    contact, refused = prepared.contact, prepared.refused(dtype)
+    cells = [_refusal(c, contact, method, dtype, refused[c.name]) for c in prepared.cases if c.name in refused]
+    if limit_of(contact).without_inertia is not None and not method.inertia:
+        return cells + [_refusal_cell(c, b, contact, method, dtype) for b in prepared.batches(dtype) for c in b.cases]
+    for stack in prepared.stacks(dtype):
+        began = time.perf_counter()
+        which = short_enough(stack.batch, method)
+        if not which:
+            continue
+        own = Stack(selected_cases(stack.batch, which), starts_part(stack.starts, which), stack.truths)
+        cells += _run_batch(own, contact, method, dtype, prepared.selection, references)
+        say(f"{contact}, {method.name}, {dtype}: {len(which)} cases in {time.perf_counter() - began:.1f} s")
     return cells
 
 
@@ -112,7 +170,7 @@ def _refusal_cell(case: HardCase, batch: CaseBatch, contact: str, method: CaseIn
     """The cell of an integrator that must refuse this contact."""
     words = limit_of(contact).without_inertia or ""
     try:
-        integrator_from_text(method.name).refuse_unfit(batch.scenes.effects)
+        method.integrator.refuse_unfit(batch.scenes.effects)
     except InputError as error:
         outcome = "refused" if words in str(error) else "fail"
         return Cell(case.name, contact, method.name, dtype, outcome, str(error))
@@ -120,73 +178,74 @@ def _refusal_cell(case: HardCase, batch: CaseBatch, contact: str, method: CaseIn
 
 
 def _run_batch(
-    batch: CaseBatch,
-    starts: Starts,
+    stack: Stack,
     contact: str,
     method: CaseIntegrator,
     dtype: str,
     selection: Selection,
-    references: dict[tuple[str, str], NDArray[np.float64]],
+    references: dict[str, Reference],
 ) -> list[Cell]:
-    n, double = len(batch.cases), dtype == "float64"
-    substeps = jnp.asarray([steps_of(c, method) for c in batch.cases])
-    chosen = integrator_from_text(method.name)
-    forward = compiled(run, double, integrator=chosen)
-    nothing = jnp.zeros((n, len(PARAMETERS)))
-    plain = jax.device_get(forward(batch.scenes, starts.chosen, substeps, nothing))
-    depth = _depths(batch, plain, double)
+    batch, starts, double = stack.batch, stack.starts, dtype == "float64"
+    n, chosen = len(batch.cases), method.integrator
+    tried = BatchRuns(batch, starts.chosen, chosen, double)
+    choices = tried.chosen([steps_of(c, method) for c in batch.cases], method)
+    substeps = [choice.substeps for choice in choices]
+    runs = [with_flags(choice.run, choice.error) for choice in choices]
+    depth = _depths(batch, runs, double)
     columns = None
     if selection.derivatives and (method.differentiated_on is None or contact in method.differentiated_on):
-        columns = np.asarray(compiled(slopes, double, integrator=chosen)(batch.scenes, starts.chosen, substeps))
-        if double and any(c.expected.smooth for c in batch.cases):
-            found = _references(batch, columns, lambda p: forward(batch.scenes, starts.chosen, substeps, p))
-            references.update({(c.name, method.name): found[k] for k, c in enumerate(batch.cases)})
+        columns = compiled(slopes, double, integrator=chosen)(batch.scenes, starts.chosen, jnp.asarray(substeps))
+        if double:
+            found = _references(batch, columns, partial(tried.with_parameters, substeps))
+            references.update(
+                {batch.cases[k].name: Reference(d, np.asarray(poses(runs[k].states))) for k, d in found.items()}
+            )
     mates: dict[str, str] = {}
     if selection.mates and n > 1 and contact in PATCHES:  # batched mesh searches compile for minutes
-        mates = batch_mates(batch, starts.chosen, substeps, plain, method, dtype)
-    runs = {c.name: member(plain, k) for k, c in enumerate(batch.cases)}
+        mates = batch_mates(batch, starts.chosen, jnp.asarray(substeps), method, dtype)
+    by_name = {c.name: runs[k] for k, c in enumerate(batch.cases)}
     cells = []
     for k, case in enumerate(batch.cases):
-        own = None if columns is None else columns[k]
-        reference = references.get((case.name, method.name))
         evidence = Evidence(
-            runs,
-            own,
-            reference,
+            by_name,
+            None if columns is None else columns[k],
+            references.get(case.name),
             starts.wrong.get(case.name),
             mates.get(case.name),
             depth[k],
-            1 / RATE / int(substeps[k]),
+            1 / RATE / choices[k].substeps,
+            stack.truths.get(case.name) if method.inertia else None,
         )
         cells.append(verdict(case, contact, method, dtype, evidence))
     return cells
 
 
-def _depths(batch: CaseBatch, plain: CaseRun, float64: bool) -> NDArray[np.float64]:
+def _depths(batch: CaseBatch, runs: Sequence[CaseRun], float64: bool) -> NDArray[np.float64]:
     """(cases, frames): by exhaustive search; NaN at frames of long motions that are skipped."""
-    frames = plain.seen.status.shape[1]
+    frames = runs[0].seen.status.size
     looked = np.arange(0, frames, max(1, frames // MOST_LOOKS))
-    centers = jax.tree.map(lambda a: a[:, looked], plain.seen.center)
+    centers = jax.tree.map(lambda *a: np.stack(a)[:, looked], *(r.seen.center for r in runs))
     depth = np.full((len(batch.cases), frames), np.nan)
     depth[:, looked] = np.asarray(compiled(depths, float64)(batch.scenes, centers))
     return depth
 
 
-def _references(batch: CaseBatch, slopes: NDArray[Any], forward: Callable[[Any], CaseRun]) -> NDArray[np.float64]:
-    """(cases, frames, 7, 4): finite differences of the poses; where some case's differ from slopes, as they settle."""
-    found, n = _differences(forward, len(batch.cases)), len(batch.cases)
-    smooth = [c.expected.smooth for c in batch.cases]
-    off = [k for k in range(n) if smooth[k] and derivatives.disagree(slopes[k], found[k], "float64")]
+def _references(batch: CaseBatch, slopes: NDArray[Any], forward: Forward) -> dict[int, NDArray[np.float64]]:
+    """By number of smooth case, (frames, 7, 4): finite differences; where they differ from slopes, as they settle."""
+    smooth = [k for k, c in enumerate(batch.cases) if c.expected.smooth]
+    if not smooth:
+        return {}
+    found = dict(zip(smooth, _differences(forward, smooth), strict=True))
+    off = [k for k in smooth if derivatives.disagree(slopes[k], found[k], "float64")]
     if off:
-        finer = _differences(forward, n, derivatives.FINER)
-        found[off] = [derivatives.agreeing_differences(found[k], finer[k]) for k in off]
+        finer = _differences(forward, off, derivatives.FINER)
+        found |= {k: derivatives.agreeing_differences(found[k], fine) for k, fine in zip(off, finer, strict=True)}
     return found
 
 
-def _differences(forward: Callable[[Any], CaseRun], n: int, share: float = 1.0) -> NDArray[np.float64]:
+def _differences(forward: Forward, which: list[int], share: float = 1.0) -> NDArray[np.float64]:
     """(cases, frames, 7, 4): central differences of the poses."""
-    sides = [
-        [np.asarray(poses(forward(jnp.tile(jnp.asarray(p), (n, 1))).states)) for p in side]
-        for side in derivatives.parameter_changes(share)
-    ]
-    return derivatives.differences(np.stack(sides[0]), np.stack(sides[1]), share)
+    ahead, back = (
+        np.stack([poses(forward(p, which).states) for p in side]) for side in derivatives.parameter_changes(share)
+    )
+    return derivatives.differences(ahead, back, share)

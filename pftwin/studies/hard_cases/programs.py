@@ -1,19 +1,20 @@
 """The few programs that run all cases: one structure of scene, one compilation for each integrator and float type.
 
-Cases follow one another in a loop inside the program (`jax.lax.map`): compiled like a single run, and no case waits for
-the one with the shortest steps. That a batch side by side (`jax.vmap`) gives the same is one of the checks, and so is
+Cases follow one another through a program of one case, whose number of steps is an argument: no case waits for the one
+with the shortest steps. That batches side by side (`jax.vmap`) keep their members apart is one of the checks, and so is
 how deep a button is in its surface, by an exhaustive search that no time stepping, memory or tree can lead astray.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from pftwin.base.spatial import Pose, Scalar, Vec3
@@ -31,8 +32,8 @@ from pftwin.geometry.patch.polynomial import PolynomialPatch
 from pftwin.model.effects.contact import Contact
 from pftwin.model.scene import Scene
 
-# Compiled without LLVM's optimisations in a third of the time, since the runs are short.
-OPTIONS = {"xla_backend_optimization_level": 0}
+# Few of LLVM's optimisations: without any, contours of meshes run four times as long; all take long to compile.
+OPTIONS = {"xla_backend_optimization_level": 1}
 PARAMETERS = ("quadriceps stiffness", "patellar tendon's slack length", "height of the surface", "contact stiffness")
 UNITS = (1.0, 1e-2, 1e-3, 1.0)  # of the parameters' changes: relative, [m], [m], relative
 
@@ -144,17 +145,30 @@ def slopes(scene: Scene, start: Solution, substeps: Array, integrator: Integrato
 
 
 @lru_cache(maxsize=256)
-def compiled(
-    function: Callable[..., Any], float64: bool, side_by_side: bool = False, **fixed: str
-) -> Callable[..., Any]:
-    """A program over the leading axis of all arguments; one for each float type, whose settings must be in force."""
+def compiled(function: Callable[..., Any], float64: bool, **fixed: Any) -> Callable[..., Any]:
+    """A program of one case, for members of a batch one after the other: whoever is left out costs nothing.
 
-    def each(*args: Any) -> Any:
-        if side_by_side:
-            return jax.vmap(lambda *one: function(*one, **fixed))(*args)
-        return jax.lax.map(lambda one: function(*one, **fixed), args)
+    One for each float type, whose settings must be in force.
 
-    return jax.jit(each, compiler_options=OPTIONS)
+    Returns:
+        A function of stacked arguments, and of `only`: the numbers of the members that are wanted, all by default.
+        Their results are stacked on the host.
+    """
+    program = jax.jit(partial(function, **fixed), compiler_options=OPTIONS)
+
+    def each(*stacked: Any, only: Sequence[int] | None = None) -> Any:
+        args = jax.device_get(stacked)
+        which = range(len(jax.tree.leaves(args)[0])) if only is None else only
+        found = [jax.device_get(program(*jax.tree.map(lambda a, k=k: a[k], args))) for k in which]
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+
+    return each
+
+
+@lru_cache(maxsize=64)
+def side_by_side(function: Callable[..., Any], float64: bool, **fixed: Any) -> Callable[..., Any]:
+    """A program of a whole batch at once, over the leading axis of all arguments."""
+    return jax.jit(jax.vmap(partial(function, **fixed)), compiler_options=OPTIONS)
 
 
 SAMPLES = 61  # along each side of a square about the point below the centre

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.results.result import Result
 from pftwin.studies.hard_cases.batch import batches, built_scene, member, starts_of, steps_of
 from pftwin.studies.hard_cases.case import HardCase, method_named
@@ -88,16 +87,19 @@ def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
 def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[KeptPiece]) -> str:
     """The page docs/hard_cases.md, from the pieces that were run."""
     found, m = counts(cells), pieces[-1].machine
+    compared = {cell[:4]: piece.truths for piece in pieces for cell in piece.rows}
     by_name = {c.name: c for c in cases}
-    known = [by_name[name] for name in _failing(cells) if name in by_name and by_name[name].unmended]
+    why = {name: c.unmended or c.limit for name, c in by_name.items()}
+    known = {name: why[name] for name in _failing(cells) if why.get(name)}
     lists = {topic: _list(c for c in cases if c.topic == topic) for topic in dict.fromkeys(c.topic for c in cases)}
     page = files("pftwin.studies.hard_cases").joinpath("page.md").read_text(encoding="utf-8")
     return page.format(
         size=f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}",
+        older=list(compared.values()).count(False),
         minutes=sum(p.seconds for p in pieces) / 60,
         machine=f"{m['cpu']}, {m['cores']} cores, jax {m['jax']}",
         failing=reasons(cells, "fail").grid() if found["fail"] else "Nothing.",
-        known="\n".join(f"- **{c.name}**: {c.unmended}" for c in known),
+        known="\n".join(f"- **{name}**: {words}" for name, words in known.items()),
         summary=summary(cells).grid(),
         by_case=by_case(cells).grid(),
         refused=reasons(cells, "refused").grid(),
@@ -125,6 +127,7 @@ class KeptPiece(NamedTuple):
     seconds: float  # with compiling
     machine: dict[str, Any]  # as `pftwin.base.runtime.describe` has it, date included
     quick: bool  # whether derivatives and batches were left out
+    truths: bool = False  # whether runs were compared with converged ones
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -139,7 +142,8 @@ def read_piece(path: Path) -> KeptPiece:
     """
     found, rows = read_rows(path, Cell, _EXPECTED)
     try:
-        return KeptPiece(tuple(rows), float(found["seconds"]), dict(found["machine"]), bool(found["quick"]))
+        words = float(found["seconds"]), dict(found["machine"]), bool(found["quick"]), bool(found.get("truths"))
+        return KeptPiece(tuple(rows), *words)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"no piece of the matrix: {error}", where=path, expected=_EXPECTED) from error
 
@@ -175,6 +179,14 @@ def merged_pieces(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]])
     return sorted(kept.values(), key=rank)
 
 
+_LOOKED = {  # by whether derivatives and batches were left out, and whether there were converged runs
+    (False, True): "everything",
+    (False, False): "everything but converged runs",
+    (True, True): "the run, beside a converged one",
+    (True, False): "the run alone",
+}
+
+
 def runs(pieces: Sequence[KeptPiece]) -> Sheet:
     """Rows of the pieces: what was run, when and where."""
     rows = []
@@ -183,7 +195,7 @@ def runs(pieces: Sequence[KeptPiece]) -> Sheet:
             ", ".join(dict.fromkeys(getattr(c, n) for c in piece.rows)) for n in ("contact", "integrator", "dtype")
         )
         cases = str(len({c.case for c in piece.rows}))
-        looked = "the run alone" if piece.quick else "everything"
+        looked = _LOOKED[piece.quick, piece.truths]
         rows.append((str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}", *names, cases, looked))
     headings = ("date", "minutes", "contacts", "integrators", "float types", "cases", "looked at")
     return Sheet("what was run", headings, tuple(rows))
@@ -203,7 +215,7 @@ def results(
         for batch in stacks:
             starts = starts_of(batch, "float64").chosen
             substeps = [steps_of(c, method) for c in batch.cases]
-            forward = compiled(run, True, integrator=integrator_from_text(integrator))
+            forward = compiled(run, True, integrator=method.integrator)
             nothing = jnp.zeros((len(substeps), len(PARAMETERS)))
             ran = jax.device_get(forward(batch.scenes, starts, jnp.asarray(substeps), nothing))
             for k, case in enumerate(batch.cases):

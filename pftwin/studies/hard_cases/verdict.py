@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.dynamics.status import Status
+from pftwin.results.verdict import most_frames
 from pftwin.studies.hard_cases import derivatives, invariants
-from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator, HardCase, limit_of
-from pftwin.studies.hard_cases.invariants import CHECKS, GEOMETRY, TOLERANCES, Look
-from pftwin.studies.hard_cases.programs import CaseRun
+from pftwin.studies.hard_cases.case import RELEASED, UNKNOWN, CaseIntegrator, HardCase, limit_of
+from pftwin.studies.hard_cases.derivatives import Reference
+from pftwin.studies.hard_cases.errors import Truth, silent_error
+from pftwin.studies.hard_cases.invariants import CHECKS, ERRORS, GEOMETRY, TOLERANCES, Look
+from pftwin.studies.hard_cases.programs import CaseRun, poses
 
 REFUSES = (
     Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
@@ -34,15 +37,16 @@ class Evidence(NamedTuple):
 
     runs: dict[str, CaseRun]  # of the whole batch, on the host
     slopes: NDArray[np.float64] | None  # (n, 7, 4)
-    reference: NDArray[np.float64] | None  # float64's finite differences, likewise
+    reference: Reference | None  # for these
     start: str | None  # faults of its equilibrium
     mates: str | None  # dependence on the batch
     depth: NDArray[np.float64]  # (n,) by exhaustive search [m]
     step: float  # [s]
+    truth: Truth | None = None  # a converged run
 
 
 def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, evidence: Evidence) -> Cell:
-    """Pass; fail with the first fault; refused where the run itself flags its step as too long."""
+    """Pass; fail with all faults; refused where the run says of itself that it is not to be trusted."""
     run, tolerance = evidence.runs[case.name], TOLERANCES[dtype]
     look = Look(case, case.builder(), contact, run, tolerance, evidence.step, evidence.depth, method.inertia)
 
@@ -52,15 +56,29 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
     if case.expected.refusal is not None:
         return cell("fail", "not refused")
     every = Status(int(np.bitwise_or.reduce(look.flags)))
-    if every & UNKNOWN and (method.may_refuse or case.expected.may & UNKNOWN or _at_limit(look)):
+    if every & RELEASED and dtype in case.no_equilibrium.get(contact, ()):
+        return cell("refused", f"{RELEASED.describe()} ({case.limit})")  # at every frame, and nothing else is claimed
+    inaccurate = int(((look.flags & int(Status.INACCURATE)) > 0).sum())
+    invalid = inaccurate > most_frames(Status.INACCURATE, look.flags.size)  # then steps are too long by their estimate
+    if every & UNKNOWN and (method.may_refuse or invalid or case.expected.may & UNKNOWN or _at_limit(look)):
         return _refused(look, every, cell)
     wrong = [words for check in CHECKS if (words := check(look)) is not None]
     wrong += [
         w
-        for w in (evidence.start, evidence.mates, _equals_other_case(look, evidence), _slopes(look, evidence, dtype))
+        for w in (
+            evidence.start,
+            evidence.mates,
+            _equals_other_case(look, evidence),
+            _slopes(look, evidence, dtype, invalid),
+            None if evidence.truth is None else silent_error(run, evidence.truth),
+        )
         if w
     ]
-    return cell("fail", "; ".join(wrong)) if wrong else cell("pass", "")
+    if wrong:
+        return cell("fail", "; ".join(wrong))
+    if invalid:
+        return cell("refused", f"{Status.INACCURATE.describe()} ({inaccurate} of {look.flags.size} frames)")
+    return cell("pass", "")
 
 
 def _at_limit(look: Look) -> bool:
@@ -68,7 +86,7 @@ def _at_limit(look: Look) -> bool:
     limit, first = limit_of(look.contact), int(np.argmax((look.flags & int(UNKNOWN)) > 0))
     until = Status(int(np.bitwise_or.reduce(look.flags[: first + 1])))
     own = limit.flags | (limit.at_rim if Status.LEFT_PATCH in until else Status.OK)
-    allowed = look.case.expected.may | look.case.expected.must | GEOMETRY | own
+    allowed = look.case.expected.may | look.case.expected.must | GEOMETRY | ERRORS | own
     return bool(look.flags[first] & int(own)) and not until & ~allowed
 
 
@@ -98,13 +116,19 @@ def _equals_other_case(look: Look, evidence: Evidence) -> str | None:
     return f"{1e3 * off:.2g} mm from {other}" if not off <= look.tolerance.same else None
 
 
-def _slopes(look: Look, evidence: Evidence, dtype: str) -> str | None:
+def _slopes(look: Look, evidence: Evidence, dtype: str, invalid: bool) -> str | None:
     """Derivatives must be finite in all frames that count, and right where the motion is smooth."""
     if evidence.slopes is None:
         return None
     own = np.asarray(evidence.slopes, np.float64)
     if words := derivatives.not_finite(own, look.clean()):
         return words
-    if look.case.expected.smooth and evidence.reference is not None:
-        return derivatives.disagree(own, evidence.reference, dtype)
-    return None
+    if not look.case.expected.smooth or evidence.reference is None:
+        return None
+    words = derivatives.disagree(own, evidence.reference.differences, dtype)
+    if words is None or dtype == "float64":
+        return words
+    known = derivatives.known_on(evidence.reference, np.asarray(poses(look.run.states), np.float64))
+    if invalid and not np.isfinite(known).any():  # by rounding it starts elsewhere, and says so
+        return None
+    return derivatives.disagree(own, known, dtype)

@@ -46,7 +46,7 @@ def test_a_case_says_what_is_hard_and_what_is_expected(case):
 
 def test_the_table_of_cases_has_no_word_that_is_not_read():
     known = {f.name for kind in (HardCase, Expected) for f in fields(kind)} - {"topic", "builder", "expected"}
-    known = known - {"smooth", "symmetric", "still"} | {"holds", "knee", "seed", "change"}
+    known = known - {"smooth", "symmetric", "still"} | {"holds", "knee", "seed", "change", "rig", "factors"}
     text = resources.files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8")
     for entries in tomllib.loads(text).values():
         for entry in entries:
@@ -83,7 +83,7 @@ def test_what_cannot_be_simulated_is_refused_in_words(contact):
 def test_cases_of_one_group_have_one_structure(contact):
     stacks, refused = batches(catalogue(), contact)
     assert sum(len(b.cases) for b in stacks) + len(refused) == sum(contact in c.contacts for c in catalogue())
-    assert {b.cases[0].group for b in stacks} <= {"short", "long", "one triangle"}
+    assert {b.cases[0].group for b in stacks} <= {"short", "long", "one triangle", "rig"}
 
 
 SMALL = (  # a few of every topic; the slow tests of the matrix have them all
@@ -121,7 +121,7 @@ def test_tables_count_every_cell_once(cells):
     assert sum(int(x) for x in row[3:]) == len(cells)
     assert len(by_case(cells).rows) == len({c.case for c in cells})
     machine = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
-    page = markdown(cells, catalogue(), [KeptPiece(tuple(cells), 60.0, machine, False)])
+    page = markdown(cells, catalogue(), [KeptPiece(tuple(cells), 60.0, machine, False, True)])
     cases = len({c.case for c in cells})
     assert f"| 2026-01-01T10:00 | 1.0 | P5 | linear_implicit | float64 | {cases} | everything |" in page
     assert all(f"**{c.name}**" in page for c in catalogue())

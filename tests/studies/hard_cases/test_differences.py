@@ -36,3 +36,15 @@ def test_a_wrong_derivative_is_told_from_a_wild_motion():
 def test_a_motion_whose_differences_never_settle_is_not_passed():
     nothing = np.full((30, 7, 4), np.nan)
     assert derivatives.disagree(LONG, nothing, "float64") == "finite differences settle in no frame"
+
+
+def test_in_single_precision_derivatives_count_until_the_paths_part():
+    path = np.zeros((30, 7))
+    parted = path.copy()
+    parted[12:, 1] = 2 * derivatives.PARTED
+    parted[20:, 1] = 0.0  # near again, by chance
+    reference = derivatives.Reference(LONG, path)
+    assert np.isfinite(derivatives.known_on(reference, path)).all()
+    known = np.isfinite(derivatives.known_on(reference, parted))
+    assert known[:12].all()
+    assert not known[12:].any()

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from pftwin.base.errors import InputError
-from pftwin.studies.hard_cases import case_named, method_named
+from pftwin.studies.hard_cases import CONTACTS, INTEGRATORS, case_named, method_named, whole
 from pftwin.studies.hard_cases.batch import batches, short_enough
 from pftwin.studies.hard_cases.table import KeptPiece, merged_pieces, read_piece, read_pieces, runs
 from pftwin.studies.hard_cases.verdict import Cell
@@ -31,6 +31,14 @@ def test_a_piece_is_read_as_it_was_written(tmp_path):
     path.write_text(json.dumps(wanted.as_dict()), encoding="utf-8")
     assert read_piece(path) == wanted
     assert runs([wanted]).rows == (("2026-01-01T10:00", "1.0", "P5", "newmark", "float64", "2", "the run alone"),)
+
+
+def test_what_was_looked_at_is_told_of_each_piece(tmp_path):
+    path = tmp_path / "piece.json"
+    for truths, words in ((True, "everything"), (False, "everything but converged runs")):
+        whole_piece = piece("pass", "a")._replace(quick=False, truths=truths)
+        path.write_text(json.dumps(whole_piece.as_dict()), encoding="utf-8")
+        assert runs([read_piece(path)]).rows[0][-1] == words
 
 
 def test_pieces_of_a_folder_come_from_the_oldest_to_the_newest(tmp_path):
@@ -70,3 +78,45 @@ def test_a_slow_method_leaves_out_the_cases_of_many_steps():
     (batch,), _ = batches([case_named(n) for n in ("plain_knee", "step_of_50_us", "bounce_to_rest")], "P5")
     assert short_enough(batch, method_named("ali3p")) == [0, 2]
     assert short_enough(batch, method_named("linear_implicit")) == [0, 1, 2]
+
+
+def test_what_is_missing_is_run_and_what_is_there_is_not(tmp_path, monkeypatch):
+    """A run that breaks off keeps what it has, and the next one goes on from there."""
+    ran: list[tuple[str, str]] = []
+    breaks = [("P2", "newmark")]
+
+    def cells_of(prepared, method, say):
+        if (prepared.contact, method.name) in breaks:
+            breaks.clear()
+            raise KeyboardInterrupt
+        ran.append((prepared.contact, method.name))
+        return [Cell("a", prepared.contact, method.name, "float64", "pass", "")]
+
+    monkeypatch.setattr(whole, "cells_of", cells_of)
+    chosen = whole.EVERYTHING._replace(contacts=("P2", "P5"))
+    wanted = {c: [m.name for m in INTEGRATORS if m.only is None or c in m.only] for c in ("P5", "P2")}
+    with pytest.raises(KeyboardInterrupt):
+        whole.run_missing(tmp_path, chosen, processes=1, cache_dir="")
+    assert len(list(tmp_path.glob("*.json"))) == len(ran) == 11
+    before = list(ran)
+    written = whole.run_missing(tmp_path, chosen, processes=1, cache_dir="")
+    assert [(c, m) for c, names in wanted.items() for m in names] == ran
+    assert len(written) == len(ran) - len(before) > 0
+    assert {(c.contact, c.integrator) for p in read_pieces(tmp_path) for c in p.rows} == set(ran)
+    assert whole.run_missing(tmp_path, chosen, processes=1, cache_dir="") == []
+
+
+def test_every_contact_has_its_place_in_the_order_of_work():
+    assert sorted(whole.LONGEST_FIRST) == sorted(CONTACTS)
+
+
+def test_a_part_of_the_matrix_is_not_kept_as_if_it_were_whole(tmp_path):
+    from typer.testing import CliRunner
+
+    from pftwin.cli.program import app
+
+    for part in (["--case", "mass_zero"], ["--dtype", "float64"], ["--quick"], ["--from", str(tmp_path)]):
+        done = CliRunner().invoke(app, ["hard-cases", "--into", str(tmp_path), *part])
+        assert done.exit_code == 2
+        assert "--into given with a part of the matrix" in done.output
+    assert list(tmp_path.iterdir()) == []

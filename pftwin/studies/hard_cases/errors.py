@@ -1,0 +1,124 @@
+"""How far runs are off: by their own estimate, as `pftwin.simulate` makes it, and beside a converged run.
+
+The converged run is one of BDF2 in float64, in steps of 1/32 ms (on meshes, where a step costs more, 1/16 ms), and how
+far it is known is told by another of half that step. Wherever the two part, nothing is judged within twice of what they
+are apart there or were apart before: neighbours of a chaotic motion have no common truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.dynamics.equilibrium import place_unknown
+from pftwin.dynamics.error_estimate import Course, ErrorEstimate, apart
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import BDF2
+from pftwin.dynamics.status import Status
+from pftwin.dynamics.tolerance import Choice, Tried, accurate_enough, with_estimate
+from pftwin.results.verdict import ALLOWED, verdict_of
+from pftwin.studies.hard_cases.batch import CaseBatch, member
+from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator
+from pftwin.studies.hard_cases.contacts import MESHES
+from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, compiled, run
+
+FINE = {"patch": 320, "mesh": 160}  # steps between two frames, 10 ms apart, of the converged runs
+
+MIDDLE = 1e-5  # [m] nearer to the plane of symmetry rounding tells whether the one contact is medial or lateral
+QUANTITIES = ("path", "contact_force", "medial_facet", "lateral_facet")  # of `ErrorEstimate`
+
+
+class BatchRuns:
+    """Runs of a batch's cases with any numbers of steps, by one program; each is made once."""
+
+    def __init__(self, batch: CaseBatch, starts: Any, integrator: Integrator, float64: bool) -> None:
+        """Makes none yet."""
+        self._program = compiled(run, float64, integrator=integrator)
+        self._batch, self._starts = batch, starts
+        self._kept: dict[tuple[int, int], CaseRun] = {}
+
+    def with_parameters(self, substeps: Sequence[int], p: Any, only: Sequence[int]) -> CaseRun:
+        """Runs of some of the cases, stacked, with parameters changed by p (4,)."""
+        n = len(self._batch.cases)
+        steps, changes = np.asarray(substeps, int), np.tile(np.asarray(p), (n, 1))
+        return self._program(self._batch.scenes, self._starts, jnp.asarray(steps), jnp.asarray(changes), only=only)
+
+    def tried(self, k: int, n: int) -> Tried[CaseRun]:
+        """The run of one case with so many steps between two frames."""
+        if (k, n) not in self._kept:
+            ran = self.with_parameters([n] * len(self._batch.cases), np.zeros(len(PARAMETERS)), [k])
+            self._kept[k, n] = member(ran, 0)
+        found = self._kept[k, n]
+        return Tried(found, course_of(found), not (found.seen.status & int(Status.STEP_TOO_LONG)).any())
+
+    def chosen(self, substeps: Sequence[int], method: CaseIntegrator) -> list[Choice[CaseRun]]:
+        """The runs with these steps, or with those that `pftwin.simulate` chooses from there; each with its error."""
+        choose = accurate_enough if method.chooses_steps else with_estimate
+        found = []
+        for k, n in enumerate(substeps):
+            choice = choose(partial(self.tried, k), n, method.integrator.order)
+            error = choice.error.with_start(place_unknown(member(self._starts, k)))
+            found.append(replace(choice, error=error))
+        return found
+
+
+def course_of(ran: CaseRun) -> Course:
+    """What is compared of one case's run."""
+    return Course.of(ran.seen, "contact")
+
+
+def with_flags(ran: CaseRun, error: ErrorEstimate) -> CaseRun:
+    """The run with the flags that its error raises."""
+    return eqx.tree_at(lambda r: r.seen.status, ran, ran.seen.status | error.flags)
+
+
+class Truth(NamedTuple):
+    """A converged run of one case."""
+
+    course: Course
+    left: ErrorEstimate  # how far it is known, at every frame
+
+    def off(self, ran: CaseRun) -> ErrorEstimate:
+        """How far a run is off at every frame, beyond what is known."""
+        found = apart(course_of(ran), self.course)
+        path, force, *facets = (np.maximum(getattr(found, n) - 2 * getattr(self.left, n), 0.0) for n in QUANTITIES)
+        middle = np.abs(self.course.center[:, 1]) < MIDDLE
+        return ErrorEstimate(path, force, *(np.where(middle, 0.0, f) for f in facets), most_force=found.most_force)
+
+
+def truths(batch: CaseBatch, starts: Any, contact: str) -> dict[str, Truth]:
+    """Converged runs of a batch's cases, by name; in float64, whose settings must be in force."""
+    fine, runs = FINE["mesh" if contact in MESHES else "patch"], BatchRuns(batch, starts, BDF2(), True)
+    found = {}
+    for k, case in enumerate(batch.cases):
+        coarse, course = (runs.tried(k, steps).course for steps in (fine, 2 * fine))
+        left = apart(course, coarse)
+        values = (np.maximum.accumulate(getattr(left, name)) for name in QUANTITIES)
+        found[case.name] = Truth(course, ErrorEstimate(*values, most_force=left.most_force))
+    return found
+
+
+def silent_error(ran: CaseRun, truth: Truth) -> str | None:
+    """Whether a run is off and does not say so, as users are told: by flags, and by its verdict."""
+    off, flags = truth.off(ran), np.asarray(ran.seen.status, np.int64)
+    wrong: NDArray[np.int64] = np.asarray(off.flags, np.int64)
+    for flag, told in (
+        (Status.INACCURATE, Status.INACCURATE | UNKNOWN),
+        (Status.FACETS_INACCURATE, Status.FACETS_INACCURATE | Status.INACCURATE | UNKNOWN),
+    ):
+        if (wrong & int(flag)).any() and not (flags & int(told)).any():
+            return f"off a converged run by {off.describe()}, and no frame says so"
+    frames = int(((wrong & int(Status.INACCURATE)) > 0).sum())
+    if frames > ALLOWED[Status.INACCURATE] * flags.size and verdict_of(flags & ~_TOLD).valid:
+        return f"off a converged run in {frames} of {flags.size} frames, by {off.describe()}, and called valid"
+    return None
+
+
+_TOLD = int(Status.START_NOT_IN_EQUILIBRIUM | Status.NO_CONTACT | Status.DEEP_INDENTATION)  # flags of another matter

@@ -1,0 +1,93 @@
+"""The whole matrix in pieces, one file for each kind of contact and integrator; what has its file is not run again.
+
+Contacts are worked at side by side in processes of their own: nearly all of the time is compiling, which uses one core.
+What all integrators need of a contact (scenes, equilibria, converged runs) is found once.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import jax
+
+from pftwin.base.output import written_whole
+from pftwin.base.runtime import configure, describe
+from pftwin.studies.hard_cases.case import CaseIntegrator
+from pftwin.studies.hard_cases.catalogue import catalogue
+from pftwin.studies.hard_cases.matrix import EVERYTHING, Prepared, Selection, cells_of
+from pftwin.studies.hard_cases.table import KeptPiece
+
+Say = Callable[[str], None]
+LONGEST_FIRST = ("contours", "volume", "spline", "P5", "P8", "P5 cylinder", "P4", "P2")  # so that all end together
+
+
+def piece_path(folder: Path, contact: str, method: CaseIntegrator) -> Path:
+    """Where the cells of a kind of contact and an integrator are kept."""
+    return folder / f"{contact}_{method.name}.json".replace(" ", "-").replace(":", "-")
+
+
+def missing(folder: Path, selection: Selection = EVERYTHING) -> dict[str, tuple[CaseIntegrator, ...]]:
+    """By kind of contact, the integrators whose cells have no file yet; what takes longest comes first."""
+    found = {}
+    for contact in sorted(selection.contacts, key=LONGEST_FIRST.index):
+        able = [m for m in selection.integrators if m.only is None or contact in m.only]
+        if left := tuple(m for m in able if not piece_path(folder, contact, m).exists()):
+            found[contact] = left
+    return found
+
+
+def run_missing(
+    folder: Path, selection: Selection = EVERYTHING, *, processes: int, cache_dir: str, say: Say = lambda _: None
+) -> list[Path]:
+    """Runs all cases where `missing` says so, and writes a file for each contact and integrator as soon as it is done.
+
+    Args:
+        folder: of the pieces.
+        selection: contacts and integrators; float types are both.
+        processes: contacts at a time.
+        cache_dir: of compiled programs, for the processes.
+        say: called with what is done.
+
+    Returns:
+        The files that were written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    work = missing(folder, selection)
+    if processes == 1:
+        return [path for c, methods in work.items() for path in run_contact(folder, c, methods, selection, say)]
+    written = []
+    context = multiprocessing.get_context("spawn")  # a forked JAX hangs
+    with ProcessPoolExecutor(processes, context, configure_process, (cache_dir,), max_tasks_per_child=1) as pool:
+        running = {pool.submit(run_contact, folder, c, m, selection): c for c, m in work.items()}
+        for done in as_completed(running):
+            written += done.result()
+            say(f"{running[done]}: done")
+    return written
+
+
+def configure_process(cache_dir: str) -> None:
+    """Sets up a process of `run_missing` as the command line does."""
+    configure(cache_dir=cache_dir)
+
+
+def run_contact(
+    folder: Path, contact: str, methods: Sequence[CaseIntegrator], selection: Selection, say: Say = lambda _: None
+) -> list[Path]:
+    """Runs all cases on one kind of contact, one integrator after the other."""
+    prepared, written = Prepared(catalogue(), contact, selection), []
+    for method in methods:
+        began = time.perf_counter()
+        cells = cells_of(prepared, method, say)
+        seconds = time.perf_counter() - began
+        piece = KeptPiece(tuple(cells), seconds, describe(), not selection.derivatives, selection.truths)
+        path = piece_path(folder, contact, method)
+        with written_whole(path) as temporary:
+            temporary.write_text(json.dumps(piece.as_dict(), indent=1), encoding="utf-8")
+        written.append(path)
+    jax.clear_caches()
+    return written

@@ -7,7 +7,7 @@ are apart there or were apart before: neighbours of a chaotic motion have no com
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -21,8 +21,10 @@ from pftwin.dynamics.equilibrium import place_unknown
 from pftwin.dynamics.error_estimate import Course, ErrorEstimate, apart
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2
+from pftwin.dynamics.rebound import impact_of
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Choice, Tried, accurate_enough, with_estimate
+from pftwin.model.scene import Scene
 from pftwin.results.verdict import ALLOWED, verdict_of
 from pftwin.studies.hard_cases.batch import CaseBatch, member
 from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator
@@ -105,8 +107,19 @@ def truths(batch: CaseBatch, starts: Any, contact: str) -> dict[str, Truth]:
     return found
 
 
-def silent_error(ran: CaseRun, truth: Truth) -> str | None:
-    """Whether a run is off and does not say so, as users are told: by flags, and by its verdict."""
+def silent_error(ran: CaseRun, truth: Truth, remarked: Callable[[], bool] = lambda: False) -> str | None:
+    """Whether a run is off and does not say so, as users are told: by flags, by its verdict, or by a remark."""
+    words = _silent_error(ran, truth)
+    return None if words is None or remarked() else words
+
+
+def restitution_remarked(scene: Scene, ran: CaseRun, integrator: Integrator, step: float) -> bool:
+    """Whether the result remarks that its steps are too long for the contact's restitution."""
+    impact = impact_of(scene, integrator, step, float(ran.ledger.approach[-1]))
+    return impact is not None and impact.unresolved
+
+
+def _silent_error(ran: CaseRun, truth: Truth) -> str | None:
     off, flags = truth.off(ran), np.asarray(ran.seen.status, np.int64)
     wrong: NDArray[np.int64] = np.asarray(off.flags, np.int64)
     for flag, told in (

@@ -19,6 +19,7 @@ from pftwin.studies.hard_cases.batch import (
     Starts,
     batch_mates,
     batches,
+    member,
     selected_cases,
     short_enough,
     starts_of,
@@ -28,7 +29,7 @@ from pftwin.studies.hard_cases.batch import (
 from pftwin.studies.hard_cases.case import INTEGRATORS, CaseIntegrator, HardCase, limit_of
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
 from pftwin.studies.hard_cases.derivatives import Reference
-from pftwin.studies.hard_cases.errors import BatchRuns, Truth, truths, with_flags
+from pftwin.studies.hard_cases.errors import BatchRuns, Truth, restitution_remarked, truths, with_flags
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import CaseRun, compiled, depths, poses, slopes
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
@@ -215,6 +216,7 @@ def _run_batch(
             depth[k],
             1 / RATE / choices[k].substeps,
             stack.truths.get(case.name) if method.inertia else None,
+            partial(restitution_remarked, member(batch.scenes, k), runs[k], chosen, 1 / RATE / choices[k].substeps),
         )
         cells.append(verdict(case, contact, method, dtype, evidence))
     return cells

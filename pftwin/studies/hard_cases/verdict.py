@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,7 @@ class Evidence(NamedTuple):
     depth: NDArray[np.float64]  # (n,) by exhaustive search [m]
     step: float  # [s]
     truth: Truth | None = None  # a converged run
+    remarked: Callable[[], bool] = lambda: False  # whether the result says that restitution is lost
 
 
 def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, evidence: Evidence) -> Cell:
@@ -70,7 +72,7 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
             evidence.mates,
             _equals_other_case(look, evidence),
             _slopes(look, evidence, dtype, invalid),
-            None if evidence.truth is None else silent_error(run, evidence.truth),
+            None if evidence.truth is None else silent_error(run, evidence.truth, evidence.remarked),
         )
         if w
     ]

@@ -182,7 +182,8 @@ table(
 
 # %% [markdown]
 # Two checks. Along the front, error falls wherever speed does, and each recommendation keeps its level. And the
-# errors measured above are those in the kept table: errors of a simulation do not depend on the machine.
+# errors measured above are not above those in the kept table: errors of a simulation do not depend on the machine. They
+# do on the model. The table is of 2026-11-22, when the rig's patches ended at 30 deg of extension, inside the groove.
 
 # %%
 assert all(a.position_rms_mm > b.position_rms_mm and a.real_time >= b.real_time for a, b in pairwise(best))
@@ -193,7 +194,7 @@ same = [(error[key], before[key]) for key in error if key in before and key[1] <
 ratios = np.array([now / then for now, then in same])
 print(f"{len(same)} settings measured both times: errors now / then from {ratios.min():.3f} to {ratios.max():.3f}")
 assert len(same) >= 12
-assert np.all(np.abs(np.log(ratios)) < np.log(1.25))
+assert np.all((ratios > 0.25) & (ratios < 1.25))
 
 # %% [markdown]
 # ## Let the simulation choose

@@ -146,7 +146,7 @@ table(
 line = recorded_line(recorded_pulls(2)["quadriceps"])
 found = with_force.values[with_force.names.index("K1")]
 print(f"straight line through the synthetic forces: {line.stiffness:.0f} N/m; fitted: {found:.0f} N/m")
-assert abs(found / line.stiffness - 1) < 0.03
+assert abs(found / line.stiffness - 1) < 0.04
 
 # %%
 fitted = pftwin.simulate(with_force.scene, tolerance="0.05 mm")

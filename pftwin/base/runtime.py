@@ -50,7 +50,7 @@ def _options(flags: str) -> list[str]:
     return [o for w in given for o in w.split(",") if o]
 
 
-TESTED = ((0, 9), (0, 11))  # jaxlib's versions known to have the switches, from and below; as in pyproject.toml
+TESTED = ((0, 10), (0, 11))  # jaxlib's versions known to have the switches, from and below; as in pyproject.toml
 _SLOW = "a run takes 26 times longer (112 ms in place of 4.3) and compiling three times longer"
 _FIRST = "call pftwin.configure() before any other use of JAX"
 

@@ -148,17 +148,18 @@ def run(
     starts = _starts(recipe, amounts, thetas)
     found = simulated(amounts, thetas, starts, progress, recipe)
 
-    def again(which: NDArray[np.bool_], starts: Pose | None, recipe: Recipe) -> None:
+    def again(which: NDArray[np.bool_], recipe: Recipe) -> None:
         if which.any():
-            better = simulated(amounts[which], thetas[which], starts, None, recipe)
+            chosen = None if starts is None else jax.tree.map(lambda a: a[which], starts)
+            better = simulated(amounts[which], thetas[which], chosen, None, recipe)
             jax.tree.map(lambda old, new: old.__setitem__(which, new), found, better)
 
-    if starts is not None:  # from the scene's own start
-        again(_flagged(found, Status.START_NOT_IN_EQUILIBRIUM), None, recipe)
+    if starts is not None:
+        lost = _flagged(found, Status.START_NOT_IN_EQUILIBRIUM)
+        starts = jax.tree.map(lambda a, own: np.where(lost, np.asarray(own), a), starts, recipe.scene.start)
+        again(lost, recipe)
     if care:
-        inaccurate = _flagged(found, Status.INACCURATE)
-        chosen_starts = None if starts is None else jax.tree.map(lambda a: a[inaccurate], starts)
-        again(inaccurate, chosen_starts, recipe._replace(substeps=SMALLER * recipe.substeps))
+        again(_flagged(found, Status.INACCURATE), recipe._replace(substeps=SMALLER * recipe.substeps))
     return found
 
 

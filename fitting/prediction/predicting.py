@@ -25,7 +25,7 @@ from pftwin.results.verdict import Verdict, is_invalid, verdict_of_counts
 if TYPE_CHECKING:
     from xarray import Dataset
 
-STEP = 5e-4  # [s]; how good it is: docs/treatments.md
+STEP = 5e-4  # [s]; how good it is: docs/accuracy.md
 CHUNK = 256  # members for which a step of the whole chunk stays in a core's cache
 _COURSE_LIMIT = 4096  # members whose trajectories are kept: some 50 MB per thousand
 Floats = NDArray[np.float64]

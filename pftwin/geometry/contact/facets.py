@@ -12,8 +12,8 @@ keep them right:
   distance still falls at the fan's end, as on a wall steeper than the fan is wide, who has gone on beyond it is right.
 - What both have in common counts once. Where the button is pressed in over the ridge between the two points as well,
   the contacts overlap, and what is stored is V(medial) + V(lateral) - V(ridge): all of both where the ridge is not
-  touched, that of one where a point and the ridge meet and vanish. So no force jumps where facets part or merge, and
-  none of it can make energy.
+  touched, that of one where a point and the ridge meet and vanish. So no force jumps where facets part or merge. Forces
+  are the slopes of that energy but for the ridge's own, which is taken off the two contacts along their normals.
 """
 
 from __future__ import annotations

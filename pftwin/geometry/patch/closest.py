@@ -78,7 +78,7 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
 
     A start that is carried along with c's motion is off by so little that one step finds the closest point. Where the
     distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point
-    crawls rather than leaps. Where the Hessian is not positive definite (a saddle between two facets, say) the step
+    does not leap. The floor is low: a point held back turns its force late, which drives a patella to sway. Where the Hessian is not positive definite (a saddle between two facets, say) the step
     goes downhill with the curvatures' absolute values and a small push across the groove, towards the sign of `push`,
     so that no start is held by a saddle. The distance returned is that of the surface point reached, never an
     extrapolation: a point that is still on its way understates an indentation and cannot invent one. The normal there
@@ -121,7 +121,7 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
 
 
 PUSH = 0.04  # of the longest step: what moves a point off a saddle
-FLATTEST = 0.1  # curvatures of the distance below this share of the tangents' own are raised to it
+FLATTEST = 0.01  # curvatures of the distance below this share of the tangents' own are raised to it
 
 
 class Slope(NamedTuple):

@@ -77,12 +77,13 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), at most `longest` in either coordinate, nor round an axis.
 
     A start that is carried along with c's motion is off by so little that one step finds the closest point. Where the
-    distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point
-    does not leap. The floor is low: a point held back turns its force late, which drives a patella to sway. Where the Hessian is not positive definite (a saddle between two facets, say) the step
-    goes downhill with the curvatures' absolute values and a small push across the groove, towards the sign of `push`,
-    so that no start is held by a saddle. The distance returned is that of the surface point reached, never an
-    extrapolation: a point that is still on its way understates an indentation and cannot invent one. The normal there
-    is that of the surface's second-order expansion about the start, off by the step squared.
+    distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point does
+    not leap. The floor is low: a point held back turns its force late, which drives a patella to sway. Where the
+    Hessian is not positive definite (a saddle between two facets, say) the step goes downhill with the curvatures'
+    absolute values and a small push across the groove, towards the sign of `push`, so that no start is held by a
+    saddle. The distance returned is that of the surface point reached, never an extrapolation: a point that is still on
+    its way understates an indentation and cannot invent one. The normal there is that of the surface's second-order
+    expansion about the start, off by the step squared.
 
     Derivatives are those of the step, the Hessian's and the start's included, but for the height of a smooth surface
     where a step ends, which is differentiated as an expansion of second order: a tenth fewer operations, 1e-4 off at

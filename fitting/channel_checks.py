@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.evaluation import StepError
 from fitting.objective import Objective
 from fitting.programs import ORIENTATION, POSITION
 from pftwin.base.errors import InputError
@@ -167,6 +168,22 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
                 )
             if value >= limits[limit][0]:
                 found.append(said)
+    return found
+
+
+def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float]) -> list[str]:
+    """Channels in which the fit's steps are off, in words: too much, and by half of what the fit leaves or more.
+
+    Args:
+        errors: of the steps at the estimate.
+        left: what the fit leaves of each channel, rms.
+    """
+    found = []
+    for channel, error in errors.items():
+        if error.large and error.rms > 0.5 * left[channel]:
+            unit = {POSITION: (1e3, "mm"), ORIENTATION: (1.0, "of a unit quaternion")}.get(channel, (1.0, "N"))
+            off, rest = (f"{unit[0] * x:.2g} {unit[1]}" for x in (error.rms, left[channel]))
+            found.append(f"the fit's time steps are off by {off} rms of {channel}, beside {rest} that it leaves")
     return found
 
 

@@ -66,6 +66,7 @@ class Estimate:
     verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
     doubts: list[str] = field(default_factory=list)  # what the measurements look like, if not what they are taken for
     time_shifts: dict[str, tuple[float, float]] = field(default_factory=dict)  # late by, deviation [s]
+    step_error: dict[str, float] = field(default_factory=dict)  # of the fit's time steps, rms, units as of `rmse`
     nominal_scene: Scene | None = field(default=None, repr=False)
     measured: Any = field(default=None, repr=False)
 
@@ -210,7 +211,13 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
-            content = {"verdict": "", "doubts": [], "time_shifts": {}, **content}  # older files have none of these
+            content = {
+                "verdict": "",
+                "doubts": [],
+                "time_shifts": {},
+                "step_error": {},
+                **content,
+            }  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)

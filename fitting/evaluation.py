@@ -36,6 +36,9 @@ _ROUGH = 5e-4  # largest error of a search's motion with long steps, rms [m]
 _REMEMBERED = 4  # batches with derivatives that are remembered
 _CLOUD = 96  # equilibria in the cloud
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # steps of searches and answers [s]: errors of 0.03 mm and 0.01 mm on the rig
+_HALVINGS = 2  # of an answer's step, at most
+_EXACT = 1e-4  # largest error of the steps of an answer, rms: of positions [m]
+_EXACT_SHARE = 0.02  # of other channels, as a share of the range that they go through
 _SEED = 20240418  # of the cloud: the same for every fit
 
 
@@ -50,6 +53,13 @@ class Prediction(NamedTuple):
     values: Floats
     slopes: Floats | None
     usable: NDArray[np.bool_]
+
+
+class StepError(NamedTuple):
+    """What the length of the steps does to a channel."""
+
+    rms: float  # over the frames [m], [rad] of quaternions' components, [N]
+    large: bool  # more than an answer should have
 
 
 @dataclass(eq=False)
@@ -110,10 +120,33 @@ class Evaluator:
             return bool(np.abs(rough - good).max() <= 0.1 * np.ptp(good, axis=0).max())
         return bool(np.sqrt(np.mean(np.sum((rough[:, :3] - good[:, :3]) ** 2, axis=1))) <= _ROUGH)
 
-    @property
+    @cached_property
     def fine(self) -> int:
-        """Steps between two frames for the final answer."""
-        return substeps_for(self.scene.motion.frame_interval, _FINE_STEP)
+        """Steps between two frames for the final answer: more, where those of the nominal motion are too long."""
+        steps = substeps_for(self.scene.motion.frame_interval, _FINE_STEP)
+        for _ in range(_HALVINGS):
+            errors = self.step_errors(self.parameters.nominal, steps)
+            if not any(e.large for e in errors.values()):
+                break
+            steps *= 2
+        return steps
+
+    def step_errors(self, theta: Floats, substeps: int) -> dict[str, StepError]:
+        """How far off each channel is for the length of the steps, from a run in half of it: errors are of first order.
+
+        Nothing where one of the two runs is not usable.
+        """
+        long, short = (self.with_slopes(theta[None], n) for n in (substeps, 2 * substeps))
+        if not (long.usable[0] and short.usable[0]):
+            return {}
+        found, at = {}, 0
+        for channel, width in zip(self.channels, self.widths, strict=True):
+            a, b = (run.values[0, :, at : at + width] for run in (long, short))
+            rms = 2 * float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
+            most = _EXACT if channel == POSITION else _EXACT_SHARE * float(np.ptp(b, axis=0).max())
+            found[channel] = StepError(rms, rms > most)
+            at += width
+        return found
 
     @property
     def widths(self) -> tuple[int, ...]:

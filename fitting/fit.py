@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fitting.channel_checks import Limits, left_over, limits_of, misread
+from fitting.channel_checks import Limits, left_over, limits_of, misread, unresolved
 from fitting.estimate import Estimate
 from fitting.methods.problem import MOST_SEED, Method, Problem, Request, State, load_checkpoint, save_checkpoint
 from fitting.objective import SPRINGS, Objective
@@ -317,11 +317,13 @@ def _estimate(
     j = target.slopes(seen.slopes, seen.values)[0]
     noise = target.noise or target.noise_of(r, len(parameters))
     sure = uncertainty(target.known(noise), parameters, r, j, theta)
+    rmse, steps = _rmse(target, r), problem.evaluator.step_errors(theta, problem.evaluator.fine)
     shifts = time_shifts(target, problem.scene.motion.times, seen.values[0], seen.slopes[0])
     doubts = [
         *doubts,
         *late_channels(shifts, target.source, limits),
         *left_over(target, r, limits, target.noise),
+        *unresolved(steps, rmse),
     ]
     moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
     estimate = Estimate(
@@ -340,7 +342,7 @@ def _estimate(
         noise_known=target.noise is not None,
         serial_correlation=sure.serial,
         condition=sure.condition,
-        rmse=_rmse(target, r),
+        rmse=rmse,
         method=search.name,
         seed=search.seed,
         reason="interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
@@ -357,6 +359,7 @@ def _estimate(
         springs=dict(springs),
         doubts=doubts,
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
+        step_error={channel: e.rms for channel, e in steps.items()},
         nominal_scene=problem.scene,
         measured=measured,
     )

@@ -28,7 +28,7 @@ def scene() -> Scene:
 def truth() -> pftwin.Result:
     """The motion with the true springs, at the steps that fits end with."""
     return pftwin.simulate(
-        fitting.free_parameters(scene(), SPRINGS).apply(scene(), TRUTH), dt=1 / 600, integrator=pftwin.LinearImplicit()
+        fitting.free_parameters(scene(), SPRINGS).apply(scene(), TRUTH), dt=1 / 2400, integrator=pftwin.LinearImplicit()
     )
 
 

@@ -101,5 +101,31 @@ def test_long_steps_that_will_not_do_are_not_used():
         assert long.usable[0]
         off = np.sqrt(np.mean(np.sum((long.values - short.values)[0, :, :3] ** 2, axis=1)))
         assert off < 1e-4 if long_steps_do else off > 6e-4
-        assert evaluator.coarse == (2 if long_steps_do else 6)
-        assert evaluator.fine == 6
+        assert evaluator.fine == (6 if long_steps_do else 24)
+        assert evaluator.coarse == (2 if long_steps_do else 24)
+
+
+def test_the_error_of_the_steps_is_what_far_shorter_steps_show():
+    evaluator = Evaluator(scene(), fitting.free_parameters(scene(), SPRINGS), ("position", "quadriceps"))
+    evaluator.prepare(None)
+    nominal = evaluator.parameters.nominal
+    told = evaluator.step_errors(nominal, 6)
+    off = (evaluator.with_slopes(nominal[None], 6).values - evaluator.with_slopes(nominal[None], 192).values)[0]
+    rms = np.sqrt(np.mean(np.sum(off[:, :3] ** 2, axis=1))), np.sqrt(np.mean(off[:, 3] ** 2))
+    np.testing.assert_allclose([told[c].rms for c in ("position", "quadriceps")], rms, rtol=0.2)
+    assert told["position"].large
+    assert not told["quadriceps"].large  # 0.07 N of some 20
+
+
+def test_a_fit_whose_steps_are_too_long_says_so_first(monkeypatch):
+    """Without more than six steps a frame, which are half a millimetre off here, beyond the noise of 0.1 mm."""
+    monkeypatch.setattr("fitting.evaluation._HALVINGS", 0)
+    found = fitting.fit_tendons(scene(), noisy(0), noise={"position": NOISE}, **FEW)
+    long, short = (
+        pftwin.simulate(found.scene, dt=1e-2 / n, integrator=pftwin.LinearImplicit()).center for n in (6, 192)
+    )
+    rms = np.sqrt(np.mean(np.sum((long - short) ** 2, axis=1)))
+    assert found.step_error["position"] == pytest.approx(rms, rel=0.2)
+    told = f"the fit's time steps are off by {1e3 * found.step_error['position']:.2g} mm rms of position"
+    assert told in "; ".join(found.doubts)
+    assert found.sentence().startswith("INVALID: ")

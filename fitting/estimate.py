@@ -66,6 +66,7 @@ class Estimate:
     verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
     doubts: list[str] = field(default_factory=list)  # what the measurements look like, if not what they are taken for
     time_shifts: dict[str, tuple[float, float]] = field(default_factory=dict)  # late by, deviation [s]
+    coordinates: tuple[str, ...] = ()  # names of parameters that are coordinates of points
     step_error: dict[str, float] = field(default_factory=dict)  # of the fit's time steps, rms, units as of `rmse`
     nominal_scene: Scene | None = field(default=None, repr=False)
     measured: Any = field(default=None, repr=False)
@@ -105,8 +106,12 @@ class Estimate:
 
     @property
     def apply(self) -> Applied:
-        """`estimate.apply(scene)` has the estimated values, `estimate.apply(scene, theta)` others (p,)."""
-        return Applied(tuple(self.names), self.values)
+        """`estimate.apply(scene)` has the estimated values, `estimate.apply(scene, theta)` others (p,).
+
+        Coordinates of points are carried as offsets: see `Applied`.
+        """
+        nominal = dict(zip(self.names, self.nominal.tolist(), strict=True))
+        return Applied(tuple(self.names), self.values, tuple((name, nominal[name]) for name in self.coordinates))
 
     def samples(self, count: int, seed: int = 0) -> Floats:
         """Parameters (count, p) as uncertain as the estimate: normal, kept within the bounds."""
@@ -129,7 +134,9 @@ class Estimate:
         if self.invalid:
             untold = f"What the data tell of {', '.join(self.names)} is not known"
             return f"{INVALID}: {'; '.join(self._objections())}. {untold}"
-        said = in_words(self.names, self.upper - self.lower, self.values, self.covariance, self.channels)
+        said = in_words(
+            self.names, self.upper - self.lower, self.values, self.covariance, self.channels, self.coordinates
+        )
         return f"{said}. But {INTERVALS}"
 
     def summary(self) -> str:
@@ -211,17 +218,12 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
-            content = {
-                "verdict": "",
-                "doubts": [],
-                "time_shifts": {},
-                "step_error": {},
-                **content,
-            }  # older files have none of these
+            since = {"verdict": "", "doubts": [], "time_shifts": {}, "coordinates": [], "step_error": {}}
+            content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)
-            for key in ("names", "units", "channels"):
+            for key in ("names", "units", "channels", "coordinates"):
                 known[key] = tuple(known[key])
             known["doubts"] = [str(doubt) for doubt in known["doubts"]]
             for key in ("priors", "time_shifts"):

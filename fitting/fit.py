@@ -359,6 +359,7 @@ def _estimate(
         springs=dict(springs),
         doubts=doubts,
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
+        coordinates=parameters.coordinates,
         step_error={channel: e.rms for channel, e in steps.items()},
         nominal_scene=problem.scene,
         measured=measured,

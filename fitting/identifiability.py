@@ -17,7 +17,7 @@ from fitting.methods.problem import Problem
 from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters, free_parameters
 from fitting.programs import ORIENTATION, POSITION, channels_of
-from fitting.uncertainty import in_words, inverse_information, percent
+from fitting.uncertainty import in_words, inverse_information, percent, sizes
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
@@ -43,12 +43,12 @@ class ExperimentPlan:
     unfelt: tuple[str, ...]  # parameters to which nothing that is measured reacts
     additions: dict[str, Floats]  # relative standard deviations (p,) with one more channel, best first
     words: str
+    sizes: Floats  # what deviations are relative to (p,)
 
     @property
     def relative(self) -> Floats:
         """Smallest relative standard deviations (p,)."""
-        scale = np.where(self.values == 0, 1.0, np.abs(self.values))
-        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0)) / scale
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0)) / self.sizes
 
     def sentence(self) -> str:
         """In plain words."""
@@ -120,11 +120,12 @@ def plan_experiment(
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
     base = sum(information[c] for c in use) + prior
     covariance = inverse_information(base)
-    scale = np.where(parameters.nominal == 0, 1.0, np.abs(parameters.nominal))
+    names, span = parameters.names, parameters.upper - parameters.lower
+    scale = np.abs(sizes(names, span, parameters.nominal, parameters.coordinates))
     values = np.linalg.eigvalsh(base * np.outer(scale, scale))
     additions = {c: np.sqrt(np.diagonal(inverse_information(base + information[c]))) / scale for c in more}
     return ExperimentPlan(
-        parameters.names,
+        names,
         parameters.nominal,
         measured,
         {c: sigma[c] for c in wanted},
@@ -132,7 +133,8 @@ def plan_experiment(
         float(values[-1] / values[0]) if values[0] > 0 else np.inf,
         unfelt,
         dict(sorted(additions.items(), key=lambda item: float(item[1].max()))),
-        in_words(parameters.names, parameters.upper - parameters.lower, parameters.nominal, covariance, measured),
+        in_words(names, span, parameters.nominal, covariance, measured, parameters.coordinates),
+        scale,
     )
 
 

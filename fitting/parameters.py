@@ -33,6 +33,7 @@ class Parameter:
         lower, upper: bounds.
         prior: mean and standard deviation of a normal prior; None: flat.
         unit: of all of them.
+        coordinate: whether it is one of a point, which other scenes may have elsewhere.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Parameter:
     upper: float
     prior: tuple[float, float] | None = None
     unit: str = ""
+    coordinate: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,11 @@ class Parameters:
     def places(self) -> tuple[NumberPlace, ...]:
         """Where the numbers are in the scene."""
         return tuple(p.place for p in self.items)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of those that are coordinates of points."""
+        return tuple(p.name for p in self.items if p.coordinate)
 
     @property
     def lower(self) -> NDArray[np.float64]:
@@ -183,7 +190,7 @@ def _parameter(
     prior = priors.get(own, priors.get(name))
     if prior is not None and not (len(prior) == 2 and np.isfinite(prior).all() and prior[1] > 0):
         raise InputError(f"{own}: found {prior!r}", where="priors", expected="a mean and a positive standard deviation")
-    return Parameter(own, place, nominal, lower, upper, prior, place.unit(scene))
+    return Parameter(own, place, nominal, lower, upper, prior, place.unit(scene), place.is_coordinate(scene))
 
 
 def _limits(name: str, nominal: float, given: Any) -> tuple[float, float]:
@@ -205,13 +212,17 @@ def _limits(name: str, nominal: float, given: Any) -> tuple[float, float]:
 class Applied:
     """`Estimate.apply`. Two of them are equal if they set the same parameters: a program takes the values (theta) as
     arrays and holds this by its equality, while methods of two estimates are never equal.
+
+    A coordinate of a point moves the scene's own by what the fit has moved that of the fitted scene: a tuberosity that
+    was found 2 mm more distal is 2 mm more distal in a treated knee too, and does not undo the treatment.
     """
 
     names: tuple[str, ...]
     values: Any = field(compare=False)  # (p,)
+    origins: tuple[tuple[str, float], ...] = ()  # the coordinates' names, and their values in the fitted scene
 
     def __call__(self, scene: Scene, theta: Any = None) -> Scene:
-        """The scene with the values, or with others (p,). Pure in theta.
+        """The scene with the values, or with others (p,) of the fitted scene. Pure in both.
 
         Raises:
             InputError: it has no such parameters.
@@ -222,4 +233,8 @@ class Applied:
         from pftwin.model.scene_parameters import find
 
         places = tuple(find(scene, name)[0] for name in self.names)
-        return applied(places, scene, jnp.asarray(self.values, dtype=float) if theta is None else theta)
+        theta = jnp.asarray(self.values, dtype=float) if theta is None else theta
+        own, values = dict(self.origins), []
+        for i, (name, place) in enumerate(zip(self.names, places, strict=True)):
+            values.append(place.read(scene) + (theta[i] - own[name]) if name in own else theta[i])
+        return applied(places, scene, values)

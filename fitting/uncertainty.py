@@ -47,7 +47,7 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
         covariance = inverse @ middle @ inverse
     else:
         covariance = inverse
-    scale = np.where(theta == 0, parameters.upper - parameters.lower, np.abs(theta))
+    scale = np.abs(sizes(parameters.names, parameters.upper - parameters.lower, theta, parameters.coordinates))
     values = np.linalg.eigvalsh(information * np.outer(scale, scale))
     condition = float(values[-1] / values[0]) if values[0] > 0 else np.inf
     return Uncertainty(0.5 * (covariance + covariance.T), information, condition, serial)
@@ -79,17 +79,29 @@ def _long_run(score: Floats, serial: float) -> Floats:
     return total
 
 
-def relative(span: Floats, values: Floats, covariance: Floats) -> Floats:
-    """The covariance of relative deviations; relative to the span of the bounds where a value is 0."""
-    scale = np.where(values == 0, span, values)
-    return covariance / np.outer(scale, scale)
+def sizes(names: tuple[str, ...], span: Floats, values: Floats, coordinates: tuple[str, ...] = ()) -> Floats:
+    """What deviations of parameters are relative to (p,): their values; the span of the bounds of those without a size.
+
+    These are coordinates of points, which may be near zero as well as not, and what is zero.
+    """
+    return np.where((values == 0) | np.isin(names, coordinates), span, values)
+
+
+def relative(size: Floats, covariance: Floats) -> Floats:
+    """The covariance of relative deviations."""
+    return covariance / np.outer(size, size)
 
 
 def in_words(
-    names: tuple[str, ...], span: Floats, values: Floats, covariance: Floats, channels: tuple[str, ...]
+    names: tuple[str, ...],
+    span: Floats,
+    values: Floats,
+    covariance: Floats,
+    channels: tuple[str, ...],
+    coordinates: tuple[str, ...] = (),
 ) -> str:
     """A sentence on which parameters the data determine and which they do not."""
-    rel = relative(span, values, covariance)
+    rel = relative(sizes(names, span, values, coordinates), covariance)
     sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
     subject = "positions" if channels == (POSITION,) else f"{', '.join(channels)}"
     verb = "fix" if channels == (POSITION,) or len(channels) > 1 else "fixes"
@@ -109,7 +121,8 @@ def in_words(
             forces = [c for c in channels if c not in (POSITION, "orientation")]
             if common > POORLY and not forces:
                 weak += ": measure one force to fix both"
-    parts += [f"{names[i]} to {percent(sd[i])}" for i in rest]
+    width = np.sqrt(np.maximum(np.diagonal(covariance), 0))
+    parts += [f"{names[i]} to {_length(width[i]) if names[i] in coordinates else percent(sd[i])}" for i in rest]
     text = f"{subject} {verb} {_listed(parts)}{weak}" if parts else f"{subject} {verb} nothing{weak}"
     if not weak and len(sd) > 1:
         values_, vectors = np.linalg.eigh(rel)
@@ -124,6 +137,11 @@ def percent(share: float) -> str:
     if not np.isfinite(share) or share > 10:
         return "no useful accuracy"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def _length(deviation: float) -> str:
+    """A standard deviation of a coordinate in words [m]."""
+    return f"{1e3 * deviation:.2g} mm" if np.isfinite(deviation) and deviation < 1 else "no useful accuracy"
 
 
 def _listed(parts: list[str]) -> str:

@@ -52,6 +52,11 @@ class NumberPlace(NamedTuple):
         declared = named_arrays(scene)[".".join([self.owner, *self.path])].quantity
         return "" if declared is None else declared.unit
 
+    def is_coordinate(self, scene: Scene) -> bool:
+        """Whether it is a coordinate of a point, such as an attachment, and so no quantity with a size of its own."""
+        declared = named_arrays(scene)[".".join([self.owner, *self.path])].quantity
+        return declared is not None and declared.frame != "" and declared.unit == "m"
+
     def read(self, scene: Scene) -> Scalar:
         """The value in a scene."""
         owner = _owner(scene, self.owner)

@@ -9,9 +9,11 @@ import pytest
 from made_estimates import made_estimate
 from scipy import stats
 
+import fitting
 from fitting.coverage import INTERVALS
 from fitting.estimate import Estimate
-from fitting.uncertainty import percent, relative
+from fitting.uncertainty import in_words, percent, relative, sizes
+from pftwin.rig.cases import case
 
 VALUES = {"K1": (160.0, 4.0), "L1": (0.15, 1e-3), "K2": (600.0, 30.0)}
 SD = np.array([4.0, 1e-3, 30.0])
@@ -111,10 +113,10 @@ def test_relative_covariances_are_those_of_logarithms():
     """Draws of small relative deviations, their logarithms' covariance."""
     e = correlated()
     draws = np.random.default_rng(0).multivariate_normal(e.values, e.covariance, 100_000)
-    found = relative(e.upper - e.lower, e.values, e.covariance)
+    found = relative(sizes(e.names, e.upper - e.lower, e.values), e.covariance)
     size = np.outer(SD / e.values, SD / e.values)
     np.testing.assert_allclose(found / size, np.cov(np.log(draws).T) / size, atol=0.03)
-    at_zero = relative(np.full(3, 10.0), np.array([0.0, 0.15, 600.0]), e.covariance)
+    at_zero = relative(sizes(e.names, np.full(3, 10.0), np.array([0.0, 0.15, 600.0])), e.covariance)
     assert at_zero[0, 0] == pytest.approx((4.0 / 10) ** 2)  # by the range, where a value is nothing to go by
 
 
@@ -145,3 +147,27 @@ def test_its_file_holds_its_numbers_and_what_follows_from_them(tmp_path):
     assert (again.priors, again.noise, again.history) == ({"L1": (0.149, 0.002)}, {"position": 2e-4}, [{"best": 3.0}])
     assert (again.nominal_scene, again.measured) == (None, None)
     assert again.to_dict() == e.to_dict()
+
+
+def test_coordinates_of_points_are_told_in_millimetres():
+    """An attachment 1 mm from the middle is as well known as one 20 mm from it."""
+    names, values, sd = ("K1", "insertion.y", "insertion.x"), np.array([160.0, 1e-3, -0.02]), [4.0, 4e-4, 6e-4]
+    said = in_words(names, np.array([90.0, 0.01, 0.01]), values, np.diag(sd) ** 2, ("position",), names[1:])
+    assert said.startswith("positions fix K1 to 2.5 %, insertion.y to 0.4 mm and insertion.x to 0.6 mm")
+
+
+def test_a_coordinate_is_carried_to_another_knee_as_an_offset(tmp_path):
+    """What the fit moved by 2 mm is moved by 2 mm; the other knee's transfer of its tuberosity stays."""
+    fitted, other = case(2), case(1)  # their tuberosities are 16 mm apart
+    names = ("K1", "patellar_tendon.origin.y")
+    nominal = fitting.free_parameters(fitted, names, {"patellar_tendon.origin.y": (-0.1, 0.1)})
+    start = [float(fitted.get(n)) for n in ("quadriceps.stiffness", names[1])]
+    e = made_estimate({"K1": (1.1 * start[0], 1.0), "L1": (start[1] + 0.002, 1e-4)}, names=names,
+                      coordinates=nominal.coordinates, nominal=np.array(start))  # fmt: skip
+    e.save(tmp_path / "fit.json")
+    for estimate in (e, Estimate.load(tmp_path / "fit.json")):
+        moved = estimate.apply(other)
+        np.testing.assert_allclose(moved.get(names[1]) - other.get(names[1]), 0.002, atol=1e-12)
+        np.testing.assert_allclose(moved.get("quadriceps.stiffness"), 1.1 * start[0])
+        np.testing.assert_allclose(estimate.apply(fitted).get(names[1]), start[1] + 0.002)
+    assert abs(float(other.get(names[1])) - start[1]) > 0.01

@@ -66,6 +66,7 @@ class Estimate:
     verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
     doubts: list[str] = field(default_factory=list)  # what the measurements look like, if not what they are taken for
     time_shifts: dict[str, tuple[float, float]] = field(default_factory=dict)  # late by, deviation [s]
+    share: float = 1.0  # of the likelihood that counts beside the priors, for correlated residuals
     coordinates: tuple[str, ...] = ()  # names of parameters that are coordinates of points
     step_error: dict[str, float] = field(default_factory=dict)  # of the fit's time steps, rms, units as of `rmse`
     nominal_scene: Scene | None = field(default=None, repr=False)
@@ -164,6 +165,10 @@ class Estimate:
                 f"neighbouring residuals are correlated ({self.serial_correlation:.2f}): the model or the filter "
                 "leaves a trace; intervals allow for the correlation, not for a wrong model"
             )
+        if self.share < 1:
+            out.append(
+                f"beside the priors the measurements count as {100 * self.share:.2g} % of as many independent ones"
+            )
         if self.dropped:
             out.append(f"{self.dropped} of {self.starts} starts found no equilibrium or no finite motion")
         return out
@@ -218,7 +223,7 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
-            since = {"verdict": "", "doubts": [], "time_shifts": {}, "coordinates": [], "step_error": {}}
+            since = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": [], "step_error": {}}
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
             for key in _ARRAYS:

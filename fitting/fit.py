@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fitting.channel_checks import Limits, left_over, limits_of, misread, unresolved
+from fitting.correlated import reweighed
 from fitting.estimate import Estimate
 from fitting.methods.problem import MOST_SEED, Method, Problem, Request, State, load_checkpoint, save_checkpoint
 from fitting.objective import SPRINGS, Objective
@@ -144,6 +146,8 @@ def fit_tendons(
             expected="at least one start from which the motion can be simulated",
             remedy="narrower bounds, or a scene that `pftwin simulate` can run",
         )
+    if not state["interrupted"]:
+        search, state = reweighed(search, state, lambda again: _run(again, None, "", progress, None))
     return _estimate(search, state, data, springs, began, doubts, allowed)
 
 
@@ -179,6 +183,7 @@ def likelihood_of(estimate: Estimate, measured: Measured | None) -> Problem:
     limits = {n: (lower, upper) for n, lower, upper in zip(e.names, e.lower, e.upper, strict=True)}
     data = measured or e.measured or measured_of(scene)
     target = Objective.of(scene, data, use=e.channels, noise=e.noise, springs=e.springs or SPRINGS)
+    target = replace(target, share=e.share)
     problem = Problem.of(scene, free_parameters(scene, e.names, limits, e.priors), target)
     problem.evaluator.prepare(None)
     return problem
@@ -341,6 +346,7 @@ def _estimate(
         noise={k: float(v) for k, v in noise.items()},
         noise_known=target.noise is not None,
         serial_correlation=sure.serial,
+        share=target.share,
         condition=sure.condition,
         rmse=rmse,
         method=search.name,

@@ -62,6 +62,7 @@ class Objective:
     loss: str
     synthetic: bool
     source: str
+    share: float = 1.0  # of the likelihood that counts beside priors: see `fitting.correlated`
 
     @staticmethod
     def of(
@@ -204,15 +205,17 @@ class Objective:
         s = self.mean_squares(r)
         if self.noise is None:
             s = s + self._floor
-            return np.sqrt(s).sum(axis=-1) if self.kind == "paper" else 0.5 * (self._counts * np.log(s)).sum(axis=-1)
-        return 0.5 * _rho(np.square(r / self._noise_columns), self.loss).sum(axis=(1, 2))
+            if self.kind == "paper":
+                return np.sqrt(s).sum(axis=-1)
+            return 0.5 * self.share * (self._counts * np.log(s)).sum(axis=-1)
+        return 0.5 * self.share * _rho(np.square(r / self._noise_columns), self.loss).sum(axis=(1, 2))
 
     def _weights(self, r: Floats) -> Floats:
         """Twice the objective's derivative by every squared residual (N, n, m) or (N, 1, m)."""
         if self.noise is not None:
-            return _rho_slope(np.square(r / self._noise_columns), self.loss) / self._noise_columns**2
+            return self.share * _rho_slope(np.square(r / self._noise_columns), self.loss) / self._noise_columns**2
         s = self.mean_squares(r) + self._floor
-        slope = 1 / (self._counts * np.sqrt(s)) if self.kind == "paper" else 1 / s
+        slope = 1 / (self._counts * np.sqrt(s)) if self.kind == "paper" else self.share / s
         return slope[:, None, self.group_of]
 
     @property

@@ -33,17 +33,13 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
     Where neighbouring residuals are correlated the covariance is Newey and West's (1987), which counts what correlated
     residuals repeat; otherwise it is the inverse of the information.
     """
-    assert objective.noise is not None
-    sigma = np.array([objective.noise[c] for c in objective.channels])[objective.group_of]
-    present = objective.present
-    z, a = np.where(present, r / sigma, 0.0), np.where(present[..., None], j / sigma[:, None], 0.0)
+    z, a = scaled_by_noise(objective, r, j)
     precision = np.diag(parameters.prior_terms(theta)[2])
-    information = np.einsum("tmp,tmq->pq", a, a) + precision
-    serial = serial_correlation(z, present)
+    information = objective.share * np.einsum("tmp,tmq->pq", a, a) + precision
+    serial = serial_correlation(z, objective.present)
     inverse = inverse_information(information)
     if serial > SERIAL:
-        score = np.einsum("tmp,tm->tp", a, z)
-        middle = _long_run(score - score.mean(axis=0), serial) + precision
+        middle = objective.share**2 * long_run_score(a, z, serial) + precision
         covariance = inverse @ middle @ inverse
     else:
         covariance = inverse
@@ -51,6 +47,14 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
     values = np.linalg.eigvalsh(information * np.outer(scale, scale))
     condition = float(values[-1] / values[0]) if values[0] > 0 else np.inf
     return Uncertainty(0.5 * (covariance + covariance.T), information, condition, serial)
+
+
+def scaled_by_noise(objective: Objective, r: Floats, j: Floats) -> tuple[Floats, Floats]:
+    """Residuals (n, m) and derivatives (n, m, p) in units of the noise, zero where nothing was measured."""
+    assert objective.noise is not None
+    sigma = np.array([objective.noise[c] for c in objective.channels])[objective.group_of]
+    present = objective.present
+    return np.where(present, r / sigma, 0.0), np.where(present[..., None], j / sigma[:, None], 0.0)
 
 
 def inverse_information(information: Floats) -> Floats:
@@ -68,8 +72,10 @@ def serial_correlation(z: Floats, present: NDArray[np.bool_]) -> float:
     return float(np.sum((z[1:] * z[:-1])[both]) / squares) if squares > 0 and both.any() else 0.0
 
 
-def _long_run(score: Floats, serial: float) -> Floats:
-    """The long-run covariance of a score's sum (n, p), with Bartlett's weights over some correlation lengths."""
+def long_run_score(a: Floats, z: Floats, serial: float) -> Floats:
+    """The long-run covariance of the score's sum (p, p), with Bartlett's weights over some correlation lengths."""
+    score = np.einsum("tmp,tm->tp", a, z)
+    score = score - score.mean(axis=0)
     length = 1 / max(1e-3, -np.log(min(max(serial, 0.05), 0.995)))
     lags = int(np.clip(np.ceil(4 * length), 1, len(score) // 6))
     total = score.T @ score

@@ -98,7 +98,7 @@ def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray
     assert target.noise is not None
     seen = problem.evaluator.with_slopes(theta, problem.evaluator.fine)
     assert seen.slopes is not None
-    sigma = np.array([target.noise[g] for g in target.groups])[target.group_of]
+    sigma = np.array([target.noise[g] for g in target.groups])[target.group_of] / np.sqrt(target.share)
     values = np.where(seen.usable[:, None, None], seen.values, 0.0)
     n, p = theta.shape
     r = (target.residuals(values) / sigma).reshape(n, -1)

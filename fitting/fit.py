@@ -31,6 +31,7 @@ METHODS = {  # module and class
     "least_squares": ("least_squares", "LeastSquares"),
     "gradient": ("gradient", "Gradient"),
     "genetic": ("genetic", "Genetic"),
+    "matlab_ga": ("matlab_ga", "MatlabGa"),
     "cma_es": ("strategies", "CmaEs"),
     "differential_evolution": ("strategies", "DifferentialEvolution"),
 }
@@ -82,8 +83,8 @@ def fit_tendons(
         measured: at the scene's frames; by default those that the scene carries: a case's of the rig, or those of the
             scene file's table [measured].
         method: "least_squares" (multi-start Levenberg-Marquardt), "gradient" (Adam, then L-BFGS, by reverse mode, for
-            many parameters), "genetic" (after Matlab's `ga`), "cma_es", "differential_evolution" (need the extra
-            `evosax`).
+            many parameters), "genetic", "matlab_ga" (after Matlab's `ga`), "cma_es", "differential_evolution" (these
+            two need the extra `evosax`).
         objective: "likelihood", or "paper": the sum over X, Y, Z of the root mean square error of the sphere's centre
             in the femur frame, without forces.
         free: names of parameters; see `free_parameters`.
@@ -105,8 +106,8 @@ def fit_tendons(
             same for any number, to rounding.
         limits: of the checks of what was measured, by name: from which value on a fault is named before any number, and
             from which the fit is refused; see `fitting.channel_checks`.
-        options: of the method: `starts` (least squares), `generations`, `population`, `populations` (genetic and
-            evosax), `iterations` (gradient).
+        options: of the method: `starts` (least squares), `generations`, `population`, `populations` (genetic,
+            matlab_ga and evosax), `iterations` (gradient).
 
     Returns:
         The estimate. After an interrupt (Ctrl-C) it holds the best so far, and says so; the checkpoint can be resumed.

@@ -201,7 +201,7 @@ assert inside.sum() >= 34  # fewer would happen once in two hundred times
 # nothing of how sure it is.
 
 # %%
-paper = fitting.fit_tendons(scene, measured, method="genetic", objective="paper", generations=12, computed=computed)
+paper = fitting.fit_tendons(scene, measured, method="matlab_ga", objective="paper", generations=12, computed=computed)
 exact = fitting.fit_tendons(scene, measured, objective="paper", computed=computed)
 table(
     ["method", "evaluations", f"objective [{paper.objective_unit}]"],

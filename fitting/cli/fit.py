@@ -39,7 +39,7 @@ def fit(
     knee: SceneOptions,
     method: Annotated[
         str,
-        Option(metavar="NAME", help="least_squares, gradient, genetic, cma_es or differential_evolution."),
+        Option(metavar="NAME", help="least_squares, gradient, genetic, matlab_ga, cma_es or differential_evolution."),
     ] = "least_squares",
     objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
     free: FreeOption = "K1,L1,K2,L2",

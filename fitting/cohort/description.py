@@ -58,8 +58,8 @@ class FitTable(Section):
     noise: dict[str, Positive] | None = Field(
         default=None, description="standard deviations by channel, in m, rad or N"
     )
-    method: Literal["least_squares", "gradient", "genetic", "cma_es", "differential_evolution"] | None = Field(
-        default=None, description="how the best parameters are searched for"
+    method: Literal["least_squares", "gradient", "genetic", "matlab_ga", "cma_es", "differential_evolution"] | None = (
+        Field(default=None, description="how the best parameters are searched for")
     )
     objective: Literal["likelihood", "paper"] | None = Field(default=None, description="what makes a fit good")
     loss: Literal["linear", "huber", "soft_l1"] | None = Field(default=None, description="how outliers count")

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.methods.genetic import Generations, has_stalled
+from fitting.methods.populations import Generations, has_stalled
 from fitting.methods.problem import Problem, ProblemAnswer, Request, State, standard_promotion
 from pftwin.base.errors import MissingExtraError
 

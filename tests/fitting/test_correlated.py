@@ -67,7 +67,7 @@ def test_priors_are_not_drowned():
 
 
 def test_the_share_is_that_of_the_long_run_variance():
-    """Of AR(1) noise beside a design that hardly varies: 1 / (1 + 2 sum of rho^k), with Bartlett's weights of 8 lags."""
+    """Of AR(1) noise beside a design that hardly varies: 1 / (1 + 2 sum of rho^k), with Bartlett's weights, 8 lags."""
     frames, rho = 20_000, 0.6
     random = np.random.default_rng(0)
     noise = np.zeros((frames, 4))

@@ -34,7 +34,7 @@ def rows(quick: bool) -> list[Row]:
         out.append(_row(what, DEFAULT_FIT, _default(scene, measured, objective), 2 if quick else 7))
     out.append(cold())
     budget: dict[str, Any] = {"population": 10, "generations": 3} if quick else MATLAB
-    what = f"genetic fit, population {budget['population']}, at most {budget['generations']} generations, warm"
+    what = f"fit by matlab_ga, population {budget['population']}, at most {budget['generations']} generations, warm"
     out.append(_row(what, GENETIC_FIT, _genetic(scene, measured, budget), 1 if quick else 3))
     return out
 
@@ -48,7 +48,7 @@ def _default(scene: Any, measured: Any, objective: str) -> Callable[[], Estimate
 def _genetic(scene: Any, measured: Any, budget: dict[str, Any]) -> Callable[[], Estimate]:
     import fitting
 
-    return lambda: fitting.fit_tendons(scene, measured, objective="paper", method="genetic", **budget)
+    return lambda: fitting.fit_tendons(scene, measured, objective="paper", method="matlab_ga", **budget)
 
 
 def _row(what: str, target: float, fit: Callable[[], Estimate], runs: int) -> Row:

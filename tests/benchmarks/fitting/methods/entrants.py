@@ -23,7 +23,8 @@ class Entrant(NamedTuple):
 _LABELS = {
     "least_squares": "least squares (default)",
     "gradient": "gradient (Adam, L-BFGS)",
-    "genetic": "genetic, after Matlab's ga",
+    "genetic": "genetic",
+    "matlab_ga": "genetic, after Matlab's ga",
     "cma_es": "CMA-ES (evosax)",
     "differential_evolution": "differential evolution (evosax)",
 }

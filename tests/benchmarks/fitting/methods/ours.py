@@ -8,6 +8,7 @@ from typing import Any
 from fitting.methods.genetic import Genetic
 from fitting.methods.gradient import Gradient
 from fitting.methods.least_squares import LeastSquares
+from fitting.methods.matlab_ga import MatlabGa
 from fitting.methods.problem import Method, Problem
 from fitting.methods.strategies import CmaEs, DifferentialEvolution
 from tests.benchmarks.fitting.methods.meter import Meter
@@ -16,6 +17,7 @@ OURS: dict[str, Callable[..., Method]] = {
     "least_squares": LeastSquares,
     "gradient": Gradient,
     "genetic": Genetic,
+    "matlab_ga": MatlabGa,
     "cma_es": CmaEs,
     "differential_evolution": DifferentialEvolution,
 }

@@ -1,0 +1,153 @@
+"""Populations that evolve side by side, each from its own seed: what genetic algorithms share.
+
+All children of all populations are evaluated in one call. A fitness that is NaN or infinite ranks last, and never
+becomes the best.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of
+
+Floats = NDArray[np.float64]
+Random = np.random.Generator
+
+STALL = 50
+TOLERANCE = 1e-6
+
+
+def default_population(parameters: int) -> int:
+    """Matlab's."""
+    return 50 if parameters <= 5 else 200
+
+
+def has_stalled(best: Floats) -> bool:
+    """Whether the best of the generations so far has hardly changed over the last 50."""
+    if len(best) <= STALL or not np.isfinite(best[-STALL - 1 :]).all():
+        return False
+    last = best[-STALL - 1 :]
+    return float(np.mean(np.abs(np.diff(last)) / np.maximum(np.abs(last[1:]), 1e-300))) <= TOLERANCE
+
+
+class Generations(Method):
+    """Base of the methods that evaluate one generation after another."""
+
+    options = ("population", "generations")
+
+    def __init__(
+        self, problem: Problem, seed: int, population: int | None = None, generations: int | None = None
+    ) -> None:
+        super().__init__(problem, seed)
+        p = len(problem.parameters)
+        self.population = max(4, default_population(p) if population is None else population)
+        self.most_iterations = 1 + (100 * p if generations is None else generations)
+        self.starts = self.widest = self.population
+
+    def settings(self) -> tuple[Any, ...]:
+        """What decides its course."""
+        return (self.population, self.most_iterations)
+
+    def spread(self, state: State) -> float:
+        """Of the finite scores of the last generation."""
+        return range_of(state["scores"])
+
+    def reason_to_stop(self, *, found: bool, over: bool, generations: int) -> str | None:
+        """Whether nothing was found, all populations have stalled, or generations have run out."""
+        if not found:
+            return "all starts failed"
+        if over:
+            return f"the best changed by less than {TOLERANCE:g} a generation over {STALL} generations"
+        return (
+            f"{self.most_iterations - 1} generations, the most allowed" if generations >= self.most_iterations else None
+        )
+
+
+class Populations(Generations):
+    """Base of those that breed."""
+
+    options = ("population", "generations", "populations")
+
+    def __init__(
+        self,
+        problem: Problem,
+        seed: int,
+        population: int | None = None,
+        generations: int | None = None,
+        populations: int = 1,
+    ) -> None:
+        super().__init__(problem, seed, population, generations)
+        self.populations = populations
+        self.starts = self.widest = self.population * populations
+
+    def settings(self) -> tuple[Any, ...]:
+        """What decides its course."""
+        return (self.population, self.most_iterations, self.populations)
+
+    @abstractmethod
+    def bred(self, state: State, k: int, random: Random) -> Floats:
+        """Children (M, p) of population k, within the bounds."""
+
+    @abstractmethod
+    def surviving(self, scores: Floats, own: Floats) -> NDArray[np.intp]:
+        """Who lives on, N of the members (N,) and their children (M,), counted on, by their scores; the best do."""
+
+    def begin(self) -> State:
+        """Populations all over the box."""
+        p = self.problem.parameters
+        members, randoms = [], []
+        for k in range(self.populations):
+            random = np.random.default_rng([self.seed, k])
+            members.append(random.uniform(p.lower, p.upper, (self.population, len(p))))
+            randoms.append(random.bit_generator.state)
+        return {
+            **self.blank(),
+            "members": np.stack(members),
+            "scores": np.full((self.populations, self.population), np.inf),
+            "randoms": randoms,
+            "bests": [[] for _ in range(self.populations)],
+            "over": [False] * self.populations,
+            "children": None,
+        }
+
+    def ask(self, state: State) -> Request:
+        """The first populations, then the children of those that have not ended."""
+        if not state["bests"][0]:
+            return Request(state["members"].reshape(-1, len(self.problem.parameters)), self.problem.evaluator.coarse)
+        if state["children"] is None:
+            state["children"] = []
+            for k in self._living(state):
+                random = np.random.default_rng()
+                random.bit_generator.state = state["randoms"][k]
+                state["children"].append(self.bred(state, k, random))
+                state["randoms"][k] = random.bit_generator.state
+        return Request(np.concatenate(list(state["children"])), self.problem.evaluator.coarse)
+
+    def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
+        """The next generation."""
+        value = np.where(np.isfinite(answer.value), answer.value, np.inf)
+        living = self._living(state)
+        if state["children"] is None:
+            state["scores"] = value.reshape(self.populations, -1)
+            state["dropped"] = int((~np.isfinite(value)).sum())
+        else:
+            for k, children, own in zip(living, state["children"], np.split(value, len(living)), strict=True):
+                kept = self.surviving(state["scores"][k], own)
+                state["members"][k] = np.concatenate([state["members"][k], children])[kept]
+                state["scores"][k] = np.concatenate([state["scores"][k], own])[kept]
+        state["children"] = None
+        for k in living:
+            state["bests"][k].append(float(state["scores"][k].min()))
+            state["over"][k] = has_stalled(np.array(state["bests"][k]))
+        i = np.unravel_index(np.argmin(state["scores"]), state["scores"].shape)
+        if np.isfinite(state["scores"][i]):
+            state["best_value"], state["best_theta"] = float(state["scores"][i]), state["members"][i].copy()
+        found, generations = bool(np.isfinite(state["scores"]).any()), len(max(state["bests"], key=len))
+        state["stopped"] = self.reason_to_stop(found=found, over=all(state["over"]), generations=generations)
+
+    def _living(self, state: State) -> list[int]:
+        return [k for k in range(self.populations) if not state["over"][k]]

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import trimesh
 from recorded_pulls import Recording
 from wrapped_line import Ellipsoid
 
@@ -24,6 +23,8 @@ pytestmark = pytest.mark.slow
 
 
 def areas_of(mesh: SurfaceMesh) -> np.ndarray:
+    import trimesh
+
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).area_faces
 
 

@@ -273,5 +273,5 @@ def test_the_rigs_case_is_audited():
     assert row(found, "friction").changes.center_max > 1e-3
     assert row(found, "steps half as long").verdict == "steps short enough"
     assert row(found, "contact").cost > 0.3
-    assert found.impact.startswith("contacts close at 0.005")
+    assert found.impact.startswith("contacts close at 0.004")
     assert "too slow" in found.impact

@@ -183,8 +183,8 @@ DURING_VARIANTS = (
 )
 # After variants that run side by side, in one program.
 DURING_TIMES = (
-    "import pftwin.studies.audit.audit as a\nreal = a._listed\n"
-    "a._listed = lambda *given: [v for v in real(*given) if getattr(v, 'alike', True)]\n"
+    "import pftwin.studies.audit.audit as a\nreal = a._selected_variants\n"
+    "a._selected_variants = lambda *given: [v for v in real(*given) if getattr(v, 'alike', True)]\n"
     f"def in_turn(runs): {PAUSE}\na.time_in_turn = in_turn"
 )
 
@@ -296,7 +296,7 @@ def test_blocks_change_no_outcome(toy, tmp_path, monkeypatch):
             "--distalise",
             "0,2",
             "--dt",
-            "0.005",
+            "0.001",
             "--no-figure",
         ]
         done = CliRunner().invoke(app, ["treat", str(toy), *options])

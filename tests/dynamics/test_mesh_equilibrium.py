@@ -30,7 +30,8 @@ def test_a_button_of_large_triangles_finds_its_rest(toy: Path) -> None:
     assert len(found) >= 4
     for solution in found:
         assert int(solution.iterations) > equilibrium.PATIENCE  # or this is no test of what comes after it
-        assert (np.linalg.eigvalsh(solution.stiffness) > 0).all()
+        stiffness = np.asarray(solution.stiffness)  # not symmetric where an edge of the femur's mesh is nearest
+        assert (np.linalg.eigvalsh(stiffness + stiffness.T) > 0).all()
 
 
 def test_a_load_that_is_not_known_is_no_equilibrium() -> None:

@@ -22,7 +22,7 @@ from pftwin.dynamics.batch.sharding import AXIS
 from pftwin.model.measured import Measured
 
 
-@pytest.mark.parametrize("program", ["plain", "with_slopes"])
+@pytest.mark.parametrize("program", ["predictions", "with_slopes"])
 @pytest.mark.slow
 def test_variants_that_are_laid_out_give_the_same(program):
     """Over one device: what `shard_map` makes of the programs."""

@@ -100,7 +100,7 @@ def test_nothing_is_done_where_nothing_is_needed(knee):
 
 @pytest.mark.slow
 def test_case_2_needs_some_4_mm():
-    plan = optimise_treatment(rig.case(2), Limit("dislocation_margin", at_least=0.001), dt=DT)
+    plan = optimise_treatment(rig.case(2), Limit("dislocation_margin", at_least=0.001))
     assert plan.met
     assert 1e-3 < float(plan.treatment.values[0]) < 4e-3
     assert 0.001 <= plan.outcomes["dislocation_margin"] < 0.004

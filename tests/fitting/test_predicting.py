@@ -11,7 +11,7 @@ import pytest
 from small_scene import small_scene
 
 from fitting.prediction.outcomes import MEASURES, outcomes
-from fitting.prediction.predicting import predict
+from fitting.prediction.predicting import STEP, predict
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from pftwin import BDF2, rig, simulate
@@ -27,7 +27,7 @@ DT = 5e-3
 @pytest.fixture(scope="module")
 def case_2():
     """Case 2 with its tuberosity up to 20 mm medial."""
-    return predict(rig.case(2), grid(TRANSFER, medialisation=1e-3 * np.arange(0, 21, 2)), dt=DT)
+    return predict(rig.case(2), grid(TRANSFER, medialisation=1e-3 * np.arange(0, 21, 2)))
 
 
 @pytest.mark.slow
@@ -43,7 +43,7 @@ def test_medialisation_cures_case_2(case_2):
 
 @pytest.mark.slow
 def test_a_member_is_what_simulate_gives(case_2):
-    one = outcomes(simulate(tibial_tuberosity_transfer(rig.case(2), 0.010), dt=DT, integrator=BDF2()))
+    one = outcomes(simulate(tibial_tuberosity_transfer(rig.case(2), 0.010), dt=STEP, integrator=BDF2()))
     member = case_2.isel(variant=5)
     for name, measure in MEASURES.items():
         expected = np.degrees(one[name]) if measure.unit == "rad" else one[name]
@@ -55,7 +55,7 @@ def test_case_1_is_case_2_after_the_transfer():
     one, two = rig.case(1), rig.case(2)
     moved = eqx.tree_at(lambda s: (s.motion, s.start), two, (one.motion, one.start))
     variants = [Treatment.of(TRANSFER, medialisation=m) for m in (0.0, 0.016)]
-    found = predict([one, moved], variants, dt=DT)
+    found = predict([one, moved], variants)
     assert list(found["scene"].values) == [one.name] * 2 + [two.name] * 2
     for name in MEASURES:
         np.testing.assert_allclose(found[name][3], found[name][0], rtol=1e-6, atol=1e-9, err_msg=name)

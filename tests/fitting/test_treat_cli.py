@@ -51,7 +51,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
 def test_what_follows_from_doubted_measurements_is_flagged(tmp_path):
     doubted = made_estimate({"K1": (157.0, 2.0)}, doubts=["measured position is 30 ms late"])
     command = ["treat", "--case", "2", "--estimate", str(doubted.save(tmp_path / "fit.json")), "--medialise", "0:16:8"]
-    outcome = RUNNER.invoke(app, [*command, "--samples", "4", "--dt", "0.005", "-o", str(tmp_path / "v.nc")])
+    outcome = RUNNER.invoke(app, [*command, "--samples", "4", "-o", str(tmp_path / "v.nc")])
     assert outcome.exit_code == 3
     assert "INVALID estimate: measured position is 30 ms late" in outcome.stdout
     assert "flagged: INVALID: measured position is 30 ms late" in outcome.stderr
@@ -128,7 +128,7 @@ def test_results_are_netcdf(tmp_path):
 def test_a_simulation_after_a_treatment(tmp_path):
     """What dislocates as it is does not with the tuberosity 16 mm medial; the result says what was done."""
     out = tmp_path / "after.nc"
-    outcome = RUNNER.invoke(app, ["simulate", "--case", "2", "--medialise", "16", "--dt", "0.005", "-o", str(out)])
+    outcome = RUNNER.invoke(app, ["simulate", "--case", "2", "--medialise", "16", "-o", str(out)])
     assert outcome.exit_code == 0, outcome.output
     data = load_dataset(out)
     assert data.attrs["scene"] == "rig case 2, P5, medialise 16 mm"

@@ -113,7 +113,6 @@ starts = 1
 
 [predict]
 samples = 2
-dt_s = 5e-3
 
 [[treatment]]
 tibial_tuberosity_transfer = { medialisation_mm = [0, 5] }
@@ -171,7 +170,7 @@ def test_real_fits_beside_broken_files(tmp_path, monkeypatch):
 
     _, _, stored = read_store(tmp_path / "cohort_results" / "patients" / "second.nc")
     variants = grid("tibial_tuberosity_transfer", medialisation=[0, 0.005])
-    alone = predict(load_scene(tmp_path / "second" / "scene.toml"), variants, second, samples=2, dt=5e-3)
+    alone = predict(load_scene(tmp_path / "second" / "scene.toml"), variants, second, samples=2)
     for name in ("peak_contact_force", "largest_offset", "mean_tilt", "parameters"):
         np.testing.assert_allclose(stored[name], alone[name], rtol=1e-9)
 

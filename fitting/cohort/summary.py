@@ -115,6 +115,7 @@ FIXED = {
     "verdict": "string",
     "variant_failed": "bool",
 }
+_IN_THE_STORE_ALONE = ("status", "status_frames")  # `verdict` sums them up; `status` here is the patient's
 Row = dict[str, Any]
 Units = dict[str, str]
 
@@ -196,6 +197,8 @@ def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
     for i, variant in enumerate(found["variants"]):
         row: Row = {"variant": i}
         for name, value in variant.items():
+            if name in _IN_THE_STORE_ALONE:
+                continue
             row["variant_failed" if name == "failed" else name] = value
             if name in found["bands_95"]:
                 low, high = (band[i] for band in found["bands_95"][name])

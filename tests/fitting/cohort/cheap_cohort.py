@@ -90,7 +90,6 @@ class CheapWork:
             "peak_contact_force": (axes, force, about),
             "dislocation_time": (axes, np.full(force.shape, np.nan), {"units": "s", "long_name": "time"}),
             "failed": (axes, np.zeros(force.shape, bool), {"units": "1", "long_name": "failed"}),
-            "status_frames": ((*axes, "flag"), np.zeros((*force.shape, 1), int), {"flags": ["nothing touches"]}),
         }
         coordinates = {
             "variant": (("variant",), [0, 1]),
@@ -98,6 +97,5 @@ class CheapWork:
             "treatment": (("variant",), ["as it is", "10 mm medially"]),
             "medialisation": (("variant",), [0.0, 0.01], {"units": "m", "long_name": "medialisation"}),
             "sample": (("sample",), np.arange(self.size)),
-            "flag": (("flag",), ["no_contact"]),
         }
         return Dataset(data, coordinates, {"title": "predicted outcomes"})

@@ -36,7 +36,7 @@ def test_medialisation_cures_case_2(case_2):
     np.testing.assert_array_equal(case_2[MEDIAL].values[out], [0.0, 0.002])
     assert (np.diff(case_2["largest_offset"].values[~out]) < 0).all()
     assert (np.diff(case_2["medial_share"].values[~out]) > 0).all()
-    assert case_2["dislocation_flexion"].values[0] == pytest.approx(13.2, abs=0.5)
+    assert case_2["dislocation_flexion"].values[0] == pytest.approx(14.7, abs=0.1)  # in steps of 5 to 1/16 ms
     assert case_2["dislocation_flexion"].attrs["units"] == "deg"
     assert not case_2["failed"].values.any()
 

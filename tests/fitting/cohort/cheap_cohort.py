@@ -90,6 +90,7 @@ class CheapWork:
             "peak_contact_force": (axes, force, about),
             "dislocation_time": (axes, np.full(force.shape, np.nan), {"units": "s", "long_name": "time"}),
             "failed": (axes, np.zeros(force.shape, bool), {"units": "1", "long_name": "failed"}),
+            "status_frames": ((*axes, "flag"), np.zeros((*force.shape, 2), int), {"flags": ["none", "beyond"]}),
         }
         coordinates = {
             "variant": (("variant",), [0, 1]),
@@ -97,5 +98,6 @@ class CheapWork:
             "treatment": (("variant",), ["as it is", "10 mm medially"]),
             "medialisation": (("variant",), [0.0, 0.01], {"units": "m", "long_name": "medialisation"}),
             "sample": (("sample",), np.arange(self.size)),
+            "flag": (("flag",), ["no_contact", "left_patch"]),
         }
         return Dataset(data, coordinates, {"title": "predicted outcomes"})

@@ -175,13 +175,15 @@ def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float]) -> li
     """Channels in which the fit's steps are off, in words: too much, and by half of what the fit leaves or more.
 
     Args:
-        errors: of the steps at the estimate.
+        errors: of the steps at the estimate; none where a run in half the step is not usable.
         left: what the fit leaves of each channel, rms.
     """
+    if not errors:
+        return ["in half of the fit's time step no motion comes out, so the error of its steps is not known"]
     found = []
     for channel, error in errors.items():
         if error.large and error.rms > 0.5 * left[channel]:
-            unit = {POSITION: (1e3, "mm"), ORIENTATION: (1.0, "of a unit quaternion")}.get(channel, (1.0, "N"))
+            unit = {POSITION: (1e3, "mm"), ORIENTATION: (180 / np.pi, "deg")}.get(channel, (1.0, "N"))
             off, rest = (f"{unit[0] * x:.2g} {unit[1]}" for x in (error.rms, left[channel]))
             found.append(f"the fit's time steps are off by {off} rms of {channel}, beside {rest} that it leaves")
     return found

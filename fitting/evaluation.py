@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fitting import programs
 from fitting.parameters import Parameters
-from fitting.programs import POSITION, channel_widths, columns_of
+from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.frame_states import substeps_for
@@ -58,7 +58,7 @@ class Prediction(NamedTuple):
 class StepError(NamedTuple):
     """What the length of the steps does to a channel."""
 
-    rms: float  # over the frames [m], [rad] of quaternions' components, [N]
+    rms: float  # over the frames [m], [rad], [N]
     large: bool  # more than an answer should have
 
 
@@ -143,6 +143,8 @@ class Evaluator:
         for channel, width in zip(self.channels, self.widths, strict=True):
             a, b = (run.values[0, :, at : at + width] for run in (long, short))
             rms = 2 * float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
+            if channel == ORIENTATION:
+                rms *= 2  # an angle is twice what the quaternion changes by
             most = _EXACT if channel == POSITION else _EXACT_SHARE * float(np.ptp(b, axis=0).max())
             found[channel] = StepError(rms, rms > most)
             at += width

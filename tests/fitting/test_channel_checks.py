@@ -7,7 +7,8 @@ import pytest
 from linear_problems import objective
 from scipy.spatial.transform import Rotation
 
-from fitting.channel_checks import LIMITS, left_over, limits_of, misread, readings
+from fitting.channel_checks import LIMITS, left_over, limits_of, misread, readings, unresolved
+from fitting.evaluation import StepError
 from pftwin.base.errors import InputError
 
 TIMES = np.linspace(0.0, 4.0, 101)
@@ -110,3 +111,12 @@ def test_what_is_left_over_is_named_by_size_and_by_the_stated_noise():
     assert noisy == ["of position the fit leaves 1.2 mm rms, 50 times the stated noise"]
     with pytest.raises(InputError, match="of one the fit leaves 8 N rms"):
         left_over(seen, 4 * left * [0, 0, 0, 1], LIMITS, None)
+
+
+def test_steps_whose_error_is_large_or_not_known_are_named():
+    left = {"position": 5e-4, "orientation": 0.02}
+    errors = {"position": StepError(4e-4, True), "orientation": StepError(0.005, True)}
+    said = "the fit's time steps are off by 0.4 mm rms of position, beside 0.5 mm that it leaves"
+    assert unresolved(errors, left) == [said]
+    assert unresolved({"position": StepError(4e-4, False)}, left) == []
+    assert "not known" in unresolved({}, left)[0]

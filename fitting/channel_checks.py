@@ -121,6 +121,8 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         tried = _poses(channel, data) if channel in _FLOOR else _forces(data)
         size = 1.0 if channel in _FLOOR else max(float(_rms(seen).mean()), 1e-300)
         floor = _FLOOR.get(channel, _FORCE_FLOOR)
+        if channel == POSITION:
+            tried = _not_just_smaller(data, tried, seen)
         off = {words: max(float(_off(channel, values, seen).min()) / size, floor) for words, values in tried}
         best = min(off.values())
         words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # from simple to odd
@@ -234,6 +236,18 @@ def _off(channel: str, data: Floats, seen: Floats) -> Floats:
     if channel == ORIENTATION:
         data = data * np.where(np.sum(data * seen, axis=-1, keepdims=True) < 0, -1.0, 1.0)
     return _rms(data - seen)
+
+
+def _not_just_smaller(data: Floats, tried: Iterator[tuple[str, Floats]], seen: Floats) -> Iterator[tuple[str, Floats]]:
+    """The readings of positions but those in which the numbers are smaller and fit worse than in a frame set off.
+
+    Of positions in a frame that lies far off every reading that shrinks them is nearer; an offset explains more.
+    """
+    apart = data - seen
+    set_off = float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
+    for words, values in tried:
+        if _rms(values) > 0.5 * _rms(data) or _SIMPLER * _off(POSITION, values, seen).min() < set_off:
+            yield words, values
 
 
 def _some(present: NDArray[np.bool_]) -> NDArray[np.intp]:

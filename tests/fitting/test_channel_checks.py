@@ -57,6 +57,11 @@ def test_positions_as_they_are_and_a_millimetre_off_have_no_other_reading():
         assert read(("position",), POSITION + off, POSITION, (3,)) == []
 
 
+@pytest.mark.parametrize("off", [[0.2, 0.2, 0.2], [0.0, -0.4, 0.1], [3.0, 2.0, 5.0]])
+def test_positions_in_a_frame_far_off_are_not_taken_for_other_units(off):
+    assert all("too large" not in said for _, said, _ in read(("position",), POSITION + off, POSITION, (3,)))
+
+
 def test_orientations_the_other_way_round_or_with_the_scalar_last():
     for measured, words in (
         (TURNS * [1, -1, -1, -1], "turned the other way"),

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from lifted_fits import NOISE, TRUTH, estimate, noisy, scene
+from lifted_fits import HELD, NOISE, TRUTH, estimate, noisy, scene
 from made_estimates import made_estimate
 
 import fitting
@@ -85,7 +85,7 @@ def test_intervals_cover_the_truth():
     """95 % intervals of 200 repeats cover the truth() in 90 to 99 %."""
     covered = []
     for seed in range(200):
-        found = fitting.fit_tendons(scene(), noisy(1000 + seed), starts=2)
+        found = fitting.fit_tendons(scene(HELD), noisy(1000 + seed, HELD), starts=2)
         covered.append((found.intervals[:, 0] <= TRUTH) & (found.intervals[:, 1] >= TRUTH))
     share = np.mean(covered, axis=0)
     assert (share >= 0.90).all(), share

@@ -117,9 +117,12 @@ class Ledger(eqx.Module):
         done = step * mean.lossy + mean.potential.power(moved)
         heat = step * (mean.heat + now.inner)
         sums = (self.work + step * mean.work, self.heat + heat, self.done + done)
+        return Ledger(*sums, now, jnp.ones_like(known), self.approach_until(before, loads, looked))
+
+    def approach_until(self, before: State, loads: Sequence[Load], looked: Twist) -> Scalar:
+        """`approach` after one more step; its arguments are those of `entered`."""
         lost = looked.plus(-1.0, Twist(before.velocity, before.spin))
-        approach = jnp.maximum(self.approach, _fastest_approach(loads, lost))
-        return Ledger(*sums, now, jnp.ones_like(known), approach)
+        return jnp.maximum(self.approach, _fastest_approach(loads, lost))
 
     def numerical_dissipation(self, kinetic: Scalar) -> Scalar:
         """Of a ledger over the frames, by the patella's kinetic energy there, (n,) each [J]."""

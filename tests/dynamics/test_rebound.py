@@ -13,7 +13,7 @@ from scenes import MASS, RADIUS, G, J, contact, gravity, knee, knee_motion, orde
 from scipy.integrate import solve_ivp
 
 import pftwin
-from pftwin.dynamics.integrators import BDF2, LinearImplicit, Newmark, QuasiStatic
+from pftwin.dynamics.integrators import BDF2, Diffrax, LinearImplicit, Newmark, QuasiStatic
 from pftwin.dynamics.rebound import Impact, impact_of, impact_time, rebound_in_steps, rebound_of_law
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.effects.contact_law import Flores, Hertz, HuntCrossley
@@ -109,6 +109,14 @@ def test_a_drop_on_the_real_contact_rebounds_as_is_said(integrator):
             assert found.mean() == pytest.approx(due, abs=0.04)
         if step == 1e-3:
             assert found.max() < 0.2 < due - 0.2
+
+
+def test_a_solver_of_diffrax_tells_the_approach_too():
+    """Steps of a quarter of the impact: its memory of the approach is set at their ends, so they rebound short too."""
+    found = drops(2.5e-4, Diffrax("Tsit5"))  # looks at the approach's speed
+    assert found.mean() == pytest.approx(
+        rebound_in_steps(HALF, MASS, FALLEN, 2.5e-4, Diffrax("Tsit5")).mean(), abs=0.04
+    )
 
 
 @pytest.mark.parametrize("integrator", [LinearImplicit(), BDF2(), Newmark()], ids=lambda i: i.text)

@@ -154,12 +154,14 @@ class Diffrax(Integrator):
         given_up = found.result == diffrax.RESULTS.max_steps_reached
         y = jnp.where(given_up, jnp.nan, found.ys[-1])
         after = _state(y, state)
-        _, memories = system.loads(guide_at(1.0).instant(after.patella(), step), state.memories)
+        ends, memories = system.loads(guide_at(1.0).instant(after.patella(), step), state.memories)
         failed = ((found.result != diffrax.RESULTS.successful) | ~known).astype(y.dtype)
         carried = DiffraxStep(step / jnp.maximum(found.stats["num_accepted_steps"], 1).astype(y.dtype), failed)
         after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
         if ledger is not None:
-            ledger = eqx.tree_at(lambda a: (a.work, a.heat, a.done), ledger, (y[13], y[14], y[15]))
+            approach = ledger.approach_until(state, ends, Twist(after.velocity, after.spin))
+            sums = (y[13], y[14], y[15], approach)
+            ledger = eqx.tree_at(lambda a: (a.work, a.heat, a.done, a.approach), ledger, sums)
         return after, ledger
 
 

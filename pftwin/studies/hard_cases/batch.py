@@ -139,8 +139,8 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
         for k, case in enumerate(batch.cases):
             if k % 2 == parity:
                 continue
-            off = np.abs(mixed[k] - alone[k])
-            off = np.where(np.isnan(mixed[k]) & np.isnan(alone[k]), 0.0, off).max()
+            lost = ~(np.isfinite(mixed[k]) | np.isfinite(alone[k]))  # in both, and alike: NaN or infinite
+            off = np.abs(np.subtract(mixed[k], alone[k], where=~lost, out=np.zeros(lost.shape))).max()
             if not off <= AGREE[dtype]:
                 said[case.name] = f"depends on its batch: {off:.1g} off"
     return said
@@ -170,13 +170,13 @@ def starts_of(batch: CaseBatch, dtype: str) -> Starts:
     search, nothing = compiled(equilibrium_with_derivatives, double), jnp.zeros((n, len(PARAMETERS)))
     found: Rest = search(batch.scenes, nothing)
     scenes, wanted = batch.scenes, np.array([not c.released for c in batch.cases])
-    lost = ~_converged(found.equilibrium) & wanted  # a patella released from its start pose keeps that pose
+    lost = ~converged(found.equilibrium) & wanted  # a patella released from its start pose keeps that pose
     if lost.any():
         there = compiled(relaxed, double)(scenes)
         usable = lost & ~ended_far_away(scenes.start, there)
         scenes = eqx.tree_at(lambda s: s.start, scenes, _select_members(usable, there, scenes.start))
         again: Rest = search(scenes, nothing)
-        found = _select_members(lost & _converged(again.equilibrium), again, found)
+        found = _select_members(lost & converged(again.equilibrium), again, found)
     released = jnp.asarray(~wanted)
     chosen = _select_members(released, found.released, found.equilibrium)
     return Starts(chosen, _failing_equilibria(batch, found, scenes, search, dtype))
@@ -188,7 +188,8 @@ def starts_part(starts: Starts, which: list[int]) -> Starts:
     return Starts(jax.tree.map(lambda a: a[at], starts.chosen), starts.wrong)
 
 
-def _converged(solution: Solution) -> np.ndarray:
+def converged(solution: Solution) -> np.ndarray:
+    """(n,) which starts are equilibria."""
     return np.asarray(solution.residual) < tolerance_on_host(solution)
 
 
@@ -206,9 +207,9 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
     """Cases that start from an equilibrium: does the search end, and are its derivatives finite, and right."""
     n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, _patella_frame(scenes, found.equilibrium))
     said, columns = {}, np.asarray(found.slopes)
-    converged = _converged(found.equilibrium)
+    at_rest = converged(found.equilibrium)
     # A failed search flags every frame.
-    looked = [k for k, case in enumerate(batch.cases) if not case.released and converged[k]]
+    looked = [k for k, case in enumerate(batch.cases) if not case.released and at_rest[k]]
     smooth = [k for k in looked if batch.cases[k].expected.smooth and dtype == "float64"]
     reference: dict[int, np.ndarray] = {}
     if smooth:

@@ -26,7 +26,7 @@ from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Choice, Tried, accurate_enough, with_estimate
 from pftwin.model.scene import Scene
 from pftwin.results.verdict import ALLOWED, verdict_of
-from pftwin.studies.hard_cases.batch import CaseBatch, member
+from pftwin.studies.hard_cases.batch import CaseBatch, converged, member
 from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator
 from pftwin.studies.hard_cases.contacts import MESHES
 from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, compiled, run
@@ -96,10 +96,16 @@ class Truth(NamedTuple):
 
 
 def truths(batch: CaseBatch, starts: Any, contact: str) -> dict[str, Truth]:
-    """Converged runs of a batch's cases, by name; in float64, whose settings must be in force."""
+    """Converged runs of a batch's cases, by name; in float64, whose settings must be in force.
+
+    None of a case that has to start from its equilibrium, where that was not found: such a run says in every frame that
+    it is no answer, and a run in float32 that starts elsewhere is not off for that.
+    """
     fine, runs = FINE["mesh" if contact in MESHES else "patch"], BatchRuns(batch, starts, BDF2(), True)
-    found = {}
+    found, at_rest = {}, converged(starts)
     for k, case in enumerate(batch.cases):
+        if not (case.released or at_rest[k]):
+            continue
         coarse, course = (runs.tried(k, steps).course for steps in (fine, 2 * fine))
         left = apart(course, coarse)
         values = (np.maximum.accumulate(getattr(left, name)) for name in QUANTITIES)

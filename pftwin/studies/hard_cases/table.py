@@ -87,7 +87,6 @@ def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
 def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[KeptPiece]) -> str:
     """The page docs/hard_cases.md, from the pieces that were run."""
     found, m = counts(cells), pieces[-1].machine
-    compared = {cell[:4]: piece.truths for piece in pieces for cell in piece.rows}
     by_name = {c.name: c for c in cases}
     why = {name: c.unmended or c.limit for name, c in by_name.items()}
     known = {name: why[name] for name in _failing(cells) if why.get(name)}
@@ -95,7 +94,6 @@ def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[
     page = files("pftwin.studies.hard_cases").joinpath("page.md").read_text(encoding="utf-8")
     return page.format(
         size=f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}",
-        older=list(compared.values()).count(False),
         minutes=sum(p.seconds for p in pieces) / 60,
         machine=f"{m['cpu']}, {m['cores']} cores, jax {m['jax']}",
         failing=reasons(cells, "fail").grid() if found["fail"] else "Nothing.",

@@ -167,8 +167,8 @@ def hard_cases(
 ) -> None:
     """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
 
-    Everything, with --into DIR, takes three quarters of an hour of two cores, most of it compiling; one contact with one integrator
-    minutes. What is interrupted goes on where it was; to run a piece again, remove its file.
+    Everything, with --into DIR, takes three quarters of an hour of two cores, most of it compiling; one contact with
+    one integrator minutes. What is interrupted goes on where it was; to run a piece again, remove its file.
 
     Example: `pftwin hard-cases --contact P5 --integrator linear_implicit --dtype float64`
     """

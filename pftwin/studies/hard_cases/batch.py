@@ -139,8 +139,8 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
         for k, case in enumerate(batch.cases):
             if k % 2 == parity:
                 continue
-            lost = ~(np.isfinite(mixed[k]) | np.isfinite(alone[k]))  # in both, and alike: NaN or infinite
-            off = np.abs(np.subtract(mixed[k], alone[k], where=~lost, out=np.zeros(lost.shape))).max()
+            same = (mixed[k] == alone[k]) | (np.isnan(mixed[k]) & np.isnan(alone[k]))  # infinite numbers too
+            off = np.abs(np.subtract(mixed[k], alone[k], where=~same, out=np.zeros(same.shape))).max()
             if not off <= AGREE[dtype]:
                 said[case.name] = f"depends on its batch: {off:.1g} off"
     return said

@@ -128,7 +128,7 @@ def batch(scene: Scene, rows: np.ndarray, substeps: int) -> list[Course]:
         dt=float(scene.motion.frame_interval) / substeps,
         outcome=forces,
         trajectories=True,
-        care=False,
+        care=True,  # a member whose equilibrium is not found at once starts from a relaxed state, as `simulate` does
     )
     columns = (found[name].values for name in ("sphere_center", "force", "facets"))
     return [Course(*row) for row in zip(*columns, strict=True)]

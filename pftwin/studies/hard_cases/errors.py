@@ -25,7 +25,7 @@ from pftwin.dynamics.rebound import impact_of
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import Choice, Tried, accurate_enough, with_estimate
 from pftwin.model.scene import Scene
-from pftwin.results.verdict import ALLOWED, verdict_of
+from pftwin.results.verdict import most_frames, verdict_of
 from pftwin.studies.hard_cases.batch import CaseBatch, converged, member
 from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator
 from pftwin.studies.hard_cases.contacts import MESHES
@@ -89,8 +89,16 @@ class Truth(NamedTuple):
 
     def off(self, ran: CaseRun) -> ErrorEstimate:
         """How far a run is off at every frame, beyond what is known."""
+        return self._apart(ran, -2.0)
+
+    def finds_right(self, ran: CaseRun) -> bool:
+        """Whether a run is right, whatever of the truth is not known: but for as many frames as a verdict allows."""
+        return frames_off(self._apart(ran, 2.0)) <= most_frames(Status.INACCURATE, len(self.course.center))
+
+    def _apart(self, ran: CaseRun, share: float) -> ErrorEstimate:
+        """How far a run is from this one, and a share of what is not known of it."""
         found = apart(course_of(ran), self.course)
-        path, force, *facets = (np.maximum(getattr(found, n) - 2 * getattr(self.left, n), 0.0) for n in QUANTITIES)
+        path, force, *facets = (np.maximum(getattr(found, n) + share * getattr(self.left, n), 0.0) for n in QUANTITIES)
         middle = np.abs(self.course.center[:, 1]) < MIDDLE
         return ErrorEstimate(path, force, *(np.where(middle, 0.0, f) for f in facets), most_force=found.most_force)
 
@@ -125,6 +133,11 @@ def restitution_remarked(scene: Scene, ran: CaseRun, integrator: Integrator, ste
     return impact is not None and impact.unresolved
 
 
+def frames_off(off: ErrorEstimate) -> int:
+    """At how many frames path or force are off by more than is allowed."""
+    return int(((np.asarray(off.flags, np.int64) & int(Status.INACCURATE)) > 0).sum())
+
+
 def _silent_error(ran: CaseRun, truth: Truth) -> str | None:
     off, flags = truth.off(ran), np.asarray(ran.seen.status, np.int64)
     wrong: NDArray[np.int64] = np.asarray(off.flags, np.int64)
@@ -134,8 +147,8 @@ def _silent_error(ran: CaseRun, truth: Truth) -> str | None:
     ):
         if (wrong & int(flag)).any() and not (flags & int(told)).any():
             return f"off a converged run by {off.describe()}, and no frame says so"
-    frames = int(((wrong & int(Status.INACCURATE)) > 0).sum())
-    if frames > ALLOWED[Status.INACCURATE] * flags.size and verdict_of(flags & ~_TOLD).valid:
+    frames = frames_off(off)
+    if frames > most_frames(Status.INACCURATE, flags.size) and verdict_of(flags & ~_TOLD).valid:
         return f"off a converged run in {frames} of {flags.size} frames, by {off.describe()}, and called valid"
     return None
 

@@ -20,6 +20,7 @@ from pftwin.studies.hard_cases.programs import CaseRun, poses
 REFUSES = (
     Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
 )  # flags of a run, or a step, that is not to be trusted
+THOUGH_RIGHT = "though right, by a converged run"  # in reasons of cells that the estimated error of steps refuses
 
 
 class Cell(NamedTuple):
@@ -79,7 +80,8 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
     if wrong:
         return cell("fail", "; ".join(wrong))
     if invalid:
-        return cell("refused", f"{Status.INACCURATE.describe()} ({inaccurate} of {look.flags.size} frames)")
+        doubt = f"; {THOUGH_RIGHT}" if evidence.truth is not None and evidence.truth.finds_right(run) else ""
+        return cell("refused", f"{Status.INACCURATE.describe()} ({inaccurate} of {look.flags.size} frames){doubt}")
     return cell("pass", "")
 
 

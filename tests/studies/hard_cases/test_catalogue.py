@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from pftwin.base.errors import InputError
+from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import (
     CONTACTS,
     INTEGRATORS,
@@ -25,7 +26,7 @@ from pftwin.studies.hard_cases.case import Expected, HardCase
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.knee import KneeNumbers
 from pftwin.studies.hard_cases.table import KeptPiece, by_case, counts, markdown, reasons, summary
-from pftwin.studies.hard_cases.verdict import Cell
+from pftwin.studies.hard_cases.verdict import THOUGH_RIGHT, Cell
 
 
 def test_there_are_as_many_cases_as_were_asked_for():
@@ -101,16 +102,20 @@ def cells() -> list[Cell]:
 
 @pytest.mark.slow
 def test_a_small_set_holds_on_a_patch_with_the_default_integrator(cells):
-    assert {c.case: c.outcome for c in cells if not c.reason} == dict.fromkeys(SMALL[:-2], "pass")
-    assert {c.case for c in cells if c.outcome == "refused"} == set(SMALL[-2:])
-    assert len(cells) == len(SMALL)
+    steps_too_long = "tendon_jerks_taut"  # a converged run says so too
+    expected = dict.fromkeys(SMALL, "pass") | dict.fromkeys((*SMALL[-2:], steps_too_long), "refused")
+    assert {c.case: c.outcome for c in cells} == expected
+    (reason,) = (c.reason for c in cells if c.case == steps_too_long)
+    assert reason.startswith(Status.INACCURATE.describe())
+    assert THOUGH_RIGHT not in reason
 
 
 @pytest.mark.slow
 def test_runs_do_not_depend_on_their_batch():
     """Side by side, in another order, beside members whose every number is NaN."""
     cases = [case_named(n) for n in ("plain_knee", "bounce_to_rest", "tendon_reversed", "contact_hard", "noise")]
-    cells = run_matrix(cases, Selection(("P5",), (method_named("linear_implicit"),), ("float64",), derivatives=False))
+    method = method_named("linear_implicit_bdf2")
+    cells = run_matrix(cases, Selection(("P5",), (method,), ("float64",), derivatives=False))
     assert [c.reason for c in cells] == [""] * len(cases)
 
 

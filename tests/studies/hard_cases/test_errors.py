@@ -80,6 +80,15 @@ def test_what_is_not_known_of_the_truth_is_not_held_against_a_run():
     assert silent_error(ran(course(shift=3e-3)), truth(left=0.9e-3)) is not None
 
 
+def test_a_run_is_right_only_if_it_is_so_whatever_of_the_truth_is_not_known():
+    near = ran(course(shift=0.7e-3))  # 1 mm is allowed
+    assert truth(left=0.1e-3).finds_right(near)
+    assert not truth(left=0.2e-3).finds_right(near)
+    assert not truth().finds_right(ran(course(force=26.0)))
+    assert truth().finds_right(ran(course(shift=3e-3, frames=4)))  # a verdict allows as many frames
+    assert not truth().finds_right(ran(course(shift=3e-3, frames=5)))
+
+
 @pytest.mark.slow
 def test_single_precision_says_that_a_hard_contact_leaves_the_place_open():
     """1e11 N/m^1.5: rounding of places is 0.3 N of load, and that up to 10 mm along the groove."""

@@ -55,8 +55,8 @@ IntegratorOption = Annotated[
     Option(
         "--integrator",
         metavar="NAME",
-        help="linear_implicit_bdf2 (of simulate and validate, if left out), linear_implicit (of explain and audit),"
-        " newmark, quasi_static, symplectic_euler, ali3p or diffrax:SOLVER.",
+        help="linear_implicit_bdf2 (if left out), linear_implicit, newmark, quasi_static, symplectic_euler, ali3p"
+        " or diffrax:SOLVER.",
     ),
 ]
 StepOption = Annotated[

@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, nargs="?" if data else None, default=data and Path(data) / "dm_knee")
     parser.add_argument("--contact", choices=("patch", "mesh"), default="patch", help="sphere on a patch, or meshes")
     parser.add_argument("--tolerance", type=float, default=0.1, help="what the path may be off by [mm]")
-    parser.add_argument("--dt", type=float, default=1e-3, help="time step [s]")
+    parser.add_argument("--dt", type=float, help="time step [s]; that of simulate if left out")
     parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
     parser.add_argument("-o", "--out", type=Path, help="folder for figure, CSV and NetCDF")
     given = parser.parse_args(arguments)

@@ -27,6 +27,7 @@ from fitting.evaluation import StepError
 from fitting.objective import Objective
 from fitting.programs import ORIENTATION, POSITION
 from pftwin.base.errors import InputError
+from pftwin.results.plots.quantities import as_read
 
 Floats = NDArray[np.float64]
 Limits = Mapping[str, tuple[float, float]]
@@ -148,16 +149,14 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
     found = []
     for channel, columns, rows in objective.columns():
         there = objective.present[:, rows.start]
-        left = _rms(residuals[there, rows])
+        left = float(_rms(residuals[there, rows]))
         kind = channel if channel in _FLOOR else "force"
         size = 1.0 if kind != "force" else max(float(_rms(objective.measured[there, columns])), 1e-300)
-        unit = {POSITION: (1e3, "mm"), ORIENTATION: (180 / np.pi, "deg")}.get(channel, (1.0, "N"))
-        shown = f"{unit[0] * float(left):.3g} {unit[1]}"
-        cases = [(kind, float(left) / size, f"of {channel} the fit leaves {shown} rms")]
+        cases = [(kind, left / size, f"of {channel} the fit leaves {_shown(channel, left, 3)} rms")]
         if kind == "force":
             cases = [(kind, cases[0][1], f"{cases[0][2]} of {size:.3g} N that were measured")]
         if stated is not None:
-            times = float(left) / (stated[channel] * np.sqrt(rows.stop - rows.start))
+            times = left / (stated[channel] * np.sqrt(rows.stop - rows.start))
             cases.append(("noise", times, f"{cases[0][2]}, {times:.0f} times the stated noise"))
         for limit, value, said in cases:
             if value >= limits[limit][1]:
@@ -185,10 +184,15 @@ def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float]) -> li
     found = []
     for channel, error in errors.items():
         if error.large and error.rms > 0.5 * left[channel]:
-            unit = {POSITION: (1e3, "mm"), ORIENTATION: (180 / np.pi, "deg")}.get(channel, (1.0, "N"))
-            off, rest = (f"{unit[0] * x:.2g} {unit[1]}" for x in (error.rms, left[channel]))
+            off, rest = (_shown(channel, x, 2) for x in (error.rms, left[channel]))
             found.append(f"the fit's time steps are off by {off} rms of {channel}, beside {rest} that it leaves")
     return found
+
+
+def _shown(channel: str, value: float, digits: int) -> str:
+    """A number of a channel [m], [rad] or [N] in the unit that people read."""
+    scale, unit = as_read({POSITION: "m", ORIENTATION: "rad"}.get(channel, "N"))
+    return f"{scale * value:.{digits}g} {unit}"
 
 
 def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:

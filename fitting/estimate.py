@@ -64,6 +64,8 @@ class Estimate:
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
     verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
+    status: str = ""  # of the fitted motion, in words; empty where none was given
+    status_frames: dict[str, int] = field(default_factory=dict)  # frames of the fitted motion with each flag
     doubts: list[str] = field(default_factory=list)  # what the measurements look like, if not what they are taken for
     time_shifts: dict[str, tuple[float, float]] = field(default_factory=dict)  # late by, deviation [s]
     share: float = 1.0  # of the likelihood that counts beside the priors, for correlated residuals
@@ -223,7 +225,8 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
-            since = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": [], "step_error": {}}
+            since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
+            since |= {"step_error": {}, "status": "", "status_frames": {}}
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
             for key in _ARRAYS:

@@ -24,6 +24,7 @@ from pftwin.base.errors import InputError, PftwinError
 from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.dynamics.simulate import simulate
+from pftwin.dynamics.status import status_facts
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 
@@ -372,7 +373,10 @@ def _estimate(
         measured=measured,
     )
     if not state["interrupted"]:  # run as everybody else runs it: a fit does not look at status
-        estimate.verdict = simulate(estimate.scene).verdict.describe()
+        result = simulate(estimate.scene)
+        estimate.verdict = result.verdict.describe()
+        facts = status_facts(result.flags)
+        estimate.status, estimate.status_frames = facts["status"], facts["status_frames"]
     return estimate
 
 

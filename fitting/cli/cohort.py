@@ -74,6 +74,9 @@ def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str
     )
     failures = [(o.patient, o.failure.stage, o.failure.message) for o in report.failed if o.failure is not None]
     tables = [Sheet("failed", ("patient", "at", "why"), tuple(failures))] if failures else []
+    bounds = tuple((o.patient, ", ".join(o.at_bounds)) for o in report.outcomes if o.at_bounds)
+    title = "at a bound; the true value may lie beyond"
+    tables += [Sheet(title, ("patient", "parameters"), bounds, words=(0, 1))] if bounds else []
     facts = {"cohort": described.name, **report.to_dict(), "files": there}
     present(facts, summary, written_line(there), *tables, json=json)
     if report.sound:

@@ -78,6 +78,7 @@ class Outcome:
     computed: int = 0  # units in this run
     kept: int = 0  # units that were done before
     failure: Failure | None = None
+    at_bounds: tuple[str, ...] = ()  # fitted parameters that ended at a bound: their true value may lie beyond
 
 
 @dataclass

@@ -170,8 +170,7 @@ class _CohortRun:
                 outcome.kept = len(units) - len(lacking)
                 missing += lacking
                 if not lacking:
-                    outcome.status = "done"
-                    self.summary.take(patient.name, units[-1])
+                    self._take(outcome, units[-1])
         return missing
 
     def _patient(self, patient: Patient, units: list[Unit]) -> None:
@@ -187,8 +186,17 @@ class _CohortRun:
             if outcome.failure is not None:
                 return
         with self._caught(outcome, "summary"):
-            self.summary.take(patient.name, units[-1])
-            outcome.status = "done"
+            self._take(outcome, units[-1])
+
+    def _take(self, outcome: Outcome, unit: Unit) -> None:
+        """Reads the store of a patient who is done.
+
+        Raises:
+            InputError: it is none.
+        """
+        self.summary.take(outcome.patient, unit)
+        outcome.at_bounds = tuple(self.summary.rows[outcome.patient][0].get("at_bounds", "").split())
+        outcome.status = "done"
 
     def _unit(self, patient: Patient, unit: Unit) -> None:
         """Computes a unit, writes its file and records it in the manifest.

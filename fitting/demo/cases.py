@@ -39,6 +39,7 @@ def run_demo(
     """
     from pftwin import rig
     from pftwin.dynamics.simulate import simulate
+    from pftwin.dynamics.status import status_facts
     from pftwin.results.metrics import mean_of, validate
     from pftwin.results.plots import case_figure, save_figure
     from pftwin.rig.contacts import contact_fit
@@ -77,7 +78,10 @@ def run_demo(
             c: {"r_squared": f.r_squared, "rms_m": f.rms, "max_error_m": f.max_error} for c, f in fits.items()
         },
         "table1": {c: v.to_dict() for c, v in means.items()},
-        "per_case": {c: [v.to_dict() for v in validations[c]] for c in contacts},
+        "per_case": {
+            c: [{**v.to_dict(), **status_facts(results[n][c].flags)} for n, v in zip(CASES, found, strict=True)]
+            for c, found in validations.items()
+        },
         "outcomes": outcomes,
         "notes": [_fit_note({c: fits[c].r_squared for c in CONTACTS}), SHARED],
         "figures": pictures,

@@ -21,6 +21,7 @@ from fitting.demo.paper_study import (
     values_of,
 )
 from pftwin.base.output import written_whole
+from pftwin.dynamics.status import status_facts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -182,6 +183,7 @@ def facts(study: PaperStudy) -> dict[str, Any]:
         "springs": {fit: [row._asdict() for row in spring_rows(study, fit)] for fit in FITS},
         "straight_lines": {k: {name: line._asdict() for name, line in v.items()} for k, v in lines.items()},
         "objective_mm": {s: {n: run.objective for n, run in runs.items()} for s, runs in study.runs.items()},
+        "runs": {s: {n: status_facts(run.result.flags) for n, run in runs.items()} for s, runs in study.runs.items()},
         "outcomes": [row._asdict() for row in outcome_rows(study)],
         "published_outcomes": PAPER.outcomes,
         "notes": list(notes(study)),

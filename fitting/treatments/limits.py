@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,7 @@ class TreatmentPlan:
     confidence: float = 0.0  # required share of draws in which all limits hold
     share: float | None = None  # share of draws in which they hold; None without draws
     invalid: str = ""  # "INVALID" and why, where no amount has a motion that may be spoken of
+    trust: Mapping[str, Any] = field(default_factory=dict)  # "status" and "status_frames", of a single amount
 
     def describe(self) -> str:
         """In a sentence or two."""
@@ -130,6 +132,7 @@ class TreatmentPlan:
         return {
             "met": self.met,
             "verdict": self.invalid or "valid",
+            **self.trust,
             "treatment": self.treatment.describe(),
             "amounts": {name: {"value": float(value), "unit": way.unit} for name, value, way in amounts},
             "limits": [

@@ -99,7 +99,8 @@ def optimise_treatment(
         share = search.share(at) if samples else None
         outcomes = search.outcomes(at)
         count = simulated + search.count
-        return TreatmentPlan(met, search.treated(at), outcomes, wanted, count, samples, confidence, share, doubt)
+        treated, trust = search.treated(at), search.trust(at)
+        return TreatmentPlan(met, treated, outcomes, wanted, count, samples, confidence, share, doubt, trust)
 
     if not fine.size:
         return plan(False, amounts[int(np.argmax(room))])

@@ -26,6 +26,7 @@ from fitting.treatments.limits import Limit
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.frame_states import substeps_for
+from pftwin.dynamics.status import status_facts_of_counts
 from pftwin.model.scene import Scene
 
 _ITERATIONS = 30
@@ -107,7 +108,11 @@ class Search:
         return len(self._known) * (1 + self._draws)
 
     def _at(self, amounts: Floats) -> Any:
-        """Outcomes for the estimate and the draws (1 + draws,), and their derivatives (None of a single amount)."""
+        """Outcomes for the estimate and the draws (1 + draws,), and their derivatives (None of a single amount).
+
+        Of a single amount also how many frames have each flag (1 + draws, flags); the run with derivatives does not
+        estimate the error of its steps.
+        """
         key = np.asarray(amounts, dtype=np.float64).tobytes()
         if key not in self._known:
             if self.alone:  # by the program that the grid was simulated with
@@ -116,17 +121,21 @@ class Search:
                 members = run(
                     self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, fewest=CHUNK, care=self._care
                 )
-                self._known[key] = members.outcomes, None
+                self._known[key] = members.outcomes, None, members.flags
             else:
                 numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
-                self._known[key] = jax.tree.map(
-                    np.asarray, _outcomes_and_derivatives(self._recipe, self._places, *numbers)
-                )
+                found = _outcomes_and_derivatives(self._recipe, self._places, *numbers)
+                self._known[key] = *jax.tree.map(np.asarray, found), None
         return self._known[key]
 
     def outcomes(self, amounts: Floats) -> dict[str, float]:
         """The estimate's by name, SI."""
         return {name: float(self._at(amounts)[0][name][0]) for name in MEASURES}
+
+    def trust(self, amounts: Floats) -> dict[str, Any]:
+        """What `status_facts` says of the estimate's motion; nothing of several amounts, whose error is not known."""
+        counts = self._at(amounts)[2]
+        return {} if counts is None else status_facts_of_counts(counts[0])
 
     def _rooms(self, amounts: Floats) -> Floats:
         """Scaled margins of each limit, for the estimate and the draws (limits, 1 + draws)."""

@@ -32,7 +32,7 @@ def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: JsonOpt
     from pftwin.studies.audit.report import explanation_sheet
 
     with spinner(f"running {chosen.scene.name} with and without each effect"):
-        found = look(chosen.scene, integrator=knee.method, dt=knee.dt or 1e-3)
+        found = look(chosen.scene, integrator=knee.method, dt=knee.dt)
     facts = {"contact": chosen.contact, **found.to_dict(), "machine": describe()}
     present(facts, explanation_sheet(found), json=json, markdown=markdown)
 
@@ -65,7 +65,7 @@ def audit(
     from pftwin.studies.audit.report import audit_sheet
 
     with spinner(f"running {chosen.scene.name} with every effect left out in turn"):
-        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=knee.method, dt=knee.dt or 1e-3)
+        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=knee.method, dt=knee.dt)
     files = [] if out_dir is None else _write(found, out_dir)
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in files]}
     present({**found.to_dict(), **about}, audit_sheet(found), json=json, markdown=markdown)

@@ -55,8 +55,8 @@ IntegratorOption = Annotated[
     Option(
         "--integrator",
         metavar="NAME",
-        help="linear_implicit_bdf2 (of simulate and validate, if left out), linear_implicit (of explain and audit),"
-        " newmark, quasi_static, symplectic_euler, ali3p or diffrax:SOLVER.",
+        help="linear_implicit_bdf2 (if left out), linear_implicit, newmark, quasi_static, symplectic_euler, ali3p"
+        " or diffrax:SOLVER.",
     ),
 ]
 StepOption = Annotated[
@@ -78,6 +78,7 @@ class Chosen:
     scene: Scene
     contact: str | None
     button: SphereFit | None = None  # where it was fitted to a mesh
+    side_as_given: str = ""  # as `LoadedScene` has it
 
     @property
     def measured(self) -> Measured | None:
@@ -109,7 +110,7 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
             loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get(), limits=limits.get())
         for note in loaded.notes:
             tell(note, "dim")
-        return Chosen(loaded.scene, contact or _contact(loaded.scene), loaded.button)
+        return Chosen(loaded.scene, contact or _contact(loaded.scene), loaded.button, loaded.side_as_given)
     from pftwin import rig
 
     assert case is not None

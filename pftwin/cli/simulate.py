@@ -154,8 +154,9 @@ def validate(
         for path in files:
             result.save(path)
     facts = {**_facts(result, chosen, first, files), **found.to_dict(), "rows": shown}
+    facts["side_as_given"] = chosen.side_as_given
     first_line = "" if result.verdict.valid else result.verdict.describe()
-    present(facts, first_line, sheet, written_line(files), json=json)
+    present(facts, first_line, sheet, chosen.side_as_given, written_line(files), json=json)
     check_trust(result)
 
 

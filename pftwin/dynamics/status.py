@@ -78,9 +78,15 @@ FLAGS = tuple(flag for flag in Status if flag)
 def status_facts(flags: ArrayLike) -> dict[str, Any]:
     """What every command's JSON says of trust, from the flags of frames (n,): words, and how many frames have each."""
     found = np.asarray(flags, dtype=np.int64)
+    return status_facts_of_counts([np.count_nonzero(found & int(flag)) for flag in FLAGS])
+
+
+def status_facts_of_counts(counts: ArrayLike) -> dict[str, Any]:
+    """The same from how many frames have each of `FLAGS`, (flags,)."""
+    frames = {flag: int(count) for flag, count in zip(FLAGS, np.asarray(counts), strict=True)}
     return {
-        "status": Status(int(np.bitwise_or.reduce(found, initial=0))).describe(),
-        "status_frames": {str(f.name).lower(): int(np.count_nonzero(found & int(f))) for f in FLAGS},
+        "status": Status(sum(flag for flag, count in frames.items() if count)).describe(),
+        "status_frames": {str(flag.name).lower(): count for flag, count in frames.items()},
     }
 
 

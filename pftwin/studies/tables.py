@@ -79,7 +79,8 @@ def read_csv(path: str | os.PathLike[str], row: type[R], needed: Sequence[str], 
     Raises:
         InputError: no such file, or one without the columns that make a row.
     """
-    lines, kinds = read_lines(path)[0], get_type_hints(row)
+    lines = read_lines(path)[0]
+    kinds = {n: kind for n, kind in get_type_hints(row).items() if kind in (str, int, float)}
     found = []
     for number, cells in enumerate(csv.DictReader(x for x in lines if not x.startswith("#")), start=1):
         if missing := [n for n in needed if cells.get(n) is None or (kinds[n] is str and not cells[n])]:

@@ -112,6 +112,14 @@ def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
     assert by_key["mean_distance"]["value"] == pytest.approx(facts["mean_distance"])
     assert 5 < facts["mean_distance"] < 30  # the toy's "recorded" patella stays where it was put
     assert facts["frames_compared"] == 41
+    assert facts["side_as_given"] == ""
+    assert "taken as given" not in result.output
+    left = toy.with_name("left.toml")
+    left.write_text(toy.read_text().replace("schema = 1", 'schema = 1\nside = "left"'))
+    result = pftwin("validate", left, "--json", tmp_path / "o.json", *STEP)
+    said = json.loads((tmp_path / "o.json").read_text())["side_as_given"]
+    assert said.startswith('side = "left" is taken as given')
+    assert result.stdout.rstrip().endswith(said)
 
 
 def test_every_command_that_runs_a_scene_says_the_same_of_trust(toy: Path, tmp_path: Path) -> None:

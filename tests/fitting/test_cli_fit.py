@@ -10,7 +10,9 @@ from toy_scene_files import LIGHT, START, fixed_poses, tibia_poses, write_poses,
 from typer.testing import CliRunner, Result
 
 from fitting import Estimate
+from pftwin import load_scene, simulate
 from pftwin.cli import app
+from pftwin.dynamics.status import FLAGS, status_facts
 
 MEASURED = """
 [measured]
@@ -51,6 +53,10 @@ def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
     }
     assert all(Path(p).stat().st_size > 1000 for p in printed["files"])
     assert "95 % interval" in result.stderr
+    assert sum(written["status_frames"].values()) == 0 or written["status"] != "ok"
+    assert list(written["status_frames"]) == [str(flag.name).lower() for flag in FLAGS]  # of the fitted motion
+    flags = simulate(Estimate.load(output).apply(load_scene(toy))).flags
+    assert {k: written[k] for k in ("status", "status_frames")} == status_facts(flags)
 
 
 def test_a_fit_to_doubted_measurements_is_written_and_flagged(toy, tmp_path):

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fitting.demo.cases import CASES
 from fitting.demo.paper_study import LINES, NOMINAL
 from pftwin.cli import app
+from pftwin.dynamics.status import status_facts
+from pftwin.files.result_files import load_dataset
 
 PUBLISHED = [156.0, 0.1432, 629.0, 0.0714]
 
@@ -24,6 +27,10 @@ def test_the_whole_demo(tmp_path: Path):
     said = json.loads(told.read_text())
     assert all(Path(p).stat().st_size > 10_000 for p in said["figures"])
     assert {Path(p).stem for p in said["figures"]} >= {"case1", "case4", "pathology_fitted", "treatment_predicted"}
+    for contact, cases in said["per_case"].items():
+        for n, case in zip(CASES, cases, strict=True):
+            flags = load_dataset(output / f"case{n}_{contact}.nc")["status"].values
+            assert {k: case[k] for k in ("status", "status_frames")} == status_facts(flags)
     study = said["section_2_6"]
     table = {row["row"]: row for row in study["table2"]}
     assert table["mean distance"]["case1_by_paper"] <= 2.6  # [mm], as in the paper

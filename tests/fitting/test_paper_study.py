@@ -27,6 +27,7 @@ from fitting.demo.paper_study_tables import facts, notes, outcome_rows, save, sp
 from fitting.demo.straight_springs import nearest_line, recorded_line, recorded_pulls
 from fitting.estimate import Estimate
 from pftwin import rig
+from pftwin.dynamics.status import status_facts
 from pftwin.results.tracking import find_dislocations
 
 NAMES = ("K1", "L1", "K2", "L2")
@@ -181,6 +182,7 @@ def test_facts_say_that_the_measurements_are_synthetic(study):
     assert {row["row"]: row["case1_by_paper"] for row in plain["table2"]}["mean distance"] == 10.0
     assert plain["springs"]["paper"][0]["paper_error"] == 8.0
     assert len(plain["outcomes"]) == 8
+    assert plain["runs"][NOMINAL][TREATMENT] == status_facts(study.runs[NOMINAL][TREATMENT].result.flags)
 
 
 def test_the_commands_tables_have_a_cell_for_every_heading(study):

@@ -56,6 +56,8 @@ def test_a_plan_without_one_sound_motion_says_so():
     assert not plan.met
     assert plan.describe().startswith("INVALID: 41 of 41 variants (the run did not start")
     assert plan.to_dict()["verdict"] == plan.describe()
+    assert plan.to_dict()["status_frames"]["start_not_in_equilibrium"] == 11
+    assert "the run did not start from a converged equilibrium" in plan.to_dict()["status"]
 
 
 def test_an_invalid_fit_says_so_first_and_older_files_are_read(tmp_path):

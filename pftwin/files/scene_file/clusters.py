@@ -78,3 +78,12 @@ class ClusterFits:
             self.notes.append(
                 f"{', '.join(self._flat)}: markers in one plane do not tell a left cluster from a right one"
             )
+
+    def side_as_given(self, side: str) -> str:
+        """A line that says that nothing tells the side, of a left knee or one with clusters in a plane; else empty.
+
+        Meshes, poses and attachments are as plausible on either side; only a cluster that is not flat tells.
+        """
+        if len(self._worst) > len(self._flat) or (side == "right" and not self._flat):
+            return ""
+        return f'side = "{side}" is taken as given: nothing in the files tells a left knee from a right one'

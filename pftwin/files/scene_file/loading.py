@@ -83,6 +83,7 @@ class LoadedScene:
     button: SphereFit | None  # of the contact whose centre is tracked, where it was fitted to a mesh; patella frame
     notes: tuple[str, ...]
     path: Path
+    side_as_given: str = ""  # a line where nothing in the files tells the side of the knee; also among the notes
 
     @property
     def measured(self) -> Measured | None:
@@ -164,8 +165,10 @@ def _loaded(
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
     recording.clusters.compare(document)
+    unjudged = recording.clusters.side_as_given(file.side)
+    notes += [unjudged] if unjudged else []
     button = None if scene.contact is None else setting.buttons.get(scene.contact.name)
-    return LoadedScene(replace(scene, measured=measured), button, tuple(notes), document.path)
+    return LoadedScene(replace(scene, measured=measured), button, tuple(notes), document.path, unjudged)
 
 
 def _validated(document: Document) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.dynamics.simulate import settle_first_frame
+from pftwin.dynamics.status import status_facts
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 from pftwin.results.metrics import validate
@@ -54,6 +55,7 @@ class AccuracyRow:
     compile_s: float  # tracing and compiling one run
     gradient: float  # time of a run with four forward derivatives, in plain runs
     status: str
+    status_frames: dict[str, int] = field(default_factory=dict)  # how many frames have each flag; not in the tables
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ def rows(setting: MeasuredProgram, scene: Scene, reference: Converged, measured:
                 real_time_batch=VARIANTS * result.duration / batch[n] if batch else float("nan"),
                 compile_s=compiling,
                 gradient=gradient,
-                status=result.status.describe(),
+                **status_facts(result.flags),
             )
         )
     return found

@@ -49,8 +49,8 @@ class Advice(NamedTuple):
 
 
 def columns(rows: Sequence[AccuracyRow]) -> list[Column]:
-    """Every field of the rows, units in the names."""
-    names = [f.name for f in fields(AccuracyRow)]
+    """Every field of the rows but the frames with each flag, units in the names."""
+    names = [f.name for f in fields(AccuracyRow) if f.name != "status_frames"]
     return [Column(n, [getattr(r, n) for r in rows], *ABOUT.get(n, ())) for n in names]
 
 

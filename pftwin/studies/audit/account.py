@@ -14,9 +14,8 @@ from jaxtyping import Array
 from pftwin.base.program_cache import Program
 from pftwin.base.spatial import Scalar
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.frame_states import FrameStates, starting_state
+from pftwin.dynamics.frame_states import starting_state
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.observe import observe
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.effects.base import Change, Effect, Instant, Load
@@ -37,7 +36,6 @@ class Account(eqx.Module):
     """The accounts of a run."""
 
     states: State  # at the recorded frames (leading axis n)
-    status: Array  # (n,) bits of `Status`
     sums: tuple[PartAccount, ...]  # by part
     kinetic: Array  # (2,) kinetic energy at the start and at the end [J]
 
@@ -69,9 +67,8 @@ def account(scene: Scene, start: Solution, integrator: Integrator, substeps: int
 
     (last, sums), rows = jax.lax.scan(one_frame, (state, nothing), jnp.arange(motion.n_frames - 1))
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, layout.unpacked(rows))
-    seen = observe(scene, FrameStates(states, None, start, step, integrator))
     kinetic = jnp.stack([system.kinetic_energy(state), system.kinetic_energy(last)])
-    return Account(states, seen.status, sums, kinetic)
+    return Account(states, sums, kinetic)
 
 
 def _at_end(

@@ -9,10 +9,9 @@ from typing import Any
 import jax
 
 from pftwin.base.errors import InputError
-from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import LinearImplicit
-from pftwin.dynamics.rebound import Impact, impact_of
+from pftwin.dynamics.integrators import BDF2
+from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.status import status_facts
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
@@ -22,7 +21,6 @@ from pftwin.studies.audit.runs import (
     Changes,
     VariantRun,
     compare_runs,
-    fastest_approach,
     run_alone,
     run_side_by_side,
     why_incomparable,
@@ -80,7 +78,7 @@ def audit(
     *,
     tolerance: float = 1e-4,
     integrator: Integrator | None = None,
-    dt: float = 1e-3,
+    dt: float | None = None,
     only: Collection[str] | None = None,
 ) -> Audit:
     """Runs the scene with each effect left out, with those put in that it lacks, and with other inertia and steps.
@@ -88,8 +86,7 @@ def audit(
     Args:
         scene: what is there.
         tolerance: by how much the tracked point may be off before an effect is worth keeping [m].
-        integrator: as in `simulate`.
-        dt: longest step [s].
+        integrator, dt: as in `simulate`, whose step is taken if none is given.
         only: names of the rows that are wanted; each saves the time of compiling the others. None: all there are.
 
     Returns:
@@ -103,20 +100,21 @@ def audit(
     if not tolerance > 0:
         raise InputError(f"found {tolerance!r}", where="tolerance", expected="a positive number of metres")
     check(scene)
-    integrator = checked_integrator(integrator or LinearImplicit(), "audit")
-    substeps = substeps_for(scene.motion.frame_interval, dt)
+    integrator = checked_integrator(integrator or BDF2(), "audit")
     # What is left out and doubled may be no knee any more.
     listed = _selected_variants(replace(scene, limits=None), integrator, only)
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
+    simulated = simulate(scene, integrator=integrator, dt=dt)
+    substeps = simulated.settings["substeps"]
     own = run_alone(scene, integrator, substeps)
-    impact = _impact(scene, own, integrator, substeps)
     runs = _runs(scene, wanted, integrator, substeps)
     done = [v for v in wanted if (v.name, v.kind) in runs]
     shares: list[Cost | None] = [None] * (1 + len(done))
     if len(done) == len(wanted):
         shares = _shares(own, [runs[v.name, v.kind] for v in done])
+    judged = simulated.verdict.valid
     rows = [
-        _worth(scene, v, runs[v.name, v.kind].result, own.result, share, tolerance)
+        _worth(scene, v, runs[v.name, v.kind].result, own.result, share, tolerance, judged)
         for v, share in zip(done, shares[1:], strict=True)
     ]
     return Audit(
@@ -126,23 +124,15 @@ def audit(
         step=scene.motion.frame_interval / substeps,
         tolerance=tolerance,
         run_time=None if shares[0] is None else shares[0].seconds,
-        tracking=own.result.tracking,
-        verdict=own.result.verdict.describe(),
-        **status_facts(own.result.flags),
-        impact="" if impact is None else impact.describe(),
-        programs=_programs(scene, done, integrator) + (impact is not None),
+        tracking=simulated.tracking,
+        verdict=simulated.verdict.describe(),
+        **status_facts(simulated.flags),
+        impact="" if simulated.impact is None else simulated.impact.describe(),
+        programs=_programs(scene, done, integrator),
         rows=tuple(rows),
         not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),
         missing=tuple(v.name for v in wanted if (v.name, v.kind) not in runs),
     )
-
-
-def _impact(scene: Scene, own: VariantRun, integrator: Integrator, substeps: int) -> Impact | None:
-    """What the steps make of the hardest approach in the scene's own run."""
-    if scene.contact is None or scene.contact.normal_law() is None:
-        return None
-    approach = fastest_approach(scene.unnamed(), own.start, integrator, substeps)
-    return impact_of(scene, integrator, scene.motion.frame_interval / substeps, float(approach))
 
 
 def _selected_variants(
@@ -177,7 +167,7 @@ def _runs(
 
 
 def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> int:
-    """One of motion for each structure, integrator and number of steps, one of equilibrium for each structure."""
+    """`simulate`'s; one of motion for each structure, integrator and number of steps; each structure's equilibrium."""
     alone = [v for v in wanted if not v.alike]
     structures = [scene, *(v.scene for v in alone)]
     kinds = {jax.tree.structure(s.unnamed()) for s in structures}
@@ -185,7 +175,7 @@ def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> in
         (jax.tree.structure(s.unnamed()), name, n)
         for s, name, n in [(scene, integrator, 1), *((v.scene, v.integrator or integrator, v.refine) for v in alone)]
     }
-    return len(kinds) + len(moving) + (len(alone) < len(wanted))
+    return 1 + len(kinds) + len(moving) + (len(alone) < len(wanted))
 
 
 def _shares(own: VariantRun, runs: list[VariantRun]) -> list[Cost | None]:
@@ -198,14 +188,17 @@ def _shares(own: VariantRun, runs: list[VariantRun]) -> list[Cost | None]:
     return [None if run.again is None else next(shares) for run in (own, *runs)]
 
 
-def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float) -> Worth:
+def _worth(
+    scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float, judged: bool
+) -> Worth:
+    """`judged`: whether the scene's own motion may be spoken of."""
     trouble = why_incomparable(result, own)
     found = None if trouble is not None else compare_runs(scene, result, own)
     outcome = trouble or _outcome(result, own)
     cost = None
     if share is not None:
         cost = 1 - share.ratio if v.kind == "left out" else share.ratio - 1
-    verdict = _verdict(v.kind, found, outcome, tolerance) if own.verdict.valid else INVALID
+    verdict = _verdict(v.kind, found, outcome, tolerance) if judged else INVALID
     return Worth(v.name, v.kind, v.sentence, found, cost, share and share.spread, outcome, verdict)
 
 

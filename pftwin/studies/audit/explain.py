@@ -10,10 +10,9 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import LinearImplicit
-from pftwin.dynamics.simulate import settle_first_frame
+from pftwin.dynamics.integrators import BDF2
+from pftwin.dynamics.simulate import settle_first_frame, simulate
 from pftwin.dynamics.status import Status, status_facts
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
@@ -81,20 +80,20 @@ class Explanation:
         return {**own, **{k: getattr(self, k) for k in more}, **status_facts(self.flags)}
 
 
-def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float = 1e-3) -> Explanation:
-    """Runs the scene once with an account of every step, then times a step with all effects and without each.
+def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float | None = None) -> Explanation:
+    """Simulates the scene, runs it with an account of every step, then times a step with all effects and without each.
 
     Args:
         scene: what is there.
-        integrator: as in `simulate`.
-        dt: longest step [s].
+        integrator, dt: as in `simulate`, whose step is taken if none is given.
 
     Raises:
         InputError: a parameter of the scene, the step or the integrator that cannot give a right answer.
     """
     check(scene)
-    integrator = checked_integrator(integrator or LinearImplicit(), "explain")
-    substeps = substeps_for(scene.motion.frame_interval, dt)
+    integrator = checked_integrator(integrator or BDF2(), "explain")
+    simulated = simulate(scene, integrator=integrator, dt=dt)
+    substeps = simulated.settings["substeps"]
     scene, name = scene.unnamed(), scene.name
     listed, start = parts(scene), settle_first_frame(scene)[0].answer
     kept: Account = account(scene, start, integrator, substeps)
@@ -106,7 +105,7 @@ def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float = 1
         _cost(part, total - equations(part.without.unnamed(), integrator), share, entry, step)
         for part, share, entry in zip(listed, shares[1:], sums, strict=True)
     ]
-    kinetic, flags = np.asarray(kept.kinetic, dtype=np.float64), np.asarray(kept.status)
+    kinetic = np.asarray(kept.kinetic, dtype=np.float64)
     return Explanation(
         scene=name,
         integrator=integrator.text,
@@ -116,8 +115,8 @@ def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float = 1
         step_time=shares[0].seconds / steps,
         parts=tuple(costs),
         kinetic_change=float(kinetic[1] - kinetic[0]),
-        flags=flags,
-        programs=3 + len(listed),  # equilibrium, account, a timed one with all and one without each
+        flags=simulated.flags,
+        programs=4 + len(listed),  # equilibrium, motion, account, a timed one with all and one without each
     )
 
 

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.base.program_cache import Program
-from pftwin.base.spatial import Scalar
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
@@ -39,14 +38,6 @@ class VariantRun:
 @Program
 def _moving(scene: Scene, start: Solution, integrator: Integrator, substeps: int) -> Observation:
     return observe(scene, frame_states(scene, integrator=integrator, substeps=substeps, start=start))
-
-
-@Program
-def fastest_approach(scene: Scene, start: Solution, integrator: Integrator, substeps: int) -> Scalar:
-    """The fastest at which the scene's contact pushed: see `pftwin.dynamics.ledger.Ledger.approach`."""
-    path = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=True)
-    assert path.ledger is not None
-    return path.ledger.approach[-1]
 
 
 @Program

@@ -53,7 +53,8 @@ _KINDS = {"patches": PATCHES, "meshes": MESHES}
 def catalogue() -> tuple[HardCase, ...]:
     """All cases, topic by topic."""
     topics = tomllib.loads(files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8"))
-    return tuple(_case(topic, entry) for topic, entries in topics.items() for entry in entries)
+    texts = topics.pop("texts")
+    return tuple(_case(topic, entry, texts) for topic, entries in topics.items() for entry in entries)
 
 
 def case_named(name: str) -> HardCase:
@@ -68,7 +69,7 @@ def case_named(name: str) -> HardCase:
     raise InputError(f"no case {name!r}", where="hard cases", expected="a name that pftwin hard-cases --list shows")
 
 
-def _case(topic: str, entry: dict[str, Any]) -> HardCase:
+def _case(topic: str, entry: dict[str, Any], texts: dict[str, str]) -> HardCase:
     flags = {key: reduce(Status.__or__, (Status[n] for n in entry.get(key, ())), Status.OK) for key in ("must", "may")}
     if entry.get("released"):
         flags["may"] |= RELEASED
@@ -79,6 +80,7 @@ def _case(topic: str, entry: dict[str, Any]) -> HardCase:
     )
     kinds = [k for name in entry.get("contacts", CONTACTS) for k in _KINDS.get(name, (name,))]
     own = {f.name: entry[f.name] for f in fields(HardCase) if f.name in entry and f.name != "contacts"}
+    own |= {key: texts.get(own[key], own[key]) for key in ("limit", "unmended") if key in own}
     return HardCase(topic=topic, builder=lambda: _knee(entry), expected=expected, contacts=tuple(kinds), **own)
 
 

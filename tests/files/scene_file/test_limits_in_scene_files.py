@@ -111,6 +111,22 @@ def test_a_cluster_of_the_other_side_is_refused_where_its_markers_tell(toy):
     assert "this side of the body" in said
 
 
+def test_a_side_that_nothing_tells_is_said_to_be_taken_as_given(toy):
+    """Of a left knee without clusters, and where all clusters are flat; not of a right one that nothing doubts."""
+    file = toy / "side.toml"
+    for text, side in (
+        (LIGHT, ""),
+        (changed("schema = 1", 'schema = 1\nside = "left"'), "left"),
+        (tibia_seen(seen(), toy, clusters()), ""),  # one cluster tells
+        (tibia_seen(seen(), toy, CLUSTERS), "right"),
+    ):
+        file.write_text(text)
+        found = load_scene_file(file)
+        said = f'side = "{side}" is taken as given: nothing in the files tells a left knee from a right one'
+        assert found.side_as_given == (said if side else "")
+        assert (said in found.notes) == bool(side)
+
+
 def test_a_frame_turned_by_180_deg_is_refused(toy):
     markers = seen()
     points = markers.positions.copy()

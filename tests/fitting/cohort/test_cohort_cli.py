@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cheap_cohort import CheapWork, write_cohort
+from made_estimates import made_estimate
 from toy_scene_files import LIGHT, tibia_poses, write_poses, write_toy
 from typer.testing import CliRunner, Result
 
@@ -63,6 +65,26 @@ def test_a_cohort_with_a_failure(tmp_path, cheap_work):
     again = pftwin("cohort", file, "--resume")
     assert again.exit_code == 0, again.output
     assert "2 units computed, 4 were there" in again.stdout
+
+
+def test_parameters_at_a_bound_are_listed(tmp_path, cheap_work):
+    """In the table, in the JSON and on the terminal alike; of kept results as of computed ones."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    upper = {"A": [65.0, 0.1], "B": [70.0, 0.2]}
+
+    def fit(patient, tell):
+        return made_estimate({"K1": (65.0, 1.0), "L1": (0.1, 0.001)}, upper=np.array(upper[patient.name]))
+
+    cheap_work.fit = fit
+    file = write_cohort(tmp_path, 2)
+    for more in ((), ("--resume",)):
+        result = pftwin("cohort", file, *more, "--json", "-")
+        assert result.exit_code == 0, result.output
+        assert [p["at_bounds"] for p in json.loads(result.stdout)["patients"]] == [["K1", "L1"], []]
+        assert "at a bound; the true value may lie beyond" in result.stderr
+        assert re.search(r"A +\W K1, L1 ", result.stderr)
+        table = parquet.read_table(tmp_path / "cohort_results" / "summary.parquet")
+        assert table["at_bounds"].to_pylist() == ["K1 L1", "K1 L1", "", ""]
 
 
 def test_check(tmp_path, cheap_work):

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from pftwin import rig
 from pftwin.base.errors import InputError
 from pftwin.cli.program import app
+from pftwin.dynamics.status import FLAGS
 from pftwin.files.result_files import load_dataset
 from pftwin.results.metrics import validate
 from pftwin.studies.accuracy.measure import AccuracyRow, compiling_anew, converged, float_type, rows
@@ -142,7 +143,10 @@ def test_the_command(tmp_path):
     given = ["accuracy", "--case", "2", "--integrator", "linear_implicit", "--out", str(out), "--json", "-"]
     answer = CliRunner().invoke(app, given)
     assert answer.exit_code == 0, answer.output
-    assert len(json.loads(answer.stdout)["rows"]) == 6
+    told = json.loads(answer.stdout)["rows"]
+    assert len(told) == 6
+    assert all(list(r["status_frames"]) == [str(flag.name).lower() for flag in FLAGS] for r in told)
+    assert all((r["status"] == "ok") == (not any(r["status_frames"].values())) for r in told)
     assert (out / "accuracy_P5.png").exists()
 
 

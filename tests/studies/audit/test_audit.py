@@ -14,12 +14,13 @@ from small_scene import small_result, small_scene
 from test_variants import hung
 from typer.testing import CliRunner
 
+from pftwin import simulate
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion
 from pftwin.cli import app
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.rebound import Impact
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import Status, status_facts
 from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene
 from pftwin.results.result import Result
@@ -40,7 +41,7 @@ def scene() -> Scene:
 def found() -> Audit:
     """Tendons alone hold it, and few rows are wanted: of its programs none takes long to compile."""
     wanted = ("gravity", "tendons' damping", "patella inertia x 2", "steps half as long", "friction")
-    return audit(scene(), dt=0.01 / SUBSTEPS, only=wanted)
+    return audit(scene(), only=wanted)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_every_variant_has_its_row(whole):
     assert [r.kind for r in whole.rows] == sorted(
         [r.kind for r in whole.rows], key=["left out", "put in", "changed", "yardstick"].index
     )
-    assert whole.programs == 6 + 8 + 1  # structures' equilibria; motions; one for those that differ in numbers
+    assert whole.programs == 1 + 6 + 8 + 1  # simulate's; structures' equilibria; motions; those that differ in numbers
 
 
 @pytest.mark.slow
@@ -85,7 +86,15 @@ def test_rows_that_are_wanted_stand_by_their_kind(found):
         ("steps half as long", "yardstick"),
     ]
     assert [(v.name, v.reason) for v in found.not_applicable] == [("friction", "nothing touches")]
-    assert found.programs == 2 + 3 + 1  # equilibria with weight and without; motions; one where only numbers differ
+    assert found.programs == 1 + 2 + 3 + 1  # simulate's; equilibria with weight and without; motions; numbers differ
+
+
+def test_what_is_audited_is_what_is_simulated(found):
+    """The same integrator, the step that the errors ask for, and the same said of trust."""
+    result = simulate(scene())
+    assert (found.integrator, found.step) == (result.settings["integrator"], result.settings["dt_s"])
+    assert found.verdict == result.verdict.describe()
+    assert {"status": found.status, "status_frames": found.status_frames} == status_facts(result.flags)
 
 
 def test_weight_moves_it_by_what_statics_says(found):
@@ -247,7 +256,7 @@ def test_only_the_rows_that_are_wanted(whole):
     assert [v.name for v in some.not_applicable] == ["friction"]
     for r in some.rows:
         assert r.changes.center_max == pytest.approx(row(whole, r.name).changes.center_max, rel=1e-9)
-    assert some.programs == 2 + 3
+    assert some.programs == 1 + 2 + 3
 
 
 @pytest.mark.parametrize("only", [["gravity", "wind"], "gravity"])

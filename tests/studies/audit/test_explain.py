@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scenes import MASS, G, J, gravity, knee, look, system, tendon
 
-from pftwin.dynamics.integrators import LinearImplicit
-from pftwin.dynamics.simulate import settle_first_frame
+from pftwin.dynamics.integrators import BDF2, LinearImplicit
+from pftwin.dynamics.simulate import settle_first_frame, simulate
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
@@ -30,7 +30,14 @@ def rough() -> Scene:
 
 @pytest.fixture(scope="module")
 def found() -> Explanation:
-    return explain(rough(), dt=1e-3)
+    return explain(rough())
+
+
+@pytest.mark.slow
+def test_what_is_explained_is_what_is_simulated(found):
+    result = simulate(rough())
+    assert (found.integrator, found.step) == (result.settings["integrator"], result.settings["dt_s"])
+    np.testing.assert_array_equal(found.flags, result.flags)
 
 
 @pytest.mark.slow
@@ -58,7 +65,7 @@ def test_only_what_damps_makes_heat(found):
 
 @pytest.mark.slow
 def test_equations_add_up(found):
-    assert found.equations == equations(rough())
+    assert found.equations == equations(rough(), BDF2())
     assert found.equations == found.shared_equations + sum(p.equations for p in found.parts if p.of is None)
     friction = found.parts[-1]
     assert 0 < friction.equations < found.parts[-2].equations
@@ -123,7 +130,7 @@ def test_times_are_relative_to_the_first():
 def test_shares_are_what_is_gone_without_the_part(monkeypatch):
     """Quiet times make exact shares: whatever the machine does."""
     monkeypatch.setattr(module, "time_in_turn", lambda runs: [Cost(1.0, 1.0, 0.0)] + [Cost(0.6, 0.6, 0.01)] * 5)
-    again = explain(rough(), dt=1e-3)
+    again = explain(rough())
     assert [p.share for p in again.parts] == pytest.approx([0.4] * 5)
     assert again.shared_time == pytest.approx(1 - 4 * 0.4)
 

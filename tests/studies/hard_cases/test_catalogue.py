@@ -49,9 +49,20 @@ def test_the_table_of_cases_has_no_word_that_is_not_read():
     known = {f.name for kind in (HardCase, Expected) for f in fields(kind)} - {"topic", "builder", "expected"}
     known = known - {"smooth", "symmetric", "still"} | {"holds", "knee", "seed", "change", "rig", "factors"}
     text = resources.files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8")
-    for entries in tomllib.loads(text).values():
+    topics = tomllib.loads(text)
+    texts = topics.pop("texts")
+    said = []
+    for entries in topics.values():
         for entry in entries:
             assert set(entry) <= known, entry["name"]
+            said += [entry[key] for key in ("limit", "unmended") if key in entry]
+    assert {text for text in said if said.count(text) > 1} == set(texts)  # whatever is said twice stands once
+
+
+def test_what_several_cases_share_is_said_of_each():
+    hard, plain = case_named("contact_hard"), case_named("plain_knee")
+    assert hard.limit.startswith("by contours, in float32, the search for the equilibrium ends before its balance")
+    assert plain.unmended.startswith("By contours, in float32: derivatives differ")
 
 
 def test_changes_reach_the_numbers_that_they_name():

@@ -20,8 +20,8 @@ FURTHER = ("CM", "FM", "spline")  # the paper's two meshes, and what replaces th
 STEP = 1e-3  # the paper's [s]
 PAPER_R_SQUARED = {"P2": 91.54, "P4": 99.36, "P5": 99.71}  # [%] Michaud et al. 2024, section 2.4.2
 SHARED = (
-    "The plant that makes these measurements shares with the twin the classes of its effects, the search for the"
-    " equilibrium, the contact stiffness and the masses: an error that is in both shows in neither table."
+    "The plant that makes these measurements has mechanics of its own, but shares with the twin the contact stiffness,"
+    " the masses, the nominal springs and what both assume: an error that is in both shows in neither table."
 )
 
 

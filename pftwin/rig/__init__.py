@@ -1,7 +1,8 @@
 """The virtual test rig, the embedded default: four cases, and synthetic measurements of them.
 
 The rig reproduces that of Michaud et al. 2024 as far as it is published. Its measurements are synthetic: produced by a
-plant that differs from the twin (`pftwin.rig.plant`), written as a laboratory's files, read back like a user's.
+plant that differs from the twin and shares none of its code (`pftwin.rig.plant`), written as a laboratory's files, read
+back like a user's.
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ from pftwin.files.mocap.trc import write_trc
 from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.rig import geometry as rig
-from pftwin.rig.plant import hand_motion
+from pftwin.rig.hand import hand_motion
+from pftwin.rig.plant import run_plant
 from pftwin.rig.recording import FORCES, IMPLANT_FILE, data_folder
 
 FINE = 6e-6  # chordal deviation of the implant's mesh: the paper's FM [m]
@@ -30,11 +31,9 @@ FORCE_BIAS = 0.05  # standard deviation of a load cell's offset [N]
 
 
 def record(case: int, folder: Path) -> int:
-    """Simulates the plant of a case and writes its markers and forces; returns the plant's number of steps."""
-    from pftwin.rig.plant import run_plant
-
+    """Simulates the plant of a case and writes its markers and forces; returns how often it evaluated its forces."""
     femur, tibia = hand_motion(case)
-    _, truth, steps = run_plant(case)
+    truth, evaluations = run_plant(case)
     seen = PoseSeries(femur.times, truth["position"], truth["quaternion"], source=f"plant, case {case}")
     random = np.random.default_rng(1000 + case)
     names, tracks = [], []
@@ -50,7 +49,7 @@ def record(case: int, folder: Path) -> int:
     positions = np.round(positions + random.normal(0.0, MARKER_NOISE, positions.shape), 6)
     write_trc(folder / f"case{case}_markers.trc", MarkerTrajectories(femur.times, tuple(names), positions))
     write_csv(folder / f"case{case}_forces.csv", _load_cells(femur.times, truth, random))
-    return steps
+    return evaluations
 
 
 def _in_world(femur: PoseSeries, seen: PoseSeries) -> PoseSeries:
@@ -79,8 +78,8 @@ def main() -> None:
     save_mesh(rig_implant().mesh(deviation=FINE), folder / IMPLANT_FILE)
     for case in rig.CASES:
         began = time.perf_counter()
-        steps = record(case, folder)
-        print(f"case {case}: {steps} plant steps, {time.perf_counter() - began:.0f} s", flush=True)
+        evaluations = record(case, folder)
+        print(f"case {case}: forces evaluated {evaluations} times, {time.perf_counter() - began:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

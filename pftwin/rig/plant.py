@@ -1,231 +1,197 @@
-"""The plant: what the virtual laboratory measures. It differs from the twin on purpose.
+"""The plant: what the virtual laboratory measures. Its mechanics are its own: NumPy and SciPy, none of the twin's code.
 
-The true smooth implant instead of a polynomial, a memoryless contact law, a little friction, springs that stiffen,
-attachments a millimetre off, other drag, and diffrax at a tight tolerance instead of the twin's integrator.
-
-An unsteady hand moves femur and tibia: from 45 deg of flexion, two flexions and two extensions, a little different in
-each case. In cases 2 and 3 the leg is extended only in part the first time, as in the paper (section 2.1). Synthetic,
-and the truth of which the rig's markers are noisy samples.
+With the twin it shares the numbers of the rig (`pftwin.rig.geometry`) and of the implant's shape, and what both assume:
+one rigid patella, straight springs, a sphere pressed into a surface by a law of indentation, guided bones. On purpose
+it differs: the true smooth implant instead of a polynomial, a memoryless contact law, a little friction, springs that
+stiffen, attachments a millimetre off, other drag, and another integrator. SI units and radians.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass, fields
+from types import SimpleNamespace
+from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
 
-from pftwin.base.leaves import number, vector
-from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench, safe_sqrt
-from pftwin.dynamics.equilibrium import solve_equilibrium
-from pftwin.dynamics.frame_states import FrameStates, first_guide
-from pftwin.dynamics.observe import observe
-from pftwin.dynamics.state import Guide, State, System, gyroscopic
-from pftwin.files.mocap.poses import PoseSeries
-from pftwin.geometry.patch.implant import rig_implant
-from pftwin.model.effects.base import Effect, Instant, Load, applied_at
-from pftwin.model.effects.contact import load_of
-from pftwin.model.effects.contact_law import HuntCrossley
-from pftwin.model.effects.damping import LinearDamping
-from pftwin.model.effects.sphere_contact import SphereContact
-from pftwin.model.effects.tendon import Tendon
-from pftwin.model.motion import KneeMotion
-from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
-from pftwin.rig.cases import effects, patella_body
-from pftwin.rig.geometry import DURATION, HIP, RATE
-
-# Turning points: time [s], knee flexion [deg].
-_FULL = ((0, 45), (0.6, 45), (1.7, 88), (3.1, 6), (4.5, 86), (5.9, 0), (7.2, 52))
-_PARTIAL = ((0, 45), (0.6, 45), (1.7, 88), (3.1, 50), (4.5, 86), (5.9, 0), (7.2, 52))
-_SMOOTHING = 0.08  # [s]
-
-
-def hand_motion(case: int) -> tuple[PoseSeries, PoseSeries]:
-    """Femur and tibia in the world, of a case, at the rig's frames."""
-    from scipy.spatial.transform import Rotation
-
-    times = np.arange(round(DURATION * RATE) + 1) / RATE
-    random = np.random.default_rng(100 + case)
-    flexion = _flexion(times, case, random)
-    active = _active(times)
-    hip = np.stack(
-        [
-            _wobble(times, random, 1.5) * active,
-            -0.06 * (flexion - flexion[0]) - _wobble(times, random, 1.0) * active,
-            _wobble(times, random, 1.2) * active,
-        ],
-        axis=1,
-    )
-    femur_turn = Rotation.from_rotvec(np.radians(hip))
-    femur_origin = np.array(HIP) - femur_turn.apply(np.array(HIP))
-    adduction, internal = _wobble(times, random, 0.8) * active, 0.05 * flexion + _wobble(times, random, 1.0) * active
-    tibia_in_femur = Rotation.from_euler("YZX", np.stack([-flexion, adduction, internal], axis=1), degrees=True)
-    rollback = np.stack([0 * flexion, 0 * flexion, -4e-5 * flexion], axis=1)
-    tibia_turn = femur_turn * tibia_in_femur
-    tibia_origin = femur_origin + femur_turn.apply(rollback)
-    femur, tibia = (
-        PoseSeries(times, origin, turn.as_quat(scalar_first=True), source=f"hand, case {case}")
-        for origin, turn in ((femur_origin, femur_turn), (tibia_origin, tibia_turn))
-    )
-    return femur, tibia
-
-
-def _flexion(times: NDArray, case: int, random: np.random.Generator) -> NDArray:
-    """Knee flexion [deg]."""
-    from scipy.interpolate import PchipInterpolator
-    from scipy.ndimage import gaussian_filter1d
-
-    knots = np.array(_PARTIAL if case in (2, 3) else _FULL, dtype=float)
-    knots[2:-1, 0] += random.uniform(-0.08, 0.08, len(knots) - 3)
-    knots[[2, 4], 1] += random.uniform(-2, 2, 2)
-    smooth = gaussian_filter1d(PchipInterpolator(*knots.T)(times), _SMOOTHING * RATE, mode="nearest")
-    return smooth + _wobble(times, random, 0.6) * _active(times)
-
-
-def _active(times: NDArray) -> NDArray:
-    """0 while the leg is held still at first, then 1, smoothly."""
-    s = np.clip((times - 0.35) / 0.6, 0, 1)
-    return s**3 * (10 - 15 * s + 6 * s * s)
-
-
-def _wobble(times: NDArray, random: np.random.Generator, size: float) -> NDArray:
-    """An unsteady hand: a few sinusoids between 0.3 and 2 Hz, faster ones smaller [deg]."""
-    total = np.zeros_like(times)
-    for frequency in random.uniform(0.3, 2.0, 4):
-        total += np.sin(2 * np.pi * (frequency * times + random.uniform())) / (1 + frequency**2)
-    return 0.7 * size * total
-
+from pftwin.rig.plant_contact import ImplantContact
+from pftwin.rig.plant_parts import Frame, GuidedBones, Spring, cross, matrix, product
 
 FRICTION = 0.02  # coefficient of the lubricated contact
 STICTION_SPEED = 2e-3  # below it friction fades [m/s]
+DISSIPATION = 1.0  # alpha of the contact law [s/m]
 STIFFENING = 0.05  # share by which a spring is stiffer when stretched by a quarter of its length
 MISPLACED = 0.6e-3  # standard deviation of an attachment's coordinates: about 1 mm in all [m]
-TOLERANCE = 1e-6
+DRAG = 1.1 * rig.DRAG[0], 0.9 * rig.DRAG[1]  # [N s/m, N m s/rad]
+TOLERANCE = 1e-8  # of the integrator, relative and absolute
+BUTTON = -np.array(rig.CENTER_OF_MASS)  # middle of its sphere, from the centre of mass [m]
+START = np.array([5e-3, 0.0, 49.3e-3])  # of the button's middle in the femur, about where it rests at first [m]
 
 
-class StiffeningTendon(Tendon):
-    """A spring that stiffens: F = K s (1 + 0.05 s / (L0 / 4)) + c dL/dt over the stretch s."""
+class Forces(NamedTuple):
+    """What acts on the patella at an instant."""
 
-    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The pull."""
-        line = self.line(now)
-        stretch = jnp.maximum(line.length - self.slack_length, 0.0)
-        more = STIFFENING * stretch / (0.25 * self.slack_length)
-        elastic = self.stiffness * stretch * (1 + more)
-        pull = jnp.where(stretch > 0, jnp.maximum(elastic + self.damping * line.lengthening, 0.0), 0.0)
-        energy = self.stiffness * stretch**2 * (0.5 + more / 3)
-        term = line.term(pull, elastic, self.stiffness * (1 + 2 * more), self.damping)
-        return Load(stiff=(term,), energy=energy), memory
+    force: NDArray  # world axes [N]
+    moment: NDArray  # about the centre of mass, world axes [N m]
+    pulls: list[float]  # of the springs [N]
+    contact: float  # sum of the normal forces [N]
 
 
-class LubricatedContact(SphereContact):
-    """Sphere contact with a little regularised Coulomb friction; its places are searched for at every instant."""
+@dataclass
+class Plant:
+    """The patella on a spring from the femur and one from the tibia, its button on the femur's implant.
 
-    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """Normal forces, and friction against the sliding of the sphere's skin."""
-        one, two, memory = self.touches(now, self.remember(now))
-        wrench = Wrench.zero()
-        for touch in (one, two):
-            normal = touch.push.term.direction
-            lever = self.center - self.radius * now.patella.rotation.unapply(normal)
-            arm = now.patella.arm(lever)
-            slip = now.femur.relative_velocity(now.patella.velocity_at(arm), now.patella.position + arm)
-            slip = slip - slip.dot(normal) * normal
-            speed = safe_sqrt(slip.squared_norm() + STICTION_SPEED**2)
-            drag = (-FRICTION * touch.push.term.force / speed) * slip
-            wrench = wrench + Wrench(drag, applied_at(lever, now.patella, drag))
-        return load_of([one.push, two.push])[0]._replace(wrench=wrench), memory
+    Its state (13,) is the position of the centre of mass and the quaternion from patella to world, the velocity in
+    world axes, and the angular velocity in patella axes.
+    """
 
-    def observe(self, now: Instant, memory: Any) -> dict[str, Any]:
-        """The observables of the twin's contact."""
-        return super().observe(now, self.remember(now))
+    bones: GuidedBones
+    springs: tuple[Spring, ...]  # from the femur and from the tibia
+    contact: ImplantContact
+    drag: tuple[float, float] = DRAG
+    friction: float = FRICTION
+    dissipation: float = DISSIPATION
+
+    def forces(self, patella: Frame, femur: Frame, tibia: Frame) -> Forces:
+        """Weight, drag against the femur, springs, contact and its friction."""
+        force = rig.MASS * np.array(rig.GRAVITY)
+        force = force - self.drag[0] * (patella.velocity - femur.velocity_at(patella.origin))
+        moment = -self.drag[1] * (patella.spin - femur.spin)
+        pulls = []
+        for spring, bone in zip(self.springs, (femur, tibia), strict=True):
+            (end, v), (origin, w) = patella.point(spring.insertion), bone.point(spring.origin)
+            length = float(np.sqrt((origin - end) @ (origin - end)))
+            along = (origin - end) / length
+            pulls.append(spring.force(length, float(along @ (w - v))))
+            force, moment = force + pulls[-1] * along, moment + pulls[-1] * cross(end - patella.origin, along)
+        (centre, v), total = patella.point(BUTTON), 0.0
+        closing = femur.velocity_at(centre) - v
+        for place in self.contact.stationary(femur.turn.T @ (centre - femur.origin)):
+            normal = femur.turn @ place.normal
+            size = place.sign * self.normal_force(rig.BUTTON_RADIUS - place.distance, float(normal @ closing))
+            skin = centre - rig.BUTTON_RADIUS * normal
+            slip = patella.velocity_at(skin) - femur.velocity_at(skin)
+            slip = slip - (slip @ normal) * normal
+            push = size * (normal - self.friction / np.sqrt(slip @ slip + STICTION_SPEED**2) * slip)
+            total, force, moment = total + size, force + push, moment + cross(skin - patella.origin, push)
+        return Forces(force, moment, pulls, total)
+
+    def normal_force(self, indentation: float, rate: float) -> float:
+        """k d^1.5 (1 + 3/2 alpha dd/dt), never negative (Hunt & Crossley 1975) [N]."""
+        return rig.CONTACT_STIFFNESS * max(indentation, 0.0) ** 1.5 * max(1 + 1.5 * self.dissipation * rate, 0.0)
+
+    def energy(self, time: float, y: NDArray) -> float:
+        """Kinetic energy, and what weight, springs and contact store [J]."""
+        patella, (femur, tibia) = _patella(y), self.bones.at(time)
+        total = 0.5 * (rig.MASS * y[7:10] @ y[7:10] + y[10:] ** 2 @ rig.INERTIA) - rig.MASS * np.dot(rig.GRAVITY, y[:3])
+        for spring, bone in zip(self.springs, (femur, tibia), strict=True):
+            line = bone.point(spring.origin)[0] - patella.point(spring.insertion)[0]
+            total += spring.energy(float(np.sqrt(line @ line)))
+        for place in self.contact.stationary(femur.turn.T @ (patella.point(BUTTON)[0] - femur.origin)):
+            total += place.sign * 0.4 * rig.CONTACT_STIFFNESS * max(rig.BUTTON_RADIUS - place.distance, 0.0) ** 2.5
+        return float(total)
+
+    def change(self, time: float, y: NDArray) -> NDArray:
+        """dy/dt: Newton's and Euler's equations."""
+        patella, spin, inertia = _patella(y), y[10:], np.array(rig.INERTIA)
+        acting = self.forces(patella, *self.bones.at(time))
+        moment = patella.turn.T @ acting.moment - cross(spin, inertia * spin)
+        return np.concatenate([y[7:10], _turning(y[3:7], spin), acting.force / rig.MASS, moment / inertia])
+
+    def motion(self, times: NDArray, start: NDArray | None = None) -> tuple[NDArray, int]:
+        """States (n, 13) at times, from rest unless a start is given; and how often the forces were evaluated."""
+        start = self.resting(times[0]) if start is None else start
+        ends = times[0], times[-1]
+        solved = solve_ivp(self.change, ends, start, "LSODA", t_eval=times, rtol=TOLERANCE, atol=TOLERANCE)
+        if not solved.success:
+            raise RuntimeError(f"the plant stopped at {solved.t[-1]} s: {solved.message}")
+        return solved.y.T, solved.nfev
+
+    def seen(self, times: NDArray, states: NDArray) -> dict[str, NDArray]:
+        """What is measured of states (n, 13): the patella frame's origin and quaternion in the femur, and forces."""
+        rows = []
+        for time, y in zip(times, states, strict=True):
+            patella, (femur, tibia) = _patella(y), self.bones.at(time)
+            acting = self.forces(patella, femur, tibia)
+            origin = femur.turn.T @ (patella.point(BUTTON)[0] - femur.origin)
+            rows.append(np.concatenate([origin, (femur.turn.T @ patella.turn).ravel(), acting.pulls, [acting.contact]]))
+        seen = np.array(rows)
+        quaternions = Rotation.from_matrix(seen[:, 3:12].reshape(-1, 3, 3)).as_quat(scalar_first=True)
+        forces = {"femoral_spring": seen[:, 12], "tibial_spring": seen[:, 13], "contact": seen[:, 14]}
+        return {"position": seen[:, :3], "quaternion": quaternions, **forces}
+
+    def resting(self, time: float) -> NDArray:
+        """The state in static equilibrium at a time, bones held still: slid there from `START`, then solved for."""
+        femur, tibia = (b._replace(velocity=np.zeros(3), spin=np.zeros(3)) for b in self.bones.at(time))
+
+        def unbalanced(y: NDArray) -> NDArray:
+            """Force, world axes [N], and moment, patella axes, over the insertions' 2 cm [N]."""
+            patella = _patella(y)
+            acting = self.forces(patella, femur, tibia)
+            return np.concatenate([acting.force, 50 * (patella.turn.T @ acting.moment)])
+
+        def moved(y: NDArray, by: NDArray) -> NDArray:
+            return np.concatenate([y[:3] + by[:3], y[3:7] + _turning(y[3:7], by[3:]), np.zeros(6)])
+
+        def sliding(_: float, y: NDArray) -> NDArray:
+            push = unbalanced(y)
+            return np.concatenate([push[:3], _turning(y[3:7], 50 * push[3:]), np.zeros(6)])
+
+        first = np.concatenate([femur.point(START - BUTTON)[0], [1, 0, 0, 0], np.zeros(6)])
+        slid = solve_ivp(sliding, (0, 1), first, method="LSODA", rtol=1e-5, atol=1e-8).y[:, -1]
+        scale = 1e-6
+        found = root(lambda by: unbalanced(moved(slid, scale * by)), np.zeros(6), tol=1e-12)
+        if np.abs(found.fun).max() > 1e-7:
+            raise RuntimeError(f"the plant finds no equilibrium: {found.message}")
+        return moved(slid, scale * found.x)
 
 
-def plant_scene(case: int) -> Scene:
-    """The true scene behind a case's measurements."""
-    random = np.random.default_rng(7)  # one rig: the same misplaced attachments in all cases
-    surface = jax.tree.map(lambda a: number(a) if isinstance(a, float) else a, rig_implant())
-    law = HuntCrossley(number(rig.CONTACT_STIFFNESS), number(1.0))
-    contact = LubricatedContact(surface, law, vector((0.0, 0.0, 0.0)), number(rig.BUTTON_RADIUS))
-    built = tuple(_as_built(effect, random) for effect in effects(rig.CASES[case], contact))
-    femur, tibia = hand_motion(case)
-    radius = rig.BUTTON_RADIUS + float(surface.trochlear_radius)
-    start = Pose(vector((0.1 * radius, 0.0, 0.99 * radius)), Quaternion.identity())
-    motion = KneeMotion.from_poses(femur, tibia)
-    return Scene(patella_body(), built, motion, start, f"plant, case {case}", synthetic=True)
+def plant_of(case: int) -> tuple[Plant, NDArray]:
+    """The plant behind a case's measurements, and the times of the rig's frames [s]."""
+    from pftwin.geometry.patch.implant import rig_implant
+    from pftwin.rig.hand import hand_motion
+
+    hand = hand_motion(case)
+    bones = GuidedBones(hand[0].times, *((bone.positions, bone.quaternions) for bone in hand))
+    implant = rig_implant()
+    shape = SimpleNamespace(**{f.name: float(getattr(implant, f.name)) for f in fields(implant)})
+    return Plant(bones, built_springs(rig.CASES[case]), ImplantContact(shape, rig.BUTTON_RADIUS)), hand[0].times
 
 
-def _as_built(effect: Any, random: np.random.Generator) -> Effect:
-    """The effect as built: attachments misplaced, springs that stiffen, other drag."""
-    if effect.line_element() is not None:
-        insertion, origin = (
-            place + vector(tuple(random.normal(0.0, MISPLACED, 3))) for place in (effect.insertion, effect.origin)
-        )
-        law = effect.stiffness, effect.slack_length, effect.damping
-        return StiffeningTendon(*law, insertion, origin, effect.body, name=effect.name)
-    if effect.name == "damping":
-        return LinearDamping(1.1 * effect.translational, 0.9 * effect.rotational, body=effect.body)
-    return effect
+def built_springs(
+    case: rig.RigCase, misplaced: float = MISPLACED, stiffening: float = STIFFENING
+) -> tuple[Spring, ...]:
+    """Quadriceps and patellar tendon as built: one rig, so the attachments are misplaced alike in all cases."""
+    random = np.random.default_rng(7)
 
+    def spring(stiffness: float, length: float, along: int, support: tuple[float, float], side: str) -> Spring:
+        insertion = np.array([along * rig.INSERTION[0], 0.0, rig.INSERTION[2]]) + random.normal(0.0, misplaced, 3)
+        origin = np.array([support[0], rig.MEDIAL_LATERAL[side], support[1]]) + random.normal(0.0, misplaced, 3)
+        return Spring(stiffness, length, rig.DAMPING_TIME * stiffness, insertion + BUTTON, origin, stiffening)
 
-def _derivative(time: Scalar, y: tuple[Vec3, Quaternion, Vec3, Vec3], args: tuple[System, KneeMotion]) -> Any:
-    """d/dt of position, orientation, velocity and spin."""
-    system, motion = args
-    position, raw, velocity, spin = y
-    state = State(position, raw.normalised(), velocity, spin, tuple(None for _ in system.effects))
-    loads, _ = system.loads(Guide.sample(motion, time).instant(state.patella(), 0.0), state.memories)
-    total = sum((load.total() for load in loads), start=Wrench.zero())
-    moment, i = total.moment + gyroscopic(system.inertia, spin), system.inertia
-    half = Quaternion(jnp.zeros_like(spin.x), 0.5 * spin.x, 0.5 * spin.y, 0.5 * spin.z)
     return (
-        velocity,
-        raw * half,
-        (1 / system.mass) * total.force,
-        Vec3(moment.x / i.x, moment.y / i.y, moment.z / i.z),
+        spring(rig.QUADRICEPS_STIFFNESS, case.quadriceps_length, 1, rig.FEMUR_SUPPORT, case.femur_support),
+        spring(rig.PATELLAR_TENDON_STIFFNESS, rig.PATELLAR_TENDON_LENGTH, -1, rig.TIBIA_SUPPORT, case.tibia_support),
     )
 
 
-@eqx.filter_jit
-def _integrate(scene: Scene) -> tuple[State, Any, Scalar]:
-    import diffrax
-
-    system = System.of(scene)
-    start = solve_equilibrium(system, first_guide(scene), scene.center_of_mass_pose())
-    times = scene.motion.frame_times()
-    zero = Vec3(*(jnp.zeros_like(start.residual) for _ in range(3)))
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(_derivative),  # pyright: ignore[reportArgumentType]
-        diffrax.Tsit5(),
-        t0=times[0],
-        t1=times[-1],
-        dt0=1e-5,
-        y0=(start.pose.position, start.pose.orientation, zero, zero),
-        args=(system, scene.motion),
-        saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=diffrax.PIDController(rtol=TOLERANCE, atol=TOLERANCE, dtmax=2e-3),
-        max_steps=5_000_000,
-        adjoint=diffrax.ForwardMode(),
-    )
-    assert solution.ys is not None
-    position, orientation, velocity, spin = solution.ys
-    memories = tuple(None for _ in system.effects)
-    return State(position, orientation.normalised(), velocity, spin, memories), start, solution.stats["num_steps"]
+def run_plant(case: int) -> tuple[dict[str, NDArray], int]:
+    """The truth of a case at the rig's frames, see `Plant.seen`, and how often the forces were evaluated."""
+    plant, times = plant_of(case)
+    states, evaluations = plant.motion(times)
+    return plant.seen(times, states), evaluations
 
 
-def run_plant(case: int) -> tuple[Scene, dict[str, NDArray], int]:
-    """The truth of a case at the rig's frames: patella pose in the femur, three forces; and the steps taken."""
-    scene = plant_scene(case)
-    states, start, steps = _integrate(scene)
-    seen = eqx.filter_jit(observe)(scene, FrameStates(states, None, start, jnp.zeros(())))
-    truth = {
-        "position": seen.patella.position.array(),
-        "quaternion": seen.patella.orientation.array(),
-        "contact": seen.effects["contact"]["force"],
-        "tibial_spring": seen.effects["patellar_tendon"]["tension"],
-        "femoral_spring": seen.effects["quadriceps"]["tension"],
-    }
-    return scene, {name: np.asarray(a) for name, a in truth.items()}, int(steps)
+def _patella(y: NDArray) -> Frame:
+    turn = matrix(y[3:7])
+    return Frame(y[:3], turn, y[7:10], turn @ y[10:])
+
+
+def _turning(q: NDArray, spin: NDArray) -> NDArray:
+    """dq/dt under an angular velocity in the body's own axes."""
+    return 0.5 * product(q, np.concatenate([[0.0], spin]))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import look, tendon
 
 from fitting.demo.straight_springs import (
     PATELLAR_TENDON,
@@ -17,7 +15,9 @@ from fitting.demo.straight_springs import (
     stretch_under,
 )
 from pftwin.base.errors import InputError
-from pftwin.rig.plant import STIFFENING, StiffeningTendon, plant_scene
+from pftwin.rig.geometry import CASES
+from pftwin.rig.plant import STIFFENING, built_springs
+from pftwin.rig.plant_parts import Spring
 
 K, L0 = 156.0, 0.1432
 MORE = STIFFENING / (0.25 * L0)  # F = K s (1 + MORE s)
@@ -54,21 +54,14 @@ def test_the_line_of_a_stiffening_spring_over_uniform_stretch_is_known_in_closed
 
 @pytest.mark.parametrize("stretch", [1e-4, 0.01, 0.08])
 def test_the_stretch_under_a_force_is_the_one_at_which_the_plant_pulls_so(stretch):
-    plain = tendon(k=K)
-    spring = StiffeningTendon(plain.stiffness, jnp.asarray(0.1 - stretch), plain.damping, plain.insertion, plain.origin,
-                              plain.body, name="spring")  # fmt: skip
-    (term,) = spring.load(look(), None)[0].stiff
-    assert stretch_under(float(term.force), K, 0.1 - stretch) == pytest.approx(stretch, rel=1e-9)
+    spring = Spring(K, L0, 0.0, np.zeros(3), np.zeros(3), STIFFENING)
+    assert stretch_under(spring.force(L0 + stretch, 0.0), K, L0) == pytest.approx(stretch, rel=1e-9)
 
 
 def test_the_plants_law_explains_what_was_recorded(pulls):
     """Lengths, frames and signs are right: forces between 5 and 18 N come out within the noise and the attachments."""
-    true = plant_scene(2)
-    for name, pull in pulls.items():
-        spring = true.effects[true.index(name)]
-        stretch = pull.lengths - float(spring.slack_length)
-        more = STIFFENING / (0.25 * float(spring.slack_length))
-        law = float(spring.stiffness) * stretch * (1 + more * stretch)
+    for pull, spring in zip((pulls[QUADRICEPS], pulls[PATELLAR_TENDON]), built_springs(CASES[2]), strict=True):
+        law = np.array([spring.force(length, 0.0) for length in pull.lengths])
         assert np.sqrt(np.mean((law - pull.forces) ** 2)) < 0.3
         assert np.ptp(pull.forces) > 10
 

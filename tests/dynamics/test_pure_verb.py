@@ -178,10 +178,10 @@ def test_derivatives_are_those_of_finite_differences_beyond_the_edge_too(rig: Sc
         return pftwin.trajectory(softer, integrator=pftwin.BDF2(), dt=STEP).center.array()
 
     run, slope = jax.jit(path), jax.jit(lambda: jax.jvp(path, (jnp.zeros(()),), (jnp.ones(()),))[1])
-    exact, h = np.asarray(slope()), 1e-5
+    exact, h = np.asarray(slope()), 1e-6
     finite = np.asarray(run(jnp.asarray(h)) - run(jnp.asarray(-h))) / (2 * h)
     assert pftwin.simulate(rig, dt=STEP).status & pftwin.Status.LEFT_PATCH
-    # All but the height at the end of a step, which is differentiated as an expansion of second order.
+    # The button passes places where its distance to the groove is nearly flat, and a closest point leaps there.
     off = np.abs(exact - finite).max(axis=1) / np.abs(finite).max()
     assert np.median(off) < 1e-7
-    assert off.max() < 5e-4
+    assert off.max() < 5e-5

@@ -115,7 +115,7 @@ def test_a_fit_that_is_gone_resumes_as_if_nothing_had_happened(tmp_path, monkeyp
     assert resumed.history == whole.history
     np.testing.assert_array_equal(resumed.values, whole.values)
     assert whole.reason == "12 generations, the most allowed"
-    assert whole.evaluations == 24 + 12 * 22
+    assert whole.evaluations == 24 + 12 * 24
 
 
 @pytest.mark.slow
@@ -148,4 +148,4 @@ def test_a_killed_process_leaves_what_can_be_resumed(tmp_path):
     assert resumed.history == whole.history
     np.testing.assert_array_equal(resumed.values, whole.values)
     assert whole.reason == "12 generations, the most allowed"
-    assert whole.evaluations == 24 + 12 * 22
+    assert whole.evaluations == 24 + 12 * 24

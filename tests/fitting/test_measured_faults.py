@@ -175,5 +175,6 @@ def test_positions_of_the_rigs_twin_30_ms_late_are_not_confident_and_wrong():
     found = fitting.fit_tendons(case, Measured(r.times, late), starts=16, computed=fitting.channels_of(case))
     assert np.abs(found.values / true - 1).max() > 0.15
     assert found.time_shifts["position"][0] == pytest.approx(0.03, abs=1e-3)
-    assert found.sentence().startswith("INVALID: measured position is 29 ms")  # linearised where K1 is 18 % off: 0.9 ms short
+    # Linearised where K1 is 18 % off: 0.9 ms short.
+    assert found.sentence().startswith("INVALID: measured position is 29 ms")
     assert ((found.intervals[:, 0] < true) & (found.intervals[:, 1] > true)).all()

@@ -1,4 +1,4 @@
-"""The step towards the closest point: its derivative, written by hand, in every branch; its limits."""
+"""The step towards the closest point: its derivative in every branch; its limits."""
 
 from __future__ import annotations
 

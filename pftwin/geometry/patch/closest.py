@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
@@ -25,8 +23,6 @@ class SurfaceProfile(NamedTuple):
 
 class Surface(Protocol):
     """A height with two derivatives over a chart: a polynomial patch, a spline, a smooth implant."""
-
-    smooth: ClassVar[bool]  # whether third derivatives have no jumps, so that an expansion holds across a whole step
 
     @property
     def chart(self) -> Chart:
@@ -85,22 +81,18 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     its way understates an indentation and cannot invent one. The normal there is that of the surface's second-order
     expansion about the start, off by the step squared.
 
-    Derivatives are those of the step, the Hessian's and the start's included, but for the height of a smooth surface
-    where a step ends, which is differentiated as an expansion of second order: a tenth fewer operations, 1e-4 off at
-    most. Second derivatives of the normal are not to be had.
+    Derivatives are those of the whole step, of what carries the point on to the next one included: where the distance
+    is nearly flat and the step long, each part counts.
     """
     jet = surface.jet(u, v)
     s = surface.chart.separation(c, u, v, jet)
-    gram, (tu, tv) = stop_gradient((s.gram, s.tangents))
+    tu, tv = s.tangents
     along = surface.chart.longest_along(longest)
-    step = descend(Slope(s.gradient, s.hessian, (gram[0], gram[2]), (along, longest)), push)
+    step = descend(Slope(s.gradient, s.hessian, (s.gram[0], s.gram[2]), (along, longest)), push)
     du, dv = step.du, step.dv
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
-    height, slope_u, slope_v = jet.shifted(du, dv)
-    if surface.smooth:
-        height = height + stop_gradient(surface.height(u + du, v + dv) - height)
-    else:
-        height = surface.height(u + du, v + dv)
+    _, slope_u, slope_v = jet.shifted(du, dv)
+    height = surface.height(u + du, v + dv)
     normal = surface.chart.normal(u + du, height, slope_u, slope_v)
     away = c - surface.chart.local_point(u + du, v + dv, height)
     distance = away.norm()
@@ -115,10 +107,6 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
         tu * step.over_u - step.ratio * drift_v,
         drift_v,
     )
-
-
-# The step solves H d = -g; so does its derivative, H dd = -dg - dH d: two equations with the same pivots for each
-# column, fewer operations than the derivatives of divisions, choices and limits one by one.
 
 
 PUSH = 0.04  # of the longest step: what moves a point off a saddle
@@ -150,13 +138,11 @@ def _limited(x: Scalar, most: Scalar) -> Scalar:
     return jnp.where(x > most, most, jnp.where(x < -most, -most, x))
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(1,))
 def descend(slope: Slope, side: float) -> DescentStep:
     """The step from the point of a given slope.
 
     Where the Hessian is positive definite it is Newton's, with pivots raised to `FLATTEST`; elsewhere curvatures are
-    taken by their size, each coordinate for itself, with a small push along v to that side. Derivatives pass to the
-    step alone: pivots are what they are.
+    taken by their size, each coordinate for itself, with a small push along v to that side.
 
     Args:
         slope: gradient, Hessian, and how far the step may go.
@@ -171,29 +157,3 @@ def descend(slope: Slope, side: float) -> DescentStep:
     dv = _limited((ratio * gu - gv) * over_v + jnp.where(convex, 0.0, side * PUSH * across), across)
     du = _limited(-gu * over_u - ratio * dv, along)
     return DescentStep(du, dv, over_u, over_v, ratio, jnp.where(convex, 1.0, 0.0))
-
-
-@descend.defjvp
-def _descend_jvp(side: float, primals: tuple[Any], tangents: tuple[Any]) -> tuple[DescentStep, DescentStep]:
-    ((slope,), (change,)) = primals, tangents
-    ((gu, _), (huu, huv, hvv), gram, (along, across)), (dg, dh, _, dl) = slope, change
-    step = descend(slope, side)
-    du, dv, over_u, over_v, ratio, convex = step
-    free = -gu * over_u - ratio * dv  # du before limiting, as in the equations
-    push = (1 - convex) * (side * PUSH)
-    # What of the Hessian the two equations have: raised pivots hang on none of it, turned ones on it the other way.
-    # The second pivot is hvv - ratio huv; where it is raised, its equation still has ratio huv = huv^2 / huu.
-    raised_u = jnp.abs(huu) <= FLATTEST * gram[0]
-    raised_v = jnp.where(convex > 0, hvv - ratio * huv, jnp.abs(hvv)) <= FLATTEST * gram[1]
-    first = jnp.where(raised_u, 0.0, jnp.where(huu < 0, -1.0, 1.0)) * dh[0]
-    mixed = convex * dh[1]
-    whole = jnp.where((convex > 0) | (hvv > 0), dh[2], -dh[2]) * (dv - push * across)
-    second = jnp.where(raised_v, ratio * (2 * mixed - ratio * first) * dv, whole)
-    right_u = dg[0] + first * free + mixed * dv
-    right_v = dg[1] + mixed * free + second
-    ddv = (ratio * right_u - right_v) * over_v + push * dl[1]
-    ddv = jnp.where(jnp.abs(dv) < across, ddv, jnp.sign(dv) * dl[1])
-    ddu = -right_u * over_u - ratio * ddv
-    ddu = jnp.where(jnp.abs(du) < along, ddu, jnp.sign(du) * dl[0])
-    none = jnp.zeros_like(du)
-    return step, DescentStep(ddu, ddv, none, none, none, none)

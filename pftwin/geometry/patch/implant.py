@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -84,7 +84,6 @@ class FemoralComponent(eqx.Module):
     proximal_end: Scalar | float = 50.0 * _DEG  # of the component, as meshed [rad]
     distal_end: Scalar | float = -110.0 * _DEG  # [rad]
     half_width: Scalar | float = 32.0e-3  # of the component [m]
-    smooth: ClassVar[bool] = True
 
     @property
     def chart(self) -> CylindricalChart:

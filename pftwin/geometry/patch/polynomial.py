@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -81,7 +80,6 @@ class PolynomialPatch(RectanglePatch):
     """height = sum of c_ij a^i b^j, with a = (u - u0) / half_u, b = (v - v0) / half_v and |a|, |b| <= 1."""
 
     degree: int = eqx.field(static=True)
-    smooth: ClassVar[bool] = True
 
     @property
     def name(self) -> str:

@@ -52,7 +52,6 @@ class SplinePatch(RectanglePatch):
 
     coefficients: Array = eqx.field(metadata=quantity("m"))  # (n_u + 3, n_v + 3) for n_u x n_v cells
     loop: PreparedSpline | None = None  # once it has been made
-    smooth: ClassVar[bool] = False  # third derivatives jump from cell to cell
 
     name: ClassVar[str] = "spline"
 

@@ -119,8 +119,9 @@ def test_fitted_positions_follow_the_recorded_ones(from_positions, with_stiffnes
         assert outcome.mean_distance < 1.1 * 2.12e-3
         rms = np.sqrt((outcome.offset**2).mean(axis=0))
         assert np.all(rms < 1.1 * np.array([1.06e-3, 2.34e-3, 0.91e-3]))
-        assert outcome.estimate.at_bounds == ()
         assert pftwin.Status.START_NOT_IN_EQUILIBRIUM not in outcome.result.status
+    assert with_stiffness.estimate.at_bounds == ()
+    assert set(from_positions.estimate.at_bounds) <= {"K1", "K2"}  # whose scale positions leave open: see below
 
 
 @pytest.mark.slow

@@ -29,10 +29,9 @@ class Jet(NamedTuple):
     uv: Scalar
     vv: Scalar
 
-    def shifted(self, du: Scalar, dv: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """Height and slopes at (u + du, v + dv) by the quadratic Taylor expansion."""
-        fu, fv = self.u + self.uu * du + self.uv * dv, self.v + self.uv * du + self.vv * dv
-        return self.f + 0.5 * ((self.u + fu) * du + (self.v + fv) * dv), fu, fv
+    def slopes_beside(self, du: Scalar, dv: Scalar) -> tuple[Scalar, Scalar]:
+        """Slopes at (u + du, v + dv) by their linear expansion."""
+        return self.u + self.uu * du + self.uv * dv, self.v + self.uv * du + self.vv * dv
 
 
 class Separation(NamedTuple):

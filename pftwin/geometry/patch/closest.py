@@ -91,7 +91,7 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     step = descend(Slope(s.gradient, s.hessian, (s.gram[0], s.gram[2]), (along, longest)), push)
     du, dv = step.du, step.dv
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
-    _, slope_u, slope_v = jet.shifted(du, dv)
+    slope_u, slope_v = jet.slopes_beside(du, dv)
     height = surface.height(u + du, v + dv)
     normal = surface.chart.normal(u + du, height, slope_u, slope_v)
     away = c - surface.chart.local_point(u + du, v + dv, height)

@@ -39,21 +39,34 @@ def main(
 def _run(
     out: Path | None, read: Path | None, chosen: tuple[str, ...], markdown: bool, variants: int, quick: bool
 ) -> None:
-    from pftwin.base.output import check_place, written_whole
-    from tests.benchmarks.report import from_json, to_json
+    from pftwin.base.output import check_place
+    from tests.benchmarks.report import from_json
 
     if out is not None:
         check_place(out)
     if read is not None:
         rows, machine = from_json(read)
+        _keep(out, rows, machine)
     else:
+        import pftwin
+        from pftwin.base.runtime import describe
         from tests.benchmarks.topics import measure_topics
 
-        rows, machine = measure_topics(chosen, variants, quick, say=lambda text: typer.echo(text, err=True))
+        pftwin.configure()
+        rows, machine = [], describe()
+        for measured in measure_topics(chosen, variants, quick, say=lambda text: typer.echo(text, err=True)):
+            rows += measured
+            _keep(out, rows, machine)  # so that nothing is lost where a later topic is interrupted
+    _show(rows, machine, markdown)
+
+
+def _keep(out: Path | None, rows: list[Row], machine: dict[str, Any]) -> None:
+    from pftwin.base.output import written_whole
+    from tests.benchmarks.report import to_json
+
     if out is not None:
         with written_whole(out) as path:
             path.write_text(to_json(rows, machine), encoding="utf-8")
-    _show(rows, machine, markdown)
 
 
 def _chosen(only: list[str] | None) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,69 +29,64 @@ LEVELS = {"0.01": 1e-5, "0.05": 5e-5}  # rms error: as the rows name it in mm, a
 
 def measure_topics(
     chosen: tuple[str, ...], variants: int, quick: bool, say: Callable[[str], None]
-) -> tuple[list[Row], dict[str, Any]]:
-    """The rows of the chosen topics, and the machine they were measured on.
+) -> Iterator[list[Row]]:
+    """The rows of the chosen topics, as each has been measured.
 
     Raises:
         PftwinError: no step meets an accuracy level; a measuring process failed.
     """
-    import pftwin
-
-    pftwin.configure()
-    from pftwin.base import runtime as machine
     from tests.benchmarks import accuracy, speed, startup
     from tests.benchmarks.problem import scene_of_case_1
 
-    about, rows = machine.describe(), []
     if set(chosen) - set(APART):
         scene = scene_of_case_1()
         say("measuring accuracy ...")
         found = accuracy.errors(scene, reference=100 if quick else accuracy.REFERENCE)
-        rows += accuracy.rows(scene, found) if "accuracy" in chosen else []
+        if "accuracy" in chosen:
+            yield accuracy.rows(scene, found)
         settings = _settings(found)
         for topic in chosen:
             if topic in ("one run", "equilibrium", *ON_ONE_CORE):
                 say(f"measuring {topic} ...")
             if topic == "one run":
-                rows += speed.one_run(scene, settings)
+                yield speed.one_run(scene, settings)
             elif topic == "equilibrium":
-                rows += speed.equilibrium(scene)
+                yield speed.equilibrium(scene)
             elif topic in ON_ONE_CORE:
-                rows += in_a_process({"topic": topic, "settings": settings, "variants": variants, "quick": quick})
+                yield in_a_process({"topic": topic, "settings": settings, "variants": variants, "quick": quick})
     if "start" in chosen:
         say("measuring start ...")
-        rows += startup.rows(repeats=1 if quick else 3)
+        yield startup.rows(repeats=1 if quick else 3)
     if "meshes" in chosen:
         say("measuring meshes ...")
         from tests.benchmarks import meshes
 
-        rows += meshes.rows(20 if quick else 200, whole_motions=not quick)
+        yield meshes.rows(20 if quick else 200, whole_motions=not quick)
     if "growth" in chosen:
         say("measuring growth ...")
         from tests.benchmarks import growth
 
-        rows += growth.rows(meshes=() if quick else ("volume",))
+        yield growth.rows(meshes=() if quick else ("volume",))
     if "batches" in chosen:
         say("measuring batches ...")
-        rows += in_a_process({"topic": "batches", "quick": quick}, "tests.benchmarks.batches")
+        yield in_a_process({"topic": "batches", "quick": quick}, "tests.benchmarks.batches")
     if "processes" in chosen:
         say("measuring processes ...")
         from tests.benchmarks import processes
 
-        rows += processes.rows(quick)
+        yield processes.rows(quick)
     if "scaling" in chosen:
         say("measuring scaling ...")
         from tests.benchmarks import scaling
 
-        rows += scaling.rows(quick)
+        yield scaling.rows(quick)
     if "accelerator" in chosen:
         say("measuring an accelerator ...")
         from tests.benchmarks.accelerator import PRECISIONS
 
         for precision in PRECISIONS:
             task = {"topic": "accelerator", "precision": precision, "quick": quick}
-            rows += in_a_process(task, "tests.benchmarks.accelerator")
-    return rows, about
+            yield in_a_process(task, "tests.benchmarks.accelerator")
 
 
 def _settings(found: dict[str, Any]) -> dict[str, Setting]:

@@ -9,10 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from pftwin.geometry.patch.implant import rig_implant
 from pftwin.rig import geometry as rig
 from pftwin.rig import plant as plant_module
 from pftwin.rig.plant import BUTTON, FRICTION, STICTION_SPEED, Plant, built_springs, plant_of
@@ -161,6 +164,14 @@ def test_a_knee_that_moves_as_one_has_the_forces_of_rest(plant, rest):
         np.testing.assert_allclose(a, b, atol=1e-9)
         np.testing.assert_allclose(a, STILL, atol=1e-7)  # and rest is rest
     np.testing.assert_allclose(still.pulls, carried.pulls, rtol=1e-12)
+
+
+def test_its_implant_is_the_component_that_the_rig_says(plant):
+    """All of its surface: flange, groove, ridges, beyond them, and the notch."""
+    component, r = rig_implant(), plant.contact.shape.trochlear_radius
+    u, v = np.meshgrid(r * np.radians(np.linspace(-110, 50, 81)), np.linspace(-0.032, 0.032, 65))
+    wanted = jax.vmap(component.height)(jnp.asarray(u.ravel()), jnp.asarray(v.ravel()))
+    np.testing.assert_allclose(plant.contact.height(u, v).ravel(), wanted, atol=1e-14)
 
 
 def test_minima_of_the_distance_and_the_ridge_are_those_of_a_fine_grid(plant):

@@ -81,8 +81,8 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     its way understates an indentation and cannot invent one. The normal there is that of the surface's second-order
     expansion about the start, off by the step squared.
 
-    Derivatives are those of the whole step, of what carries the point on to the next one included: where the distance
-    is nearly flat and the step long, each part counts.
+    Derivatives are those of the whole step and of the drift, by which the point is carried to the next one: where the
+    distance is nearly flat and the step long, each part counts.
     """
     jet = surface.jet(u, v)
     s = surface.chart.separation(c, u, v, jet)

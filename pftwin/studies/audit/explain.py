@@ -51,6 +51,7 @@ class Explanation:
     parts: tuple[PartCost, ...]
     kinetic_change: float  # of the patella's kinetic energy over the run [J]
     flags: NDArray[np.int32]  # of every frame (n,), bits of `Status`
+    verdict: str  # of the simulation: "valid", or why it is not
     programs: int  # number of programs compiled
 
     @property
@@ -116,6 +117,7 @@ def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float | N
         parts=tuple(costs),
         kinetic_change=float(kinetic[1] - kinetic[0]),
         flags=simulated.flags,
+        verdict=simulated.verdict.describe(),
         programs=4 + len(listed),  # equilibrium, motion, account, a timed one with all and one without each
     )
 

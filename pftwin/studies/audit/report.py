@@ -47,8 +47,9 @@ def explanation_sheet(found: Explanation) -> Sheet:
     ]
     if found.status:
         notes.append(f"status: {found.status.describe()}")
+    doubt = "" if found.verdict == "valid" else f"{found.verdict}\n"
     return Sheet(
-        f"{found.scene}: {found.integrator}, steps of {_ms(found.step)}",
+        f"{doubt}{found.scene}: {found.integrator}, steps of {_ms(found.step)}",
         (*headings, "work on patella", "moved", "heat"),
         tuple(rows),
         (*["part"] * len(found.parts), "rest", "rest"),

@@ -80,7 +80,7 @@ def _case(topic: str, entry: dict[str, Any], texts: dict[str, str]) -> HardCase:
     )
     kinds = [k for name in entry.get("contacts", CONTACTS) for k in _KINDS.get(name, (name,))]
     own = {f.name: entry[f.name] for f in fields(HardCase) if f.name in entry and f.name != "contacts"}
-    own |= {key: texts.get(own[key], own[key]) for key in ("limit", "unmended") if key in own}
+    own |= {key: own[key] if " " in own[key] else texts[own[key]] for key in ("limit", "unmended") if key in own}
     return HardCase(topic=topic, builder=lambda: _knee(entry), expected=expected, contacts=tuple(kinds), **own)
 
 

@@ -95,10 +95,11 @@ class Truth(NamedTuple):
         """Whether a run is right, whatever of the truth is not known: but for as many frames as a verdict allows."""
         return frames_off(self._apart(ran, 2.0)) <= most_frames(Status.INACCURATE, len(self.course.center))
 
-    def _apart(self, ran: CaseRun, share: float) -> ErrorEstimate:
-        """How far a run is from this one, and a share of what is not known of it."""
+    def _apart(self, ran: CaseRun, known_to: float) -> ErrorEstimate:
+        """How far a run is from this one, and so many times what is not known of it."""
         found = apart(course_of(ran), self.course)
-        path, force, *facets = (np.maximum(getattr(found, n) + share * getattr(self.left, n), 0.0) for n in QUANTITIES)
+        off = (getattr(found, n) + known_to * getattr(self.left, n) for n in QUANTITIES)
+        path, force, *facets = (np.maximum(a, 0.0) for a in off)
         middle = np.abs(self.course.center[:, 1]) < MIDDLE
         return ErrorEstimate(path, force, *(np.where(middle, 0.0, f) for f in facets), most_force=found.most_force)
 

@@ -20,7 +20,8 @@ from pftwin.studies.hard_cases.programs import CaseRun, poses
 REFUSES = (
     Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
 )  # flags of a run, or a step, that is not to be trusted
-THOUGH_RIGHT = "though right, by a converged run"  # in reasons of cells that the estimated error of steps refuses
+# In reasons of cells that the estimated error of steps refuses.
+THOUGH_RIGHT = "though right in place and force, by a converged run"
 
 
 class Cell(NamedTuple):

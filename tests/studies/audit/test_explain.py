@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,6 +39,9 @@ def test_what_is_explained_is_what_is_simulated(found):
     result = simulate(rough())
     assert (found.integrator, found.step) == (result.settings["integrator"], result.settings["dt_s"])
     np.testing.assert_array_equal(found.flags, result.flags)
+    assert found.verdict == result.verdict.describe()
+    doubted = explanation_sheet(replace(found, verdict="INVALID: no equilibrium"))
+    assert doubted.title.startswith("INVALID: no equilibrium\n")
 
 
 @pytest.mark.slow

@@ -113,10 +113,10 @@ def cells() -> list[Cell]:
 
 @pytest.mark.slow
 def test_a_small_set_holds_on_a_patch_with_the_default_integrator(cells):
-    steps_too_long = "tendon_jerks_taut"  # a converged run says so too
-    expected = dict.fromkeys(SMALL, "pass") | dict.fromkeys((*SMALL[-2:], steps_too_long), "refused")
+    stepped_over = "tendon_jerks_taut"  # a converged run says so too
+    expected = dict.fromkeys(SMALL, "pass") | dict.fromkeys((*SMALL[-2:], stepped_over), "refused")
     assert {c.case: c.outcome for c in cells} == expected
-    (reason,) = (c.reason for c in cells if c.case == steps_too_long)
+    (reason,) = (c.reason for c in cells if c.case == stepped_over)
     assert reason.startswith(Status.INACCURATE.describe())
     assert THOUGH_RIGHT not in reason
 

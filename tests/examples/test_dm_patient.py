@@ -121,7 +121,12 @@ def test_fitted_positions_follow_the_recorded_ones(from_positions, with_stiffnes
         assert np.all(rms < 1.1 * np.array([1.06e-3, 2.34e-3, 0.91e-3]))
         assert pftwin.Status.START_NOT_IN_EQUILIBRIUM not in outcome.result.status
     assert with_stiffness.estimate.at_bounds == ()
-    assert set(from_positions.estimate.at_bounds) <= {"K1", "K2"}  # whose scale positions leave open: see below
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="K2 ends at its bound: positions leave its scale and K1's open")
+def test_a_fit_from_positions_ends_within_its_bounds(from_positions):
+    assert from_positions.estimate.at_bounds == ()
 
 
 @pytest.mark.slow

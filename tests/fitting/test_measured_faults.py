@@ -163,18 +163,29 @@ def test_the_rigs_own_measurements_raise_no_doubt_and_faulty_ones_do(n):
     assert "measured position is" in fitting.fit_tendons(case, late, computed=computed).sentence()
 
 
-@pytest.mark.slow
-def test_positions_of_the_rigs_twin_30_ms_late_are_not_confident_and_wrong():
-    """Unnamed they put K1 and K2 off by 23 % with 95 % intervals of 5 %."""
+@pytest.fixture(scope="module")
+def late_by_30_ms():
+    """The springs of the rig's twin, and their fit from positions that come 30 ms late."""
     case = pftwin.rig.case(2, contact="P5")
     free = fitting.free_parameters(case, SPRINGS)
     true = free.nominal * np.array([1.1, 0.97, 0.92, 1.02])
     r = pftwin.simulate(free.apply(case, true), integrator=pftwin.LinearImplicit(), dt=2.5e-3)  # as fits take them
     late = np.stack([np.interp(r.times - 0.03, r.times, c) for c in r.center.T], axis=1)
     late += np.random.default_rng(3).normal(0.0, 2e-4, late.shape)
-    found = fitting.fit_tendons(case, Measured(r.times, late), starts=16, computed=fitting.channels_of(case))
+    return true, fitting.fit_tendons(case, Measured(r.times, late), starts=16, computed=fitting.channels_of(case))
+
+
+@pytest.mark.slow
+def test_positions_of_the_rigs_twin_30_ms_late_are_not_confident_and_wrong(late_by_30_ms):
+    """Unnamed they put K1 and K2 off by 23 % with 95 % intervals of 5 %."""
+    true, found = late_by_30_ms
     assert np.abs(found.values / true - 1).max() > 0.15
     assert found.time_shifts["position"][0] == pytest.approx(0.03, abs=1e-3)
-    # Linearised where K1 is 18 % off: 0.9 ms short.
-    assert found.sentence().startswith("INVALID: measured position is 29 ms")
+    assert found.sentence().startswith("INVALID: measured position is ")
     assert ((found.intervals[:, 0] < true) & (found.intervals[:, 1] > true)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="said as 29 +- 0.6 ms: linearised where K1 is 18 % off")
+def test_the_shift_of_30_ms_is_said(late_by_30_ms):
+    assert late_by_30_ms[1].sentence().startswith("INVALID: measured position is 30 ms")

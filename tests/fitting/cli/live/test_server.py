@@ -144,6 +144,7 @@ def test_nobody_opens_a_way_to_the_public_internet(client, monkeypatch):
 
 @pytest.mark.parametrize("origin", ["https://evil.example", "http://localhost:1", "null"])
 def test_a_page_of_another_site_is_refused(server, capfd, origin):
+    gone(server)
     with pytest.raises(InvalidStatus) as refused:
         PageClient(server.address, origin=origin)
     assert refused.value.response.status_code == 403

@@ -147,7 +147,8 @@ def impact_of(scene: Scene, integrator: Integrator, step: float, approach: float
     Returns:
         None where a scene has no contact with a law, where nothing approached, and without inertia.
     """
-    law = None if scene.contact is None else scene.contact.normal_law()
+    contact = scene.contact
+    law = None if contact is None else contact.normal_law()
     if law is None or not integrator.inertia or not (np.isfinite(approach) and approach > 0):
         return None
     slow, due = law.slow_approach(), rebound_of_law(law, approach)

@@ -179,6 +179,8 @@ class _Runs:
     def __init__(self, scene: Scene, integrator: Integrator, energy: bool) -> None:
         """Finds the equilibrium; compiles what is not compiled yet."""
         self._scene, self._plain, self._integrator, self._energy = scene, scene.unnamed(), integrator, energy
+        contact = scene.contact
+        self._contact = None if contact is None else contact.name
         self._ahead = _compiled_side_by_side(self._plain, integrator, jnp.asarray(1), energy)
         self._start, self._relaxed = settle_first_frame(self._plain)
         self._preparation = self._time = 0.0
@@ -189,9 +191,8 @@ class _Runs:
         self._preparation += ran.preparation
         self._time += ran.run
         seen: Observation = ran.answer[0]
-        contact = self._scene.contact
-        course = Course.of(seen, None if contact is None else contact.name)
-        return Tried(ran, course, not (np.asarray(seen.status) & int(Status.STEP_TOO_LONG)).any())
+        leapt = (np.asarray(seen.status) & int(Status.STEP_TOO_LONG)).any()
+        return Tried(ran, Course.of(seen, self._contact), not leapt)
 
     def result(self, choice: Choice[Timed]) -> Result:
         """What is handed out of the run that was chosen."""

@@ -18,7 +18,7 @@ keep them right:
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import equinox as eqx
@@ -197,10 +197,10 @@ def medial_of_groove(surface: Surface, p: ClosestPoint) -> Scalar:
     places = jnp.linspace(surface.clipped(-jnp.ones_like(v)), surface.clipped(jnp.ones_like(v)), SECTION)
     height, _ = surface.profile(u).height_and_slope(places)
     # Filled with water, the groove is where it would stand deepest: below the lower of the highest walls on both sides.
-    # By comparing all pairs: XLA aborts the process on running maxima in a loop over several devices of a CPU.
-    before = jnp.tri(SECTION, dtype=bool)
-    walls = (jnp.max(jnp.where(side, height[None], -jnp.inf), axis=-1) for side in (before, before.T))
-    depth = jnp.minimum(*walls) - height
+    # Number by number: XLA aborts the process on running maxima of arrays in a loop over several devices of a CPU.
+    heights = [height[i] for i in range(SECTION)]
+    walls = list(accumulate(heights, jnp.maximum)), list(accumulate(heights[::-1], jnp.maximum))[::-1]
+    depth = jnp.stack([jnp.minimum(*higher) for higher in zip(*walls, strict=True)]) - height
     beyond = v - jnp.max(jnp.where(depth == depth.max(), places, -jnp.inf))
     by_lean = (jnp.abs(beyond) < places[1] - places[0]) | (depth.max() < SHALLOW)
     return jnp.where(by_lean, lean >= 0, beyond < 0)

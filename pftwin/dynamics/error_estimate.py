@@ -93,8 +93,12 @@ class ErrorEstimate:
     @property
     def flags(self) -> Any:
         """Bits of `Status` that follow (n,)."""
+        return self.flags_beyond(MOST_PATH_ERROR)
+
+    def flags_beyond(self, most_path: float) -> Any:
+        """Bits of `Status` (n,) where the path is off by more than this [m], or a force by more than `most_force`."""
         most = self.most_force
-        off = (self.path > MOST_PATH_ERROR) | (self.contact_force > most)
+        off = (self.path > most_path) | (self.contact_force > most)
         unshared = (self.medial_facet > most) | (self.lateral_facet > most)
         return off.astype(np.int32) * int(Status.INACCURATE) + unshared.astype(np.int32) * int(Status.FACETS_INACCURATE)
 

@@ -23,7 +23,8 @@ MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is
 MOST_CREATED = 0.02  # created energy as a share of the largest change of energy; for steps above 1 ms, per ms
 MOST_SO_FAR = 0.2  # and as a share of the largest change so far
 LEAST_CREATED = 1e-6  # smaller amounts are ignored [J]
-MOST_PATH_ERROR = 1e-3  # estimated errors of the steps above these are flagged [m]
+ALLOWED_PATH_ERROR = 1e-3  # of a frame that is not flagged [m]
+MOST_PATH_ERROR = ALLOWED_PATH_ERROR / 2  # estimates above this are flagged: the error may be twice what is estimated
 MOST_FORCE_ERROR, MOST_ERROR_SHARE = 5.0, 0.2  # [N]; and as a share of the largest contact force
 DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
 

@@ -22,7 +22,7 @@ from pftwin.dynamics.error_estimate import Course, ErrorEstimate, apart
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.rebound import impact_of
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import ALLOWED_PATH_ERROR, Status
 from pftwin.dynamics.tolerance import Choice, Tried, accurate_enough, with_estimate
 from pftwin.model.scene import Scene
 from pftwin.results.verdict import most_frames, verdict_of
@@ -136,12 +136,17 @@ def restitution_remarked(scene: Scene, ran: CaseRun, integrator: Integrator, ste
 
 def frames_off(off: ErrorEstimate) -> int:
     """At how many frames path or force are off by more than is allowed."""
-    return int(((np.asarray(off.flags, np.int64) & int(Status.INACCURATE)) > 0).sum())
+    return int(((_wrong(off) & int(Status.INACCURATE)) > 0).sum())
+
+
+def _wrong(off: ErrorEstimate) -> NDArray[np.int64]:
+    """The flags that a run deserves that is off by so much (n,)."""
+    return np.asarray(off.flags_beyond(ALLOWED_PATH_ERROR), np.int64)
 
 
 def _silent_error(ran: CaseRun, truth: Truth) -> str | None:
     off, flags = truth.off(ran), np.asarray(ran.seen.status, np.int64)
-    wrong: NDArray[np.int64] = np.asarray(off.flags, np.int64)
+    wrong = _wrong(off)
     for flag, told in (
         (Status.INACCURATE, Status.INACCURATE | UNKNOWN),
         (Status.FACETS_INACCURATE, Status.FACETS_INACCURATE | Status.INACCURATE | UNKNOWN),

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from fitting.fit import fit_tendons
     from fitting.identifiability import plan_experiment, profile_likelihood
+    from fitting.nuisance import Nuisance
     from fitting.objective import Objective
     from fitting.parameters import Parameter, Parameters, free_parameters
     from fitting.posterior.result import Posterior
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Estimate": "estimate",
+    "Nuisance": "nuisance",
     "Objective": "objective",
     "Parameter": "parameters",
     "Parameters": "parameters",
@@ -45,6 +47,7 @@ _MODULES = {"outcomes": "prediction.outcomes", "treatments": "treatments"}
 
 __all__ = [
     "Estimate",
+    "Nuisance",
     "Objective",
     "Parameter",
     "Parameters",

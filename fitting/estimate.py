@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.coverage import INTERVALS
+from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
 from pftwin.base.errors import InputError
@@ -62,6 +63,8 @@ class Estimate:
     scene_name: str
     notes: list[str] = field(default_factory=list)
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
+    nuisance: Nuisance = EXACT  # what was taken as not known, and fitted besides
+    besides: tuple[str, ...] = ()  # names of its numbers, the last of `names`
     springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
     verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
     status: str = ""  # of the fitted motion, in words; empty where none was given
@@ -114,7 +117,8 @@ class Estimate:
         Coordinates of points are carried as offsets: see `Applied`.
         """
         nominal = dict(zip(self.names, self.nominal.tolist(), strict=True))
-        return Applied(tuple(self.names), self.values, tuple((name, nominal[name]) for name in self.coordinates))
+        origins = tuple((name, nominal[name]) for name in self.coordinates)
+        return Applied(tuple(self.names), self.values, origins, self.nuisance)
 
     def samples(self, count: int, seed: int = 0) -> Floats:
         """Parameters (count, p) as uncertain as the estimate: normal, kept within the bounds."""
@@ -133,12 +137,14 @@ class Estimate:
         return [*(f"{reason} (the fitted motion)" for reason in motion), *self.doubts]
 
     def sentence(self) -> str:
-        """The precision of the parameters, in a sentence, or what forbids to speak of it."""
+        """The precision of the parameters asked for, in a sentence, or what forbids to speak of it."""
+        asked = len(self.names) - len(self.besides)
         if self.invalid:
-            untold = f"What the data tell of {', '.join(self.names)} is not known"
+            untold = f"What the data tell of {', '.join(self.names[:asked])} is not known"
             return f"{INVALID}: {'; '.join(self._objections())}. {untold}"
+        span, covariance = self.upper - self.lower, self.covariance[:asked, :asked]
         said = in_words(
-            self.names, self.upper - self.lower, self.values, self.covariance, self.channels, self.coordinates
+            self.names[:asked], span[:asked], self.values[:asked], covariance, self.channels, self.coordinates
         )
         return f"{said}. But {INTERVALS}"
 
@@ -148,6 +154,7 @@ class Estimate:
         lines.append(f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}")
         for i, name in enumerate(self.names):
             low, high = self.intervals[i]
+            lines += ["besides:"] if name == next(iter(self.besides), None) else []
             lines.append(
                 f"  {name:<12} {self.values[i]:.6g} +- {self.standard_deviations[i]:.2g} {self.units[i]}"
                 f"  (95 %: {low:.6g} to {high:.6g}; nominal {self.nominal[i]:.6g})"
@@ -188,6 +195,7 @@ class Estimate:
         plain = {k: getattr(self, k) for k in self.__dataclass_fields__ if k not in skipped}
         for key in _ARRAYS:
             plain[key] = np.asarray(plain[key]).tolist()
+        plain["nuisance"] = asdict(self.nuisance)
         return {
             "format": FORMAT,
             "sentence": self.sentence(),
@@ -226,16 +234,17 @@ class Estimate:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
             since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
-            since |= {"step_error": {}, "status": "", "status_frames": {}}
+            since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": []}
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)
-            for key in ("names", "units", "channels", "coordinates"):
+            for key in ("names", "units", "channels", "coordinates", "besides"):
                 known[key] = tuple(known[key])
+            known["nuisance"] = Nuisance(**known["nuisance"])
             known["doubts"] = [str(doubt) for doubt in known["doubts"]]
             for key in ("priors", "time_shifts"):
                 known[key] = {k: (v[0], v[1]) for k, v in known[key].items()}
         except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
             raise InputError(f"no estimate: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
-        return Estimate(**known, nominal_scene=scene)
+        return Estimate(**known, nominal_scene=None if scene is None else known["nuisance"].prepared(scene))

@@ -250,7 +250,7 @@ class Evaluator:
         slopes = not self._with_plain
         width = self._wide(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
-        members = self.parameters.latin_hypercube(_CLOUD, np.random.default_rng(_SEED))
+        members = self.parameters.scattered(_CLOUD, np.random.default_rng(_SEED))
         members = np.concatenate([self.parameters.nominal[None], members])
         where, poses, guess = np.zeros((0, len(self.parameters))), [], start
         for i in range(0, len(members), width):

@@ -15,8 +15,9 @@ from fitting.channel_checks import Limits, left_over, limits_of, misread, unreso
 from fitting.correlated import reweighed
 from fitting.estimate import Estimate
 from fitting.methods.problem import MOST_SEED, Method, Problem, Request, State, load_checkpoint, save_checkpoint
+from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, Objective
-from fitting.parameters import Bounds, free_parameters
+from fitting.parameters import Bounds, Parameters, free_parameters
 from fitting.programs import POSITION, channels_of
 from fitting.time_shift import late_channels, time_shifts
 from fitting.uncertainty import uncertainty
@@ -64,6 +65,7 @@ def fit_tendons(
     free: Sequence[str] = SPRING_PARAMETERS,
     bounds: Bounds = 0.3,
     priors: Mapping[str, tuple[float, float]] | None = None,
+    nuisance: str | Nuisance | None = None,
     seed: int = 0,
     use: str | Sequence[str] = POSITION,
     noise: Mapping[str, float] | None = None,
@@ -91,6 +93,8 @@ def fit_tendons(
         free: names of parameters; see `free_parameters`.
         bounds: to either side as a share of the nominal values, or by name.
         priors: by name, mean and standard deviation of a normal prior.
+        nuisance: what the scene lacks or knows roughly, fitted besides: "rig", "mocap", "mri" or a `fitting.Nuisance`;
+            by default nothing, and whatever it lacks goes into what is free.
         seed: of all random choices: the same seed gives the same result.
         use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
             measured; see `Objective.of`.
@@ -127,9 +131,9 @@ def fit_tendons(
         check_place(checkpoint)
     allowed = limits_of(limits)
     data = measured_of(scene) if measured is None else measured
-    parameters = free_parameters(scene, free, bounds, priors)
-    if objective == "paper" and priors:
+    if objective == "paper" and (priors or nuisance is not None):
         raise InputError("the paper's objective has no noise to weigh priors against", where="priors")
+    scene, parameters = _parameters(scene, free, bounds, priors or {}, Nuisance.of(nuisance))
     target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
     problem = Problem.of(scene, parameters, target, _computed(scene, target, computed), devices)
     search = _method(method, problem, seed, options)
@@ -150,7 +154,24 @@ def fit_tendons(
         )
     if not state["interrupted"]:
         search, state = reweighed(search, state, lambda again: _run(again, None, "", progress, None))
-    return _estimate(search, state, data, springs, began, doubts, allowed)
+    return _estimate(search, state, data, springs, began, doubts, allowed, Nuisance.of(nuisance))
+
+
+def _parameters(
+    scene: Scene,
+    free: Sequence[str],
+    bounds: Bounds,
+    priors: Mapping[str, tuple[float, float]],
+    nuisance: Nuisance,
+) -> tuple[Scene, Parameters]:
+    """The scene with whatever is fitted in it, and what is free: what is asked for, then nuisance."""
+    scene = nuisance.prepared(scene)
+    more = nuisance.numbers(scene, but=free)
+    if not more.names or isinstance(free, str):
+        return scene, free_parameters(scene, free, bounds, priors)
+    own = bounds if isinstance(bounds, Mapping) else dict.fromkeys(free, bounds)
+    found = free_parameters(scene, (*free, *more.names), {**own, **more.bounds}, {**priors, **more.priors})
+    return scene, Parameters(tuple(replace(p, nuisance=p.name in more.names) for p in found.items))
 
 
 def measured_of(scene: Scene) -> Measured:
@@ -214,12 +235,12 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
         What measured channels look like, where that is not what they are taken for.
 
     Raises:
-        InputError: measurements in other units, signs or axes, or swapped; parameters to which nothing that is compared
-            reacts; measured positions in another frame.
+        InputError: measurements in other units, signs or axes, or swapped; parameters without a prior to which nothing
+            that is compared reacts; measured positions in another frame.
     """
     evaluator, at = problem.evaluator, problem.parameters.nominal
     if first is None or first.want != "normal" or len(first.theta) < evaluator.slope_chunk:
-        others = problem.parameters.latin_hypercube(evaluator.slope_chunk, np.random.default_rng(_SEED))
+        others = problem.parameters.scattered(evaluator.slope_chunk, np.random.default_rng(_SEED))
         first = Request(np.concatenate([at[None], others[1:]]), evaluator.coarse, "normal")
     trials = evaluator.with_slopes(first.theta, first.substeps)
     doubts = misread(problem.objective, trials.values[trials.usable], limits) if trials.usable.any() else []
@@ -229,7 +250,8 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
     assert seen.slopes is not None
     span = problem.parameters.upper - problem.parameters.lower
     effect = np.abs(seen.slopes[0] * span).max(axis=(0, 1))
-    if (unfelt := np.flatnonzero(effect < _UNFELT)).size:
+    known = np.array([p.prior is not None for p in problem.parameters.items])
+    if (unfelt := np.flatnonzero((effect < _UNFELT) & ~known)).size:
         names = ", ".join(problem.parameters.names[i] for i in unfelt)
         found = f"nothing that is compared ({', '.join(problem.objective.channels)}) reacts to {names}"
         remedy = "leave them out, or measure something that reacts to them"
@@ -308,6 +330,7 @@ def _estimate(
     began: float,
     doubts: list[str],
     limits: Limits,
+    nuisance: Nuisance,
 ) -> Estimate:
     problem = search.problem
     parameters, target = problem.parameters, problem.objective
@@ -365,6 +388,8 @@ def _estimate(
         scene_name=problem.scene.name,
         priors={p.name: p.prior for p in parameters.items if p.prior is not None},
         springs=dict(springs),
+        nuisance=nuisance,
+        besides=tuple(p.name for p in parameters.items if p.nuisance),
         doubts=doubts,
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
         coordinates=parameters.coordinates,

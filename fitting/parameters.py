@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fitting.nuisance import EXACT, Nuisance
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar
 from pftwin.model.scene import Scene
@@ -34,6 +35,7 @@ class Parameter:
         prior: mean and standard deviation of a normal prior; None: flat.
         unit: of all of them.
         coordinate: whether it is one of a point, which other scenes may have elsewhere.
+        nuisance: whether it is fitted besides, for what others would make good otherwise: `fitting.nuisance`.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Parameter:
     prior: tuple[float, float] | None = None
     unit: str = ""
     coordinate: bool = False
+    nuisance: bool = False
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,14 @@ class Parameters:
         strata = np.stack([random.permutation(count) for _ in self.items], axis=1)
         share = (strata + random.uniform(size=strata.shape)) / count
         return self.lower + (self.upper - self.lower) * share
+
+    def scattered(self, count: int, random: np.random.Generator) -> NDArray[np.float64]:
+        """Points (count, p) to search from: a Latin hypercube of what has no prior, and draws of what has one."""
+        found = self.latin_hypercube(count, random)
+        for i, p in enumerate(self.items):
+            if p.prior is not None:
+                found[:, i] = np.clip(random.normal(*p.prior, size=count), p.lower, p.upper)
+        return found
 
     def prior_terms(self, theta: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
         """Minus the priors' log density at theta (..., p): value (...), gradient (..., p), curvature (p,)."""
@@ -220,6 +231,7 @@ class Applied:
     names: tuple[str, ...]
     values: Any = field(compare=False)  # (p,)
     origins: tuple[tuple[str, float], ...] = ()  # the coordinates' names, and their values in the fitted scene
+    nuisance: Nuisance = EXACT  # what other scenes have to be given first
 
     def __call__(self, scene: Scene, theta: Any = None) -> Scene:
         """The scene with the values, or with others (p,) of the fitted scene. Pure in both.
@@ -232,6 +244,7 @@ class Applied:
         from fitting.parameters import applied
         from pftwin.model.scene_parameters import find
 
+        scene = self.nuisance.prepared(scene)
         places = tuple(find(scene, name)[0] for name in self.names)
         theta = jnp.asarray(self.values, dtype=float) if theta is None else theta
         own, values = dict(self.origins), []

@@ -32,6 +32,17 @@ NoiseOption = Annotated[
 ]
 
 
+NuisanceOption = Annotated[
+    str | None,
+    Option(
+        "--nuisance",
+        metavar="NAME",
+        help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri, or such as"
+        ' "attachments=0.001,friction=0.05,damping=0.5" (standard deviations).',
+    ),
+]
+
+
 @on_scene
 def fit(
     *,
@@ -47,6 +58,7 @@ def fit(
     use: UseOption = "position",
     noise: NoiseOption = None,
     loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
+    nuisance: NuisanceOption = None,
     limit: Annotated[
         list[str] | None,
         Option(
@@ -97,6 +109,7 @@ def fit(
             use="all" if use.strip() == "all" else names_in(use),
             noise=levels,
             loss=loss,
+            nuisance=nuisance,
             progress=tell,
             checkpoint=checkpoint,
             resume=resume,
@@ -130,21 +143,20 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
         said = [found.summary()]
         draw(found)
     e, against = estimate, "SYNTHETIC measurements" if estimate.synthetic else "measurements"
-    rows = tuple(
+    rows = [
         (name, f"{value:.6g}", f"{sd:.2g}", f"{low:.6g} to {high:.6g}", f"{nominal:.6g}", unit)
         for name, value, sd, (low, high), nominal, unit in zip(
             e.names, e.values, e.standard_deviations, e.intervals, e.nominal, e.units, strict=True
         )
-    )
-    sheet = Sheet(
-        f"{e.scene_name}, fitted to {against} ({e.method}, {e.objective})",
-        ("", "estimate", "standard deviation", "95 % interval", "nominal", "unit"),
-        rows,
-        words=(0, 5),
-    )
+    ]
+    asked = len(rows) - len(e.besides)
+    title = f"{e.scene_name}, fitted to {against} ({e.method}, {e.objective})"
+    head = ("", "estimate", "standard deviation", "95 % interval", "nominal", "unit")
+    sheets = [Sheet(title, head, tuple(rows[:asked]), words=(0, 5))]
+    sheets += [Sheet("fitted besides", head, tuple(rows[asked:]), words=(0, 5))] if e.besides else []
     first = [e.sentence()] if e.invalid else []
     lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *said, written_line(files)]
-    present({**facts, "files": files}, *first, sheet, *lines[len(first) :], json=json)
+    present({**facts, "files": files}, *first, *sheets, *lines[len(first) :], json=json)
 
 
 def _check_posterior(objective: str) -> None:

@@ -50,11 +50,13 @@ def straight_line(lengths: ArrayLike, forces: ArrayLike) -> StraightSpring:
     return StraightSpring(slope, slack, float(np.sqrt(np.mean((f - slope * (x - slack)) ** 2))))
 
 
-def stretch_under(force: ArrayLike, stiffness: float, slack_length: float) -> Floats:
+def stretch_under(force: ArrayLike, stiffness: float, slack_length: float, stiffening: float | None = None) -> Floats:
     """The stretch [m] at which a spring of the plant pulls with a force [N]: the positive root of its law."""
     from pftwin.rig.plant import STIFFENING
 
-    more = STIFFENING / (0.25 * slack_length)
+    more = (STIFFENING if stiffening is None else stiffening) / (0.25 * slack_length)
+    if more == 0:
+        return np.asarray(force, dtype=np.float64) / stiffness
     return (np.sqrt(1 + 4 * more * np.asarray(force, dtype=np.float64) / stiffness) - 1) / (2 * more)
 
 

@@ -147,7 +147,7 @@ class Method(ABC):
     def scattered_starts(self) -> Floats:
         """The nominal point and others throughout the bounds, as unbounded parameters (starts, p)."""
         p = self.problem.parameters
-        others = p.latin_hypercube(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
+        others = p.scattered(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
         return p.to_unbounded(np.concatenate([p.nominal[None], others]))
 
     @staticmethod

@@ -93,9 +93,13 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
     touches = contact_effect(contact, chart=chart)
     n = _case_number(n)
     recorded, motion = _recorded(n, canonicalize_dtype(float) == np.float64)
+    return scene_of(n, recorded, motion, touches, f"rig case {n}, {contact}")
+
+
+def scene_of(n: int, recorded: Recording, motion: KneeMotion, touches: Effect, name: str) -> Scene:
+    """The twin of a case, with its nominal springs, moved as it was recorded."""
     first = recorded.patella
     start = Pose(vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0]))))
-    name = f"rig case {n}, {contact}"
     acting = effects(rig.CASES[n], touches)
     return Scene(patella_body(), acting, motion, start, name, synthetic=True, measured=recorded.measured)
 

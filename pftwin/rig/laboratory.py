@@ -32,10 +32,15 @@ FORCE_BIAS = 0.05  # standard deviation of a load cell's offset [N]
 
 def record(case: int, folder: Path) -> int:
     """Simulates the plant of a case and writes its markers and forces; returns how often it evaluated its forces."""
-    femur, tibia = hand_motion(case)
     truth, evaluations = run_plant(case)
+    write_recording(case, truth, np.random.default_rng(1000 + case), folder)
+    return evaluations
+
+
+def write_recording(case: int, truth: dict[str, NDArray], random: np.random.Generator, folder: Path) -> None:
+    """Writes markers and forces of what a plant did in a case (`Plant.seen`), with the laboratory's noise."""
+    femur, tibia = hand_motion(case)
     seen = PoseSeries(femur.times, truth["position"], truth["quaternion"], source=f"plant, case {case}")
-    random = np.random.default_rng(1000 + case)
     names, tracks = [], []
     for body, cluster in (
         (femur, rig.FEMUR_MARKERS),
@@ -49,7 +54,6 @@ def record(case: int, folder: Path) -> int:
     positions = np.round(positions + random.normal(0.0, MARKER_NOISE, positions.shape), 6)
     write_trc(folder / f"case{case}_markers.trc", MarkerTrajectories(femur.times, tuple(names), positions))
     write_csv(folder / f"case{case}_forces.csv", _load_cells(femur.times, truth, random))
-    return evaluations
 
 
 def _in_world(femur: PoseSeries, seen: PoseSeries) -> PoseSeries:

@@ -43,9 +43,10 @@ def data_folder() -> Path:
     return Path(str(resources.files("pftwin.rig") / "data"))
 
 
-def recording_files(case: int) -> tuple[Path, Path]:
-    """Markers and forces of one case."""
-    return data_folder() / f"case{case}_markers.trc", data_folder() / f"case{case}_forces.csv"
+def recording_files(case: int, folder: Path | None = None) -> tuple[Path, Path]:
+    """Markers and forces of one case, of the package or in a folder."""
+    where = folder or data_folder()
+    return where / f"case{case}_markers.trc", where / f"case{case}_forces.csv"
 
 
 def source_of(case: int) -> str:
@@ -53,9 +54,9 @@ def source_of(case: int) -> str:
     return f"{LABEL}, case {case}"
 
 
-def read_recording(case: int) -> Recording:
-    """Reads, fills, filters and fits the files of one case."""
-    markers_file, forces_file = recording_files(case)
+def read_recording(case: int, folder: Path | None = None) -> Recording:
+    """Reads, fills, filters and fits the files of one case, of the package or in a folder."""
+    markers_file, forces_file = recording_files(case, folder)
     raw, _ = fill_gaps(read_trc(markers_file))
     markers = raw.with_positions(butterworth_lowpass(raw.positions, raw.rate, CUTOFF))
     femur = segment_poses(_with_hip(markers), {**rig.FEMUR_MARKERS, "HIP": rig.HIP})

@@ -1,0 +1,129 @@
+"""What a twin lacks, or knows only roughly, as numbers that are fitted beside those that are asked for.
+
+A twin that is taken as exact puts whatever it lacks into the parameters that are asked for, and is sure of them. Here
+the joint may have friction, tendons may be attached elsewhere, and damping may be other than it is in the scene; each
+of these numbers has a normal prior, and what the measurements leave open of it widens the intervals of the others.
+Only what moves the button matters: bones and button are as the scene has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.model.effects.friction import Friction
+from pftwin.model.scene import Scene
+from pftwin.model.scene_parameters import named_arrays
+
+FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Research International 2015:185142, Table 5
+SLIP_SPEED = 1e-3  # [m/s]
+_REACH = 4.0  # standard deviations from the prior's mean to the bounds
+_DAMPING = ("N s/m", "N m s/rad")  # units of coefficients of damping
+
+
+class NuisanceNumbers(NamedTuple):
+    """Names of numbers of a scene, with bounds and normal priors by name."""
+
+    names: tuple[str, ...]
+    bounds: dict[str, tuple[float, float]]
+    priors: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Standard deviations of the priors of what a twin lacks or knows roughly; 0: it is as the scene has it.
+
+    Args:
+        attachments: of each coordinate of both ends of every tendon and strand [m].
+        friction: of the coefficient between button and femur; its mean is the scene's, or 0.05 where that has none.
+        damping: of all damping of the patella and the tendons, as a share of the scene's.
+    """
+
+    attachments: float = 0.0
+    friction: float = 0.0
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not (isinstance(value, int | float) and np.isfinite(value) and value >= 0):
+                raise InputError(f"{name}: found {value!r}", where="nuisance", expected="a standard deviation, or 0")
+
+    @staticmethod
+    def of(given: str | Nuisance | None) -> Nuisance:
+        """Of a preset's name, "attachments=0.001,friction=0.05", or itself; None: a twin that is taken as exact.
+
+        Raises:
+            InputError: no such preset; a text that names something else, or no numbers.
+        """
+        if given is None or isinstance(given, Nuisance):
+            return given or EXACT
+        if given in PRESETS:
+            return PRESETS[given]
+        known = [f.name for f in fields(Nuisance)]
+        try:
+            parts = [part.partition("=") for part in given.split(",")]
+            found = {name.strip(): float(value) for name, _, value in parts}
+        except ValueError:
+            found = {given: 0.0}
+        if strange := [name for name in found if name not in known]:
+            expected = f"one of: {', '.join(PRESETS)}; or some of {', '.join(known)}, as in attachments=0.001"
+            raise InputError(f"found {strange[0]!r}", where="nuisance", expected=expected)
+        return Nuisance(**found)
+
+    def prepared(self, scene: Scene) -> Scene:
+        """The scene with whatever is to be fitted in it: with friction, if that is and the contact has none.
+
+        Raises:
+            InputError: no contact, or one that cannot have friction.
+        """
+        if not self.friction or _friction_name(scene) in named_arrays(scene):
+            return scene
+        contact = scene.contact
+        if contact is None:
+            raise InputError("friction without a contact", where="nuisance", expected="a contact of button and femur")
+        rough = contact.with_friction(Friction(jnp.asarray(FRICTION, float), jnp.asarray(SLIP_SPEED, float)))
+        return replace(scene, effects=tuple(rough if e is contact else e for e in scene.effects))
+
+    def numbers(self, scene: Scene, but: Sequence[str] = ()) -> NuisanceNumbers:
+        """The numbers of a prepared scene that are fitted beside others, which have these names.
+
+        What is zero in the scene, such as missing damping, stays so.
+        """
+        arrays = named_arrays(scene)
+        lines = {e.name for e in scene.effects if e.line_element() is not None}
+        deviations: dict[str, float] = {}
+        for name, number in arrays.items():
+            unit, frame = ("", "") if number.quantity is None else (number.quantity.unit, number.quantity.frame)
+            if number.shape or name in but:
+                continue
+            if self.attachments and number.owner in lines and frame and unit == "m":
+                deviations[name] = self.attachments
+            elif self.damping and unit in _DAMPING:
+                deviations[name] = self.damping * float(scene.get(name))
+        if self.friction and (name := _friction_name(scene)) not in but:
+            deviations[name] = self.friction
+        priors = {name: (float(scene.get(name)), sd) for name, sd in deviations.items() if sd > 0}
+        bounds = {}
+        for name, (mean, sd) in priors.items():
+            declared = arrays[name].quantity
+            least = -np.inf if declared is None else declared.lower
+            bounds[name] = (max(mean - _REACH * sd, least), mean + _REACH * sd)
+        return NuisanceNumbers(tuple(priors), bounds, priors)
+
+
+def _friction_name(scene: Scene) -> str:
+    contact = scene.contact
+    return "" if contact is None else f"{contact.name}.friction.coefficient"
+
+
+EXACT = Nuisance()  # a twin that is taken as it is
+PRESETS = {  # choices
+    "rig": Nuisance(attachments=1e-3, friction=0.05, damping=0.5),  # parts made to drawings
+    "mocap": Nuisance(attachments=5e-3, friction=0.05, damping=0.5),  # attachments found by hand
+    "mri": Nuisance(attachments=2e-3, friction=0.05, damping=0.5),  # attachments seen in images
+}

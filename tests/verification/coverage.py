@@ -1,0 +1,133 @@
+"""How often do the intervals of a fit hold the truth, on plants of the rig that the twin does not know?
+
+    python tests/verification/coverage.py PLANTS --seeds 1 3 5 7 --nuisance none rig --use position quadriceps
+
+Each plant (`pftwin.rig.plant`, code of its own) has, drawn by its seed:
+
+- stiffness of both springs times 0.85 to 1.15, slack lengths times 0.98 to 1.02 (uniform);
+- stiffening by 0 to 10 % when stretched by a quarter of the length (uniform);
+- attachments off by 0.6 mm, standard deviation of each coordinate;
+- a coefficient of friction from 0.005 to 0.04 (uniform), by another law than the twin's; drag times 0.8 to 1.2.
+
+It runs a case, and the laboratory records it: markers and load cells with their noise, files, filters, poses of the
+segments. PLANTS is a folder in which recordings are kept: a plant takes a minute. Then the twin, with its nominal
+numbers, is fitted. The truth of K and L is the straight line nearest to the plant's spring over the forces that
+occurred. Printed by parameter: root mean square error, how many 95 % intervals hold the truth, and their mean half
+width, all in per cent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fitting
+import pftwin
+from fitting.demo.straight_springs import straight_line, stretch_under
+from pftwin.rig import geometry as rig
+from pftwin.rig.cases import scene_of
+from pftwin.rig.contacts import contact_effect
+from pftwin.rig.laboratory import write_recording
+from pftwin.rig.plant import DRAG, MISPLACED, Plant, plant_of
+from pftwin.rig.plant_parts import Spring
+from pftwin.rig.recording import read_recording
+
+NAMES = ("K1", "L1", "K2", "L2")
+
+
+def drawn_plant(case: int, seed: int) -> tuple[Plant, NDArray]:
+    """A plant, and the times of the rig's frames [s]."""
+    random = np.random.default_rng([seed, 24])
+    plant, times = plant_of(case)
+    drag = tuple(c * random.uniform(0.8, 1.2) for c in DRAG)
+    friction, stiffening = random.uniform(0.005, 0.04), random.uniform(0.0, 0.1)
+
+    def spring(old: Spring, place: tuple[float, float, float], along: int) -> Spring:
+        stiffness, length = old.stiffness * random.uniform(0.85, 1.15), old.slack_length * random.uniform(0.98, 1.02)
+        insertion = np.array([along * rig.INSERTION[0], 0.0, rig.INSERTION[2]]) - np.array(rig.CENTER_OF_MASS)
+        end, origin = (np.array(p) + random.normal(0.0, MISPLACED, 3) for p in (insertion, place))
+        return Spring(stiffness, length, rig.DAMPING_TIME * stiffness, end, origin, stiffening)
+
+    built = rig.CASES[case]
+    femur, tibia = rig.MEDIAL_LATERAL[built.femur_support], rig.MEDIAL_LATERAL[built.tibia_support]
+    springs = (
+        spring(plant.springs[0], (rig.FEMUR_SUPPORT[0], femur, rig.FEMUR_SUPPORT[1]), 1),
+        spring(plant.springs[1], (rig.TIBIA_SUPPORT[0], tibia, rig.TIBIA_SUPPORT[1]), -1),
+    )
+    return replace(plant, springs=springs, drag=drag, friction=friction), times
+
+
+def truth_of(plant: Plant, seen: dict[str, NDArray]) -> list[float]:
+    """K1, L1, K2, L2 of the straight lines nearest to the plant's springs over the forces that occurred."""
+    found = []
+    for spring, name in zip(plant.springs, ("femoral_spring", "tibial_spring"), strict=True):
+        stretch = stretch_under(seen[name], spring.stiffness, spring.slack_length, spring.stiffening)
+        line = straight_line(spring.slack_length + stretch, seen[name])
+        found += [line.stiffness, line.slack_length]
+    return found
+
+
+def recorded(case: int, seed: int, folder: Path) -> tuple[Path, list[float]]:
+    """The folder with a plant's recording, made if it is not there yet, and the truth."""
+    place = folder / f"case{case}_seed{seed}"
+    if not (place / "truth.json").exists():
+        place.mkdir(parents=True, exist_ok=True)
+        plant, times = drawn_plant(case, seed)
+        seen = plant.seen(times, plant.motion(times)[0])
+        write_recording(case, seen, np.random.default_rng([seed, 25]), place)
+        (place / "truth.json").write_text(json.dumps(truth_of(plant, seen)))
+    return place, json.loads((place / "truth.json").read_text())
+
+
+def main() -> None:
+    """Makes plants, fits the twin to them, prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("plants", type=Path, help="folder of the recordings")
+    parser.add_argument("--case", type=int, default=2)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--contact", default="spline")
+    parser.add_argument("--nuisance", nargs="+", default=["none", "rig"], help="none, or as `pftwin fit --nuisance`")
+    parser.add_argument("--use", nargs="+", default=["position"])
+    parser.add_argument("--only-plants", action="store_true")
+    given = parser.parse_args()
+    pftwin.configure()
+    rows: dict[str, list[tuple[NDArray, NDArray, float]]] = {nuisance: [] for nuisance in given.nuisance}
+    for seed in given.seeds:
+        began = time.perf_counter()
+        place, truth = recorded(given.case, seed, given.plants)
+        print(
+            f"seed {seed}: plant {time.perf_counter() - began:.0f} s, truth {np.round(truth, 4).tolist()}", flush=True
+        )
+        if given.only_plants:
+            continue
+        data = read_recording(given.case, place)
+        motion = pftwin.KneeMotion.from_poses(data.femur, data.tibia)
+        touches = contact_effect(given.contact, chart="plane")
+        scene = scene_of(given.case, data, motion, touches, f"plant {seed}, {given.contact}")
+        for nuisance in given.nuisance:
+            began = time.perf_counter()
+            wanted = None if nuisance == "none" else nuisance
+            found = fitting.fit_tendons(scene, data.measured, free=NAMES, nuisance=wanted, use=given.use)
+            off, half = found.values[:4] / truth - 1, 1.96 * found.standard_deviations[:4] / np.abs(truth)
+            rows[nuisance].append((off, half, found.rmse["position"]))
+            texts = [f"{100 * o:+.2f} (+-{100 * h:.2f})" for o, h in zip(off, half, strict=True)]
+            besides = {n: float(f"{v:.3g}") for n, v in zip(found.names[4:], found.values[4:], strict=True)}
+            left = f"{1e3 * found.rmse['position']:.3f} mm, {time.perf_counter() - began:.0f} s, {found.reason}"
+            print(f"  {nuisance}: {', '.join(texts)} %; {left}; {besides}", flush=True)
+    for nuisance, found in rows.items():
+        if found:
+            off, half, left = (np.array(column) for column in zip(*found, strict=True))
+            held = 100 * (np.abs(off) < half).mean(axis=0)
+            rms, width = 100 * np.sqrt((off**2).mean(axis=0)), 100 * half.mean(axis=0)
+            print(f"{nuisance}, {len(off)} plants: rms error {np.round(rms, 2)} %, held {held} %: {held.mean():.0f} %")
+            print(f"  half width {np.round(width, 2)} %; left of the position {1e3 * left.mean():.3f} mm")
+
+
+if __name__ == "__main__":
+    main()

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 import fitting
 import pftwin
 from fitting.demo.straight_springs import straight_line, stretch_under
+from pftwin.model.motion import KneeMotion
 from pftwin.rig import geometry as rig
 from pftwin.rig.cases import scene_of
 from pftwin.rig.contacts import contact_effect
@@ -107,7 +108,7 @@ def main() -> None:
         if given.only_plants:
             continue
         data = read_recording(given.case, place)
-        motion = pftwin.KneeMotion.from_poses(data.femur, data.tibia)
+        motion = KneeMotion.from_poses(data.femur, data.tibia)
         touches = contact_effect(given.contact, chart="plane")
         scene = scene_of(given.case, data, motion, touches, f"plant {seed}, {given.contact}")
         for nuisance in given.nuisance:

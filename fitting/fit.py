@@ -17,7 +17,7 @@ from fitting.estimate import Estimate
 from fitting.methods.problem import MOST_SEED, Method, Problem, Request, State, load_checkpoint, save_checkpoint
 from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, Objective
-from fitting.parameters import Bounds, Parameters, free_parameters
+from fitting.parameters import Bounds, free_parameters, with_nuisance
 from fitting.programs import POSITION, channels_of
 from fitting.time_shift import late_channels, time_shifts
 from fitting.uncertainty import uncertainty
@@ -133,7 +133,7 @@ def fit_tendons(
     data = measured_of(scene) if measured is None else measured
     if objective == "paper" and (priors or nuisance is not None):
         raise InputError("the paper's objective has no noise to weigh priors against", where="priors")
-    scene, parameters = _parameters(scene, free, bounds, priors or {}, Nuisance.of(nuisance))
+    scene, parameters = with_nuisance(scene, free, bounds, priors, Nuisance.of(nuisance))
     target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
     problem = Problem.of(scene, parameters, target, _computed(scene, target, computed), devices)
     search = _method(method, problem, seed, options)
@@ -155,23 +155,6 @@ def fit_tendons(
     if not state["interrupted"]:
         search, state = reweighed(search, state, lambda again: _run(again, None, "", progress, None))
     return _estimate(search, state, data, springs, began, doubts, allowed, Nuisance.of(nuisance))
-
-
-def _parameters(
-    scene: Scene,
-    free: Sequence[str],
-    bounds: Bounds,
-    priors: Mapping[str, tuple[float, float]],
-    nuisance: Nuisance,
-) -> tuple[Scene, Parameters]:
-    """The scene with whatever is fitted in it, and what is free: what is asked for, then nuisance."""
-    scene = nuisance.prepared(scene)
-    more = nuisance.numbers(scene, but=free)
-    if not more.names or isinstance(free, str):
-        return scene, free_parameters(scene, free, bounds, priors)
-    own = bounds if isinstance(bounds, Mapping) else dict.fromkeys(free, bounds)
-    found = free_parameters(scene, (*free, *more.names), {**own, **more.bounds}, {**priors, **more.priors})
-    return scene, Parameters(tuple(replace(p, nuisance=p.name in more.names) for p in found.items))
 
 
 def measured_of(scene: Scene) -> Measured:

@@ -14,8 +14,9 @@ from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
 from fitting.fit import SPRING_PARAMETERS, likelihood_of
 from fitting.methods.problem import Problem
+from fitting.nuisance import Nuisance
 from fitting.objective import Normal
-from fitting.parameters import Bounds, Parameters, free_parameters
+from fitting.parameters import Bounds, Parameters, with_nuisance
 from fitting.programs import ORIENTATION, POSITION, channels_of
 from fitting.uncertainty import in_words, inverse_information, percent, sizes
 from pftwin.base.errors import InputError
@@ -87,6 +88,7 @@ def plan_experiment(
     candidates: Sequence[str] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     bounds: Bounds = 0.3,
+    nuisance: str | Nuisance | None = None,
 ) -> ExperimentPlan:
     """The Cramer-Rao bound at the scene's parameters, before anything is measured or fitted.
 
@@ -98,12 +100,14 @@ def plan_experiment(
         candidates: channels that might be measured besides; by default every other one that the scene has.
         priors: by name, mean and standard deviation of a normal prior.
         bounds: as for a fit: what "no reaction" is measured by.
+        nuisance: what the scene lacks or knows roughly, found besides: as for a fit.
 
     Raises:
         InputError: unknown parameters or channels; a scene that cannot be simulated; a noise that is not positive.
     """
     check(scene)
-    parameters = free_parameters(scene, free, bounds, priors)
+    scene, parameters = with_nuisance(scene, free, bounds, priors, Nuisance.of(nuisance))
+    asked = sum(not p.nuisance for p in parameters.items)
     all_channels = channels_of(scene)
     more = [c for c in all_channels if c not in use] if candidates is None else list(candidates)
     for channel in (*use, *more):
@@ -119,23 +123,32 @@ def plan_experiment(
     information, unfelt = _information(scene, parameters, wanted, sigma, tuple(use))
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
     base = sum(information[c] for c in use) + prior
-    covariance = inverse_information(base)
-    names, span = parameters.names, parameters.upper - parameters.lower
-    scale = np.abs(sizes(names, span, parameters.nominal, parameters.coordinates))
-    values = np.linalg.eigvalsh(base * np.outer(scale, scale))
-    additions = {c: np.sqrt(np.diagonal(inverse_information(base + information[c]))) / scale for c in more}
+    known = _of_the_first(base, asked)
+    covariance = inverse_information(known)
+    names, span = parameters.names[:asked], (parameters.upper - parameters.lower)[:asked]
+    nominal = parameters.nominal[:asked]
+    scale = np.abs(sizes(names, span, nominal, parameters.coordinates))
+    values = np.linalg.eigvalsh(known * np.outer(scale, scale))
+    with_more = {c: inverse_information(_of_the_first(base + information[c], asked)) for c in more}
+    additions = {c: np.sqrt(np.diagonal(found)) / scale for c, found in with_more.items()}
     return ExperimentPlan(
         names,
-        parameters.nominal,
+        nominal,
         measured,
         {c: sigma[c] for c in wanted},
         covariance,
         float(values[-1] / values[0]) if values[0] > 0 else np.inf,
-        unfelt,
+        tuple(name for name in unfelt if name in names),
         dict(sorted(additions.items(), key=lambda item: float(item[1].max()))),
-        in_words(names, span, parameters.nominal, covariance, measured, parameters.coordinates),
+        in_words(names, span, nominal, covariance, measured, parameters.coordinates),
         scale,
     )
+
+
+def _of_the_first(information: Floats, asked: int) -> Floats:
+    """What is known of the first parameters (asked, asked) where the others are found besides: Schur's complement."""
+    a, b, d = information[:asked, :asked], information[:asked, asked:], information[asked:, asked:]
+    return a - b @ inverse_information(d) @ b.T if len(d) else a
 
 
 def _information(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -182,6 +182,27 @@ def free_parameters(
                 raise InputError(f"{own!r} is named twice", where="free", expected="every number once")
             items.append(_parameter(scene, own, name, place, bounds, priors or {}))
     return Parameters(tuple(items))
+
+
+def with_nuisance(
+    scene: Scene,
+    names: Sequence[str],
+    bounds: Bounds,
+    priors: Mapping[str, tuple[float, float]] | None,
+    nuisance: Nuisance,
+) -> tuple[Scene, Parameters]:
+    """The scene with whatever is fitted in it, and what is free: what these names stand for, then nuisance.
+
+    Raises:
+        InputError: as `free_parameters` and `Nuisance.prepared`.
+    """
+    scene = nuisance.prepared(scene)
+    asked = free_parameters(scene, names, bounds, priors)
+    more = nuisance.numbers(scene, but=[p.place.name for p in asked.items])
+    if not more.names:
+        return scene, asked
+    besides = free_parameters(scene, more.names, more.bounds, more.priors).items
+    return scene, Parameters((*asked.items, *(replace(p, nuisance=True) for p in besides)))
 
 
 def _parameter(

@@ -188,6 +188,7 @@ def plan_experiment(
     free: FreeOption = "K1,L1,K2,L2",
     use: UseOption = "position",
     noise: NoiseOption = None,
+    nuisance: NuisanceOption = None,
     json: JsonOption = None,
 ) -> None:
     """Say how precisely an experiment could determine the parameters, before it is made, and what else to measure.
@@ -202,7 +203,7 @@ def plan_experiment(
 
     channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
     with spinner("linearising the motion"):
-        found = plan(chosen.scene, free=names_in(free), use=channels, noise=levels)
+        found = plan(chosen.scene, free=names_in(free), use=channels, noise=levels, nuisance=nuisance)
     deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
     sheet = Sheet(
         f"{chosen.scene.name}: smallest possible standard deviations [%]",

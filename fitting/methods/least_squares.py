@@ -30,7 +30,7 @@ class Phase(NamedTuple):
     worth: float  # a gain of the best start not worth another iteration, in tolerances of the objective
 
 
-PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 6, 1e3), Phase(4, True, 20, 1.0))
+PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 6, 1e3), Phase(4, True, 40, 1.0))
 _DAMPING = 1e-2  # to start with, of a diagonal's share
 _STUCK = 1e7  # damping at which steps vanish
 _LONGEST = 2.0  # step of an unbounded parameter: from the middle to 88 % of the range

@@ -152,3 +152,24 @@ def test_what_the_twin_lacks_does_not_go_into_what_is_asked_for():
     assert open_.rmse["position"] < 1.3 * NOISE
     friction = open_.names.index(COEFFICIENT)
     assert abs(open_.values[friction] - 0.03) < 2.5 * open_.standard_deviations[friction]
+
+
+def test_a_plan_knows_less_of_a_twin_that_is_not_exact():
+    """As the whole covariance's block says, by inverting all of it."""
+    nuisance, use = Nuisance(friction=0.05, damping=0.5), ("position", "quadriceps")
+    exact, open_ = (
+        fitting.plan_experiment(small_scene(21), use=use, nuisance=n, candidates=()) for n in (None, nuisance)
+    )
+    assert open_.names == exact.names == ("K1", "L1", "K2", "L2")
+    assert (open_.relative > exact.relative).all()
+    made = nuisance.prepared(small_scene(21))
+    numbers = nuisance.numbers(made)
+    all_of_it = fitting.plan_experiment(
+        made,
+        free=(*exact.names, *numbers.names),
+        use=use,
+        candidates=(),
+        bounds=dict.fromkeys(exact.names, 0.3) | numbers.bounds,
+        priors=numbers.priors,
+    )
+    np.testing.assert_allclose(open_.covariance, all_of_it.covariance[:4, :4], rtol=1e-6)

@@ -114,7 +114,7 @@ def main() -> None:
         for nuisance in given.nuisance:
             began = time.perf_counter()
             wanted = None if nuisance == "none" else nuisance
-            found = fitting.fit_tendons(scene, data.measured, free=NAMES, nuisance=wanted, use=given.use)
+            found = fitting.fit_tendons(scene, data.measured, free=NAMES, bounds=0.5, nuisance=wanted, use=given.use)
             off, half = found.values[:4] / truth - 1, 1.96 * found.standard_deviations[:4] / np.abs(truth)
             rows[nuisance].append((off, half, found.rmse["position"]))
             texts = [f"{100 * o:+.2f} (+-{100 * h:.2f})" for o, h in zip(off, half, strict=True)]

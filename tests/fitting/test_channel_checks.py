@@ -62,6 +62,15 @@ def test_positions_in_a_frame_far_off_are_not_taken_for_other_units(off):
     assert all("too large" not in said for _, said, _ in read(("position",), POSITION + off, POSITION, (3,)))
 
 
+def test_a_trial_whose_tendon_hangs_slack_is_resembled_by_nothing():
+    """Its force is as good as zero, as is that of any numbers in smaller units."""
+    force = FORCES[:, :1]
+    trials = np.stack([1.4 * force, 0.7 * force, 1e-3 * force])
+    assert list(readings(target(("quadriceps",), force, (1,)), trials)) == []
+    [reading] = readings(target(("quadriceps",), 1e3 * force, (1,)), trials)
+    assert "1000 times too large" in reading.words
+
+
 def test_orientations_the_other_way_round_or_with_the_scalar_last():
     for measured, words in (
         (TURNS * [1, -1, -1, -1], "turned the other way"),

@@ -40,6 +40,7 @@ from pftwin.rig.plant_parts import Spring
 from pftwin.rig.recording import read_recording
 
 NAMES = ("K1", "L1", "K2", "L2")
+BOUNDS = {"K1": 0.5, "L1": 0.3, "K2": 0.5, "L2": 0.3}
 
 
 def drawn_plant(case: int, seed: int) -> tuple[Plant, NDArray]:
@@ -114,7 +115,7 @@ def main() -> None:
         for nuisance in given.nuisance:
             began = time.perf_counter()
             wanted = None if nuisance == "none" else nuisance
-            found = fitting.fit_tendons(scene, data.measured, free=NAMES, bounds=0.5, nuisance=wanted, use=given.use)
+            found = fitting.fit_tendons(scene, data.measured, free=NAMES, bounds=BOUNDS, nuisance=wanted, use=given.use)
             off, half = found.values[:4] / truth - 1, 1.96 * found.standard_deviations[:4] / np.abs(truth)
             rows[nuisance].append((off, half, found.rmse["position"]))
             texts = [f"{100 * o:+.2f} (+-{100 * h:.2f})" for o, h in zip(off, half, strict=True)]

@@ -59,9 +59,7 @@ _FRAMES = 200  # looked at for other readings, evenly over the recording
 _SIMPLER = 1.1  # a simpler reading is preferred where it is at most this much farther off
 _FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance to which any reading is as good [m], [rad]
 _FORCE_FLOOR = 0.01  # the same of a force, as a share of the twin's
-_SLACK = (
-    0.1  # share of the strongest trial's force below which one pulls too little to be resembled: by any small number
-)
+_SLACK = 0.1  # share of the strongest trial's force from which on a trial can be resembled
 
 
 class Reading(NamedTuple):

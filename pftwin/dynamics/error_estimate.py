@@ -136,15 +136,25 @@ def error_of(run: Course, other: Course, order: float, ratio: Any, xp: Any = np)
 def apart(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
     """How far two runs are apart at every frame; infinite where one is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = xp.linalg.norm(a.center - b.center, axis=-1)
-        cosine = xp.abs(xp.sum(a.quaternion * b.quaternion, axis=-1))
+        moved = _length(a.center - b.center, xp)
+        cosine = xp.abs(_dot(a.quaternion, b.quaternion))
         turned = 2 * xp.arctan2(xp.sqrt(xp.clip(1 - cosine**2, 0, 1)), cosine)
-        force = xp.linalg.norm(a.force - b.force, axis=-1)
+        force = _length(a.force - b.force, xp)
         found = moved + REACH * turned, force, xp.abs(a.medial - b.medial), xp.abs(a.lateral - b.lateral)
-        sizes = [xp.linalg.norm(x.force, axis=-1) for x in (a, b)]
+        sizes = [_length(x.force, xp) for x in (a, b)]
     peaks = [xp.where(xp.isfinite(x), x, 0.0).max() for x in sizes]
     most = xp.clip(MOST_ERROR_SHARE * xp.minimum(*peaks), LEAST_FORCE, MOST_FORCE_ERROR)
     return ErrorEstimate(*(xp.where(xp.isfinite(x), x, xp.inf) for x in found), most_force=most)
+
+
+def _dot(a: Any, b: Any) -> Any:
+    """Over the last axis, component by component: the last bit of a reduction depends on how many members a call has."""
+    products = [a[..., i] * b[..., i] for i in range(a.shape[-1])]
+    return sum(products[1:], start=products[0])
+
+
+def _length(a: Any, xp: Any) -> Any:
+    return xp.sqrt(_dot(a, a))
 
 
 def after_halving(before: ErrorEstimate, order: float) -> ErrorEstimate:

@@ -105,10 +105,8 @@ def run_with_error(
     others = jnp.where(substeps > 1, substeps // 2, 2)
     both = jax.lax.map(run, jnp.stack([substeps, others]))
     found, other = (jax.tree.map(lambda a, i=i: a[i], both) for i in (0, 1))
-    # Kept apart from what comes before: fused with it, the last bit would depend on how many members a call has.
-    courses = jax.lax.optimization_barrier((course(found), course(other)))
     ratio = substeps.astype(float) / others.astype(float)
-    return found, error_of(*courses, order, ratio, jnp)
+    return found, error_of(course(found), course(other), order, ratio, jnp)
 
 
 def frames_with_flags(status: Array) -> Array:

@@ -59,7 +59,7 @@ _FRAMES = 200  # looked at for other readings, evenly over the recording
 _SIMPLER = 1.1  # a simpler reading is preferred where it is at most this much farther off
 _FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance to which any reading is as good [m], [rad]
 _FORCE_FLOOR = 0.01  # the same of a force, as a share of the twin's
-_SLACK = 0.1  # share of the strongest trial's force from which on a trial can be resembled
+_SLACK = 0.1  # share of the strongest trial's force, or of what was measured, from which on a trial can be resembled
 
 
 class Reading(NamedTuple):
@@ -121,7 +121,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         keep = _some(objective.present[:, rows.start])
         data, seen = objective.measured[keep, at], trials[:, keep, at]
         if channel not in _FLOOR:
-            seen = seen[_rms(seen) >= _SLACK * _rms(seen).max()]
+            seen = seen[_rms(seen) >= _SLACK * min(float(_rms(seen).max()), float(_rms(data)))]
         tried = _poses(channel, data) if channel in _FLOOR else _forces(data)
         size = 1.0 if channel in _FLOOR else max(float(_rms(seen).mean()), 1e-300)
         floor = _FLOOR.get(channel, _FORCE_FLOOR)

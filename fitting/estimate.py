@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.coverage import INTERVALS
+from fitting.coverage import INTERVALS, WITH_NUISANCE
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
@@ -146,7 +146,7 @@ class Estimate:
         said = in_words(
             self.names[:asked], span[:asked], self.values[:asked], covariance, self.channels, self.coordinates
         )
-        return f"{said}. But {INTERVALS}"
+        return f"{said}. But {WITH_NUISANCE if self.besides else INTERVALS}"
 
     def summary(self) -> str:
         """A table in text, with the remarks."""

@@ -132,7 +132,8 @@ def fit_tendons(
     allowed = limits_of(limits)
     data = measured_of(scene) if measured is None else measured
     if objective == "paper" and (priors or nuisance is not None):
-        raise InputError("the paper's objective has no noise to weigh priors against", where="priors")
+        where = "priors" if priors else "nuisance"
+        raise InputError("the paper's objective has no noise to weigh priors against", where=where)
     scene, parameters = with_nuisance(scene, free, bounds, priors, Nuisance.of(nuisance))
     target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
     problem = Problem.of(scene, parameters, target, _computed(scene, target, computed), devices)
@@ -218,8 +219,8 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
         What measured channels look like, where that is not what they are taken for.
 
     Raises:
-        InputError: measurements in other units, signs or axes, or swapped; parameters without a prior to which nothing
-            that is compared reacts; measured positions in another frame.
+        InputError: measurements in other units, signs or axes, or swapped; parameters asked for to which nothing that
+            is compared reacts; measured positions in another frame.
     """
     evaluator, at = problem.evaluator, problem.parameters.nominal
     if first is None or first.want != "normal" or len(first.theta) < evaluator.slope_chunk:
@@ -233,7 +234,7 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
     assert seen.slopes is not None
     span = problem.parameters.upper - problem.parameters.lower
     effect = np.abs(seen.slopes[0] * span).max(axis=(0, 1))
-    known = np.array([p.prior is not None for p in problem.parameters.items])
+    known = np.array([p.nuisance for p in problem.parameters.items])
     if (unfelt := np.flatnonzero((effect < _UNFELT) & ~known)).size:
         names = ", ".join(problem.parameters.names[i] for i in unfelt)
         found = f"nothing that is compared ({', '.join(problem.objective.channels)}) reacts to {names}"

@@ -18,7 +18,7 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import named_arrays
+from pftwin.model.scene_parameters import find, named_arrays
 
 FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Research International 2015:185142, Table 5
 SLIP_SPEED = 1e-3  # [m/s]
@@ -65,14 +65,17 @@ class Nuisance:
         if given in PRESETS:
             return PRESETS[given]
         known = [f.name for f in fields(Nuisance)]
-        try:
-            parts = [part.partition("=") for part in given.split(",")]
-            found = {name.strip(): float(value) for name, _, value in parts}
-        except ValueError:
-            found = {given: 0.0}
-        if strange := [name for name in found if name not in known]:
-            expected = f"one of: {', '.join(PRESETS)}; or some of {', '.join(known)}, as in attachments=0.001"
-            raise InputError(f"found {strange[0]!r}", where="nuisance", expected=expected)
+        expected = f"one of: {', '.join(PRESETS)}; or some of {', '.join(known)}, as in attachments=0.001"
+        found: dict[str, float] = {}
+        for part in given.split(","):
+            name, _, value = (text.strip() for text in part.partition("="))
+            try:
+                number = float(value)
+            except ValueError:
+                raise InputError(f"found {part.strip()!r}", where="nuisance", expected=expected) from None
+            if name not in known or name in found:
+                raise InputError(f"found {name!r}", where="nuisance", expected=f"{expected}; each once")
+            found[name] = number
         return Nuisance(**found)
 
     def prepared(self, scene: Scene) -> Scene:
@@ -97,21 +100,21 @@ class Nuisance:
         arrays = named_arrays(scene)
         lines = {e.name for e in scene.effects if e.line_element() is not None}
         deviations: dict[str, float] = {}
-        for name, number in arrays.items():
-            unit, frame = ("", "") if number.quantity is None else (number.quantity.unit, number.quantity.frame)
-            if number.shape or name in but:
-                continue
-            if self.attachments and number.owner in lines and frame and unit == "m":
-                deviations[name] = self.attachments
-            elif self.damping and unit in _DAMPING:
-                deviations[name] = self.damping * float(scene.get(name))
-        if self.friction and (name := _friction_name(scene)) not in but:
-            deviations[name] = self.friction
-        priors = {name: (float(scene.get(name)), sd) for name, sd in deviations.items() if sd > 0}
+        declared = {name: number.quantity for name, number in arrays.items() if number.quantity is not None}
+        for whole, quantity in declared.items():
+            attached = bool(quantity.frame) and quantity.unit == "m" and arrays[whole].owner in lines
+            for place in find(scene, whole) if len(arrays[whole].shape) < 2 else []:
+                if self.attachments and attached:
+                    deviations[place.name] = self.attachments
+                elif self.damping and quantity.unit in _DAMPING:
+                    deviations[place.name] = self.damping * float(place.read(scene))
+        if self.friction:
+            deviations[_friction_name(scene)] = self.friction
+        free = {name: sd for name, sd in deviations.items() if sd > 0 and name not in but}
+        priors = {name: (float(find(scene, name)[0].read(scene)), sd) for name, sd in free.items()}
         bounds = {}
         for name, (mean, sd) in priors.items():
-            declared = arrays[name].quantity
-            least = -np.inf if declared is None else declared.lower
+            least = declared[name.partition("[")[0]].lower
             bounds[name] = (max(mean - _REACH * sd, least), mean + _REACH * sd)
         return NuisanceNumbers(tuple(priors), bounds, priors)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import truncnorm
 
 from fitting.nuisance import EXACT, Nuisance
 from pftwin.base.errors import InputError
@@ -125,8 +126,11 @@ class Parameters:
         """Points (count, p) to search from: a Latin hypercube of what has no prior, and draws of what has one."""
         found = self.latin_hypercube(count, random)
         for i, p in enumerate(self.items):
-            if p.prior is not None:
-                found[:, i] = np.clip(random.normal(*p.prior, size=count), p.lower, p.upper)
+            if (
+                p.prior is not None
+            ):  # within the bounds, not at them: there a search of unbounded parameters stands still
+                ends = [(bound - p.prior[0]) / p.prior[1] for bound in (p.lower, p.upper)]
+                found[:, i] = truncnorm.rvs(*ends, *p.prior, size=count, random_state=random)
         return found
 
     def prior_terms(self, theta: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
@@ -252,7 +256,7 @@ class Applied:
     names: tuple[str, ...]
     values: Any = field(compare=False)  # (p,)
     origins: tuple[tuple[str, float], ...] = ()  # the coordinates' names, and their values in the fitted scene
-    nuisance: Nuisance = EXACT  # what other scenes have to be given first
+    nuisance: Nuisance = field(default=EXACT, compare=False)  # what other scenes have to be given first; the names tell
 
     def __call__(self, scene: Scene, theta: Any = None) -> Scene:
         """The scene with the values, or with others (p,) of the fitted scene. Pure in both.

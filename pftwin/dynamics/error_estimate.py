@@ -148,7 +148,7 @@ def apart(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
 
 
 def _dot(a: Any, b: Any) -> Any:
-    """Over the last axis, component by component: the last bit of a reduction depends on how many members a call has."""
+    """Over the last axis, number by number: the last bit of a reduction depends on how many members a call has."""
     products = [a[..., i] * b[..., i] for i in range(a.shape[-1])]
     return sum(products[1:], start=products[0])
 

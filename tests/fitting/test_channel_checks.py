@@ -69,6 +69,8 @@ def test_a_trial_whose_tendon_hangs_slack_is_resembled_by_nothing():
     assert list(readings(target(("quadriceps",), force, (1,)), trials)) == []
     [reading] = readings(target(("quadriceps",), 1e3 * force, (1,)), trials)
     assert "1000 times too large" in reading.words
+    wide = np.stack([force, 20 * force, 30 * force, 1e-3 * force])
+    assert list(readings(target(("quadriceps",), 1.02 * force, (1,)), wide)) == []
 
 
 def test_orientations_the_other_way_round_or_with_the_scalar_last():

@@ -11,8 +11,9 @@ from small_scene import small_scene
 
 import fitting
 import pftwin
+from fitting.coverage import WITH_NUISANCE
 from fitting.estimate import Estimate
-from fitting.nuisance import FRICTION, PRESETS, SLIP_SPEED, Nuisance
+from fitting.nuisance import SLIP_SPEED, Nuisance
 from fitting.parameters import Applied, free_parameters
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number
@@ -20,6 +21,7 @@ from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.friction import Friction
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
+from pftwin.rig.retinacula import with_retinacula
 
 COEFFICIENT = "contact.friction.coefficient"
 ENDS = [f"{t}.{end}.{a}" for t in ("quadriceps", "patellar_tendon") for end in ("insertion", "origin") for a in "xyz"]
@@ -51,8 +53,8 @@ def test_damping_is_relative_and_what_is_not_damped_stays_so():
 def test_friction_begins_at_the_scenes_or_at_what_is_published():
     nuisance = Nuisance(friction=0.01)
     made = nuisance.prepared(small_scene())
-    assert float(made.get(COEFFICIENT)) == FRICTION
-    assert nuisance.numbers(made).priors == {COEFFICIENT: (FRICTION, 0.01)}
+    assert float(made.get(COEFFICIENT)) == 0.05
+    assert nuisance.numbers(made).priors == {COEFFICIENT: (0.05, 0.01)}
     own = rough(small_scene(), 0.02)
     assert nuisance.prepared(own) is own
     assert nuisance.numbers(own) == (
@@ -68,7 +70,8 @@ def test_what_is_asked_for_by_name_is_not_asked_for_twice():
 
 
 def test_texts_of_the_command_line():
-    assert Nuisance.of("rig") is PRESETS["rig"]
+    assert Nuisance.of("rig") == Nuisance(attachments=1e-3, friction=0.05, damping=0.5)
+    assert [Nuisance.of(name).attachments for name in ("mocap", "mri")] == [5e-3, 2e-3]
     assert Nuisance.of("friction=0.03, attachments=1e-3") == Nuisance(friction=0.03, attachments=1e-3)
     assert Nuisance.of(None) == Nuisance()
 
@@ -78,6 +81,8 @@ def test_texts_of_the_command_line():
     [
         ("ring", "found 'ring'; expected: one of: rig, mocap, mri"),
         ("friktion=0.1", "found 'friktion'"),
+        ("friction", "found 'friction'; expected: one of: rig"),
+        ("friction=0.1,friction=0.2", "found 'friction'; .*; each once"),
         ("friction=much", "found 'friction=much'"),
         ("friction=-0.1", "friction: found -0.1; expected: a standard deviation, or 0"),
         ("damping=nan", "damping: found nan"),
@@ -104,6 +109,24 @@ def test_searches_begin_within_what_is_known():
     assert np.ptp(free.share(found)[:, 0]) > 0.99
     assert found[:, 1].mean() == pytest.approx(0.1432, abs=2e-4)
     assert found[:, 1].std() == pytest.approx(1e-3, rel=0.1)
+
+
+def test_searches_of_what_cannot_be_negative_begin_off_its_bound():
+    """At a bound the map to unbounded parameters is flat, and the search would stand still."""
+    made = Nuisance(friction=0.05).prepared(small_scene())
+    free = free_parameters(made, (COEFFICIENT,), {COEFFICIENT: (0.0, 0.25)}, {COEFFICIENT: (0.05, 0.05)})
+    share = free.share(free.scattered(1000, np.random.default_rng(0)))
+    assert share.min() > 0
+    assert share.max() < 1
+    assert np.median(free.scattered(4000, np.random.default_rng(1))) == pytest.approx(0.0600, abs=2e-3)
+
+
+def test_ends_and_damping_of_groups_are_free_one_by_one():
+    scene = with_retinacula(pftwin.rig.case(1))
+    found = Nuisance(attachments=5e-4).numbers(scene)
+    group = next(e for e in scene.effects if (line := e.line_element()) is not None and line.count is not None)
+    count = group.line_element().count
+    assert sum(name.startswith(f"{group.name}.") for name in found.names) == 6 * count
 
 
 def test_an_estimate_gives_other_scenes_what_they_lack():
@@ -135,6 +158,7 @@ def test_an_estimate_speaks_of_what_was_asked_for(tmp_path):
     assert (found.names, found.besides) == (("K1", "L1", COEFFICIENT), (COEFFICIENT,))
     assert np.all(np.abs(found.values - [150.0, 0.1432, 0.03]) < 2.5 * found.standard_deviations)
     assert "friction" not in found.sentence()
+    assert WITH_NUISANCE in found.sentence()
     assert "besides:\n  contact.friction.coefficient 0.0" in found.summary()
     again = Estimate.load(found.save(tmp_path / "fit.json"), small_scene(21))
     assert (again.besides, again.nuisance) == (found.besides, found.nuisance)

@@ -62,9 +62,9 @@ class Material:
 
     def changed_since(self, e: Estimate) -> list[str]:
         """Parameters whose values in the scene differ from the fit's nominal ones: the scene may be another one."""
-        if self.scene is None:
+        if e.nominal_scene is None:
             return []
-        here = [self.scene.get(name) for name in e.names]
+        here = [e.nominal_scene.get(name) for name in e.names]
         return [n for n, x, began in zip(e.names, here, e.nominal, strict=True) if abs(x - began) > 1e-6 * abs(began)]
 
     def doubts(self) -> list[str]:
@@ -148,7 +148,7 @@ def _of_estimate(path: Path, given: Chosen | None) -> Material:
 
     estimate = Estimate.load(path)
     chosen = _scene_of(estimate, given, path)
-    estimate.nominal_scene, estimate.measured = chosen.scene, chosen.measured
+    estimate.nominal_scene, estimate.measured = estimate.nuisance.prepared(chosen.scene), chosen.measured
     scenes = {"nominal": chosen.scene, "fitted": estimate.scene}
     with spinner("compiling and simulating"):
         runs = [ReportedRun.of_result(simulate(scene), name) for name, scene in scenes.items()]
@@ -174,7 +174,7 @@ def _of_demo(folder: Path, given: Chosen | None) -> Material:
     first = next(iter(estimates.values()))
     chosen = _scene_of(first, given, folder / DEMO_FIT)
     for estimate in estimates.values():
-        estimate.nominal_scene, estimate.measured = chosen.scene, chosen.measured
+        estimate.nominal_scene, estimate.measured = estimate.nuisance.prepared(chosen.scene), chosen.measured
     named = _case_of(first)
     contact = named[1] if named else "P5"
     words = {PATHOLOGY: "pathology", TREATMENT: "treatment"}

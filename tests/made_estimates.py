@@ -21,7 +21,7 @@ def made_estimate(values: Mapping[str, tuple[float, float]], **more: Any) -> Est
     nominal = numbers / (1 + 0.04 * (1 + np.arange(len(numbers))))  # 4, 8, 12 ... % were found to be missing
     fields: dict[str, Any] = {
         "names": tuple(values),
-        "units": tuple(UNITS[name[0]] for name in values),
+        "units": tuple(UNITS.get(name[0], "") for name in values),
         "values": numbers,
         "covariance": np.diag(deviations**2),
         "lower": 0.7 * nominal,

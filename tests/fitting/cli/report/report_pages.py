@@ -64,7 +64,7 @@ def words_of(material: Material, command: str = "") -> Seen:
         return Seen(report_page(material, command).page)
 
 
-def estimate(**more) -> Estimate:
+def estimate(values=VALUES, **more) -> Estimate:
     """Of the small knee."""
     about = {
         "synthetic": False,
@@ -76,7 +76,7 @@ def estimate(**more) -> Estimate:
         "starts": 8,
         "seed": 7,
     }
-    return made_estimate(VALUES, **{**about, **more})
+    return made_estimate(values, **{**about, **more})
 
 
 def measured() -> Measured:
@@ -92,7 +92,7 @@ def fitted(folder: Path, **more) -> Material:
     path = folder / "fit.json"
     found = estimate(**more)
     found.save(path)
-    found.nominal_scene, found.measured = small_scene(), measured()
+    found.nominal_scene, found.measured = found.nuisance.prepared(small_scene()), measured()
     runs = [ReportedRun.of_result(small_result(), "fitted")]
     chosen = Chosen(dataclasses.replace(small_scene(), measured=measured()), None)
     return Material(path, "Fitted knee: small knee", {"the fit": found}, chosen, runs, files=[path])

@@ -14,6 +14,7 @@ from fitting.cli.report import command
 from fitting.cli.report.command import report_page as report
 from fitting.cli.report.material import Material
 from fitting.cli.report.run import ReportedRun
+from fitting.nuisance import Nuisance
 from pftwin.model.measured import SYNTHETIC
 
 
@@ -108,6 +109,15 @@ def test_the_fit_with_its_intervals_and_sentence(fit_seen):
     assert e.sentence()[1:] in fit_seen.text
     assert all(remark in fit_seen.text for remark in e.remarks())
     assert fit_seen.rows["seed"] == [["7"]]
+
+
+def test_what_was_fitted_besides_is_told_though_the_scene_lacks_it(tmp_path):
+    name = "contact.friction.coefficient"
+    values = {**VALUES, name: (0.031, 0.002)}
+    seen = words_of(fitted(tmp_path, values=values, besides=(name,), nuisance=Nuisance(friction=0.05)))
+    assert f"{name}: contact, friction.coefficient" in seen.text
+    [row] = seen.rows[name]
+    assert row[1] == "0.031"
 
 
 def test_gaps_and_residuals_are_told(fit_seen):

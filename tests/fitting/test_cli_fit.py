@@ -114,3 +114,10 @@ def test_mistakes_at_the_command_line(toy, tmp_path):
 def test_a_scene_without_measurements(tmp_path):
     scene = write_toy(tmp_path, LIGHT)
     assert "nothing to compare with" in refused("fit", scene, "-o", tmp_path / "fit.json")
+
+
+def test_what_is_no_nuisance_is_refused_before_anything_is_compiled(toy, tmp_path):
+    for command in (("fit", toy, "-o", tmp_path / "fit.json"), ("plan-experiment", toy)):
+        said = refused(*command, "--nuisance", "friction")
+        assert "nuisance: found 'friction'" in said
+        assert "rig, mocap, mri" in said

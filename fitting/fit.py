@@ -134,7 +134,8 @@ def fit_tendons(
     if objective == "paper" and (priors or nuisance is not None):
         where = "priors" if priors else "nuisance"
         raise InputError("the paper's objective has no noise to weigh priors against", where=where)
-    scene, parameters = with_nuisance(scene, free, bounds, priors, Nuisance.of(nuisance))
+    besides = Nuisance.of(nuisance)
+    scene, parameters = with_nuisance(scene, free, bounds, priors, besides)
     target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
     problem = Problem.of(scene, parameters, target, _computed(scene, target, computed), devices)
     search = _method(method, problem, seed, options)
@@ -155,7 +156,7 @@ def fit_tendons(
         )
     if not state["interrupted"]:
         search, state = reweighed(search, state, lambda again: _run(again, None, "", progress, None))
-    return _estimate(search, state, data, springs, began, doubts, allowed, Nuisance.of(nuisance))
+    return _estimate(search, state, data, springs, began, doubts, allowed, besides)
 
 
 def measured_of(scene: Scene) -> Measured:

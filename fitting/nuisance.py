@@ -9,7 +9,7 @@ Only what moves the button matters: bones and button are as the scene has them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -90,7 +90,7 @@ class Nuisance:
         if contact is None:
             raise InputError("friction without a contact", where="nuisance", expected="a contact of button and femur")
         rough = contact.with_friction(Friction(jnp.asarray(FRICTION, float), jnp.asarray(SLIP_SPEED, float)))
-        return replace(scene, effects=tuple(rough if e is contact else e for e in scene.effects))
+        return scene.with_effect(rough)
 
     def numbers(self, scene: Scene, but: Sequence[str] = ()) -> NuisanceNumbers:
         """The numbers of a prepared scene that are fitted beside others, which have these names.

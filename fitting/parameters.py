@@ -126,9 +126,8 @@ class Parameters:
         """Points (count, p) to search from: a Latin hypercube of what has no prior, and draws of what has one."""
         found = self.latin_hypercube(count, random)
         for i, p in enumerate(self.items):
-            if (
-                p.prior is not None
-            ):  # within the bounds, not at them: there a search of unbounded parameters stands still
+            if p.prior is not None:
+                # Within the bounds, not at them: there a search of unbounded parameters stands still.
                 ends = [(bound - p.prior[0]) / p.prior[1] for bound in (p.lower, p.upper)]
                 found[:, i] = truncnorm.rvs(*ends, *p.prior, size=count, random_state=random)
         return found

@@ -165,10 +165,11 @@ def _caution(at: _Iterate, size: Scalar) -> Scalar:
 
 
 def _start(system: System, guide: Guide, guess: Pose) -> _Iterate:
-    zero = jnp.zeros_like(guess.position.x)
+    x = guess.position.x
+    zero = jnp.where(x > 0, jnp.zeros_like(x), 0)  # batched where the guess is: `vmap` need not trace again to find out
     memories = system.guess(patella_at_rest(guide, guess))
-    stiffness = jnp.zeros((6, 6), zero.dtype)
-    return _Iterate(guess, memories, zero + jnp.inf, stiffness, zero, jnp.zeros((), int), jnp.array(False), zero + 1.0)
+    stiffness = jnp.broadcast_to(zero, (6, 6))
+    return _Iterate(guess, memories, zero + jnp.inf, stiffness, zero, zero.astype(int), zero > 0, zero + 1.0)
 
 
 def initial_solution(system: System, guide: Guide, guess: Pose) -> Solution:

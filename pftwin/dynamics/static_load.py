@@ -125,8 +125,9 @@ def look_around(
         return jnp.array(False), (r, jax.tree.map(lambda a: a[0], rest))
 
     kinds = jax.eval_shape(lambda: once(None)[1])
-    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), kinds)
     always = (like > -jnp.inf) | ~(like > 0)  # XLA must not be able to prove this, or it would remove the loop
+    zero = jnp.where(always, 0.0, 0.0)  # batched where `like` is: `vmap` need not trace once more to find that out
+    nothing = jax.tree.map(lambda a: jnp.broadcast_to(zero.astype(a.dtype), a.shape), kinds)
     r, (later, terms, beds, drags) = jax.lax.while_loop(lambda now: now[0], once, (always, nothing))[1]
     return Surroundings(later, jnp.stack(r, axis=1), terms, beds, drags)
 

@@ -24,7 +24,7 @@ from fitting.uncertainty import uncertainty
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
-from pftwin.dynamics.simulate import simulate
+from pftwin.dynamics.simulate import compiled_aside, simulate
 from pftwin.dynamics.status import status_facts
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
@@ -141,6 +141,7 @@ def fit_tendons(
     search = _method(method, problem, seed, options)
     problem.evaluator.prepare(search.widest)
     began = time.perf_counter()
+    compiled = compiled_aside(scene.unnamed())  # for the fitted motion, which is simulated last
     state = None
     identity = problem.fingerprint(method, seed, search.settings())
     if resume and checkpoint is not None:
@@ -156,7 +157,11 @@ def fit_tendons(
         )
     if not state["interrupted"]:
         search, state = reweighed(search, state, lambda again: _run(again, None, "", progress, None))
-    return _estimate(search, state, data, springs, began, doubts, allowed, besides)
+    estimate = _estimate(search, state, data, springs, began, doubts, allowed, besides)
+    if not state["interrupted"]:
+        compiled()
+        _judge(estimate)
+    return estimate
 
 
 def measured_of(scene: Scene) -> Measured:
@@ -341,7 +346,7 @@ def _estimate(
         *unresolved(steps, rmse),
     ]
     moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
-    estimate = Estimate(
+    return Estimate(
         names=parameters.names,
         units=tuple(p.unit for p in parameters.items),
         values=theta,
@@ -382,12 +387,14 @@ def _estimate(
         nominal_scene=problem.scene,
         measured=measured,
     )
-    if not state["interrupted"]:  # run as everybody else runs it: a fit does not look at status
-        result = simulate(estimate.scene)
-        estimate.verdict = result.verdict.describe()
-        facts = status_facts(result.flags)
-        estimate.status, estimate.status_frames = facts["status"], facts["status_frames"]
-    return estimate
+
+
+def _judge(estimate: Estimate) -> None:
+    """Runs the fitted motion as everybody else runs it: a fit does not look at status."""
+    result = simulate(estimate.scene)
+    estimate.verdict = result.verdict.describe()
+    facts = status_facts(result.flags)
+    estimate.status, estimate.status_frames = facts["status"], facts["status_frames"]
 
 
 def _rmse(target: Objective, r: Any) -> dict[str, float]:

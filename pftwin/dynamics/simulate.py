@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
@@ -93,21 +94,18 @@ def _converged(solution: Solution) -> bool:
     return bool(np.asarray(solution.residual) < tolerance_on_host(solution))
 
 
-def _compiled_side_by_side(scene: Scene, integrator: Integrator, substeps: Array, energy: bool) -> float:
-    """Compiles both programs on two cores at once where neither is compiled yet; returns the seconds it took."""
-    began = time.perf_counter()
-    if _solve.at_hand(scene):
-        return 0.0
+def compiled_aside(scene: Scene, integrator: Integrator | None = None, energy: bool = True) -> Callable[[], object]:
+    """Traces what `simulate` runs and compiles it in other threads; what this returns waits for them."""
     start = eqx.filter_eval_shape(start_before_search, scene)
-    with ThreadPoolExecutor(1) as other:
-        if (
-            other.submit(jax_settings).result() != jax_settings()
-        ):  # those of a `with jax.enable_x64(...)` are this thread's own
-            return 0.0
-        done = other.submit(_run.begin(scene, start, integrator, substeps, energy))  # the longer one
-        _solve.prepare(scene)
-        done.result()
-    return time.perf_counter() - began
+    threads = ThreadPoolExecutor(2)
+    try:
+        if threads.submit(jax_settings).result() != jax_settings():
+            return lambda: None  # those of a `with jax.enable_x64(...)` are this thread's own
+        longer = threads.submit(_run.begin(scene, start, integrator or BDF2(), jnp.asarray(1), energy))
+        other = threads.submit(_solve.begin(scene))
+        return lambda: (longer.result(), other.result())
+    finally:
+        threads.shutdown(wait=False)
 
 
 def simulate(
@@ -181,7 +179,11 @@ class _Runs:
         self._scene, self._plain, self._integrator, self._energy = scene, scene.unnamed(), integrator, energy
         contact = scene.contact
         self._contact = None if contact is None else contact.name
-        self._ahead = _compiled_side_by_side(self._plain, integrator, jnp.asarray(1), energy)
+        self._ahead = 0.0
+        if not _solve.at_hand(self._plain):
+            began = time.perf_counter()
+            compiled_aside(self._plain, integrator, energy)()
+            self._ahead = time.perf_counter() - began
         self._start, self._relaxed = settle_first_frame(self._plain)
         self._preparation = self._time = 0.0
 

@@ -25,7 +25,7 @@ from pftwin.base.program_cache import cached
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
 from pftwin.geometry.patch.emphasis import emphasis
 from pftwin.geometry.patch.fit import SPLINE, PatchFit, fit_named, parse_name
-from pftwin.geometry.patch.implant import RIG_PARTS, RIG_RIM, rig_implant, rig_region
+from pftwin.geometry.patch.implant import RIG_PARTS, RIG_RIM, RIG_TOLERANCE, rig_implant, rig_region
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.contact_law import ContactLaw, Flores
 from pftwin.model.effects.sphere_contact import SphereContact
@@ -103,7 +103,7 @@ def _fit(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> Patch
 def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> PatchFit:
     mesh = implant_mesh()
     if name == SPLINE:
-        return fit_named(mesh, name, chart=chart, region=rig_region(mesh, half_width=RIG_RIM))
+        return fit_named(mesh, name, chart=chart, region=rig_region(mesh, half_width=RIG_RIM), tolerance=RIG_TOLERANCE)
     region = rig_region(mesh)
     return fit_named(mesh, name, chart=chart, region=region, emphasis=emphasis(region, RIG_PARTS))
 

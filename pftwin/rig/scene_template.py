@@ -40,13 +40,14 @@ class LaboratoryFiles:
     angles_deg: tuple[float, float] = (-75.0, 30.0)  # of the region that the patch is fitted to
     half_width: float = 0.020  # of that region [m]
     parts: tuple[WeightedPart, ...] = ()  # of it that count more, or less
+    tolerance: float = 0.02e-3  # of a spline, rms [m]
     synthetic: bool = True
 
 
 def rig_laboratory(case: int, contact: str = "P5") -> LaboratoryFiles:
     """The files of the virtual rig's laboratory for a case, and the region that a patch of that name is fitted to."""
     from pftwin.geometry.patch.fit import SPLINE
-    from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, RIG_RIM, rig_implant
+    from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, RIG_RIM, RIG_TOLERANCE, rig_implant
     from pftwin.rig import geometry, recording
 
     low, high = RIG_ANGLES
@@ -66,6 +67,7 @@ def rig_laboratory(case: int, contact: str = "P5") -> LaboratoryFiles:
         angles_deg=(math.degrees(low), math.degrees(high)),
         half_width=RIG_RIM if contact == SPLINE else RIG_HALF_WIDTH,
         parts=() if contact == SPLINE else RIG_PARTS,
+        tolerance=RIG_TOLERANCE,
     )
 
 

@@ -93,13 +93,20 @@ def test_one_that_dislocates_leaves_it_only_as_the_knee_bends_again(runs):
         assert np.degrees(runs[n].knee.flexion[left]).min() > 10
 
 
+def test_the_splines_normals_are_the_true_ones():
+    """They lead the button: 0.2 deg, by 4 um of waves, take it 0.06 to 0.13 mm off its path."""
+    patch = contact_fit("spline").patch
+    for where in (TRACKS, SLIDES):
+        assert rms(errors(patch, *where).turned) < 0.1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
 def test_the_spline_goes_where_the_true_surface_leads(n):
     """The component's own smooth surface in the patch's place, which has no edge that its continuation could decide."""
     scene = rig.case(n, "spline")
     path, true = (simulate(s, dt=0.5e-3).center for s in (scene, on_surface(scene, smooth_implant())))
-    assert np.linalg.norm(path - true, axis=1).mean() < 0.15e-3
+    assert np.linalg.norm(path - true, axis=1).mean() < 0.02e-3
     assert np.linalg.norm(path[-1] - true[-1]) < 1e-3
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Pair = tuple[float, float]
 SPLINE = "spline"
 TOLERANCE = 0.02e-3  # rms of the heights [m]
-SMOOTHING = 0.25e-3  # wavelengths below some 2 pi times this length are damped [m]
+SMOOTHING = 12.5  # tolerances: a length, wavelengths below some 2 pi times which are damped
 LONGEST_CELL, SHRINKING = 4e-3, 0.8  # the first attempt's cells [m], and how much shorter the next one's are
 FEWEST_VERTICES = 16  # as many as the coefficients of a single cell
 
@@ -139,7 +139,7 @@ def fit_spline(
     weights: Literal["vertex", "area"] = "vertex",
     emphasis: Emphasis | None = None,
     tolerance: float = TOLERANCE,
-    smoothing: float = SMOOTHING,
+    smoothing: float | None = None,
 ) -> PatchFit:
     """Fit a spline to all selected vertices, with the longest cells of those tried that reach the tolerance.
 
@@ -148,13 +148,14 @@ def fit_spline(
     Args:
         surface, chart, region, weights, emphasis: as for `fit_patch`.
         tolerance: rms of the heights that is asked for [m].
-        smoothing: how strongly curvature is penalised, as a length [m]; details shorter than it are lost. Raise it for
-            noisy scans.
+        smoothing: how strongly curvature is penalised, as a length [m]; details shorter than it are lost. By default
+            12.5 times the tolerance. Raise it for noisy scans.
 
     Raises:
         InputError: too few vertices, all of them on a line, values that are not finite, lengths that are not positive,
             or a surface folded over in this chart.
     """
+    smoothing = SMOOTHING * tolerance if smoothing is None else smoothing
     for name, length in (("tolerance", tolerance), ("smoothing", smoothing)):
         if not (np.isfinite(length) and length > 0):
             raise InputError(f"found {length!r}", where=name, expected="a positive length in metres, e.g. 0.02e-3")

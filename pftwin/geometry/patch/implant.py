@@ -44,6 +44,8 @@ RIG_ANGLES = (-75 * _DEG, 42 * _DEG)
 RIG_HALF_WIDTH = 22e-3  # of polynomials: to beyond the ridges, on which a dislocated button slides; wider ones lose the
 # groove (over the whole component P5 is wrong by 0.5 mm where the patella tracks, and case 3 starts dislocated)
 RIG_RIM = 32.1e-3  # of splines: all of the component, which is 32 mm wide to either side
+# Of splines, rms [m]: the mesh has no noise, and a spline off by 4 um takes the button 0.06 to 0.13 mm off its path.
+RIG_TOLERANCE = 1e-6
 RIG_PARTS = (  # weights of polynomials' vertices: where the button goes, and more where it dislocates, as in the paper
     WeightedPart(0.1),
     WeightedPart(1.0, across=(-16e-3, 16e-3)),

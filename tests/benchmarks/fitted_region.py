@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, RIG_RIM, rig_implant
+from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, RIG_RIM, RIG_TOLERANCE, rig_implant
 
 TRUE = rig_implant()
 TRACKS = (-66, 38), (-14, 15)  # where the button touches the true surface while it tracks [deg, mm]
@@ -93,14 +93,15 @@ def rows() -> Iterator[tuple[str, ...]]:
             if contact == "spline" and parts:
                 continue
             region = region_about(mesh, TRUE.chart, angles=angles, half_width=half_width)
-            fit = fit_named(mesh, contact, region=region, emphasis=emphasis(region, parts))
+            asked = {"tolerance": RIG_TOLERANCE} if contact == "spline" else {}
+            fit = fit_named(mesh, contact, region=region, emphasis=emphasis(region, parts), **asked)
             found = [errors(fit.patch, *where) for where in (TRACKS, SLIDES, FLANK)]
             beyond, off = [], []
             for n in cases:
                 result = simulate(on_surface(rig.case(n), fit.patch), dt=STEP)
                 beyond.append(str(np.count_nonzero(result.flags & int(Status.LEFT_PATCH))))
-                off.append(f"{1e3 * np.linalg.norm(result.center - true[n], axis=1).mean():.2f}")
-            fits = f"{100 * fit.r_squared:.2f}", *(f"{1e3 * rms(e.along):.3f}" for e in found)
+                off.append(f"{1e3 * np.linalg.norm(result.center - true[n], axis=1).mean():.3f}")
+            fits = f"{100 * fit.r_squared:.2f}", *(f"{1e3 * rms(e.along):.4f}" for e in found)
             title = f"the rig's: {name}" if contact == "spline" and half_width == RIG_RIM else name
             yield contact, title, *fits, ", ".join(beyond), ", ".join(off)
 

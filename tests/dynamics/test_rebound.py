@@ -146,6 +146,7 @@ def test_nothing_is_said_where_there_is_nothing_to_say():
     assert impact_of(scene, BDF2(), 1e-3, float("nan")) is None
 
 
+@pytest.mark.slow
 def test_a_result_says_what_its_steps_make_of_restitution():
     """A knee at rest, whose femur then moves away by 5 mm and comes back within 40 ms: the patella hits it."""
     calm = pftwin.simulate(knee(11), dt=1e-3)

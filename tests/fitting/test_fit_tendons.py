@@ -105,6 +105,7 @@ def test_long_steps_that_will_not_do_are_not_used():
         assert evaluator.coarse == (2 if long_steps_do else 24)
 
 
+@pytest.mark.slow
 def test_the_error_of_the_steps_is_what_far_shorter_steps_show():
     evaluator = Evaluator(scene(), fitting.free_parameters(scene(), SPRINGS), ("position", "quadriceps"))
     evaluator.prepare(None)

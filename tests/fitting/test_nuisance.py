@@ -178,6 +178,7 @@ def test_what_the_twin_lacks_does_not_go_into_what_is_asked_for():
     assert abs(open_.values[friction] - 0.03) < 2.5 * open_.standard_deviations[friction]
 
 
+@pytest.mark.slow
 def test_a_plan_knows_less_of_a_twin_that_is_not_exact():
     """As the whole covariance's block says, by inverting all of it."""
     nuisance, use = Nuisance(friction=0.05, damping=0.5), ("position", "quadriceps")

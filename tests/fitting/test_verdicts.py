@@ -51,6 +51,7 @@ def test_some_invalid_variants_come_first_and_do_not_count_as_dislocating():
     assert main_finding(data) == f"{said}); 2 of the other 2 track without dislocation"
 
 
+@pytest.mark.slow
 def test_a_plan_without_one_sound_motion_says_so():
     plan = optimise_treatment(slack(), Limit("dislocation_margin", at_least=0.003), {"medialisation": (0.0, 0.005)})
     assert not plan.met

@@ -142,6 +142,7 @@ def test_a_contact_belongs_to_the_facet_of_its_side_of_the_groove(middle):
     assert float(both["force_medial"]) == pytest.approx(float(both["force_lateral"]), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_two_contacts_beyond_one_ridge_belong_to_one_facet():
     """A button in a dent beyond the groove's lateral ridge, on both walls of the dent."""
     dent, half = 0.016, (0.024, 0.026)

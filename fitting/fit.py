@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fitting.channel_checks import Limits, left_over, limits_of, misread, unresolved
+from fitting.channel_checks import Limits, left_over, limits_of, unresolved
 from fitting.correlated import reweighed
 from fitting.estimate import Estimate
-from fitting.methods.problem import MOST_SEED, Method, Problem, Request, State, load_checkpoint, save_checkpoint
+from fitting.first_look import first_look
+from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
 from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds, free_parameters, with_nuisance
@@ -38,10 +39,7 @@ METHODS = {  # module and class
     "differential_evolution": ("strategies", "DifferentialEvolution"),
 }
 SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
-_UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measured, in metres or newtons
-_FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]
 _BETWEEN_CHECKPOINTS = 1.0  # [s]
-_SEED = 20240418  # of trial motions that measurements are held against: the same for every fit
 
 
 class Progress(NamedTuple):
@@ -216,47 +214,6 @@ def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> 
         found = f"without {', '.join(sorted(missing))}, which the fit compares"
         raise InputError(found, where="computed", expected=expected)
     return tuple(c for c in known if c in names)
-
-
-def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[str]:
-    """Evaluates the nominal parameters and others within the bounds, and refuses what no search could fit.
-
-    Returns:
-        What measured channels look like, where that is not what they are taken for.
-
-    Raises:
-        InputError: measurements in other units, signs or axes, or swapped; parameters asked for to which nothing that
-            is compared reacts; measured positions in another frame.
-    """
-    evaluator, at = problem.evaluator, problem.parameters.nominal
-    if first is None or first.want != "normal" or len(first.theta) < evaluator.slope_chunk:
-        others = problem.parameters.scattered(evaluator.slope_chunk, np.random.default_rng(_SEED))
-        first = Request(np.concatenate([at[None], others[1:]]), evaluator.coarse, "normal")
-    trials = evaluator.with_slopes(first.theta, first.substeps)
-    doubts = misread(problem.objective, trials.values[trials.usable], limits) if trials.usable.any() else []
-    seen = problem.prediction(at, evaluator.coarse)
-    if not seen.usable[0]:
-        return doubts  # the nominal scene does not run, but other starts may
-    assert seen.slopes is not None
-    span = problem.parameters.upper - problem.parameters.lower
-    effect = np.abs(seen.slopes[0] * span).max(axis=(0, 1))
-    known = np.array([p.nuisance for p in problem.parameters.items])
-    if (unfelt := np.flatnonzero((effect < _UNFELT) & ~known)).size:
-        names = ", ".join(problem.parameters.names[i] for i in unfelt)
-        found = f"nothing that is compared ({', '.join(problem.objective.channels)}) reacts to {names}"
-        remedy = "leave them out, or measure something that reacts to them"
-        raise InputError(found, where="free", expected="parameters that make a difference", remedy=remedy)
-    if problem.objective.channels[0] == POSITION:
-        off = seen.values[0, :, :3] - problem.objective.measured[:, :3]
-        far = float(np.nanmedian(np.linalg.norm(off, axis=1)))
-        if far > _FAR:
-            raise InputError(
-                f"measured positions lie {1e3 * far:.0f} mm from the scene's",
-                where=problem.objective.source,
-                expected="the button's centre in the femur frame, in metres",
-                remedy="the frame and units of the scene",
-            )
-    return doubts
 
 
 _MOST = 1_000_000  # starts, generations, ...: beyond, the memory or the life of the machine ends

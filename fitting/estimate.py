@@ -72,6 +72,7 @@ class Estimate:
     doubts: list[str] = field(default_factory=list)  # what the measurements look like, if not what they are taken for
     time_shifts: dict[str, tuple[float, float]] = field(default_factory=dict)  # late by, deviation [s]
     share: float = 1.0  # of the likelihood that counts beside the priors, for correlated residuals
+    draws: Floats | None = field(default=None, repr=False)  # (N, p) from the posterior; None: it is taken as normal
     coordinates: tuple[str, ...] = ()  # names of parameters that are coordinates of points
     step_error: dict[str, float] = field(default_factory=dict)  # of the fit's time steps, rms, units as of `rmse`
     nominal_scene: Scene | None = field(default=None, repr=False)
@@ -85,6 +86,8 @@ class Estimate:
     @property
     def intervals(self) -> Floats:
         """95 % intervals (p, 2)."""
+        if self.draws is not None:
+            return np.quantile(self.draws, (0.025, 0.975), axis=0).T
         return self.values[:, None] + NORMAL_95 * self.standard_deviations[:, None] * np.array([-1.0, 1.0])
 
     @property
@@ -121,7 +124,10 @@ class Estimate:
         return Applied(tuple(self.names), self.values, origins, self.nuisance)
 
     def samples(self, count: int, seed: int = 0) -> Floats:
-        """Parameters (count, p) as uncertain as the estimate: normal, kept within the bounds."""
+        """Parameters (count, p) as uncertain as the estimate: of its draws, or normal and kept within the bounds."""
+        if self.draws is not None:
+            random = np.random.default_rng(seed)
+            return self.draws[random.choice(len(self.draws), count, replace=count > len(self.draws))]
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         normal = np.random.default_rng(seed).standard_normal((count, len(self.values)))
@@ -195,6 +201,7 @@ class Estimate:
         plain = {k: getattr(self, k) for k in self.__dataclass_fields__ if k not in skipped}
         for key in _ARRAYS:
             plain[key] = np.asarray(plain[key]).tolist()
+        plain["draws"] = None if self.draws is None else [[float(f"{v:.7g}") for v in row] for row in self.draws]
         plain["nuisance"] = asdict(self.nuisance)
         return {
             "format": FORMAT,
@@ -234,11 +241,12 @@ class Estimate:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
             since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
-            since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": []}
+            since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": [], "draws": None}
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)
+            known["draws"] = None if known["draws"] is None else np.asarray(known["draws"], dtype=float)
             for key in ("names", "units", "channels", "coordinates", "besides"):
                 known[key] = tuple(known[key])
             known["nuisance"] = Nuisance(**known["nuisance"])

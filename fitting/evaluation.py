@@ -36,7 +36,7 @@ _ROUGH = 5e-4  # largest error of a search's motion with long steps, rms [m]
 _REMEMBERED = 4  # batches with derivatives that are remembered
 _CLOUD = 96  # equilibria in the cloud
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # steps of searches and answers [s]: errors of 0.03 mm and 0.01 mm on the rig
-_HALVINGS = 2  # of an answer's step, at most
+HALVINGS = 2  # of an answer's step, at most
 _EXACT = 1e-4  # largest error of the steps of an answer, rms: of positions [m]
 _EXACT_SHARE = 0.02  # of other channels, as a share of the range that they go through
 _SEED = 20240418  # of the cloud: the same for every fit
@@ -104,6 +104,11 @@ class Evaluator:
             threads = _PARTS if self._count == 1 and widest >= _PARTS * _FEWEST else 1
             self.chunk = -(-widest // max(-(-widest // (_WIDEST * self._count)), threads))
 
+    @property
+    def first(self) -> int:
+        """Steps between two frames of answers, before anything is known of their errors."""
+        return substeps_for(self.scene.motion.frame_interval, _FINE_STEP)
+
     @cached_property
     def coarse(self) -> int:
         """Steps between two frames during a search: as few as the nominal motion allows."""
@@ -123,20 +128,22 @@ class Evaluator:
     @cached_property
     def fine(self) -> int:
         """Steps between two frames for the final answer: more, where those of the nominal motion are too long."""
-        steps = substeps_for(self.scene.motion.frame_interval, _FINE_STEP)
-        for _ in range(_HALVINGS):
+        steps = self.first
+        for _ in range(HALVINGS):
             errors = self.step_errors(self.parameters.nominal, steps)
             if not any(e.large for e in errors.values()):
                 break
             steps *= 2
         return steps
 
-    def step_errors(self, theta: Floats, substeps: int) -> dict[str, StepError]:
+    def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:
         """How far off each channel is for the length of the steps, from a run in half of it: errors are of first order.
 
-        Nothing where one of the two runs is not usable.
+        Nothing where one of the two runs is not usable. `slopes`: by the program with derivatives, where that is
+        compiled anyway.
         """
-        long, short = (self.with_slopes(theta[None], n) for n in (substeps, 2 * substeps))
+        run = self.with_slopes if slopes else self.values
+        long, short = (run(theta[None], n) for n in (substeps, 2 * substeps))
         if not (long.usable[0] and short.usable[0]):
             return {}
         found, at = {}, 0

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.channel_checks import Limits, misread
+from fitting.evaluation import Prediction
 from fitting.methods.problem import Problem, Request
 from fitting.programs import POSITION
 from pftwin.base.errors import InputError
 
+Floats = NDArray[np.float64]
+
 _UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measured, in metres or newtons
 _FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]
+_SMALL = 1e-3  # share of a parameter's range by which it is moved to see what reacts
+_TRIALS = 16  # motions that measurements are held against, without derivatives
 _SEED = 20240418  # of trial motions that measurements are held against: the same for every fit
 
 
@@ -29,13 +35,37 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
         others = problem.parameters.scattered(evaluator.slope_chunk, np.random.default_rng(_SEED))
         first = Request(np.concatenate([at[None], others[1:]]), evaluator.coarse, "normal")
     trials = evaluator.with_slopes(first.theta, first.substeps)
-    doubts = misread(problem.objective, trials.values[trials.usable], limits) if trials.usable.any() else []
     seen = problem.prediction(at, evaluator.coarse)
     if not seen.usable[0]:
-        return doubts  # the nominal scene does not run, but other starts may
+        return _misread(problem, trials, limits)  # the nominal scene does not run, but other starts may
     assert seen.slopes is not None
     span = problem.parameters.upper - problem.parameters.lower
-    effect = np.abs(seen.slopes[0] * span).max(axis=(0, 1))
+    return _judged(problem, trials, seen.values[0], np.abs(seen.slopes[0] * span).max(axis=(0, 1)), limits)
+
+
+def plain_look(problem: Problem, limits: Limits) -> list[str]:
+    """As `first_look`, without derivatives: parameters are moved by a small share of their range in place of them."""
+    parameters, at = problem.parameters, problem.parameters.nominal
+    asked = np.flatnonzero([not p.nuisance for p in parameters.items])
+    span = parameters.upper - parameters.lower
+    inward = np.where(at + _SMALL * span < parameters.upper, _SMALL, -_SMALL) * span
+    moved = at + np.eye(len(at))[asked] * inward
+    others = parameters.scattered(_TRIALS, np.random.default_rng(_SEED))
+    seen = problem.evaluator.values(np.concatenate([at[None], moved, others]), problem.evaluator.first)
+    if not seen.usable[: 1 + len(asked)].all():
+        return _misread(problem, seen, limits)
+    effect = np.full(len(at), np.inf)
+    effect[asked] = np.abs(seen.values[1 : 1 + len(asked)] - seen.values[0]).max(axis=(1, 2)) / _SMALL
+    return _judged(problem, seen, seen.values[0], effect, limits)
+
+
+def _misread(problem: Problem, trials: Prediction, limits: Limits) -> list[str]:
+    return misread(problem.objective, trials.values[trials.usable], limits) if trials.usable.any() else []
+
+
+def _judged(problem: Problem, trials: Prediction, nominal: Floats, effect: Floats, limits: Limits) -> list[str]:
+    """Doubts, from trial motions, the nominal one (n, c), and the effect of each parameter's whole range (p,)."""
+    doubts = _misread(problem, trials, limits)
     known = np.array([p.nuisance for p in problem.parameters.items])
     if (unfelt := np.flatnonzero((effect < _UNFELT) & ~known)).size:
         names = ", ".join(problem.parameters.names[i] for i in unfelt)
@@ -43,7 +73,7 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
         remedy = "leave them out, or measure something that reacts to them"
         raise InputError(found, where="free", expected="parameters that make a difference", remedy=remedy)
     if problem.objective.channels[0] == POSITION:
-        off = seen.values[0, :, :3] - problem.objective.measured[:, :3]
+        off = nominal[:, :3] - problem.objective.measured[:, :3]
         far = float(np.nanmedian(np.linalg.norm(off, axis=1)))
         if far > _FAR:
             raise InputError(

@@ -9,24 +9,22 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from fitting.channel_checks import Limits, left_over, limits_of, unresolved
+from fitting.channel_checks import limits_of
 from fitting.correlated import reweighed
 from fitting.estimate import Estimate
-from fitting.first_look import first_look
+from fitting.first_look import first_look, plain_look
+from fitting.inference.infer import ROUNDS, TOGETHER, check_size, infer
+from fitting.inference.infer import SIMULATIONS as SIMULATIONS_OF_A_ROUND
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
 from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, Objective
+from fitting.outcome import Outcome, estimate_of, judge
 from fitting.parameters import Bounds, free_parameters, with_nuisance
 from fitting.programs import POSITION, channels_of
-from fitting.time_shift import late_channels, time_shifts
-from fitting.uncertainty import uncertainty
-from pftwin.base.errors import InputError, PftwinError
+from pftwin.base.errors import InputError
 from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
-from pftwin.dynamics.simulate import compiled_aside, simulate
-from pftwin.dynamics.status import status_facts
+from pftwin.dynamics.simulate import compiled_aside
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 
@@ -38,6 +36,7 @@ METHODS = {  # module and class
     "cma_es": ("strategies", "CmaEs"),
     "differential_evolution": ("strategies", "DifferentialEvolution"),
 }
+SIMULATIONS = "simulations"  # no search: see `fitting.inference`
 SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
 _BETWEEN_CHECKPOINTS = 1.0  # [s]
 
@@ -85,7 +84,8 @@ def fit_tendons(
             scene file's table [measured].
         method: "least_squares" (multi-start Levenberg-Marquardt), "gradient" (Adam, then L-BFGS, by reverse mode, for
             many parameters), "genetic", "matlab_ga" (after Matlab's `ga`), "cma_es", "differential_evolution" (these
-            two need the extra `evosax`).
+            two need the extra `evosax`); or "simulations": no search, but a posterior learned from some ten thousand
+            simulated recordings (`fitting.inference`), whose intervals are those to report.
         objective: "likelihood", or "paper": the sum over X, Y, Z of the root mean square error of the sphere's centre
             in the femur frame, without forces.
         free: names of parameters; see `free_parameters`.
@@ -110,7 +110,7 @@ def fit_tendons(
         limits: of the checks of what was measured, by name: from which value on a fault is named before any number, and
             from which the fit is refused; see `fitting.channel_checks`.
         options: of the method: `starts` (least squares), `generations`, `population`, `populations` (genetic,
-            matlab_ga and evosax), `iterations` (gradient).
+            matlab_ga and evosax), `iterations` (gradient), `simulations` of a round and `rounds` at most (simulations).
 
     Returns:
         The estimate. After an interrupt (Ctrl-C) it holds the best so far, and says so; the checkpoint can be resumed.
@@ -121,8 +121,11 @@ def fit_tendons(
             measurements in other units, signs or axes, swapped, late, or unlike anything that the scene can do.
     """
     check(scene)
-    if method not in METHODS:
-        raise InputError(f"no method {method!r}", where="method", expected=f"one of: {', '.join(METHODS)}")
+    if method not in (*METHODS, SIMULATIONS):
+        known = ", ".join((*METHODS, SIMULATIONS))
+        raise InputError(f"no method {method!r}", where="method", expected=f"one of: {known}")
+    if not 0 <= seed <= MOST_SEED:
+        raise InputError(f"found {seed!r}", where="seed", expected=f"a whole number from 0 to {MOST_SEED}")
     if resume and checkpoint is None:
         raise InputError("nothing to resume from", where="resume", expected="a checkpoint file")
     if checkpoint is not None:
@@ -136,30 +139,84 @@ def fit_tendons(
     scene, parameters = with_nuisance(scene, free, bounds, priors, besides)
     target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
     problem = Problem.of(scene, parameters, target, _computed(scene, target, computed), devices)
-    search = _method(method, problem, seed, options)
-    problem.evaluator.prepare(search.widest)
     began = time.perf_counter()
-    compiled = compiled_aside(scene.unnamed())  # for the fitted motion, which is simulated last
-    state = None
-    identity = problem.fingerprint(method, seed, search.settings())
-    if resume and checkpoint is not None:
-        state = load_checkpoint(Path(checkpoint), identity)
-    doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
+    if method == SIMULATIONS:
+        count, rounds = _check_simulations(objective, loss, checkpoint, options)
+        check_size(parameters, count)
+        problem.evaluator.prepare(TOGETHER)
+        kept = compiled_aside(scene.unnamed())
+        doubts = plain_look(problem, allowed)
+        found = infer(problem, seed, count, rounds, _told(progress, began))
+        outcome = Outcome.of_simulations(problem, found, seed)
+    else:
+        search = _method(method, problem, seed, options)
+        problem.evaluator.prepare(search.widest)
+        kept = compiled_aside(scene.unnamed())  # for the fitted motion, which is simulated last
+        state = None
+        identity = problem.fingerprint(method, seed, search.settings())
+        if resume and checkpoint is not None:
+            state = load_checkpoint(Path(checkpoint), identity)
+        doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
+        search, state = _searched(search, state, identity, progress, checkpoint)
+        problem, outcome = search.problem, Outcome.of_search(search, state)
+    estimate = estimate_of(problem, outcome, method, data, springs, besides, doubts, allowed, began)
+    if not outcome.interrupted:
+        kept()
+        judge(estimate)
+    return estimate
+
+
+def _searched(
+    search: Method,
+    state: State | None,
+    identity: str,
+    progress: Callable[[Progress], None] | None,
+    checkpoint: str | Path | None,
+) -> tuple[Method, State]:
+    """The search where it ended, and its state there.
+
+    Raises:
+        InputError: all starts failed.
+    """
     state = _run(search, state, identity, progress, None if checkpoint is None else Path(checkpoint))
     if state["best_theta"] is None:
         raise InputError(
             f"all {state['starts']} starts failed: no equilibrium, or no finite motion",
-            where=scene.name,
+            where=search.problem.scene.name,
             expected="at least one start from which the motion can be simulated",
             remedy="narrower bounds, or a scene that `pftwin simulate` can run",
         )
-    if not state["interrupted"]:
-        search, state = reweighed(search, state, lambda again: _run(again, None, "", progress, None))
-    estimate = _estimate(search, state, data, springs, began, doubts, allowed, besides)
-    if not state["interrupted"]:
-        compiled()
-        _judge(estimate)
-    return estimate
+    if state["interrupted"]:
+        return search, state
+    return reweighed(search, state, lambda again: _run(again, None, "", progress, None))
+
+
+def _check_simulations(
+    objective: str, loss: str, checkpoint: str | Path | None, options: Mapping[str, Any]
+) -> tuple[int, int]:
+    """How many simulations a round has, and how many rounds at most; refuses what simulations do not know."""
+    for name, given, expected in (("objective", objective, "likelihood"), ("loss", loss, "linear")):
+        if given != expected:
+            raise InputError(f"simulations have no {name} {given!r}", where=name, expected=expected)
+    if checkpoint is not None:
+        remedy = "leave it out: the whole takes a minute or two"
+        raise InputError("simulations keep no checkpoint", where="checkpoint", remedy=remedy)
+    known = {"simulations": SIMULATIONS_OF_A_ROUND, "rounds": ROUNDS}
+    _check_options(SIMULATIONS, tuple(known), options)
+    found = known | dict(options)
+    return found["simulations"], found["rounds"]
+
+
+def _told(progress: Callable[[Progress], None] | None, began: float) -> Callable[[dict[str, float], int], None]:
+    """What is told of a round."""
+
+    def tell(entry: dict[str, float], most: int) -> None:
+        if progress is not None:
+            done, elapsed = int(entry["iteration"]), time.perf_counter() - began
+            left = (most - done) * elapsed / done
+            progress(Progress(SIMULATIONS, done, most, entry["best"], entry["spread"], elapsed=elapsed, left=left))
+
+    return tell
 
 
 def measured_of(scene: Scene) -> Measured:
@@ -222,15 +279,16 @@ _MOST = 1_000_000  # starts, generations, ...: beyond, the memory or the life of
 def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> Method:
     module, kind = METHODS[name]
     chosen = getattr(import_module(f"fitting.methods.{module}"), kind)
-    known = chosen.options
+    _check_options(name, chosen.options, options)
+    return chosen(problem, seed, **options)
+
+
+def _check_options(name: str, known: tuple[str, ...], options: Mapping[str, Any]) -> None:
     for key, value in options.items():
         if key not in known:
             raise InputError(f"{name} has no option {key!r}", where="options", expected=f"one of: {', '.join(known)}")
         if not (isinstance(value, int) and 1 <= value <= _MOST):
             raise InputError(f"found {value!r}", where=key, expected=f"a whole number, at least 1, at most {_MOST:,}")
-    if not 0 <= seed <= MOST_SEED:
-        raise InputError(f"found {seed!r}", where="seed", expected=f"a whole number from 0 to {MOST_SEED}")
-    return chosen(problem, seed, **options)
 
 
 def _run(
@@ -267,98 +325,3 @@ def _run(
         if state["best_theta"] is None:
             raise
     return state
-
-
-def _estimate(
-    search: Method,
-    state: State,
-    measured: Measured,
-    springs: Mapping[str, str],
-    began: float,
-    doubts: list[str],
-    limits: Limits,
-    nuisance: Nuisance,
-) -> Estimate:
-    problem = search.problem
-    parameters, target = problem.parameters, problem.objective
-    theta = np.asarray(state["best_theta"])
-    seen = problem.prediction(theta, problem.evaluator.fine)
-    if not seen.usable[0]:
-        raise PftwinError(
-            "the best parameters found with long time steps give no finite motion with short ones; "
-            "try: narrower bounds, or method='least_squares'"
-        )
-    value = problem.objective.value(seen)[0] + parameters.prior_terms(theta)[0]
-    assert seen.slopes is not None
-    r = target.residuals(seen.values)[0]
-    j = target.slopes(seen.slopes, seen.values)[0]
-    noise = target.noise or target.noise_of(r, len(parameters))
-    sure = uncertainty(target.known(noise), parameters, r, j, theta)
-    rmse, steps = _rmse(target, r), problem.evaluator.step_errors(theta, problem.evaluator.fine)
-    shifts = time_shifts(target, problem.scene.motion.times, seen.values[0], seen.slopes[0])
-    doubts = [
-        *doubts,
-        *late_channels(shifts, target.source, limits),
-        *left_over(target, r, limits, target.noise),
-        *unresolved(steps, rmse),
-    ]
-    moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
-    return Estimate(
-        names=parameters.names,
-        units=tuple(p.unit for p in parameters.items),
-        values=theta,
-        covariance=sure.covariance + sum(np.outer(change, change) for change in moved),
-        lower=parameters.lower,
-        upper=parameters.upper,
-        nominal=parameters.nominal,
-        objective=target.kind,
-        objective_value=float(value),
-        objective_unit=target.unit,
-        channels=target.channels,
-        noise={k: float(v) for k, v in noise.items()},
-        noise_known=target.noise is not None,
-        serial_correlation=sure.serial,
-        share=target.share,
-        condition=sure.condition,
-        rmse=rmse,
-        method=search.name,
-        seed=search.seed,
-        reason="interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
-        evaluations=int(state["evaluations"]),
-        iterations=int(state["iteration"]),
-        starts=int(state["starts"]),
-        dropped=int(state["dropped"]),
-        seconds=time.perf_counter() - began,
-        history=state["history"],
-        synthetic=target.synthetic,
-        source=target.source,
-        scene_name=problem.scene.name,
-        priors={p.name: p.prior for p in parameters.items if p.prior is not None},
-        springs=dict(springs),
-        nuisance=nuisance,
-        besides=tuple(p.name for p in parameters.items if p.nuisance),
-        doubts=doubts,
-        time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
-        coordinates=parameters.coordinates,
-        step_error={channel: e.rms for channel, e in steps.items()},
-        nominal_scene=problem.scene,
-        measured=measured,
-    )
-
-
-def _judge(estimate: Estimate) -> None:
-    """Runs the fitted motion as everybody else runs it: a fit does not look at status."""
-    result = simulate(estimate.scene)
-    estimate.verdict = result.verdict.describe()
-    facts = status_facts(result.flags)
-    estimate.status, estimate.status_frames = facts["status"], facts["status_frames"]
-
-
-def _rmse(target: Objective, r: Any) -> dict[str, float]:
-    present = target.present
-    known = target.known(dict.fromkeys(target.channels, 1.0))
-    out = dict(zip(target.channels, np.sqrt(known.mean_squares(r[None])[0]).tolist(), strict=True))
-    if POSITION in target.channels:
-        for i, axis in enumerate("XYZ"):
-            out[axis] = float(np.sqrt(np.sum(r[:, i] ** 2) / present[:, i].sum()))
-    return out

@@ -50,7 +50,11 @@ def fit(
     knee: SceneOptions,
     method: Annotated[
         str,
-        Option(metavar="NAME", help="least_squares, gradient, genetic, matlab_ga, cma_es or differential_evolution."),
+        Option(
+            metavar="NAME",
+            help="least_squares, gradient, genetic, matlab_ga, cma_es or differential_evolution; or simulations: the"
+            " posterior, from some ten thousand simulated recordings.",
+        ),
     ] = "least_squares",
     objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
     free: FreeOption = "K1,L1,K2,L2",

@@ -69,7 +69,14 @@ def problem(
         return prediction, np.einsum("ntm,tmp->np", pull(prediction.values), slopes)
 
     evaluator: Any = SimpleNamespace(
-        with_slopes=with_slopes, values=with_slopes, with_pull=with_pull, fine=1, coarse=1, slope_chunk=64
+        with_slopes=with_slopes,
+        values=with_slopes,
+        with_pull=with_pull,
+        first=1,
+        fine=1,
+        coarse=1,
+        slope_chunk=64,
+        step_errors=lambda theta, substeps, slopes: {},
     )
     scene: Any = None
     return Problem(scene, known, objective(measured, noise, loss=loss), evaluator)

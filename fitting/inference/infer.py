@@ -1,0 +1,148 @@
+"""The posterior of a scene's parameters from simulated recordings, in rounds.
+
+    estimate = fitting.fit_tendons(scene, method="simulations", nuisance="rig")
+
+1. Parameters are drawn from their priors (what is asked for uniformly within its bounds), nuisance included, and
+   simulated as recordings: motions with noise. The noise is like what no simulation explains of the measurements.
+2. Networks learn the posterior of what is asked for from summaries of these recordings (`fitting.inference.network`).
+3. The next round draws from where this posterior lies (`fitting.inference.region`), until that shrinks no more.
+
+So the answer knows no linearisation, no best fit, and no likelihood: nuisance is whatever was drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.evaluation import HALVINGS, Prediction
+from fitting.inference.learning import Learned, learn
+from fitting.inference.recordings import Noise
+from fitting.inference.region import Ellipsoid, Region
+from fitting.methods.problem import Problem
+from fitting.parameters import Parameters
+from pftwin.base.errors import InputError
+
+Floats = NDArray[np.float64]
+
+SIMULATIONS = 8000  # of a round
+TOGETHER = 256  # of them, half of them on each of two cores
+ROUNDS = 6  # at most
+DRAWS = 2000
+_MOST_ASKED = 12
+_SETTLED = 0.25  # decrease of the region's mean log half width below which it shrinks no more
+_FEWEST_USABLE = 0.2  # share of simulations
+_FEWEST_SIMULATIONS = 500
+
+
+class Inferred(NamedTuple):
+    """A posterior, and how it was come to: the last round's, and what it was made with."""
+
+    draws: Floats  # (N, p)
+    learned: Learned
+    slopes: Floats  # (n, c, p) of the predictions by the parameters
+    dropped: int  # simulations of all rounds without an equilibrium or a finite motion
+    noise: Noise
+    substeps: int
+    history: list[dict[str, float]]
+    reason: str
+    interrupted: bool = False
+
+
+def check_size(parameters: Parameters, simulations: int) -> None:
+    """Refuses what cannot be learned.
+
+    Raises:
+        InputError: too many parameters are asked for; too few simulations.
+    """
+    if (asked := Region(parameters).asked) > _MOST_ASKED:
+        found = f"{asked} parameters beside nuisance"
+        raise InputError(found, where="free", expected=f"at most {_MOST_ASKED} for simulations")
+    if simulations < _FEWEST_SIMULATIONS:
+        expected = f"at least {_FEWEST_SIMULATIONS}"
+        raise InputError(f"found {simulations}", where="simulations", expected=expected)
+
+
+def infer(
+    problem: Problem, seed: int, simulations: int, rounds: int, report: Callable[[dict[str, float], int], None]
+) -> Inferred:
+    """The posterior of a problem's parameters.
+
+    Args:
+        problem: what is compared; its objective's noise, if stated, is taken as known.
+        seed: of all random choices.
+        simulations: of each round.
+        rounds: at most.
+        report: told each round's entry of the history (the spread is the posterior's, as a share of the bounds), and
+            how many rounds there are at most.
+
+    Raises:
+        InputError: too few of the simulations can be run.
+    """
+    region = Region(problem.parameters)
+    noise = Noise.before(problem.objective)
+    substeps, dropped, found = problem.evaluator.first, 0, None
+    history: list[dict[str, float]] = []
+    try:
+        for number in range(rounds):
+            one = _round(problem, region, noise, substeps, simulations, np.random.default_rng([seed, number]))
+            smaller, dropped = Ellipsoid.around(one.draws[:, : region.asked]), dropped + one.dropped
+            best = min(one.best, history[-1]["best"]) if history else one.best
+            entry = {"iteration": number + 1, "evaluations": (number + 1) * simulations, "best": best}
+            history.append({**entry, "spread": float(np.exp(smaller.size - region.widest))})
+            settled = region.size - smaller.size < _SETTLED
+            reason = "the posterior no longer shrinks" if settled else f"{number + 1} rounds"
+            found = Inferred(one.draws, one.learned, one.slopes, dropped, noise, substeps, history, reason)
+            report(history[-1], rounds)
+            if settled:
+                break
+            region = region._replace(ellipsoid=smaller)
+            noise = Noise.of(problem.objective, one.learned.left, one.learned.freedom)
+            errors = problem.evaluator.step_errors(one.draws.mean(axis=0), substeps, slopes=False)
+            if any(e.large for e in errors.values()) and substeps < problem.evaluator.first << HALVINGS:
+                substeps *= 2
+    except KeyboardInterrupt:
+        if found is None:
+            raise
+        found = found._replace(reason="interrupted; the last whole round", interrupted=True)
+    assert found is not None
+    return found
+
+
+class _Round(NamedTuple):
+    """One round's posterior."""
+
+    draws: Floats  # (N, p)
+    learned: Learned
+    slopes: Floats  # (n, c, p) of the predictions by the parameters, by regression
+    dropped: int  # simulations without an equilibrium or a finite motion
+    best: float  # least objective of a simulation
+
+
+def _round(
+    problem: Problem, region: Region, noise: Noise, substeps: int, simulations: int, random: np.random.Generator
+) -> _Round:
+    theta = region.drawn(simulations, random)
+    seen = problem.evaluator.values(theta, substeps)
+    theta, values = theta[seen.usable], seen.values[seen.usable]
+    if len(theta) < _FEWEST_USABLE * simulations:
+        raise InputError(
+            f"{simulations - len(theta)} of {simulations} simulations found no equilibrium or no finite motion",
+            where=problem.scene.name,
+            remedy="narrower bounds, or a scene that `pftwin simulate` can run",
+        )
+    apart = problem.objective.residuals(values).astype(np.float32)
+    learned = learn(region, theta, apart, problem.objective, noise, random)
+    best = float(np.min(problem.objective.value(Prediction(values, None, np.ones(len(values), bool)))))
+    return _Round(learned.draws(DRAWS, random), learned, _slopes(theta, values), simulations - len(theta), best)
+
+
+def _slopes(theta: Floats, values: Floats) -> Floats:
+    """Of values (N, n, c) by parameters (N, p), by linear regression: (n, c, p)."""
+    scale = np.maximum(theta.std(axis=0), 1e-300)
+    x = (theta - theta.mean(axis=0)) / scale
+    rows = (values - values.mean(axis=0)).reshape(len(values), -1)
+    return (np.linalg.lstsq(x, rows, rcond=None)[0].T / scale).reshape(*values.shape[1:], -1)

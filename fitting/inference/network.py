@@ -1,0 +1,137 @@
+"""A network that tells the distribution of parameters from a recording's summaries: a mixture of normal distributions.
+
+For each summary vector it gives weights, means and covariances (as Cholesky factors of precisions). It is trained to
+make the parameters of simulated recordings as likely as it can, so that it comes to the posterior under the prior from
+which they were drawn, without a likelihood ever being written down. Source: Papamakarios & Murray 2016 (NeurIPS 29),
+without their correction of proposals: here they are the prior, cut off (Deistler, Goncalves & Macke 2022, NeurIPS 35).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from fitting.methods.problem import standard_promotion
+
+Floats = NDArray[np.float64]
+
+_COMPONENTS, _WIDTH, _DEPTH = 4, 128, 3
+_EPOCHS, _PATIENCE = 100, 12  # at most; epochs without progress on recordings kept aside, after which training ends
+_BATCH, _RATE, _DECAY = 256, 1e-3, 1e-3
+_ASIDE = 0.1  # share of the recordings kept aside
+_LARGEST_LOG = 8.0  # of a precision's root: parameters and summaries have unit variance
+
+
+class Mixture(NamedTuple):
+    """Normal distributions of p numbers, mixed."""
+
+    log_weights: Array  # (k,)
+    means: Array  # (k, p)
+    roots: Array  # (k, p, p) lower triangular L, precisions are L L'
+
+
+class PosteriorNetwork(eqx.Module):
+    """Summaries (s,) to a mixture over parameters (p,), both of zero mean and unit variance."""
+
+    bent: eqx.nn.MLP
+    straight: eqx.nn.Linear  # means are mostly linear in summaries
+    parameters: int = eqx.field(static=True)
+
+    def __init__(self, summaries: int, parameters: int, seed: int) -> None:
+        one, other = jax.random.split(jax.random.key(seed))
+        outputs = _COMPONENTS * (1 + parameters + parameters * (parameters + 1) // 2)
+        kind: Any = {"dtype": jnp.float32}
+        self.bent = eqx.nn.MLP(summaries, outputs, _WIDTH, _DEPTH, activation=jax.nn.silu, key=one, **kind)
+        self.straight = eqx.nn.Linear(summaries, parameters, key=other, **kind)
+        self.parameters = parameters
+
+    def __call__(self, summaries: Array) -> Mixture:
+        """The posterior of one recording."""
+        k, p = _COMPONENTS, self.parameters
+        weights, means, entries = jnp.split(self.bent(summaries), [k, k + k * p])
+        rows, columns = np.tril_indices(p)
+        roots = jnp.zeros((k, p, p), entries.dtype).at[:, rows, columns].set(entries.reshape(k, -1))
+        logs = jnp.clip(jnp.diagonal(roots, axis1=1, axis2=2), -_LARGEST_LOG, _LARGEST_LOG)
+        roots = jnp.where(np.eye(p, dtype=bool), jnp.exp(logs)[:, None, :], roots)
+        return Mixture(jax.nn.log_softmax(weights), means.reshape(k, p) + self.straight(summaries), roots)
+
+    def log_density(self, summaries: Array, parameters: Array) -> Array:
+        """Of parameters (p,), up to a constant."""
+        at = self(summaries)
+        off = jnp.einsum("kij,ki->kj", at.roots, parameters - at.means)
+        volume = jnp.sum(jnp.log(jnp.diagonal(at.roots, axis1=1, axis2=2)), axis=1)
+        return jax.scipy.special.logsumexp(at.log_weights + volume - 0.5 * jnp.sum(off**2, axis=1))
+
+    def draws(self, summaries: Floats, count: int, random: np.random.Generator) -> Floats:
+        """Parameters (count, p) from the posterior of one recording."""
+        with standard_promotion():
+            at = jax.tree.map(np.asarray, self(jnp.asarray(summaries, jnp.float32)))
+        shares = np.exp(at.log_weights.astype(float))
+        which = random.choice(len(shares), count, p=shares / shares.sum())
+        normal = random.standard_normal((count, self.parameters, 1))
+        return at.means[which] + np.linalg.solve(np.swapaxes(at.roots, 1, 2)[which].astype(float), normal)[..., 0]
+
+
+def trained(summaries: Floats, parameters: Floats, seed: int) -> tuple[PosteriorNetwork, float]:
+    """A network for recordings' summaries (N, s) and their parameters (N, p), and how well it tells those kept aside.
+
+    Returns:
+        The network, and minus the mean log density of what was kept aside: smaller is better.
+    """
+    random = np.random.default_rng(seed)
+    size = len(summaries) // _BATCH * _BATCH or len(summaries)  # few sizes, so that programs are shared
+    order = random.permutation(len(summaries))[:size]
+    aside = max(1, int(_ASIDE * size))
+    x, y = (jnp.asarray(a[order], jnp.float32) for a in (summaries, parameters))
+    net = PosteriorNetwork(x.shape[1], y.shape[1], seed)
+    steps = max(1, (size - aside) // _BATCH)
+    with standard_promotion():
+        state, best, least, since = _optimiser(steps).init(eqx.filter(net, eqx.is_inexact_array)), net, np.inf, 0
+        for _ in range(_EPOCHS):
+            shuffled = aside + random.permutation(size - aside)
+            batches = np.resize(shuffled, (steps, min(_BATCH, len(shuffled))))
+            net, state = _epoch(net, state, _optimiser(steps), x, y, jnp.asarray(batches))
+            now, since = float(_loss(net, x[:aside], y[:aside])), since + 1
+            if now < least:
+                best, least, since = net, now, 0
+            if since > _PATIENCE:
+                break
+    return best, least
+
+
+@cache
+def _optimiser(steps: int) -> optax.GradientTransformation:
+    """For so many steps an epoch: one object, so that programs are shared."""
+    return optax.chain(
+        optax.clip_by_global_norm(5.0),
+        optax.adamw(optax.cosine_decay_schedule(_RATE, _EPOCHS * steps), weight_decay=_DECAY),
+    )
+
+
+@eqx.filter_jit
+def _loss(net: PosteriorNetwork, x: Array, y: Array) -> Array:
+    return -jnp.mean(jax.vmap(net.log_density)(x, y))
+
+
+@eqx.filter_jit
+def _epoch(
+    net: PosteriorNetwork, state: Any, optimiser: optax.GradientTransformation, x: Array, y: Array, batches: Array
+) -> tuple[PosteriorNetwork, Any]:
+    weights, fixed = eqx.partition(net, eqx.is_inexact_array)
+
+    def step(now: tuple[Any, Any], batch: Array) -> tuple[tuple[Any, Any], None]:
+        weights, state = now
+        slopes = jax.grad(lambda w: _loss(eqx.combine(w, fixed), x[batch], y[batch]))(weights)
+        updates, state = optimiser.update(slopes, state, weights)
+        return (optax.apply_updates(weights, updates), state), None
+
+    weights, state = jax.lax.scan(step, (weights, state), batches)[0]
+    return eqx.combine(weights, fixed), state

@@ -1,0 +1,116 @@
+"""Simulated recordings: motions of drawn parameters, with noise like that of the measurements."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+from scipy.signal import lfilter
+
+from fitting.objective import Objective
+from fitting.programs import ORIENTATION, POSITION
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.float32]
+
+_NUMBERS = 1500  # of a recording, at most about as many: neighbouring frames are averaged
+_FIRST = {POSITION: 2e-4, ORIENTATION: 2e-3}  # noise of the first round [m], [rad]
+_FIRST_SHARE = 0.01  # the same of a force, as a share of its root mean square
+_FIRST_CORRELATION, _LARGEST_CORRELATION = 0.9, 0.98  # of the noise of neighbouring frames
+_ROUNDING = 1e-9  # share of the largest variance: smaller ones are rounding of single precision
+_SPAN = 2.0  # a recording's noise is drawn between this many times less and more than the level, where it is not known
+
+
+class Noise(NamedTuple):
+    """Noise of each residual column (m,), correlated from frame to frame (autoregressive of first order)."""
+
+    deviations: Floats
+    correlations: Floats
+    span: float  # 1: the level is known
+
+    @staticmethod
+    def before(objective: Objective) -> Noise:
+        """What is drawn before anything is known but what was stated."""
+        levels = np.zeros(objective.present.shape[1])
+        for channel, columns, rows in objective.columns():
+            there = objective.present[:, rows.start]
+            size = np.sqrt(np.mean(objective.measured[there, columns] ** 2))
+            levels[rows] = _FIRST.get(channel, _FIRST_SHARE * size)
+        correlations = np.full(len(levels), _FIRST_CORRELATION)
+        return Noise(levels, correlations, _SPAN)._stated(objective)
+
+    @staticmethod
+    def of(objective: Objective, left: Floats, freedom: float) -> Noise:
+        """Like what no simulation explains of the measurements (n, m), `freedom` the share of it that noise leaves."""
+        there, before = objective.present, objective.present[1:] & objective.present[:-1]
+        squares = np.maximum(np.sum(np.where(there, left**2, 0.0), axis=0), 1e-300)
+        deviations = np.sqrt(squares / np.maximum(freedom * there.sum(axis=0), 1.0))
+        correlations = np.sum(np.where(before, left[1:] * left[:-1], 0.0), axis=0) / squares
+        return Noise(deviations, np.clip(correlations, 0.0, _LARGEST_CORRELATION), _SPAN)._stated(objective)
+
+    def _stated(self, objective: Objective) -> Noise:
+        """With the deviations that the objective was given."""
+        if objective.noise is None:
+            return self
+        stated = np.array([objective.noise[g] for g in objective.groups])[objective.group_of]
+        return self._replace(deviations=stated, span=1.0)
+
+    def drawn(self, count: int, objective: Objective, random: np.random.Generator) -> Rows:
+        """(count, n, m), zero where nothing was measured."""
+        n, m = objective.present.shape
+        out = np.empty((count, n, m), np.float32)
+        sizes = (
+            np.exp(random.uniform(-np.log(self.span), np.log(self.span), count)) if self.span > 1 else np.ones(count)
+        )
+        for column, (sd, rho) in enumerate(zip(self.deviations, self.correlations, strict=True)):
+            white = random.standard_normal((count, n), dtype=np.float32)
+            white[:, 1:] *= np.float32(np.sqrt(1 - rho**2))
+            out[..., column] = lfilter([1.0], [1.0, -rho], white, axis=1) * (sd * sizes[:, None])
+        return np.where(objective.present, out, np.float32(0))
+
+
+class Table(NamedTuple):
+    """How recordings (N, n, m) become rows of numbers: means over blocks of frames, in units of the noise."""
+
+    block: int
+    scale: Floats  # (m,)
+
+    @staticmethod
+    def of(objective: Objective, noise: Noise) -> Table:
+        """For the measurements of an objective."""
+        return Table(max(1, -(-objective.present.size // _NUMBERS)), noise.deviations)
+
+    def rows(self, residuals: Rows) -> Rows:
+        """(N, d)."""
+        count, n, m = residuals.shape
+        kept = n // self.block * self.block
+        means = residuals[:, :kept].reshape(count, -1, self.block, m).mean(axis=2) / self.scale
+        return means.reshape(count, -1).astype(np.float32)
+
+
+class Summaries(NamedTuple):
+    """The directions in which recordings differ most (principal components): k numbers of a row of d."""
+
+    mean: Rows  # (d,)
+    directions: Rows  # (d, k) orthonormal
+
+    @staticmethod
+    def of(rows: Rows, count: int) -> Summaries:
+        """Of rows without noise (N, d)."""
+        mean = rows.mean(axis=0)
+        apart = rows - mean
+        tall = len(rows) > rows.shape[1]
+        products = (apart.T @ apart if tall else apart @ apart.T).astype(np.float64)
+        most = len(products)
+        values, vectors = eigh(products, subset_by_index=[max(most - count, 0), most - 1])
+        there = values > _ROUNDING * values[-1]
+        directions = vectors[:, there]
+        if not tall:
+            directions = apart.T @ (directions / np.sqrt(values[there]))
+        return Summaries(mean, directions.astype(np.float32))
+
+    def __call__(self, rows: Rows) -> Floats:
+        """(N, k)."""
+        return ((rows - self.mean) @ self.directions).astype(np.float64)

@@ -1,0 +1,208 @@
+"""From what a method came to, to an estimate: what is left of the measurements, and whether that may be believed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.channel_checks import Limits, left_over, unresolved
+from fitting.estimate import Estimate
+from fitting.evaluation import Prediction, StepError
+from fitting.inference.infer import Inferred
+from fitting.methods.problem import Method, Problem, State
+from fitting.nuisance import Nuisance
+from fitting.objective import Objective
+from fitting.programs import POSITION
+from fitting.time_shift import late_channels, time_shifts
+from fitting.uncertainty import relative, sizes, uncertainty
+from pftwin.base.errors import PftwinError
+from pftwin.dynamics.simulate import simulate
+from pftwin.dynamics.status import status_facts
+from pftwin.model.measured import Measured
+
+Floats = NDArray[np.float64]
+
+
+class Outcome(NamedTuple):
+    """What a method came to."""
+
+    theta: Floats  # (p,)
+    covariance: Floats  # (p, p)
+    draws: Floats | None  # (N, p) from the posterior, where the method gives them
+    seen: Prediction  # at theta, with derivatives
+    steps: dict[str, StepError]  # of its time steps
+    noise: dict[str, float]  # by channel
+    serial: float  # correlation of neighbouring residuals
+    condition: float
+    doubts: list[str]
+    reason: str
+    interrupted: bool
+    facts: dict[str, Any]  # seed, evaluations, iterations, starts, dropped, history
+
+    @staticmethod
+    def of_search(search: Method, state: State) -> Outcome:
+        """Of a search that has ended, at its best parameters."""
+        problem, theta = search.problem, np.asarray(state["best_theta"])
+        seen, target = problem.prediction(theta, problem.evaluator.fine), problem.objective
+        _check_usable(seen)
+        assert seen.slopes is not None
+        r, j = target.residuals(seen.values)[0], target.slopes(seen.slopes, seen.values)[0]
+        noise = target.noise or target.noise_of(r, len(problem.parameters))
+        sure = uncertainty(target.known(noise), problem.parameters, r, j, theta)
+        return Outcome(
+            theta,
+            sure.covariance,
+            None,
+            seen,
+            problem.evaluator.step_errors(theta, problem.evaluator.fine),
+            noise,
+            sure.serial,
+            sure.condition,
+            [],
+            "interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
+            state["interrupted"],
+            {
+                **{key: int(state[key]) for key in ("iteration", "evaluations", "starts", "dropped")},
+                "seed": search.seed,
+                "history": state["history"],
+            },
+        )
+
+    @staticmethod
+    def of_simulations(problem: Problem, found: Inferred, seed: int) -> Outcome:
+        """Of a posterior learned from simulations, at its mean."""
+        theta, covariance = found.draws.mean(axis=0), np.cov(found.draws.T).reshape(2 * [len(problem.parameters)])
+        plain = problem.evaluator.values(theta[None], found.substeps)
+        _check_usable(plain)
+        parameters, target = problem.parameters, problem.objective
+        span = parameters.upper - parameters.lower
+        size = sizes(parameters.names, span, theta, parameters.coordinates)
+        doubts = []
+        if found.learned.strange:
+            far = f"a summary of them is {found.learned.distance:.0f} standard deviations from its mean"
+            doubts.append(f"the measurements lie outside of what was simulated: {far}")
+        squares = {channel: found.noise.deviations[rows] ** 2 for channel, _, rows in target.columns()}
+        return Outcome(
+            theta,
+            covariance,
+            found.draws,
+            plain._replace(slopes=found.slopes[None]),
+            problem.evaluator.step_errors(theta, found.substeps, slopes=False),
+            {channel: float(np.sqrt(s.mean())) for channel, s in squares.items()},
+            float(found.noise.correlations.mean()),
+            float(np.linalg.cond(relative(size, covariance))),
+            doubts,
+            found.reason,
+            found.interrupted,
+            {
+                "iteration": len(found.history),
+                "evaluations": int(found.history[-1]["evaluations"]),
+                "starts": 1,
+                "dropped": found.dropped,
+                "seed": seed,
+                "history": found.history,
+            },
+        )
+
+
+def _check_usable(seen: Prediction) -> None:
+    if not seen.usable[0]:
+        raise PftwinError(
+            "the parameters that were found give no finite motion; try: narrower bounds, or method='least_squares'"
+        )
+
+
+def estimate_of(
+    problem: Problem,
+    found: Outcome,
+    method: str,
+    measured: Measured,
+    springs: Mapping[str, str],
+    nuisance: Nuisance,
+    doubts: list[str],
+    limits: Limits,
+    began: float,
+) -> Estimate:
+    """The estimate, with what forbids to believe it.
+
+    Args:
+        problem: that was solved.
+        found: by the method of this name.
+        measured: what the estimate keeps of the measurements.
+        springs: as `fit_tendons` has them; `nuisance` too.
+        doubts: of the measurements, before the search.
+        limits: of the checks of what is left.
+        began: when, by `time.perf_counter`.
+
+    Raises:
+        InputError: more is left of the measurements than the limits allow, or they are too late.
+    """
+    parameters, target, seen = problem.parameters, problem.objective, found.seen
+    r = target.residuals(seen.values)[0]
+    rmse = _rmse(target, r)
+    assert seen.slopes is not None
+    shifts = time_shifts(target, problem.scene.motion.times, seen.values[0], seen.slopes[0])
+    late = late_channels(shifts, target.source, limits)
+    left = left_over(target, r, limits, target.noise)
+    moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
+    facts = dict(found.facts)
+    return Estimate(
+        names=parameters.names,
+        units=tuple(p.unit for p in parameters.items),
+        values=found.theta,
+        covariance=found.covariance + sum(np.outer(change, change) for change in moved),
+        draws=found.draws,
+        lower=parameters.lower,
+        upper=parameters.upper,
+        nominal=parameters.nominal,
+        objective=target.kind,
+        objective_value=float(target.value(seen)[0] + parameters.prior_terms(found.theta)[0]),
+        objective_unit=target.unit,
+        channels=target.channels,
+        noise={k: float(v) for k, v in found.noise.items()},
+        noise_known=target.noise is not None,
+        serial_correlation=found.serial,
+        share=target.share,
+        condition=found.condition,
+        rmse=rmse,
+        method=method,
+        reason=found.reason,
+        iterations=facts.pop("iteration"),
+        **facts,
+        seconds=time.perf_counter() - began,
+        synthetic=target.synthetic,
+        source=target.source,
+        scene_name=problem.scene.name,
+        priors={p.name: p.prior for p in parameters.items if p.prior is not None},
+        springs=dict(springs),
+        nuisance=nuisance,
+        besides=tuple(p.name for p in parameters.items if p.nuisance),
+        doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse)],
+        time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
+        coordinates=parameters.coordinates,
+        step_error={channel: e.rms for channel, e in found.steps.items()},
+        nominal_scene=problem.scene,
+        measured=measured,
+    )
+
+
+def judge(estimate: Estimate) -> None:
+    """Runs the fitted motion as everybody else runs it: a fit does not look at status."""
+    result = simulate(estimate.scene)
+    estimate.verdict = result.verdict.describe()
+    facts = status_facts(result.flags)
+    estimate.status, estimate.status_frames = facts["status"], facts["status_frames"]
+
+
+def _rmse(target: Objective, r: Any) -> dict[str, float]:
+    present = target.present
+    known = target.known(dict.fromkeys(target.channels, 1.0))
+    out = dict(zip(target.channels, np.sqrt(known.mean_squares(r[None])[0]).tolist(), strict=True))
+    if POSITION in target.channels:
+        for i, axis in enumerate("XYZ"):
+            out[axis] = float(np.sqrt(np.sum(r[:, i] ** 2) / present[:, i].sum()))
+    return out

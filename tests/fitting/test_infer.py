@@ -1,0 +1,121 @@
+"""Posteriors learned from simulations against closed forms: linear models with correlated noise and nuisance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from linear_problems import NOMINAL, parameters, problem
+from scipy.linalg import toeplitz
+
+from fitting.inference.infer import Inferred, check_size, infer
+from fitting.inference.learning import learn
+from fitting.inference.recordings import Noise
+from fitting.inference.region import Region
+from fitting.methods.problem import Problem
+from fitting.parameters import Parameters
+from pftwin.base.errors import InputError
+
+FRAMES, RHO = 200, 0.8
+SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
+PRIOR = (0.37, 0.02)  # of the third parameter, which is nuisance
+TRUTH = np.array([1.23, -30.4, 0.4])
+HALF_WIDTH = 3.0
+
+
+def slopes() -> np.ndarray:
+    """(frames, 4, 3): reactions that go through few cycles, all of unlike size."""
+    time = np.arange(FRAMES)[:, None, None] / FRAMES
+    cycles = np.array([[1.0, 1.5, 0.7], [0.5, 2.0, 1.2], [1.3, 0.4, 2.1], [0.8, 1.1, 0.3]])
+    size = np.array([1.0, 0.05, 2.0]) * np.array([[0.1], [0.2], [0.15], [3.0]])
+    return size * np.sin(2 * np.pi * cycles * time + np.arange(3))
+
+
+def measured(seed: int) -> np.ndarray:
+    root = np.linalg.cholesky(toeplitz(RHO ** np.arange(FRAMES)))
+    noise = root @ np.random.default_rng(seed).normal(size=(FRAMES, 4)) * SIGMA
+    return slopes() @ TRUTH + noise
+
+
+def known() -> Parameters:
+    items = parameters((None, None, PRIOR), HALF_WIDTH).items
+    return Parameters((*items[:2], replace(items[2], nuisance=True)))
+
+
+def linear(seed: int, stated: bool = True) -> Problem:
+    noise = {"position": SIGMA[0], "contact": SIGMA[3]} if stated else None
+    return problem(slopes(), measured(seed), known(), noise)
+
+
+def bayes(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The posterior's mean and covariance in closed form: generalised least squares with the prior."""
+    root = np.linalg.cholesky(toeplitz(RHO ** np.arange(FRAMES)))
+    a = np.linalg.solve(root, (slopes() / SIGMA[:, None]).reshape(FRAMES, -1)).reshape(-1, 3)
+    b = np.linalg.solve(root, measured(seed) / SIGMA).reshape(-1)
+    precision = a.T @ a + np.diag([0, 0, PRIOR[1] ** -2])
+    covariance = np.linalg.inv(precision)
+    return covariance @ (a.T @ b + np.array([0, 0, PRIOR[0] * PRIOR[1] ** -2])), covariance
+
+
+@cache
+def found(seed: int = 3, stated: bool = True) -> Inferred:
+    return infer(linear(seed, stated), seed=1, simulations=3000, rounds=6, report=lambda entry, most: None)
+
+
+def test_the_posterior_is_that_of_bayes():
+    mean, covariance = bayes(3)
+    sd = np.sqrt(np.diagonal(covariance))
+    draws = found().draws
+    assert (np.abs(draws.mean(axis=0) - mean) < 0.35 * sd).all(), (draws.mean(axis=0) - mean) / sd
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.3)  # learned from 3,000 simulations
+    ours, theirs = np.corrcoef(draws.T), covariance / np.outer(sd, sd)
+    np.testing.assert_allclose(ours, theirs, atol=0.15)
+    assert found().reason == "the posterior no longer shrinks"
+    assert not found().learned.strange
+
+
+@pytest.mark.slow
+def test_noise_that_is_not_stated_is_found():
+    noise = found(stated=False).noise
+    np.testing.assert_allclose(noise.deviations, SIGMA, rtol=0.25)
+    np.testing.assert_allclose(noise.correlations, RHO, atol=0.12)
+
+
+def test_slopes_by_regression_are_those_of_the_model():
+    np.testing.assert_allclose(found().slopes, slopes(), atol=1e-8 * np.abs(slopes()).max())
+
+
+def test_measurements_that_no_simulation_resembles_are_strange():
+    """Ten times as far as the bounds reach along what the second parameter does."""
+    far = linear(3)
+    moved = far.objective.measured + 10 * HALF_WIDTH * slopes()[..., 1]
+    strange = replace(far, objective=replace(far.objective, measured=moved))
+    random = np.random.default_rng(0)
+    region, noise = Region(far.parameters), Noise.before(far.objective)
+    theta = region.drawn(600, random)
+    for case, expected in ((far, False), (strange, True)):
+        apart = case.objective.residuals(case.evaluator.values(theta, 1).values).astype(np.float32)
+        assert learn(region, theta, apart, case.objective, noise, random).strange is expected
+
+
+def test_what_cannot_be_learned_is_refused():
+    with pytest.raises(InputError, match="at least 500"):
+        check_size(known(), 100)
+    items = tuple(replace(known().items[0], name=f"a{i}") for i in range(13))
+    with pytest.raises(InputError, match="at most 12"):
+        check_size(Parameters(items), 1000)
+    check_size(Parameters((*items[:12], *(replace(i, nuisance=True) for i in items))), 1000)
+
+
+def test_an_interrupt_keeps_the_last_whole_round():
+    def interrupt(entry: dict[str, float], most: int) -> None:
+        if entry["iteration"] == 2:
+            raise KeyboardInterrupt
+
+    kept = infer(linear(3), seed=1, simulations=1000, rounds=4, report=interrupt)
+    assert kept.interrupted
+    assert len(kept.history) == 2
+    assert kept.draws.shape == (2000, 3)
+    assert NOMINAL[0] - HALF_WIDTH < kept.draws[:, 0].mean() < NOMINAL[0] + HALF_WIDTH

@@ -1,6 +1,7 @@
 """How often do the intervals of a fit hold the truth, on plants of the rig that the twin does not know?
 
     python tests/verification/coverage.py PLANTS --seeds 1 3 5 7 --nuisance none rig --use position quadriceps
+    python tests/verification/coverage.py PLANTS --seeds 13 15 --nuisance rig --method simulations
 
 Each plant (`pftwin.rig.plant`, code of its own) has, drawn by its seed:
 
@@ -13,7 +14,7 @@ It runs a case, and the laboratory records it: markers and load cells with their
 segments. PLANTS is a folder in which recordings are kept: a plant takes a minute. Then the twin, with its nominal
 numbers, is fitted. The truth of K and L is the straight line nearest to the plant's spring over the forces that
 occurred. Printed by parameter: root mean square error, how many 95 % intervals hold the truth, and their mean half
-width, all in per cent.
+width, all in per cent; and estimates that are INVALID, which are counted like others.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ from numpy.typing import NDArray
 import fitting
 import pftwin
 from fitting.demo.straight_springs import straight_line, stretch_under
+from pftwin.model.measured import Measured
 from pftwin.model.motion import KneeMotion
+from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
 from pftwin.rig.cases import scene_of
 from pftwin.rig.contacts import contact_effect
@@ -75,7 +78,7 @@ def truth_of(plant: Plant, seen: dict[str, NDArray]) -> list[float]:
     return found
 
 
-def recorded(case: int, seed: int, folder: Path) -> tuple[Path, list[float]]:
+def recorded(case: int, seed: int, folder: Path) -> tuple[Path, NDArray]:
     """The folder with a plant's recording, made if it is not there yet, and the truth."""
     place = folder / f"case{case}_seed{seed}"
     if not (place / "truth.json").exists():
@@ -84,7 +87,23 @@ def recorded(case: int, seed: int, folder: Path) -> tuple[Path, list[float]]:
         seen = plant.seen(times, plant.motion(times)[0])
         write_recording(case, seen, np.random.default_rng([seed, 25]), place)
         (place / "truth.json").write_text(json.dumps(truth_of(plant, seen)))
-    return place, json.loads((place / "truth.json").read_text())
+    return place, np.array(json.loads((place / "truth.json").read_text()))
+
+
+def scene_in(case: int, seed: int, folder: Path, contact: str) -> tuple[Scene, Measured]:
+    """The twin of a plant's recorded motion, and what was measured of it."""
+    data = read_recording(case, recorded(case, seed, folder)[0])
+    motion = KneeMotion.from_poses(data.femur, data.tibia)
+    name = f"plant {seed}, {contact}"
+    return scene_of(case, data, motion, contact_effect(contact, chart="plane"), name), data.measured
+
+
+def fitted(
+    case: int, seed: int, folder: Path, contact: str, nuisance: str | None, use: list[str], method: str
+) -> fitting.Estimate:
+    """The twin fitted to a plant's recording."""
+    scene, measured = scene_in(case, seed, folder, contact)
+    return fitting.fit_tendons(scene, measured, free=NAMES, bounds=BOUNDS, nuisance=nuisance, use=use, method=method)
 
 
 def main() -> None:
@@ -96,36 +115,36 @@ def main() -> None:
     parser.add_argument("--contact", default="spline")
     parser.add_argument("--nuisance", nargs="+", default=["none", "rig"], help="none, or as `pftwin fit --nuisance`")
     parser.add_argument("--use", nargs="+", default=["position"])
+    parser.add_argument("--method", default="least_squares")
     parser.add_argument("--only-plants", action="store_true")
     given = parser.parse_args()
     pftwin.configure()
-    rows: dict[str, list[tuple[NDArray, NDArray, float]]] = {nuisance: [] for nuisance in given.nuisance}
+    rows: dict[str, list[tuple[NDArray, NDArray, NDArray, float]]] = {nuisance: [] for nuisance in given.nuisance}
     for seed in given.seeds:
         began = time.perf_counter()
-        place, truth = recorded(given.case, seed, given.plants)
+        truth = recorded(given.case, seed, given.plants)[1]
         print(
             f"seed {seed}: plant {time.perf_counter() - began:.0f} s, truth {np.round(truth, 4).tolist()}", flush=True
         )
         if given.only_plants:
             continue
-        data = read_recording(given.case, place)
-        motion = KneeMotion.from_poses(data.femur, data.tibia)
-        touches = contact_effect(given.contact, chart="plane")
-        scene = scene_of(given.case, data, motion, touches, f"plant {seed}, {given.contact}")
         for nuisance in given.nuisance:
             began = time.perf_counter()
             wanted = None if nuisance == "none" else nuisance
-            found = fitting.fit_tendons(scene, data.measured, free=NAMES, bounds=BOUNDS, nuisance=wanted, use=given.use)
-            off, half = found.values[:4] / truth - 1, 1.96 * found.standard_deviations[:4] / np.abs(truth)
-            rows[nuisance].append((off, half, found.rmse["position"]))
+            found = fitted(given.case, seed, given.plants, given.contact, wanted, given.use, given.method)
+            off, ends = found.values[:4] / truth - 1, found.intervals[:4]
+            half, held = 0.5 * np.diff(ends)[:, 0] / truth, (ends[:, 0] < truth) & (truth < ends[:, 1])
+            rows[nuisance].append((off, half, held, found.rmse["position"]))
             texts = [f"{100 * o:+.2f} (+-{100 * h:.2f})" for o, h in zip(off, half, strict=True)]
             besides = {n: float(f"{v:.3g}") for n, v in zip(found.names[4:], found.values[4:], strict=True)}
             left = f"{1e3 * found.rmse['position']:.3f} mm, {time.perf_counter() - began:.0f} s, {found.reason}"
-            print(f"  {nuisance}: {', '.join(texts)} %; {left}; {besides}", flush=True)
+            print(f"  {nuisance}: {', '.join(texts)} %; {int(held.sum())} held; {left}; {besides}", flush=True)
+            if found.invalid:
+                print(f"  {found.sentence()}", flush=True)
     for nuisance, found in rows.items():
         if found:
-            off, half, left = (np.array(column) for column in zip(*found, strict=True))
-            held = 100 * (np.abs(off) < half).mean(axis=0)
+            off, half, inside, left = (np.array(column) for column in zip(*found, strict=True))
+            held = 100 * inside.mean(axis=0)
             rms, width = 100 * np.sqrt((off**2).mean(axis=0)), 100 * half.mean(axis=0)
             print(f"{nuisance}, {len(off)} plants: rms error {np.round(rms, 2)} %, held {held} %: {held.mean():.0f} %")
             print(f"  half width {np.round(width, 2)} %; left of the position {1e3 * left.mean():.3f} mm")

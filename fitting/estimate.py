@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.coverage import INTERVALS, WITH_NUISANCE
+from fitting.coverage import BY_SIMULATIONS, INTERVALS, WITH_NUISANCE
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
@@ -54,8 +54,8 @@ class Estimate:
     reason: str  # why it stopped
     evaluations: int
     iterations: int
-    starts: int
-    dropped: int  # starts without an equilibrium or a finite motion
+    starts: int  # or simulations, where the posterior was learned from them
+    dropped: int  # of these without an equilibrium or a finite motion
     seconds: float
     history: list[dict[str, float]]  # iteration, evaluations, best, spread
     synthetic: bool  # whether the measurements are
@@ -152,7 +152,8 @@ class Estimate:
         said = in_words(
             self.names[:asked], span[:asked], self.values[:asked], covariance, self.channels, self.coordinates
         )
-        return f"{said}. But {WITH_NUISANCE if self.besides else INTERVALS}"
+        learned = WITH_NUISANCE if self.draws is None else BY_SIMULATIONS
+        return f"{said}. But {learned if self.besides else INTERVALS}"
 
     def summary(self) -> str:
         """A table in text, with the remarks."""
@@ -185,7 +186,8 @@ class Estimate:
                 f"beside the priors the measurements count as {100 * self.share:.2g} % of as many independent ones"
             )
         if self.dropped:
-            out.append(f"{self.dropped} of {self.starts} starts found no equilibrium or no finite motion")
+            tried = "starts" if self.draws is None else "simulations"
+            out.append(f"{self.dropped} of {self.starts} {tried} found no equilibrium or no finite motion")
         return out
 
     @property

@@ -101,7 +101,7 @@ class Outcome(NamedTuple):
             {
                 "iteration": len(found.history),
                 "evaluations": int(found.history[-1]["evaluations"]),
-                "starts": 1,
+                "starts": int(found.history[-1]["evaluations"]),
                 "dropped": found.dropped,
                 "seed": seed,
                 "history": found.history,

@@ -19,7 +19,7 @@ _NUMBERS = 1500  # of a recording, at most about as many: neighbouring frames ar
 _FIRST = {POSITION: 2e-4, ORIENTATION: 2e-3}  # noise of the first round [m], [rad]
 _FIRST_SHARE = 0.01  # the same of a force, as a share of its root mean square
 _FIRST_CORRELATION, _LARGEST_CORRELATION = 0.9, 0.98  # of the noise of neighbouring frames
-_ROUNDING = 1e-9  # share of the largest variance: smaller ones are rounding of single precision
+_ROUNDING = 1e-10  # share of the largest variance: smaller ones are rounding
 _SPAN = 2.0  # a recording's noise is drawn between this many times less and more than the level, where it is not known
 
 
@@ -100,9 +100,9 @@ class Summaries(NamedTuple):
     def of(rows: Rows, count: int) -> Summaries:
         """Of rows without noise (N, d)."""
         mean = rows.mean(axis=0)
-        apart = rows - mean
+        apart = (rows - mean).astype(np.float64)
         tall = len(rows) > rows.shape[1]
-        products = (apart.T @ apart if tall else apart @ apart.T).astype(np.float64)
+        products = apart.T @ apart if tall else apart @ apart.T
         most = len(products)
         values, vectors = eigh(products, subset_by_index=[max(most - count, 0), most - 1])
         there = values > _ROUNDING * values[-1]

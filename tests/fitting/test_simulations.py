@@ -10,6 +10,7 @@ from lifted_fits import HELD, NOISE, TRUTH, estimate, noisy, scene
 from made_estimates import made_estimate
 
 import fitting
+from fitting.coverage import BY_SIMULATIONS, INTERVALS
 from fitting.estimate import Estimate
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -29,6 +30,14 @@ def test_intervals_are_the_draws_quantiles():
     np.testing.assert_allclose(inside.mean(axis=0), 0.95, atol=1e-3)
     low, high = found.intervals[0]
     assert high - found.values[0] > 1.5 * (found.values[0] - low)  # skewed as a gamma distribution of shape 2 is
+
+
+def test_what_is_said_of_intervals_is_said_of_simulations():
+    found = drawn()
+    assert INTERVALS in found.sentence()  # a twin that is taken as exact
+    found.besides, found.dropped, found.starts = ("L2",), 7, 900
+    assert BY_SIMULATIONS in found.sentence()
+    assert "7 of 900 simulations found no equilibrium" in found.remarks()[-1]
 
 
 def test_samples_are_draws_each_once_while_there_are_enough():

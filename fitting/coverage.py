@@ -16,8 +16,8 @@ WITH_NUISANCE = (
     "where a force was measured, and in 16 of 24 from positions alone"
 )
 BY_SIMULATIONS = (
-    "95 % intervals of such posteriors, on six plants of the virtual rig that were not looked at before, held the truth "
-    "in XX of 24 cases where a force was measured, and in YY of 24 from positions alone"
+    "95 % intervals of such posteriors, on six plants of the virtual rig to which nothing was tuned, held the truth in "
+    "XX of 24 cases where a force was measured, and in YY of 24 from positions alone"
 )
 BANDS = (
     "95 % bands of the rig's case 1, predicted from fits of case 2, held the truth in 4 % (tilt), 46 % (peak contact "

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from fitting.evaluation import HALVINGS, Prediction
 from fitting.inference.learning import Learned, learn
 from fitting.inference.recordings import Noise
-from fitting.inference.region import Ellipsoid, Region
+from fitting.inference.region import Region
 from fitting.methods.problem import Problem
 from fitting.parameters import Parameters
 from pftwin.base.errors import InputError
@@ -89,7 +89,7 @@ def infer(
     try:
         for number in range(rounds):
             one = _round(problem, region, noise, substeps, simulations, np.random.default_rng([seed, number]))
-            smaller, dropped = Ellipsoid.around(one.draws[:, : region.asked]), dropped + one.dropped
+            smaller, dropped = region.around(one.draws), dropped + one.dropped
             best = min(one.best, history[-1]["best"]) if history else one.best
             entry = {"iteration": number + 1, "evaluations": (number + 1) * simulations, "best": best}
             history.append({**entry, "spread": float(np.exp(smaller.size - region.widest))})
@@ -99,8 +99,7 @@ def infer(
             report(history[-1], rounds)
             if settled:
                 break
-            region = region._replace(ellipsoid=smaller)
-            noise = Noise.of(problem.objective, one.learned.left, one.learned.freedom)
+            region, noise = smaller, Noise.of(problem.objective, one.learned.left, one.learned.freedom)
             errors = problem.evaluator.step_errors(one.draws.mean(axis=0), substeps, slopes=False)
             if any(e.large for e in errors.values()) and substeps < problem.evaluator.first << HALVINGS:
                 substeps *= 2

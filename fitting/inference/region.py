@@ -1,4 +1,4 @@
-"""Where parameters are drawn: from their priors, within the bounds, and within an ellipsoid once one is known.
+"""Where parameters are drawn: from their priors, within bounds, and within an ellipsoid once a posterior is known.
 
 Cutting a prior off where the posterior is as good as nothing leaves the posterior as it was, so recordings that are
 simulated within the cut need no weights: truncated proposals (Deistler, Goncalves & Macke 2022, NeurIPS 35).
@@ -6,11 +6,12 @@ simulated within the cut need no weights: truncated proposals (Deistler, Goncalv
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from fitting.parameters import Parameters
 from pftwin.base.errors import InputError
@@ -53,10 +54,19 @@ class Ellipsoid(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Part of the bounds of the first d parameters, those that are asked for; without an ellipsoid all of it."""
+    """Where all p parameters lie: within their bounds, and the first d, which are asked for, within an ellipsoid."""
 
     parameters: Parameters
     ellipsoid: Ellipsoid | None = None
+
+    def around(self, draws: Floats) -> Region:
+        """The part of it that holds nearly all of a posterior with these draws (N, p)."""
+        d, items = self.asked, list(self.parameters.items)
+        reach = _MARGIN * float(norm.ppf(0.5 + 0.5 * _INSIDE)) * draws.std(axis=0)
+        for i in range(d, len(items)):
+            low, high = draws[:, i].mean() + reach[i] * np.array([-1.0, 1.0])
+            items[i] = replace(items[i], lower=max(items[i].lower, low), upper=min(items[i].upper, high))
+        return Region(Parameters(tuple(items)), Ellipsoid.around(draws[:, :d]))
 
     @property
     def asked(self) -> int:

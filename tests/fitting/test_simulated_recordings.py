@@ -54,6 +54,23 @@ def test_priors_hold_within_the_region():
     assert low < draws.min() < draws.max() < high
 
 
+def test_nuisance_is_drawn_from_its_prior_where_the_posterior_lies():
+    """A normal prior cut off where a narrower posterior, off its mean, is as good as nothing."""
+    items = parameters((None, None, (0.4, 0.5)), half_width=2.0).items
+    whole = Region(Parameters((*items[:2], replace(items[2], nuisance=True))))
+    random = np.random.default_rng(9)
+    posterior = random.normal(size=(20_000, 3)) * [0.1, 0.2, 0.05] + NOMINAL + [0.0, 0.0, 0.3]
+    region = whole.around(posterior)
+    least, most = region.parameters.lower[2], region.parameters.upper[2]
+    assert 3 < (0.7 - least) / 0.05 < 4  # standard deviations of the posterior
+    assert 3 < (most - 0.7) / 0.05 < 4
+    drawn = region.drawn(20_000, random)[:, 2]
+    expected = truncnorm((least - 0.4) / 0.5, (most - 0.4) / 0.5, 0.4, 0.5)
+    np.testing.assert_allclose([drawn.mean(), drawn.std()], [expected.mean(), expected.std()], rtol=0.02)
+    beyond = whole.around(posterior + np.array([0, 0, 1.7])).parameters
+    assert beyond.upper[2] == whole.parameters.upper[2]
+
+
 def test_priors_without_the_measurements_are_refused():
     region = Region(Parameters(parameters(half_width=1.0).items[:1]), Ellipsoid(np.array([99.0]), np.eye(1), 0.5))
     with pytest.raises(InputError, match="priors exclude"):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.coverage import BY_SIMULATIONS, INTERVALS, WITH_NUISANCE
+from fitting.coverage import BY_SIMULATIONS, INTERVALS, WITH_NUISANCE, WITHOUT_NUISANCE
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
@@ -98,8 +98,9 @@ class Estimate:
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
-        """Parameters that came to rest at a bound: their true value may lie beyond."""
-        near = np.minimum(self.values - self.lower, self.upper - self.values) < 1e-3 * (self.upper - self.lower)
+        """Parameters whose value, or whose interval by simulations, reaches a bound: the true one may lie beyond."""
+        low, high = (self.values, self.values) if self.draws is None else self.intervals.T
+        near = np.minimum(low - self.lower, self.upper - high) < 1e-3 * (self.upper - self.lower)
         return tuple(n for n, there in zip(self.names, near, strict=True) if there)
 
     @property
@@ -152,8 +153,9 @@ class Estimate:
         said = in_words(
             self.names[:asked], span[:asked], self.values[:asked], covariance, self.channels, self.coordinates
         )
-        learned = WITH_NUISANCE if self.draws is None else BY_SIMULATIONS
-        return f"{said}. But {learned if self.besides else INTERVALS}"
+        if self.draws is None:
+            return f"{said}. But {WITH_NUISANCE if self.besides else INTERVALS}"
+        return f"{said}. {BY_SIMULATIONS if self.besides else WITHOUT_NUISANCE}"
 
     def summary(self) -> str:
         """A table in text, with the remarks."""

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 _UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measured, in metres or newtons
 _FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]
-_SMALL = 1e-3  # share of a parameter's range by which it is moved to see what reacts
+_SMALL = 0.02  # share of a parameter's range by which it is moved to see what reacts
 _TRIALS = 16  # motions that measurements are held against, without derivatives
 _SEED = 20240418  # of trial motions that measurements are held against: the same for every fit
 
@@ -52,10 +52,11 @@ def plain_look(problem: Problem, limits: Limits) -> list[str]:
     moved = at + np.eye(len(at))[asked] * inward
     others = parameters.scattered(_TRIALS, np.random.default_rng(_SEED))
     seen = problem.evaluator.values(np.concatenate([at[None], moved, others]), problem.evaluator.first)
-    if not seen.usable[: 1 + len(asked)].all():
+    if not seen.usable[0]:
         return _misread(problem, seen, limits)
     effect = np.full(len(at), np.inf)
-    effect[asked] = np.abs(seen.values[1 : 1 + len(asked)] - seen.values[0]).max(axis=(1, 2)) / _SMALL
+    ran = seen.usable[1 : 1 + len(asked)]
+    effect[asked[ran]] = np.abs(seen.values[1 : 1 + len(asked)][ran] - seen.values[0]).max(axis=(1, 2)) / _SMALL
     return _judged(problem, seen, seen.values[0], effect, limits)
 
 

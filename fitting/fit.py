@@ -13,8 +13,7 @@ from fitting.channel_checks import limits_of
 from fitting.correlated import reweighed
 from fitting.estimate import Estimate
 from fitting.first_look import first_look, plain_look
-from fitting.inference.infer import ROUNDS, TOGETHER, check_size, infer
-from fitting.inference.infer import SIMULATIONS as SIMULATIONS_OF_A_ROUND
+from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
 from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, Objective
@@ -84,7 +83,7 @@ def fit_tendons(
             scene file's table [measured].
         method: "least_squares" (multi-start Levenberg-Marquardt), "gradient" (Adam, then L-BFGS, by reverse mode, for
             many parameters), "genetic", "matlab_ga" (after Matlab's `ga`), "cma_es", "differential_evolution" (these
-            two need the extra `evosax`); or "simulations": no search, but a posterior learned from some ten thousand
+            two need the extra `evosax`); or "simulations": no search, but a posterior learned from some 25,000
             simulated recordings (`fitting.inference`), whose intervals are those to report.
         objective: "likelihood", or "paper": the sum over X, Y, Z of the root mean square error of the sphere's centre
             in the femur frame, without forces.
@@ -93,7 +92,7 @@ def fit_tendons(
         priors: by name, mean and standard deviation of a normal prior.
         nuisance: what the scene lacks or knows roughly, fitted besides: "rig", "mocap", "mri" or a `fitting.Nuisance`;
             by default nothing, and whatever it lacks goes into what is free.
-        seed: of all random choices: the same seed gives the same result.
+        seed: of all random choices: the same seed gives the same result, on one machine also by simulations.
         use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
             measured; see `Objective.of`.
         noise: standard deviations of the measurements by channel; by default estimated from the residuals.
@@ -142,16 +141,16 @@ def fit_tendons(
     began = time.perf_counter()
     if method == SIMULATIONS:
         count, rounds = _check_simulations(objective, loss, checkpoint, options)
-        check_size(parameters, count)
+        check_size(parameters, count, target.present.size)
         problem.evaluator.prepare(TOGETHER)
-        kept = compiled_aside(scene.unnamed())
+        compiled = compiled_aside(scene.unnamed())
         doubts = plain_look(problem, allowed)
         found = infer(problem, seed, count, rounds, _told(progress, began))
         outcome = Outcome.of_simulations(problem, found, seed)
     else:
         search = _method(method, problem, seed, options)
         problem.evaluator.prepare(search.widest)
-        kept = compiled_aside(scene.unnamed())  # for the fitted motion, which is simulated last
+        compiled = compiled_aside(scene.unnamed())  # for the fitted motion, which is simulated last
         state = None
         identity = problem.fingerprint(method, seed, search.settings())
         if resume and checkpoint is not None:
@@ -161,7 +160,7 @@ def fit_tendons(
         problem, outcome = search.problem, Outcome.of_search(search, state)
     estimate = estimate_of(problem, outcome, method, data, springs, besides, doubts, allowed, began)
     if not outcome.interrupted:
-        kept()
+        compiled()
         judge(estimate)
     return estimate
 
@@ -201,7 +200,7 @@ def _check_simulations(
     if checkpoint is not None:
         remedy = "leave it out: the whole takes a minute or two"
         raise InputError("simulations keep no checkpoint", where="checkpoint", remedy=remedy)
-    known = {"simulations": SIMULATIONS_OF_A_ROUND, "rounds": ROUNDS}
+    known = {"simulations": PER_ROUND, "rounds": ROUNDS}
     _check_options(SIMULATIONS, tuple(known), options)
     found = known | dict(options)
     return found["simulations"], found["rounds"]
@@ -286,7 +285,9 @@ def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> 
 def _check_options(name: str, known: tuple[str, ...], options: Mapping[str, Any]) -> None:
     for key, value in options.items():
         if key not in known:
-            raise InputError(f"{name} has no option {key!r}", where="options", expected=f"one of: {', '.join(known)}")
+            raise InputError(
+                f"method {name!r} has no option {key!r}", where="options", expected=f"one of: {', '.join(known)}"
+            )
         if not (isinstance(value, int) and 1 <= value <= _MOST):
             raise InputError(f"found {value!r}", where=key, expected=f"a whole number, at least 1, at most {_MOST:,}")
 

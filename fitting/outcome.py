@@ -48,7 +48,7 @@ class Outcome(NamedTuple):
         """Of a search that has ended, at its best parameters."""
         problem, theta = search.problem, np.asarray(state["best_theta"])
         seen, target = problem.prediction(theta, problem.evaluator.fine), problem.objective
-        _check_usable(seen)
+        _check_usable(seen, "the best parameters found with long time steps give no finite motion with short ones")
         assert seen.slopes is not None
         r, j = target.residuals(seen.values)[0], target.slopes(seen.slopes, seen.values)[0]
         noise = target.noise or target.noise_of(r, len(problem.parameters))
@@ -77,7 +77,7 @@ class Outcome(NamedTuple):
         """Of a posterior learned from simulations, at its mean."""
         theta, covariance = found.draws.mean(axis=0), np.cov(found.draws.T).reshape(2 * [len(problem.parameters)])
         plain = problem.evaluator.values(theta[None], found.substeps)
-        _check_usable(plain)
+        _check_usable(plain, "the posterior's means give no finite motion")
         parameters, target = problem.parameters, problem.objective
         span = parameters.upper - parameters.lower
         size = sizes(parameters.names, span, theta, parameters.coordinates)
@@ -85,7 +85,7 @@ class Outcome(NamedTuple):
         if found.learned.strange:
             far = f"a summary of them is {found.learned.distance:.0f} standard deviations from its mean"
             doubts.append(f"the measurements lie outside of what was simulated: {far}")
-        squares = {channel: found.noise.deviations[rows] ** 2 for channel, _, rows in target.columns()}
+        squares = {channel: found.learned.noise.deviations[rows] ** 2 for channel, _, rows in target.columns()}
         return Outcome(
             theta,
             covariance,
@@ -93,7 +93,7 @@ class Outcome(NamedTuple):
             plain._replace(slopes=found.slopes[None]),
             problem.evaluator.step_errors(theta, found.substeps, slopes=False),
             {channel: float(np.sqrt(s.mean())) for channel, s in squares.items()},
-            float(found.noise.correlations.mean()),
+            float(found.learned.noise.correlations.mean()),
             float(np.linalg.cond(relative(size, covariance))),
             doubts,
             found.reason,
@@ -109,11 +109,9 @@ class Outcome(NamedTuple):
         )
 
 
-def _check_usable(seen: Prediction) -> None:
+def _check_usable(seen: Prediction, found: str) -> None:
     if not seen.usable[0]:
-        raise PftwinError(
-            "the parameters that were found give no finite motion; try: narrower bounds, or method='least_squares'"
-        )
+        raise PftwinError(f"{found}; try: narrower bounds, or another method")
 
 
 def estimate_of(
@@ -149,13 +147,16 @@ def estimate_of(
     late = late_channels(shifts, target.source, limits)
     left = left_over(target, r, limits, target.noise)
     moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
-    facts = dict(found.facts)
+    draws, facts = found.draws, dict(found.facts)
+    if draws is not None:
+        random = np.random.default_rng(facts["seed"])
+        draws = draws + sum(np.outer(random.standard_normal(len(draws)), change) for change in moved)
     return Estimate(
         names=parameters.names,
         units=tuple(p.unit for p in parameters.items),
         values=found.theta,
         covariance=found.covariance + sum(np.outer(change, change) for change in moved),
-        draws=found.draws,
+        draws=draws,
         lower=parameters.lower,
         upper=parameters.upper,
         nominal=parameters.nominal,

@@ -4,10 +4,11 @@
 
 1. Parameters are drawn from their priors (what is asked for uniformly within its bounds), nuisance included, and
    simulated as recordings: motions with noise. The noise is like what no simulation explains of the measurements.
-2. Networks learn the posterior of what is asked for from summaries of these recordings (`fitting.inference.network`).
-3. The next round draws from where this posterior lies (`fitting.inference.region`), until that shrinks no more.
+2. Networks learn the posterior of what is asked for from summaries of these recordings (`fitting.inference.network`),
+   and linear regression that of nuisance given what is asked for.
+3. The next round draws from where this posterior lies (`fitting.inference.region`), until that changes no more.
 
-So the answer knows no linearisation, no best fit, and no likelihood: nuisance is whatever was drawn.
+So what is asked for depends on no linearisation and no best fit, and nuisance is integrated out.
 """
 
 from __future__ import annotations
@@ -28,35 +29,35 @@ from pftwin.base.errors import InputError
 
 Floats = NDArray[np.float64]
 
-SIMULATIONS = 8000  # of a round
-TOGETHER = 256  # of them, half of them on each of two cores
+PER_ROUND = 8000  # simulations
+TOGETHER = 256  # of them, in two calls for two cores
 ROUNDS = 6  # at most
 DRAWS = 2000
 _MOST_ASKED = 12
 _SETTLED = 0.25  # decrease of the region's mean log half width below which it shrinks no more
 _FEWEST_USABLE = 0.2  # share of simulations
-_FEWEST_SIMULATIONS = 500
+_FEWEST_SIMULATIONS = 1000
+_MOST_NUMBERS = 100_000_000  # of all recordings of a round: they are held in memory
 
 
 class Inferred(NamedTuple):
-    """A posterior, and how it was come to: the last round's, and what it was made with."""
+    """The last round's posterior, and how it was obtained."""
 
     draws: Floats  # (N, p)
     learned: Learned
     slopes: Floats  # (n, c, p) of the predictions by the parameters
     dropped: int  # simulations of all rounds without an equilibrium or a finite motion
-    noise: Noise
     substeps: int
     history: list[dict[str, float]]
     reason: str
     interrupted: bool = False
 
 
-def check_size(parameters: Parameters, simulations: int) -> None:
-    """Refuses what cannot be learned.
+def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
+    """Refuses what cannot be learned: `numbers` are those of a recording.
 
     Raises:
-        InputError: too many parameters are asked for; too few simulations.
+        InputError: too many parameters are asked for; too few simulations, or more than memory holds.
     """
     if (asked := Region(parameters).asked) > _MOST_ASKED:
         found = f"{asked} parameters beside nuisance"
@@ -64,6 +65,10 @@ def check_size(parameters: Parameters, simulations: int) -> None:
     if simulations < _FEWEST_SIMULATIONS:
         expected = f"at least {_FEWEST_SIMULATIONS}"
         raise InputError(f"found {simulations}", where="simulations", expected=expected)
+    if simulations * numbers > _MOST_NUMBERS:
+        found = f"{simulations:,} recordings of {numbers:,} numbers"
+        expected = f"at most {_MOST_NUMBERS // numbers:,} simulations of this recording"
+        raise InputError(found, where="simulations", expected=expected, remedy="fewer simulations, or fewer frames")
 
 
 def infer(
@@ -81,25 +86,26 @@ def infer(
 
     Raises:
         InputError: too few of the simulations can be run.
+        PftwinError: the posterior that was learned lies beyond the bounds.
     """
-    region = Region(problem.parameters)
-    noise = Noise.before(problem.objective)
+    whole = region = Region(problem.parameters)
+    noise = Noise.initial(problem.objective)
     substeps, dropped, found = problem.evaluator.first, 0, None
     history: list[dict[str, float]] = []
     try:
         for number in range(rounds):
             one = _round(problem, region, noise, substeps, simulations, np.random.default_rng([seed, number]))
-            smaller, dropped = region.around(one.draws), dropped + one.dropped
+            smaller, dropped = whole.around(one.draws), dropped + one.dropped
             best = min(one.best, history[-1]["best"]) if history else one.best
             entry = {"iteration": number + 1, "evaluations": (number + 1) * simulations, "best": best}
             history.append({**entry, "spread": float(np.exp(smaller.size - region.widest))})
-            settled = region.size - smaller.size < _SETTLED
-            reason = "the posterior no longer shrinks" if settled else f"{number + 1} rounds"
-            found = Inferred(one.draws, one.learned, one.slopes, dropped, noise, substeps, history, reason)
+            settled = abs(region.size - smaller.size) < _SETTLED
+            reason = "the posterior no longer changes" if settled else f"still changing after round {number + 1}"
+            found = Inferred(one.draws, one.learned, one.slopes, dropped, substeps, history, reason)
             report(history[-1], rounds)
             if settled:
                 break
-            region, noise = smaller, Noise.of(problem.objective, one.learned.left, one.learned.freedom)
+            region, noise = smaller, one.learned.noise
             errors = problem.evaluator.step_errors(one.draws.mean(axis=0), substeps, slopes=False)
             if any(e.large for e in errors.values()) and substeps < problem.evaluator.first << HALVINGS:
                 substeps *= 2
@@ -127,7 +133,7 @@ def _round(
     theta = region.drawn(simulations, random)
     seen = problem.evaluator.values(theta, substeps)
     theta, values = theta[seen.usable], seen.values[seen.usable]
-    if len(theta) < _FEWEST_USABLE * simulations:
+    if len(theta) < max(_FEWEST_USABLE * simulations, _FEWEST_SIMULATIONS / 2):
         raise InputError(
             f"{simulations - len(theta)} of {simulations} simulations found no equilibrium or no finite motion",
             where=problem.scene.name,
@@ -135,7 +141,8 @@ def _round(
         )
     apart = problem.objective.residuals(values).astype(np.float32)
     learned = learn(region, theta, apart, problem.objective, noise, random)
-    best = float(np.min(problem.objective.value(Prediction(values, None, np.ones(len(values), bool)))))
+    cost = problem.objective.value(Prediction(values, None, np.ones(len(values), bool)))
+    best = float(np.min(cost + problem.parameters.prior_terms(theta)[0]))
     return _Round(learned.draws(DRAWS, random), learned, _slopes(theta, values), simulations - len(theta), best)
 
 

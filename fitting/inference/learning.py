@@ -17,9 +17,10 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.float32]
 
 _SUMMARIES = 80
-_FOR_SUMMARIES, _FOR_NOISE = 1500, 750  # recordings that tell directions of the summaries, and what these leave
+_FOR_SUMMARIES, _FOR_NOISE = 1500, 750  # recordings that tell directions of the summaries, and the noise
 _NETWORKS = 3  # trained from different starts
 _WORSE = 0.3  # networks that tell less than the best by more than this [nats] are left out
+_NOISE_ROUNDS, _NOISE_DRAWS = 3, 40  # of a search for noise that leaves what measurements leave
 _TRIES = 100  # of drawing
 _FAR = 5.0  # least distance of a summary of the measurements from the simulated ones' mean, in their deviations
 
@@ -34,8 +35,7 @@ class Learned(NamedTuple):
     scale: Floats  # (d,) of the region's coordinates
     nuisance: tuple[Floats, Floats]  # coefficients (k + d + 1, p - d), and the root of what they leave (p - d, p - d)
     distance: float  # of the farthest summary of the measurements, in standard deviations
-    left: Floats  # what no simulation explains of the measurements (n, m)
-    freedom: float  # the share of noise that is left so
+    noise: Noise  # that recordings were given
 
     @property
     def strange(self) -> bool:
@@ -55,18 +55,27 @@ class Learned(NamedTuple):
             theta = region.from_coordinates(u * self.scale + self.center)
             found = np.concatenate([found, theta[region.contains(theta)]])
             if len(found) >= count:
-                break
-        else:
-            raise PftwinError(
-                "the posterior that was learned lies outside of the bounds; try: wider bounds, another seed"
-            )
-        found = random.permutation(found)[:count]
+                found = random.permutation(found)[:count]
+                return np.concatenate([found, self._nuisance_draws(found, random)], axis=1)
+        raise PftwinError(
+            "the posterior that was learned lies beyond the bounds: a summary of the measurements is "
+            f"{self.distance:.0f} standard deviations from the simulations' mean; try: wider bounds"
+        )
+
+    def _nuisance_draws(self, theta: Floats, random: np.random.Generator) -> Floats:
+        """(N, p - d) given what is asked for (N, d): rows beyond the bounds are drawn again."""
         weights, root = self.nuisance
-        u = (region.coordinates(found) - self.center) / self.scale
-        besides = _with_one(np.tile(self.measured, (count, 1)), u) @ weights
-        besides += random.standard_normal(besides.shape) @ root.T
-        p, d = region.parameters, region.asked
-        return np.concatenate([found, np.clip(besides, p.lower[d:], p.upper[d:])], axis=1)
+        p, d = self.region.parameters, self.region.asked
+        u = (self.region.coordinates(theta) - self.center) / self.scale
+        mean = _with_one(np.tile(self.measured, (len(u), 1)), u) @ weights
+        lower, upper = p.lower[d:], p.upper[d:]
+        drawn = mean + random.standard_normal(mean.shape) @ root.T
+        for _ in range(_TRIES):
+            beyond = np.flatnonzero(((drawn < lower) | (drawn > upper)).any(axis=1))
+            if not beyond.size:
+                break
+            drawn[beyond] = mean[beyond] + random.standard_normal((beyond.size, mean.shape[1])) @ root.T
+        return np.clip(drawn, lower, upper)
 
 
 def learn(
@@ -79,12 +88,13 @@ def learn(
         theta: (N, p) the parameters.
         simulated: (N, n, m) how far each recording is from the measurements: `Objective.residuals`.
         objective: the measurements.
-        noise: what the measurements' noise is like.
+        noise: what the measurements' noise was like in the round before.
         random: of noise and training.
     """
+    some = random.permutation(len(simulated))[:_FOR_SUMMARIES]
+    noise = _noise_like(objective, simulated[some[:_FOR_NOISE]], noise, random)
     table = Table.of(objective, noise)
     clean = table.rows(simulated)
-    some = random.permutation(len(clean))[:_FOR_SUMMARIES]
     summaries = Summaries.of(clean[some], _SUMMARIES)
     x = summaries(clean + table.rows(noise.drawn(len(clean), objective, random)))
     nothing = np.zeros((1, clean.shape[1]), np.float32)  # the measurements' distance from themselves
@@ -103,9 +113,9 @@ def learn(
         measured,
         center,
         scale,
-        _regression(_with_one(x, u), theta[:, region.asked :]),
+        _regression(_with_one(x, u), theta[:, region.asked :], _with_one(measured[None], np.zeros_like(u[:1]))[0]),
         float(np.abs(measured).max()),
-        *_unexplained(objective, simulated[some[:_FOR_NOISE]], noise),
+        noise,
     )
 
 
@@ -113,20 +123,22 @@ def _with_one(x: Floats, u: Floats) -> Floats:
     return np.concatenate([x, u, np.ones((len(x), 1))], axis=1)
 
 
-def _regression(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Coefficients (k, q) of y (N, q) by x (N, k), and a root of the covariance of what they leave."""
+def _regression(x: Floats, y: Floats, at: Floats) -> tuple[Floats, Floats]:
+    """Coefficients (k, q) of y (N, q) by x (N, k), and a root of the covariance of a prediction `at` some x (k,)."""
     weights = np.linalg.lstsq(x, y, rcond=None)[0]
     left = y - x @ weights
-    values, vectors = np.linalg.eigh(left.T @ left / max(len(x) - x.shape[1], 1))
+    leverage = float(at @ np.linalg.lstsq(x.T @ x, at, rcond=None)[0])
+    values, vectors = np.linalg.eigh((1 + leverage) * left.T @ left / max(len(x) - x.shape[1], 1))
     return np.asarray(weights, dtype=np.float64), np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _unexplained(objective: Objective, simulated: Rows, noise: Noise) -> tuple[Floats, float]:
-    """What the simulations' directions leave of the measurements (n, m), and the share of noise that they leave."""
+def _noise_like(objective: Objective, simulated: Rows, noise: Noise, random: np.random.Generator) -> Noise:
+    """Noise like what no simulation explains of the measurements, found from a first guess."""
     shape = objective.present.shape
-    frames = Table(1, noise.deviations)
-    summaries = Summaries.of(frames.rows(simulated), _SUMMARIES)
-    nothing = np.zeros((1, summaries.mean.size), np.float32)
-    left = nothing - summaries.mean - (summaries(nothing) @ summaries.directions.T)
-    taken = summaries.directions.shape[1] / np.count_nonzero(objective.present)
-    return left.reshape(shape) * noise.deviations, max(1 - taken, 0.1)
+    for _ in range(_NOISE_ROUNDS):
+        table = Table(1, noise.deviations)
+        summaries = Summaries.of(table.rows(simulated), _SUMMARIES)
+        left = summaries.unexplained(np.zeros((1, summaries.mean.size), np.float32))
+        drawn = summaries.unexplained(summaries.mean + table.rows(noise.drawn(_NOISE_DRAWS, objective, random)))
+        noise = noise.like(objective, *(a.reshape(-1, *shape) * noise.deviations for a in (left, drawn)))
+    return noise

@@ -16,9 +16,11 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.float32]
 
 _NUMBERS = 1500  # of a recording, at most about as many: neighbouring frames are averaged
-_FIRST = {POSITION: 2e-4, ORIENTATION: 2e-3}  # noise of the first round [m], [rad]
-_FIRST_SHARE = 0.01  # the same of a force, as a share of its root mean square
-_FIRST_CORRELATION, _LARGEST_CORRELATION = 0.9, 0.98  # of the noise of neighbouring frames
+_INITIAL = {POSITION: 2e-4, ORIENTATION: 2e-3}  # noise before anything is known [m], [rad]
+_INITIAL_SHARE = 0.01  # the same of a force, as a share of its root mean square
+_LEAST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # below these residuals are rounding [m], [rad]
+_LEAST_FORCE = 1e-3  # the same of a force [N]
+_INITIAL_CORRELATION, _LARGEST_CORRELATION = 0.9, 0.999  # of the noise of neighbouring frames
 _ROUNDING = 1e-10  # share of the largest variance: smaller ones are rounding
 _SPAN = 2.0  # a recording's noise is drawn between this many times less and more than the level, where it is not known
 
@@ -31,23 +33,36 @@ class Noise(NamedTuple):
     span: float  # 1: the level is known
 
     @staticmethod
-    def before(objective: Objective) -> Noise:
+    def initial(objective: Objective) -> Noise:
         """What is drawn before anything is known but what was stated."""
         levels = np.zeros(objective.present.shape[1])
         for channel, columns, rows in objective.columns():
             there = objective.present[:, rows.start]
             size = np.sqrt(np.mean(objective.measured[there, columns] ** 2))
-            levels[rows] = _FIRST.get(channel, _FIRST_SHARE * size)
-        correlations = np.full(len(levels), _FIRST_CORRELATION)
+            levels[rows] = _INITIAL.get(channel, max(_INITIAL_SHARE * size, _LEAST_FORCE))
+        correlations = np.full(len(levels), _INITIAL_CORRELATION)
         return Noise(levels, correlations, _SPAN)._stated(objective)
 
-    @staticmethod
-    def of(objective: Objective, left: Floats, freedom: float) -> Noise:
-        """Like what no simulation explains of the measurements (n, m), `freedom` the share of it that noise leaves."""
-        there, before = objective.present, objective.present[1:] & objective.present[:-1]
-        squares = np.maximum(np.sum(np.where(there, left**2, 0.0), axis=0), 1e-300)
-        deviations = np.sqrt(squares / np.maximum(freedom * there.sum(axis=0), 1.0))
-        correlations = np.sum(np.where(before, left[1:] * left[:-1], 0.0), axis=0) / squares
+    def like(self, objective: Objective, left: Floats, drawn: Floats) -> Noise:
+        """Noise of which as much would be left, as correlated, as of the measurements.
+
+        Args:
+            objective: the measurements.
+            left: (1, n, m) what simulations do not explain of them.
+            drawn: (N, n, m) what they do not explain of this noise.
+        """
+        there, both = objective.present, objective.present[1:] & objective.present[:-1]
+        ours, theirs = (np.maximum(np.sum(np.where(there, a**2, 0.0), axis=-2), 1e-300) for a in (left, drawn))
+        ratio = np.sqrt(ours[0] / theirs.mean(axis=0))
+        lagged, drawn_lagged = (
+            np.sum(np.where(both, a[..., 1:, :] * a[..., :-1, :], 0.0), axis=-2) / size
+            for a, size in ((left, ours), (drawn, theirs))
+        )
+        correlations = self.correlations + lagged[0] - drawn_lagged.mean(axis=0)
+        least = np.full(len(ratio), _LEAST_FORCE)
+        for channel, _, rows in objective.columns():
+            least[rows] = _LEAST.get(channel, _LEAST_FORCE)
+        deviations = np.maximum(self.deviations * ratio, least)
         return Noise(deviations, np.clip(correlations, 0.0, _LARGEST_CORRELATION), _SPAN)._stated(objective)
 
     def _stated(self, objective: Objective) -> Noise:
@@ -95,6 +110,7 @@ class Summaries(NamedTuple):
 
     mean: Rows  # (d,)
     directions: Rows  # (d, k) orthonormal
+    variances: Floats  # (k,) of the recordings along them, ascending
 
     @staticmethod
     def of(rows: Rows, count: int) -> Summaries:
@@ -109,8 +125,13 @@ class Summaries(NamedTuple):
         directions = vectors[:, there]
         if not tall:
             directions = apart.T @ (directions / np.sqrt(values[there]))
-        return Summaries(mean, directions.astype(np.float32))
+        return Summaries(mean, directions.astype(np.float32), values[there] / len(rows))
 
     def __call__(self, rows: Rows) -> Floats:
         """(N, k)."""
         return ((rows - self.mean) @ self.directions).astype(np.float64)
+
+    def unexplained(self, rows: Rows) -> Rows:
+        """What is left of rows (N, d) in units of their noise, along directions that rise above it."""
+        apart, strong = rows - self.mean, self.directions[:, self.variances > 1]
+        return np.asarray(apart - (apart @ strong) @ strong.T, dtype=np.float32)

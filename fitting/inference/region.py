@@ -18,6 +18,7 @@ from pftwin.base.errors import InputError
 
 Floats = NDArray[np.float64]
 
+_NARROWEST = 0.01  # least half width of what nuisance is drawn from, as a share of its bounds
 _INSIDE, _MARGIN = 0.999, 1.1  # share of a normal posterior within the ellipsoid, and by how much it is larger still
 _TRIES = 200  # of drawing; each should give a good part of what is wanted
 
@@ -64,7 +65,9 @@ class Region(NamedTuple):
         d, items = self.asked, list(self.parameters.items)
         reach = _MARGIN * float(norm.ppf(0.5 + 0.5 * _INSIDE)) * draws.std(axis=0)
         for i in range(d, len(items)):
-            low, high = draws[:, i].mean() + reach[i] * np.array([-1.0, 1.0])
+            width = max(reach[i], _NARROWEST * (items[i].upper - items[i].lower))
+            middle = float(np.clip(draws[:, i].mean(), items[i].lower + width, items[i].upper - width))
+            low, high = min(draws[:, i].mean(), middle) - width, max(draws[:, i].mean(), middle) + width
             items[i] = replace(items[i], lower=max(items[i].lower, low), upper=min(items[i].upper, high))
         return Region(Parameters(tuple(items)), Ellipsoid.around(draws[:, :d]))
 
@@ -115,7 +118,8 @@ class Region(NamedTuple):
             if len(found) >= count:
                 theta[:, : self.asked] = found[:count]
                 return theta
-        raise InputError("the priors exclude what the measurements tell", where="priors", expected="wider priors")
+        found = "next to nothing of the bounds and priors lies where the measurements put the parameters"
+        raise InputError(found, where="bounds and priors", expected="wider ones")
 
     def _prior_cost(self, theta: Floats) -> Floats:
         """Minus the log density of the priors of those asked for (N, d)."""

@@ -71,9 +71,9 @@ def test_nuisance_is_drawn_from_its_prior_where_the_posterior_lies():
     assert beyond.upper[2] == whole.parameters.upper[2]
 
 
-def test_priors_without_the_measurements_are_refused():
+def test_a_region_beyond_the_bounds_is_refused():
     region = Region(Parameters(parameters(half_width=1.0).items[:1]), Ellipsoid(np.array([99.0]), np.eye(1), 0.5))
-    with pytest.raises(InputError, match="priors exclude"):
+    with pytest.raises(InputError, match="next to nothing of the bounds and priors"):
         region.drawn(100, np.random.default_rng(4))
 
 
@@ -96,16 +96,33 @@ def test_noise_has_the_size_and_the_correlation_that_it_says():
 
 
 def test_noise_is_found_in_what_is_left():
-    target = objective(gappy(), None)
-    level = Noise(np.array([1e-3, 2e-3, 3e-3, 0.4]), np.array([0.9, 0.5, 0.1, 0.7]), 1.0)
-    left = level.drawn(1, target, np.random.default_rng(6))[0].astype(float)
-    found = Noise.of(target, left, freedom=0.81)
-    np.testing.assert_allclose(found.deviations, level.deviations / 0.9, rtol=0.15)
-    np.testing.assert_allclose(found.correlations, level.correlations, atol=0.08)
+    """Of measurements from which slow directions were taken, which take most of what slow noise has there."""
+    target, random = objective(gappy(), None), np.random.default_rng(6)
+    slow = np.cos(np.pi * np.arange(80)[:, None] * np.arange(3000) / 3000)
+    basis = np.linalg.qr(slow.T)[0]  # (3000, 80)
+
+    def left(noise: Noise, count: int) -> np.ndarray:
+        drawn = noise.drawn(count, target, random).astype(float)
+        return drawn - np.einsum("tk,nkm->ntm", basis, np.einsum("tk,ntm->nkm", basis, drawn))
+
+    truth = Noise(np.array([1e-3, 2e-3, 3e-3, 0.4]), np.array([0.98, 0.5, 0.1, 0.9]), 1.0)
+    measured, found = left(truth, 1), Noise.initial(target)
+    for _ in range(4):
+        found = found.like(target, measured, left(found, 40))
+    np.testing.assert_allclose(found.deviations, truth.deviations, rtol=0.3)
+    np.testing.assert_allclose(found.correlations, truth.correlations, atol=0.06)
     assert found.span > 1  # its size is not known
-    stated = Noise.of(replace(target, noise={"position": 0.02, "contact": 0.5}), left, freedom=0.81)
+    stated = found.like(replace(target, noise={"position": 0.02, "contact": 0.5}), measured, left(found, 5))
     np.testing.assert_array_equal(stated.deviations, [0.02, 0.02, 0.02, 0.5])
     assert stated.span == 1
+
+
+def test_a_force_that_is_never_there_has_some_noise():
+    measured = gappy()
+    measured[:, 3] = 0.0
+    target = objective(measured, None)
+    assert Noise.initial(target).deviations[3] > 0
+    assert Noise.initial(target).like(target, np.zeros((1, 3000, 4)), np.ones((3, 3000, 4))).deviations[3] > 0
 
 
 def test_noise_of_unknown_size_varies_between_recordings():

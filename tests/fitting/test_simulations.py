@@ -10,7 +10,7 @@ from lifted_fits import HELD, NOISE, TRUTH, estimate, noisy, scene
 from made_estimates import made_estimate
 
 import fitting
-from fitting.coverage import BY_SIMULATIONS, INTERVALS
+from fitting.coverage import BY_SIMULATIONS, INTERVALS, WITHOUT_NUISANCE
 from fitting.estimate import Estimate
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -34,10 +34,18 @@ def test_intervals_are_the_draws_quantiles():
 
 def test_what_is_said_of_intervals_is_said_of_simulations():
     found = drawn()
-    assert INTERVALS in found.sentence()  # a twin that is taken as exact
+    assert WITHOUT_NUISANCE in found.sentence()
+    assert INTERVALS not in found.sentence()
     found.besides, found.dropped, found.starts = ("L2",), 7, 900
     assert BY_SIMULATIONS in found.sentence()
     assert "7 of 900 simulations found no equilibrium" in found.remarks()[-1]
+
+
+def test_an_interval_that_reaches_a_bound_is_told():
+    found = drawn()
+    assert found.at_bounds == ()
+    found.lower = np.array([found.intervals[0, 0], found.lower[1]])
+    assert found.at_bounds == ("K1",)
 
 
 def test_samples_are_draws_each_once_while_there_are_enough():
@@ -62,7 +70,7 @@ def test_draws_are_in_the_file(tmp_path):
         ({"noise": {"position": NOISE}, "loss": "huber"}, "no loss 'huber'"),
         ({"checkpoint": "fit.checkpoint"}, "keep no checkpoint"),
         ({"starts": 3}, "no option 'starts'"),
-        ({"simulations": 100}, "at least 500"),
+        ({"simulations": 100}, "at least 1000"),
     ],
 )
 def test_what_simulations_do_not_know_is_refused(more, said):
@@ -95,8 +103,10 @@ def test_measurements_of_another_knee_are_not_believed():
     """Positions 40 mm off, and millimetres for metres."""
     seen = noisy(0, HELD)
     with pytest.raises(InputError, match="millimetres"):
-        fitting.fit_tendons(scene(HELD), replace(seen, center=1e3 * seen.center), method="simulations", simulations=500)
+        fitting.fit_tendons(
+            scene(HELD), replace(seen, center=1e3 * seen.center), method="simulations", simulations=1000
+        )
     with pytest.raises(InputError, match="leaves"):
         fitting.fit_tendons(
-            scene(HELD), replace(seen, center=seen.center + 0.04), method="simulations", simulations=500, rounds=1
+            scene(HELD), replace(seen, center=seen.center + 0.04), method="simulations", simulations=1000, rounds=1
         )

@@ -110,3 +110,13 @@ def test_measurements_of_another_knee_are_not_believed():
         fitting.fit_tendons(
             scene(HELD), replace(seen, center=seen.center + 0.04), method="simulations", simulations=1000, rounds=1
         )
+
+
+@pytest.mark.slow
+def test_what_makes_no_difference_is_refused_before_anything_is_drawn():
+    """A stiffness that may change by 2e-9 N/m moves nothing that could be seen."""
+    k1 = float(scene(HELD).get("K1"))
+    with pytest.raises(InputError, match=r"reacts to K1(\W|$)"):
+        fitting.fit_tendons(
+            scene(HELD), noisy(0, HELD), method="simulations", free=("K1", "L1"), bounds={"K1": (k1 - 1e-9, k1 + 1e-9)}
+        )

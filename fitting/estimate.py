@@ -97,6 +97,11 @@ class Estimate:
         return self.covariance / np.outer(sd, sd)
 
     @property
+    def asked(self) -> int:
+        """How many parameters were asked for: the first of `names`; nuisance follows."""
+        return len(self.names) - len(self.besides)
+
+    @property
     def at_bounds(self) -> tuple[str, ...]:
         """Parameters whose value, or whose interval by simulations, reaches a bound: the true one may lie beyond."""
         low, high = (self.values, self.values) if self.draws is None else self.intervals.T
@@ -145,7 +150,7 @@ class Estimate:
 
     def sentence(self) -> str:
         """The precision of the parameters asked for, in a sentence, or what forbids to speak of it."""
-        asked = len(self.names) - len(self.besides)
+        asked = self.asked
         if self.invalid:
             untold = f"What the data tell of {', '.join(self.names[:asked])} is not known"
             return f"{INVALID}: {'; '.join(self._objections())}. {untold}"

@@ -44,7 +44,9 @@ class EstimatePlots:
         return case_figure(results, e.measured, f"{e.scene_name}: {e.method}, objective {e.objective}")
 
     def correlation(self, axes: Any = None) -> Figure:
-        """Correlations of the parameters' errors; values and 95 % intervals, in percent of the nominal values.
+        """Correlations of the errors of what was asked for; values and 95 % intervals in percent of nominal values.
+
+        Nuisance that was fitted besides is not drawn.
 
         Args:
             axes: two, to draw into; by default a new figure.
@@ -59,7 +61,7 @@ class EstimatePlots:
         own = given_axes(axes, 2, "for the correlations, and for the values")
         with house_style(axes__grid=False):
             if own is None:
-                tall = 1.4 + 0.32 * max(5, len(self._estimate.names))
+                tall = 1.4 + 0.32 * max(5, self._estimate.asked)
                 figure = Figure(figsize=(PAGE, tall))
                 own = list(figure.subplots(1, 2, width_ratios=[1.0, 1.1]))
                 title(figure, fitted_to(self._estimate))
@@ -166,14 +168,14 @@ def fitted_to(e: Estimate) -> str:
 
 
 def _correlations(ax: Axes, e: Estimate) -> None:
-    p = len(e.names)
-    picture = ax.imshow(e.correlation, vmin=-1, vmax=1, cmap="RdBu_r")
-    ax.set_xticks(range(p), list(e.names), rotation=90 if p > 6 else 0)
-    ax.set_yticks(range(p), list(e.names))
+    p, correlation = e.asked, e.correlation[: e.asked, : e.asked]
+    picture = ax.imshow(correlation, vmin=-1, vmax=1, cmap="RdBu_r")
+    ax.set_xticks(range(p), e.names[:p], rotation=90 if p > 6 else 0)
+    ax.set_yticks(range(p), e.names[:p])
     for i in range(p if p <= _WRITTEN else 0):
         for j in range(p):
-            colour = "white" if abs(e.correlation[i, j]) > 0.6 else "black"
-            words = f"{e.correlation[i, j]:.2f}".replace("-", "\N{MINUS SIGN}")
+            colour = "white" if abs(correlation[i, j]) > 0.6 else "black"
+            words = f"{correlation[i, j]:.2f}".replace("-", "\N{MINUS SIGN}")
             ax.text(j, i, words, ha="center", va="center", color=colour)
     ax.figure.colorbar(picture, ax=ax, shrink=0.8, ticks=[-1, -0.5, 0, 0.5, 1])
     ax.set_title("Correlation of the parameters' errors")
@@ -183,12 +185,12 @@ def _values(ax: Axes, e: Estimate) -> None:
     """Values in percent of the nominal ones, since units differ; of 1 unit where a nominal value is zero."""
     from pftwin.results.plots.style import COLOURS
 
-    rows = np.arange(len(e.names))
-    scale = np.where(e.nominal == 0, 1.0, np.abs(e.nominal))
-    off = 100 * (e.values - e.nominal) / scale
-    spread = 100 * (e.intervals - e.values[:, None]) / scale[:, None]
+    rows, nominal, values = np.arange(e.asked), e.nominal[: e.asked], e.values[: e.asked]
+    scale = np.where(nominal == 0, 1.0, np.abs(nominal))
+    off = 100 * (values - nominal) / scale
+    spread = 100 * (e.intervals[: e.asked] - values[:, None]) / scale[:, None]
     ax.errorbar(off, rows, xerr=np.abs(spread).T, fmt="o", markersize=5, color=COLOURS[0], capsize=3)
     ax.axvline(0, color="black", linewidth=0.8)
-    ax.set_yticks(rows, list(e.names))
+    ax.set_yticks(rows, e.names[: e.asked])
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set(xlabel="deviation from the nominal value [%]", title="Estimate with 95 % intervals")

@@ -153,12 +153,11 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
             e.names, e.values, e.standard_deviations, e.intervals, e.nominal, e.units, strict=True
         )
     ]
-    asked = len(rows) - len(e.besides)
     title = f"{e.scene_name}, fitted to {against} ({e.method}, {e.objective})"
     head = ("", "estimate", "standard deviation", "95 % interval", "nominal", "unit")
-    sheets = [Sheet(title, head, tuple(rows[:asked]), words=(0, 5))]
+    sheets = [Sheet(title, head, tuple(rows[: e.asked]), words=(0, 5))]
     if e.besides:  # their names are long: without the intervals
-        short = tuple((name, value, sd, nominal, unit) for name, value, sd, _, nominal, unit in rows[asked:])
+        short = tuple((name, value, sd, nominal, unit) for name, value, sd, _, nominal, unit in rows[e.asked :])
         sheets.append(Sheet("fitted besides", (*head[:3], *head[4:]), short, words=(0, 4)))
     first = [e.sentence()] if e.invalid else []
     lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *said, written_line(files)]

@@ -63,6 +63,15 @@ def test_correlations_and_intervals_are_the_estimates(estimate):
     assert "[%]" in right.get_xlabel()
 
 
+def test_nuisance_is_left_out_of_the_correlations(estimate):
+    estimate = dataclasses.replace(estimate, besides=estimate.names[-1:])
+    left, right = estimate.plot.correlation().axes[:2]
+    asked = len(estimate.names) - 1
+    np.testing.assert_allclose(left.get_images()[0].get_array(), CORRELATION[:asked, :asked], atol=1e-12)
+    for axis in (left.yaxis, right.yaxis):
+        assert [t.get_text() for t in axis.get_ticklabels()] == list(estimate.names[:asked])
+
+
 def test_axes_of_ones_own(estimate):
     from matplotlib.figure import Figure
 

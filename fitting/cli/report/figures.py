@@ -101,13 +101,13 @@ def histories(material: Material) -> list[Picture]:
 def correlation(e: Estimate) -> Picture:
     """The correlation of a fit's errors, and its estimates beside the nominal values."""
     strongest = ""
-    if len(e.names) > 1:
-        off = np.abs(e.correlation - np.eye(len(e.names)))
+    if e.asked > 1:
+        off = np.abs(e.correlation - np.eye(len(e.names)))[: e.asked, : e.asked]
         i, j = np.unravel_index(int(np.argmax(off)), off.shape)
         strongest = f" The strongest: {e.names[i]} and {e.names[j]}, {e.correlation[i, j]:.2f}."
     alternative = (
-        f"Left: correlation of the errors of {', '.join(e.names)}.{strongest} Right: estimates with 95 % intervals "
-        "in percent of the nominal values; the numbers are in the table above."
+        f"Left: correlation of the errors of {', '.join(e.names[: e.asked])}.{strongest} Right: estimates with 95 % "
+        "intervals in percent of the nominal values; the numbers are in the table above."
     )
     caption = "Correlation of the errors (left); estimates against nominal values (right)."
     return Picture(e.plot.correlation(), alternative, caption)

@@ -46,7 +46,7 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
 def plain_look(problem: Problem, limits: Limits) -> list[str]:
     """As `first_look`, without derivatives: parameters are moved by a small share of their range in place of them."""
     parameters, at = problem.parameters, problem.parameters.nominal
-    asked = np.flatnonzero([not p.nuisance for p in parameters.items])
+    asked = np.arange(parameters.asked)
     span = parameters.upper - parameters.lower
     inward = np.where(at + _SMALL * span < parameters.upper, _SMALL, -_SMALL) * span
     moved = at + np.eye(len(at))[asked] * inward

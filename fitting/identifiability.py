@@ -107,7 +107,7 @@ def plan_experiment(
     """
     check(scene)
     scene, parameters = with_nuisance(scene, free, bounds, priors, Nuisance.of(nuisance))
-    asked = sum(not p.nuisance for p in parameters.items)
+    asked = parameters.asked
     all_channels = channels_of(scene)
     more = [c for c in all_channels if c not in use] if candidates is None else list(candidates)
     for channel in (*use, *more):

@@ -198,28 +198,30 @@ class Objective:
         return np.stack([columns[..., self.group_of == g].sum(axis=-1) for g in range(len(self.groups))], axis=-1)
 
     @property
-    def _floor(self) -> Floats:
+    def floor(self) -> Floats:
+        """Mean squares of each group below which residuals are rounding."""
         return np.array([_SMALLEST.get(POSITION if g in _AXES else g, 1e-5) ** 2 for g in self.groups])
 
     def _value(self, r: Floats) -> Floats:
         s = self.mean_squares(r)
         if self.noise is None:
-            s = s + self._floor
+            s = s + self.floor
             if self.kind == "paper":
                 return np.sqrt(s).sum(axis=-1)
             return 0.5 * self.share * (self._counts * np.log(s)).sum(axis=-1)
-        return 0.5 * self.share * _rho(np.square(r / self._noise_columns), self.loss).sum(axis=(1, 2))
+        return 0.5 * self.share * _rho(np.square(r / self.noise_columns), self.loss).sum(axis=(1, 2))
 
     def _weights(self, r: Floats) -> Floats:
         """Twice the objective's derivative by every squared residual (N, n, m) or (N, 1, m)."""
         if self.noise is not None:
-            return self.share * _rho_slope(np.square(r / self._noise_columns), self.loss) / self._noise_columns**2
-        s = self.mean_squares(r) + self._floor
+            return self.share * _rho_slope(np.square(r / self.noise_columns), self.loss) / self.noise_columns**2
+        s = self.mean_squares(r) + self.floor
         slope = 1 / (self._counts * np.sqrt(s)) if self.kind == "paper" else self.share / s
         return slope[:, None, self.group_of]
 
     @property
-    def _noise_columns(self) -> Floats:
+    def noise_columns(self) -> Floats:
+        """The noise of each residual column (m,), where it is known."""
         assert self.noise is not None
         return np.array([self.noise[g] for g in self.groups])[self.group_of]
 

@@ -60,6 +60,11 @@ class Parameters:
         return len(self.items)
 
     @property
+    def asked(self) -> int:
+        """How many were asked for: the first; nuisance follows."""
+        return sum(not p.nuisance for p in self.items)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Their names, as the user wrote them."""
         return tuple(p.name for p in self.items)

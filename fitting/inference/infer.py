@@ -59,7 +59,7 @@ def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
     Raises:
         InputError: too many parameters are asked for; too few simulations, or more than memory holds.
     """
-    if (asked := Region(parameters).asked) > _MOST_ASKED:
+    if (asked := parameters.asked) > _MOST_ASKED:
         found = f"{asked} parameters beside nuisance"
         raise InputError(found, where="free", expected=f"at most {_MOST_ASKED} for simulations")
     if simulations < _FEWEST_SIMULATIONS:

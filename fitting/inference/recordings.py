@@ -18,8 +18,6 @@ Rows = NDArray[np.float32]
 _NUMBERS = 1500  # of a recording, at most about as many: neighbouring frames are averaged
 _INITIAL = {POSITION: 2e-4, ORIENTATION: 2e-3}  # noise before anything is known [m], [rad]
 _INITIAL_SHARE = 0.01  # the same of a force, as a share of its root mean square
-_LEAST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # below these residuals are rounding [m], [rad]
-_LEAST_FORCE = 1e-3  # the same of a force [N]
 _INITIAL_CORRELATION, _LARGEST_CORRELATION = 0.9, 0.999  # of the noise of neighbouring frames
 _ROUNDING = 1e-10  # share of the largest variance: smaller ones are rounding
 _SPAN = 2.0  # a recording's noise is drawn between this many times less and more than the level, where it is not known
@@ -39,9 +37,8 @@ class Noise(NamedTuple):
         for channel, columns, rows in objective.columns():
             there = objective.present[:, rows.start]
             size = np.sqrt(np.mean(objective.measured[there, columns] ** 2))
-            levels[rows] = _INITIAL.get(channel, max(_INITIAL_SHARE * size, _LEAST_FORCE))
-        correlations = np.full(len(levels), _INITIAL_CORRELATION)
-        return Noise(levels, correlations, _SPAN)._stated(objective)
+            levels[rows] = _INITIAL.get(channel, _INITIAL_SHARE * size)
+        return Noise(levels, np.full(len(levels), _INITIAL_CORRELATION), _SPAN)._within(objective)
 
     def like(self, objective: Objective, left: Floats, drawn: Floats) -> Noise:
         """Noise of which as much would be left, as correlated, as of the measurements.
@@ -59,26 +56,20 @@ class Noise(NamedTuple):
             for a, size in ((left, ours), (drawn, theirs))
         )
         correlations = self.correlations + lagged[0] - drawn_lagged.mean(axis=0)
-        least = np.full(len(ratio), _LEAST_FORCE)
-        for channel, _, rows in objective.columns():
-            least[rows] = _LEAST.get(channel, _LEAST_FORCE)
-        deviations = np.maximum(self.deviations * ratio, least)
-        return Noise(deviations, np.clip(correlations, 0.0, _LARGEST_CORRELATION), _SPAN)._stated(objective)
+        bounded = np.clip(correlations, 0.0, _LARGEST_CORRELATION)
+        return Noise(self.deviations * ratio, bounded, _SPAN)._within(objective)
 
-    def _stated(self, objective: Objective) -> Noise:
-        """With the deviations that the objective was given."""
-        if objective.noise is None:
-            return self
-        stated = np.array([objective.noise[g] for g in objective.groups])[objective.group_of]
-        return self._replace(deviations=stated, span=1.0)
+    def _within(self, objective: Objective) -> Noise:
+        """With the deviations that the objective was given, or at least those of rounding."""
+        if objective.noise is not None:
+            return self._replace(deviations=objective.noise_columns, span=1.0)
+        return self._replace(deviations=np.maximum(self.deviations, np.sqrt(objective.floor)[objective.group_of]))
 
     def drawn(self, count: int, objective: Objective, random: np.random.Generator) -> Rows:
         """(count, n, m), zero where nothing was measured."""
         n, m = objective.present.shape
         out = np.empty((count, n, m), np.float32)
-        sizes = (
-            np.exp(random.uniform(-np.log(self.span), np.log(self.span), count)) if self.span > 1 else np.ones(count)
-        )
+        sizes = self.span ** random.uniform(-1.0, 1.0, count)
         for column, (sd, rho) in enumerate(zip(self.deviations, self.correlations, strict=True)):
             white = random.standard_normal((count, n), dtype=np.float32)
             white[:, 1:] *= np.float32(np.sqrt(1 - rho**2))

@@ -74,7 +74,7 @@ class Region(NamedTuple):
     @property
     def asked(self) -> int:
         """How many parameters are asked for, d."""
-        return sum(not p.nuisance for p in self.parameters.items)
+        return self.parameters.asked
 
     @property
     def size(self) -> float:

@@ -92,7 +92,8 @@ def fit_tendons(
         priors: by name, mean and standard deviation of a normal prior.
         nuisance: what the scene lacks or knows roughly, fitted besides: "rig", "mocap", "mri" or a `fitting.Nuisance`;
             by default nothing, and whatever it lacks goes into what is free.
-        seed: of all random choices: the same seed gives the same result, on one machine also by simulations.
+        seed: of all random choices: the same seed gives the same result; by simulations only where rounding is the same
+            too, which the number of threads may change.
         use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
             measured; see `Objective.of`.
         noise: standard deviations of the measurements by channel; by default estimated from the residuals.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from fitting.channel_checks import Limits, left_over, unresolved
 from fitting.estimate import Estimate
 from fitting.evaluation import Prediction, StepError
-from fitting.inference.infer import Inferred
 from fitting.methods.problem import Method, Problem, State
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
@@ -23,6 +22,9 @@ from pftwin.base.errors import PftwinError
 from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.status import status_facts
 from pftwin.model.measured import Measured
+
+if TYPE_CHECKING:
+    from fitting.inference.infer import Inferred
 
 Floats = NDArray[np.float64]
 

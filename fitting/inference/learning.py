@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.inference.network import PosteriorNetwork, trained
 from fitting.inference.recordings import Noise, Summaries, Table
 from fitting.inference.region import Region
 from fitting.objective import Objective
 from pftwin.base.errors import PftwinError
+
+if TYPE_CHECKING:
+    from fitting.inference.network import PosteriorNetwork
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.float32]
@@ -91,6 +93,8 @@ def learn(
         noise: what the measurements' noise was like in the round before.
         random: of noise and training.
     """
+    from fitting.inference.network import trained  # with optax, which no other fit needs
+
     some = random.permutation(len(simulated))[:_FOR_SUMMARIES]
     noise = _noise_like(objective, simulated[some[:_FOR_NOISE]], noise, random)
     table = Table.of(objective, noise)

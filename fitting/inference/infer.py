@@ -34,7 +34,7 @@ TOGETHER = 256  # of them, in two calls for two cores
 ROUNDS = 6  # at most
 DRAWS = 2000
 _MOST_ASKED = 12
-_SETTLED = 0.25  # decrease of the region's mean log half width below which it shrinks no more
+_SETTLED = 0.25  # change of the region's mean log half width, and of its middle in deviations, that is none
 _FEWEST_USABLE = 0.2  # share of simulations
 _FEWEST_SIMULATIONS = 1000
 _MOST_NUMBERS = 100_000_000  # of all recordings of a round: they are held in memory
@@ -99,7 +99,7 @@ def infer(
             best = min(one.best, history[-1]["best"]) if history else one.best
             entry = {"iteration": number + 1, "evaluations": (number + 1) * simulations, "best": best}
             history.append({**entry, "spread": float(np.exp(smaller.size - region.widest))})
-            settled = abs(region.size - smaller.size) < _SETTLED
+            settled = smaller.like(region, _SETTLED)
             reason = "the posterior no longer changes" if settled else f"still changing after round {number + 1}"
             found = Inferred(one.draws, one.learned, one.slopes, dropped, substeps, history, reason)
             report(history[-1], rounds)

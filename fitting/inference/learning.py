@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.inference.recordings import Noise, Summaries, Table
+from fitting.inference.recordings import Noise, Summaries, SummaryNoise, Table
 from fitting.inference.region import Region
 from fitting.objective import Objective
 from pftwin.base.errors import PftwinError
@@ -100,24 +100,25 @@ def learn(
     table = Table.of(objective, noise)
     clean = table.rows(simulated)
     summaries = Summaries.of(clean[some], _SUMMARIES)
-    x = summaries(clean + table.rows(noise.drawn(len(clean), objective, random)))
+    added = SummaryNoise.of(noise, objective, table, summaries)
+    x = summaries(clean)
+    x_mean, x_sd = x.mean(axis=0), (x + added.drawn(len(x), random)).std(axis=0)
+    x, added = (x - x_mean) / x_sd, added.scaled(x_sd)
     nothing = np.zeros((1, clean.shape[1]), np.float32)  # the measurements' distance from themselves
-    measured = summaries(nothing)
-    x_mean, x_sd = x.mean(axis=0), x.std(axis=0)
-    x, measured = (x - x_mean) / x_sd, ((measured - x_mean) / x_sd)[0]
+    measured = ((summaries(nothing) - x_mean) / x_sd)[0]
     u = region.coordinates(theta[:, : region.asked])
     center, scale = u.mean(axis=0), u.std(axis=0)
     u = (u - center) / scale
-    seeds = random.integers(2**31, size=_NETWORKS)
-    tried = [trained(x, u, int(seed)) for seed in seeds]
+    tried = [trained(x, u, added, int(seed)) for seed in random.integers(2**31, size=_NETWORKS)]
     least = min(loss for _, loss in tried)
+    known = _with_one(x + added.drawn(len(x), random), u)
     return Learned(
         region,
         tuple(net for net, loss in tried if loss <= least + _WORSE),
         measured,
         center,
         scale,
-        _regression(_with_one(x, u), theta[:, region.asked :], _with_one(measured[None], np.zeros_like(u[:1]))[0]),
+        _regression(known, theta[:, region.asked :], _with_one(measured[None], np.zeros_like(u[:1]))[0]),
         float(np.abs(measured).max()),
         noise,
     )

@@ -19,6 +19,7 @@ import optax
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from fitting.inference.recordings import SummaryNoise
 from fitting.methods.problem import standard_promotion
 
 Floats = NDArray[np.float64]
@@ -26,7 +27,7 @@ Floats = NDArray[np.float64]
 _COMPONENTS, _WIDTH, _DEPTH = 4, 128, 3
 _EPOCHS, _PATIENCE = 100, 12  # at most; epochs without progress on recordings kept aside, after which training ends
 _BATCH, _RATE, _DECAY = 256, 1e-3, 1e-3
-_ASIDE = 0.1  # share of the recordings kept aside
+_ASIDE, _NOISES_ASIDE = 0.1, 4  # share of the recordings kept aside, and how often each, with other noise
 _LARGEST_LOG = 8.0  # of a precision's root: parameters and summaries have unit variance
 
 
@@ -80,8 +81,14 @@ class PosteriorNetwork(eqx.Module):
         return at.means[which] + np.linalg.solve(np.swapaxes(at.roots, 1, 2)[which].astype(float), normal)[..., 0]
 
 
-def trained(summaries: Floats, parameters: Floats, seed: int) -> tuple[PosteriorNetwork, float]:
-    """A network for recordings' summaries (N, s) and their parameters (N, p), and how well it tells those kept aside.
+def trained(summaries: Floats, parameters: Floats, noise: SummaryNoise, seed: int) -> tuple[PosteriorNetwork, float]:
+    """A network for recordings' summaries and their parameters, and how well it tells those kept aside.
+
+    Args:
+        summaries: (N, s) of recordings without noise, which is drawn anew every epoch.
+        parameters: (N, p).
+        noise: of summaries.
+        seed: of starting weights, order and noise.
 
     Returns:
         The network, and minus the mean log density of what was kept aside: smaller is better.
@@ -91,15 +98,19 @@ def trained(summaries: Floats, parameters: Floats, seed: int) -> tuple[Posterior
     order = random.permutation(len(summaries))[:size]
     aside = max(1, int(_ASIDE * size))
     x, y = (jnp.asarray(a[order], jnp.float32) for a in (summaries, parameters))
+    kept = tuple(np.tile(a[order[:aside]], (_NOISES_ASIDE, 1)) for a in (summaries, parameters))
+    x_aside, y_aside = (jnp.asarray(a, jnp.float32) for a in (kept[0] + noise.drawn(len(kept[0]), random), kept[1]))
+    root, keys = jnp.asarray(noise.root, jnp.float32), jax.random.split(jax.random.key(seed), _EPOCHS)
     net = PosteriorNetwork(x.shape[1], y.shape[1], seed)
     steps = max(1, (size - aside) // _BATCH)
     with standard_promotion():
         state, best, least, since = _optimiser(steps).init(eqx.filter(net, eqx.is_inexact_array)), net, np.inf, 0
-        for _ in range(_EPOCHS):
+        for key in keys:
             shuffled = aside + random.permutation(size - aside)
             batches = np.resize(shuffled, (steps, min(_BATCH, len(shuffled))))
-            net, state = _epoch(net, state, _optimiser(steps), x, y, jnp.asarray(batches))
-            now, since = float(_loss(net, x[:aside], y[:aside])), since + 1
+            noisy = _with_noise(x, root, noise.span, key)
+            net, state = _epoch(net, state, _optimiser(steps), noisy, y, jnp.asarray(batches))
+            now, since = float(_loss(net, x_aside, y_aside)), since + 1
             if now < least:
                 best, least, since = net, now, 0
             if since > _PATIENCE:
@@ -114,6 +125,13 @@ def _optimiser(steps: int) -> optax.GradientTransformation:
         optax.clip_by_global_norm(5.0),
         optax.adamw(optax.cosine_decay_schedule(_RATE, _EPOCHS * steps), weight_decay=_DECAY),
     )
+
+
+@jax.jit
+def _with_noise(x: Array, root: Array, span: float, key: Array) -> Array:
+    one, other = jax.random.split(key)
+    sizes = jnp.float32(span) ** jax.random.uniform(one, (len(x), 1), jnp.float32, -1, 1)
+    return x + sizes * jax.random.normal(other, x.shape, jnp.float32) @ root.T
 
 
 @eqx.filter_jit

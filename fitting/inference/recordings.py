@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
+from scipy.linalg import eigh, toeplitz
 from scipy.signal import lfilter
 
 from fitting.objective import Objective
@@ -126,3 +126,31 @@ class Summaries(NamedTuple):
         """What is left of rows (N, d) in units of their noise, along directions that rise above it."""
         apart, strong = rows - self.mean, self.directions[:, self.variances > 1]
         return np.asarray(apart - (apart @ strong) @ strong.T, dtype=np.float32)
+
+
+class SummaryNoise(NamedTuple):
+    """What a recording's noise does to its summaries: normal, of no mean."""
+
+    root: Floats  # (k, k) of its covariance
+    span: float  # as `Noise.span`
+
+    @staticmethod
+    def of(noise: Noise, objective: Objective, table: Table, summaries: Summaries) -> SummaryNoise:
+        """From the noise of recordings, of which summaries are sums."""
+        m, k = objective.present.shape[1], summaries.directions.shape[1]
+        shares = np.repeat(summaries.directions.reshape(-1, m, k) / table.block, table.block, axis=0)
+        there, covariance = objective.present[: len(shares)], np.zeros((k, k))
+        for column, (sd, rho) in enumerate(zip(noise.deviations / table.scale, noise.correlations, strict=True)):
+            weights = sd * np.where(there[:, column, None], shares[:, column], 0.0)
+            covariance += weights.T @ toeplitz(rho ** np.arange(len(weights))) @ weights
+        values, vectors = eigh(covariance)
+        return SummaryNoise(vectors * np.sqrt(np.maximum(values, 0.0)), noise.span)
+
+    def scaled(self, scale: Floats) -> SummaryNoise:
+        """Of summaries divided by a scale (k,)."""
+        return self._replace(root=self.root / scale[:, None])
+
+    def drawn(self, count: int, random: np.random.Generator) -> Floats:
+        """(count, k)."""
+        sizes = self.span ** random.uniform(-1.0, 1.0, (count, 1))
+        return sizes * random.standard_normal((count, len(self.root))) @ self.root.T

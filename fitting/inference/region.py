@@ -19,7 +19,7 @@ from pftwin.base.errors import InputError
 Floats = NDArray[np.float64]
 
 _NARROWEST = 0.01  # least half width of what nuisance is drawn from, as a share of its bounds
-_INSIDE, _MARGIN = 0.999, 1.1  # share of a normal posterior within the ellipsoid, and by how much it is larger still
+_INSIDE, _MARGIN = 0.999, 1.6  # share of a normal posterior within the ellipsoid, and by how much it is larger still
 _TRIES = 200  # of drawing; each should give a good part of what is wanted
 
 
@@ -80,6 +80,13 @@ class Region(NamedTuple):
     def size(self) -> float:
         """The ellipsoid's; infinite without one."""
         return np.inf if self.ellipsoid is None else self.ellipsoid.size
+
+    def like(self, before: Region, tolerance: float) -> bool:
+        """Whether it is as large as the region `before`, and where that was: in logarithms and in deviations."""
+        if self.ellipsoid is None or before.ellipsoid is None:
+            return False
+        moved = (self.ellipsoid.mean - before.ellipsoid.mean) / np.linalg.norm(self.ellipsoid.root, axis=1)
+        return abs(self.size - before.size) < tolerance and bool(np.abs(moved).max() < tolerance)
 
     @property
     def widest(self) -> float:

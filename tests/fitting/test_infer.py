@@ -64,6 +64,7 @@ def found(seed: int = 3, stated: bool = True) -> Inferred:
     return infer(linear(seed, stated), seed=1, simulations=3000, rounds=6, report=lambda entry, most: None)
 
 
+@pytest.mark.slow
 def test_the_posterior_is_that_of_bayes():
     mean, covariance = bayes(3)
     sd = np.sqrt(np.diagonal(covariance))
@@ -84,6 +85,7 @@ def test_noise_that_is_not_stated_is_found():
     np.testing.assert_allclose(noise.correlations, RHO, atol=0.12)
 
 
+@pytest.mark.slow
 def test_slopes_by_regression_are_those_of_the_model():
     np.testing.assert_allclose(found().slopes, slopes(), atol=1e-8 * np.abs(slopes()).max())
 
@@ -112,6 +114,7 @@ def test_what_cannot_be_learned_is_refused():
         check_size(known(), 8000, 100_000)
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_the_last_whole_round():
     def interrupt(entry: dict[str, float], most: int) -> None:
         if entry["iteration"] == 2:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from linear_problems import NOMINAL, objective, parameters
-from scipy.stats import truncnorm
+from scipy.stats import norm, truncnorm
 
-from fitting.inference.recordings import Noise, Summaries, Table
+from fitting.inference.recordings import Noise, Summaries, SummaryNoise, Table
 from fitting.inference.region import Ellipsoid, Region
 from fitting.parameters import Parameters
 from pftwin.base.errors import InputError
@@ -27,10 +27,12 @@ def test_an_ellipsoid_is_filled_evenly():
 
 def test_the_ellipsoid_of_a_posterior_holds_nearly_all_of_it():
     random = np.random.default_rng(1)
-    draws = random.normal(size=(50_000, 2)) @ np.array([[3.0, 1.0], [0.0, 0.2]]) + [10.0, -4.0]
-    region = Region(parameters(half_width=1e4), Ellipsoid.around(draws))
+    apart, mean = random.normal(size=(50_000, 2)) @ np.array([[3.0, 1.0], [0.0, 0.2]]), np.array([10.0, -4.0])
+    region = Region(parameters(half_width=1e4), Ellipsoid.around(mean + apart))
     two = region._replace(parameters=Parameters(region.parameters.items[:2]))
-    assert 0.9995 < two.contains(draws).mean() < 1
+    assert two.contains(mean + apart).all()
+    within = 1 - 0.001 ** ((1.6 / 2) ** 2)  # of one twice as wide: of 1.6 times the ellipse that leaves out 0.001
+    assert two.contains(mean + 2 * apart).mean() == pytest.approx(within, abs=0.002)
 
 
 def test_coordinates_go_there_and_back():
@@ -62,13 +64,26 @@ def test_nuisance_is_drawn_from_its_prior_where_the_posterior_lies():
     posterior = random.normal(size=(20_000, 3)) * [0.1, 0.2, 0.05] + NOMINAL + [0.0, 0.0, 0.3]
     region = whole.around(posterior)
     least, most = region.parameters.lower[2], region.parameters.upper[2]
-    assert 3 < (0.7 - least) / 0.05 < 4  # standard deviations of the posterior
-    assert 3 < (most - 0.7) / 0.05 < 4
+    for reach in (0.7 - least, most - 0.7):
+        assert reach / 0.05 == pytest.approx(1.6 * norm.isf(0.0005), rel=0.05)  # standard deviations of the posterior
     drawn = region.drawn(20_000, random)[:, 2]
     expected = truncnorm((least - 0.4) / 0.5, (most - 0.4) / 0.5, 0.4, 0.5)
     np.testing.assert_allclose([drawn.mean(), drawn.std()], [expected.mean(), expected.std()], rtol=0.02)
     beyond = whole.around(posterior + np.array([0, 0, 1.7])).parameters
     assert beyond.upper[2] == whole.parameters.upper[2]
+
+
+@pytest.mark.parametrize(
+    ("factor", "moved", "alike"),
+    [(1.0, 0.0, True), (1.2, 0.2, True), (1.4, 0.0, False), (0.7, 0.0, False), (1.0, 0.4, False), (1.0, -0.4, False)],
+)
+def test_regions_are_alike_in_size_and_place(factor, moved, alike):
+    """A posterior that keeps its width but moves by 0.4 of its deviations has not come to rest."""
+    whole = Region(parameters(half_width=50.0))
+    draws = np.random.default_rng(10).normal(size=(20_000, 3)) * [0.1, 3.0, 0.02]
+    before, other = draws + NOMINAL, factor * draws + NOMINAL + [0.0, 3.0 * moved, 0.0]
+    assert whole.around(other).like(whole.around(before), 0.25) is alike
+    assert not whole.around(other).like(whole, 0.25)
 
 
 def test_a_region_beyond_the_bounds_is_refused():
@@ -152,3 +167,23 @@ def test_summaries_of_few_directions_lose_nothing(shape):
     np.testing.assert_allclose(found(rows) @ found.directions.T + found.mean, rows, atol=1e-3)
     two = Summaries.of(rows, 2)(rows)
     assert two.var(axis=0).sum() > np.sort(rows.var(axis=0))[-2:].sum()  # more than any two columns
+
+
+def test_noise_of_summaries_is_that_of_noisy_recordings():
+    """Means of blocks of correlated noise, with a gap, along some directions: covariances of 20,000 recordings."""
+    measured = np.ones((90, 4)) * [0.1, -0.2, 0.3, 20.0]
+    measured[10:33, 3] = np.nan
+    target = objective(measured, None)
+    noise = Noise(np.array([1e-3, 2e-3, 3e-3, 0.4]), np.array([0.9, 0.5, 0.0, 0.7]), 1.0)
+    table, random = Table(4, np.array([2e-3, 1e-3, 4e-3, 0.3])), np.random.default_rng(11)
+    summaries = Summaries(np.float32(0), np.linalg.qr(random.normal(size=(88, 5)))[0].astype(np.float32), np.ones(5))
+    found = SummaryNoise.of(noise, target, table, summaries)
+    seen = np.concatenate([summaries(table.rows(noise.drawn(5000, target, random))) for _ in range(4)])
+    np.testing.assert_allclose(found.root @ found.root.T, np.cov(seen.T), atol=0.03 * seen.var(axis=0).max())
+    scale = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    drawn = found.scaled(scale).drawn(20_000, random)
+    np.testing.assert_allclose(drawn.std(axis=0), seen.std(axis=0) / scale, rtol=0.03)
+    wide = found._replace(span=2.0).drawn(20_000, random)[:, 0] / seen[:, 0].std()
+    kurtosis = np.mean(wide**4) / np.mean(wide**2) ** 2  # of a normal distribution whose log size is uniform
+    square, fourth = (0.5 * (4.0**k - 4.0**-k) / (k * np.log(4.0)) for k in (1, 2))
+    assert kurtosis == pytest.approx(3 * fourth / square**2, rel=0.1)

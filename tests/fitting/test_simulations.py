@@ -88,8 +88,8 @@ def test_the_posterior_is_that_of_least_squares_where_the_model_is_right():
         scene(HELD), noisy(0, HELD), noise={"position": NOISE}, method="simulations", progress=told.append
     )
     other = estimate()
-    assert (np.abs(found.values - other.values) < 0.6 * other.standard_deviations).all()
-    np.testing.assert_allclose(found.standard_deviations, other.standard_deviations, rtol=0.35)
+    assert (np.abs(found.values - other.values) < 0.4 * other.standard_deviations).all()
+    np.testing.assert_allclose(found.standard_deviations, other.standard_deviations, rtol=0.3)
     assert (np.abs(found.values - TRUTH) < 4 * found.standard_deviations).all()
     assert found.method == "simulations"
     assert found.rmse["position"] < 1.3 * np.sqrt(3) * NOISE

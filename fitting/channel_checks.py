@@ -155,7 +155,7 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
         left = float(_rms(residuals[there, rows]))
         kind = channel if channel in _FLOOR else "force"
         size = 1.0 if kind != "force" else max(float(_rms(objective.measured[there, columns])), 1e-300)
-        cases = [(kind, left / size, f"of {channel} the fit leaves {_shown(channel, left, 3)} rms")]
+        cases = [(kind, left / size, f"of {channel} the fit leaves {shown(channel, left, 3)} rms")]
         if kind == "force":
             cases = [(kind, cases[0][1], f"{cases[0][2]} of {size:.3g} N that were measured")]
         if stated is not None:
@@ -187,13 +187,13 @@ def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float]) -> li
     found = []
     for channel, error in errors.items():
         if error.large and error.rms > 0.5 * left[channel]:
-            off, rest = (_shown(channel, x, 2) for x in (error.rms, left[channel]))
+            off, rest = (shown(channel, x, 2) for x in (error.rms, left[channel]))
             found.append(f"the fit's time steps are off by {off} rms of {channel}, beside {rest} that it leaves")
     return found
 
 
-def _shown(channel: str, value: float, digits: int) -> str:
-    """A number of a channel [m], [rad] or [N] in the unit that people read."""
+def shown(channel: str, value: float, digits: int) -> str:
+    """A number of a channel [m], [rad] or [N] in the unit that people read, with so many digits."""
     scale, unit = as_read({POSITION: "m", ORIENTATION: "rad"}.get(channel, "N"))
     return f"{scale * value:.{digits}g} {unit}"
 

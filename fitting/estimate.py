@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.channel_checks import shown
 from fitting.coverage import BY_SIMULATIONS, INTERVALS, WITH_NUISANCE, WITHOUT_NUISANCE
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Applied
@@ -23,10 +24,18 @@ from pftwin.results.verdict import INVALID
 
 if TYPE_CHECKING:
     from fitting.plots import EstimatePlots
+    from pftwin.model.measured import Measured
 
 Floats = NDArray[np.float64]
 FORMAT = "pftwin estimate 1"
 _ARRAYS = ("values", "covariance", "lower", "upper", "nominal")
+
+
+class FittedTrial(NamedTuple):
+    """What a fit was of."""
+
+    nominal: Scene
+    measured: Measured | None
 
 
 @dataclass(eq=False)
@@ -75,8 +84,8 @@ class Estimate:
     draws: Floats | None = field(default=None, repr=False)  # (N, p) from the posterior; None: it is taken as normal
     coordinates: tuple[str, ...] = ()  # names of parameters that are coordinates of points
     step_error: dict[str, float] = field(default_factory=dict)  # of the fit's time steps, rms, units as of `rmse`
-    nominal_scene: Scene | None = field(default=None, repr=False)
-    measured: Any = field(default=None, repr=False)
+    trial_rmse: dict[str, dict[str, float]] = field(default_factory=dict)  # as `rmse`, of each of several trials
+    trials: tuple[FittedTrial, ...] = field(default=(), repr=False)  # what was fitted; none of a file
 
     @property
     def standard_deviations(self) -> Floats:
@@ -109,15 +118,38 @@ class Estimate:
         return tuple(n for n, there in zip(self.names, near, strict=True) if there)
 
     @property
+    def nominal_scene(self) -> Scene | None:
+        """The scene that was fitted, of several trials that of the first; None of an estimate from a file."""
+        return self.trials[0].nominal if self.trials else None
+
+    @property
+    def measured(self) -> Measured | None:
+        """What it was fitted to, likewise."""
+        return self.trials[0].measured if self.trials else None
+
+    @property
     def scene(self) -> Scene:
-        """The fitted scene.
+        """The fitted scene, of several trials that of the first.
 
         Raises:
             InputError: an estimate from a file, which holds no scene: use `apply`.
         """
-        if self.nominal_scene is None:
+        return self.scenes[0]
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The fitted scenes of all trials.
+
+        Raises:
+            InputError: as `scene`.
+        """
+        if not self.trials:
             raise InputError("an estimate from a file holds no scene", remedy="estimate.apply(scene)")
-        return self.apply(self.nominal_scene)
+        return tuple(self.apply(trial.nominal) for trial in self.trials)
+
+    def about(self, scene: Scene) -> Estimate:
+        """The same estimate, with the nominal scene that a file does not hold, and its measurements."""
+        return replace(self, trials=(FittedTrial(self.nuisance.prepared(scene), scene.measured),))
 
     @property
     def apply(self) -> Applied:
@@ -181,6 +213,10 @@ class Estimate:
         out = list(self.notes)
         if self.synthetic:
             out.append("the measurements are synthetic")
+        for channel in self.channels if self.trial_rmse else ():
+            of_each = {name: left[channel] for name, left in self.trial_rmse.items() if channel in left}
+            parts = [f"{shown(channel, left, 3)} in {name}" for name, left in of_each.items()]
+            out.append(f"left of {channel}: {', '.join(parts)}")
         if self.at_bounds:
             out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
         if self.serial_correlation > SERIAL:
@@ -206,8 +242,7 @@ class Estimate:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON, with derived ones for readers of the file."""
-        skipped = ("nominal_scene", "measured")
-        plain = {k: getattr(self, k) for k in self.__dataclass_fields__ if k not in skipped}
+        plain = {k: getattr(self, k) for k in self.__dataclass_fields__ if k != "trials"}
         for key in _ARRAYS:
             plain[key] = np.asarray(plain[key]).tolist()
         plain["draws"] = None if self.draws is None else [[float(f"{v:.7g}") for v in row] for row in self.draws]
@@ -251,8 +286,9 @@ class Estimate:
                 raise ValueError(f"its format is {content.get('format')!r}")
             since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
             since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": [], "draws": None}
+            since |= {"trial_rmse": {}}
             content = since | content  # older files have none of these
-            known = {k: content[k] for k in Estimate.__dataclass_fields__ if k not in ("nominal_scene", "measured")}
+            known = {k: content[k] for k in Estimate.__dataclass_fields__ if k != "trials"}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)
             known["draws"] = None if known["draws"] is None else np.asarray(known["draws"], dtype=float)
@@ -264,4 +300,5 @@ class Estimate:
                 known[key] = {k: (v[0], v[1]) for k, v in known[key].items()}
         except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
             raise InputError(f"no estimate: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
-        return Estimate(**known, nominal_scene=None if scene is None else known["nuisance"].prepared(scene))
+        found = Estimate(**known)
+        return found if scene is None else found.about(scene)

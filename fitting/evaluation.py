@@ -6,7 +6,6 @@ equilibria, never from the last iterate's. So a resumed fit takes the same cours
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -105,6 +104,11 @@ class Evaluator:
             self.chunk = -(-widest // max(-(-widest // (_WIDEST * self._count)), threads))
 
     @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The nominal scene of every trial: one."""
+        return (self.scene,)
+
+    @property
     def first(self) -> int:
         """Steps between two frames of answers, before anything is known of their errors."""
         return substeps_for(self.scene.motion.frame_interval, _FINE_STEP)
@@ -177,14 +181,10 @@ class Evaluator:
         self._recent = [(theta.copy(), substeps, prediction), *self._recent[: _REMEMBERED - 1]]
         return prediction
 
-    def with_pull(self, theta: Floats, substeps: int, pull: Callable[[Floats], Floats]) -> tuple[Prediction, Floats]:
-        """Predictions for (N, p) parameters, and gradients (N, p) of a function of the predictions, by reverse mode.
-
-        `pull` maps predictions (N, n, c) to the function's derivatives by them.
-        """
+    def gradients(self, theta: Floats, substeps: int, pulls: Floats) -> Floats:
+        """Of a function of the predictions by (N, p) parameters, by reverse mode; pulls (N, n, c) are its derivatives
+        by the predictions."""
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
-        prediction = self.values(theta, substeps)
-        pulls = pull(np.where(prediction.usable[:, None, None], prediction.values, 0.0))
         program = self._program._replace(channels=self.channels)
         width, parts = self._wide(self.pull_chunk), []
         for i in range(0, len(theta), width):
@@ -193,7 +193,7 @@ class Evaluator:
             numbers = jnp.asarray(full, dtype=float), self.guesses(full), jnp.asarray(cotangents, dtype=float)
             found = programs.loss_gradients(program, self._plain_scene, substeps, *numbers)
             parts.append(np.asarray(found)[: len(theta[part])])
-        return prediction, np.concatenate(parts)
+        return np.concatenate(parts)
 
     @property
     def slope_chunk(self) -> int:

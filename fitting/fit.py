@@ -20,6 +20,7 @@ from fitting.objective import SPRINGS, Objective
 from fitting.outcome import Outcome, estimate_of, judge
 from fitting.parameters import Bounds, free_parameters, with_nuisance
 from fitting.programs import POSITION, channels_of
+from fitting.trials import objective_of, shared_parameters, trials_of
 from pftwin.base.errors import InputError
 from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
@@ -38,6 +39,7 @@ METHODS = {  # module and class
 SIMULATIONS = "simulations"  # no search: see `fitting.inference`
 SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
 _BETWEEN_CHECKPOINTS = 1.0  # [s]
+_ANY = (-1e12, 1e12)  # bounds where the first trial's hold
 
 
 class Progress(NamedTuple):
@@ -53,8 +55,8 @@ class Progress(NamedTuple):
 
 
 def fit_tendons(
-    scene: Scene,
-    measured: Measured | None = None,
+    scene: Scene | Sequence[Scene],
+    measured: Measured | Sequence[Measured | None] | None = None,
     *,
     method: str = "least_squares",
     objective: str = "likelihood",
@@ -78,9 +80,10 @@ def fit_tendons(
     """Parameters of a scene from measurements of its motion, and how sure they are.
 
     Args:
-        scene: the nominal one; its values are where the search begins.
+        scene: the nominal one; its values are where the search begins. Or several, of trials of one knee, which share
+            all parameters: values are those of the first, and coordinates of points move in each by as much.
         measured: at the scene's frames; by default those that the scene carries: a case's of the rig, or those of the
-            scene file's table [measured].
+            scene file's table [measured]. Of several trials, those of each.
         method: "least_squares" (multi-start Levenberg-Marquardt), "gradient" (Adam, then L-BFGS, by reverse mode, for
             many parameters), "genetic", "matlab_ga" (after Matlab's `ga`), "cma_es", "differential_evolution" (these
             two need the extra `evosax`); or "simulations": no search, but a posterior learned from some 25,000
@@ -95,7 +98,7 @@ def fit_tendons(
         seed: of all random choices: the same seed gives the same result; by simulations only where rounding is the same
             too, which the number of threads may change.
         use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
-            measured; see `Objective.of`.
+            measured; see `Objective.of`. Of several trials each gives what was measured there.
         noise: standard deviations of the measurements by channel; by default estimated from the residuals.
         loss: "linear", "huber" or "soft_l1".
         springs: names of the effects whose tensions the "femoral" and the "tibial" spring forces are.
@@ -118,9 +121,9 @@ def fit_tendons(
     Raises:
         InputError: what cannot give a right answer: see `free_parameters` and `Objective.of`; a parameter to which
             nothing that was measured reacts; all starts failing; a checkpoint of another problem; no such devices;
-            measurements in other units, signs or axes, swapped, late, or unlike anything that the scene can do.
+            measurements in other units, signs or axes, swapped, late, or unlike anything that the scene can do;
+            trials that have not the same tendons, damping and friction, or of which nothing that is used was measured.
     """
-    check(scene)
     if method not in (*METHODS, SIMULATIONS):
         known = ", ".join((*METHODS, SIMULATIONS))
         raise InputError(f"no method {method!r}", where="method", expected=f"one of: {known}")
@@ -131,27 +134,31 @@ def fit_tendons(
     if checkpoint is not None:
         check_place(checkpoint)
     allowed = limits_of(limits)
-    data = measured_of(scene) if measured is None else measured
+    trials = trials_of(scene, measured)
+    for one, _ in trials:
+        check(one)
     if objective == "paper" and (priors or nuisance is not None):
         where = "priors" if priors else "nuisance"
         raise InputError("the paper's objective has no noise to weigh priors against", where=where)
     besides = Nuisance.of(nuisance)
-    scene, parameters = with_nuisance(scene, free, bounds, priors, besides)
-    target = Objective.of(scene, data, objective, use=use, noise=noise, loss=loss, springs=springs)
-    problem = Problem.of(scene, parameters, target, _computed(scene, target, computed), devices)
+    prepared = [with_nuisance(one, free, bounds, priors, besides) for one, _ in trials]
+    trials = [(one, data) for (one, _), (_, data) in zip(prepared, trials, strict=True)]
+    target = objective_of(trials, objective, use, noise, loss, springs)
+    knee, free_in_each = trials[0][0], shared_parameters([parameters for _, parameters in prepared])
+    problem = Problem.of([t[0] for t in trials], free_in_each, target, _computed(knee, target, computed), devices)
     began = time.perf_counter()
     if method == SIMULATIONS:
         count, rounds = _check_simulations(objective, loss, checkpoint, options)
-        check_size(parameters, count, target.present.size)
+        check_size(problem.parameters, count, target.present.size)
         problem.evaluator.prepare(TOGETHER)
-        compiled = compiled_aside(scene.unnamed())
+        compiled = compiled_aside(knee.unnamed())
         doubts = plain_look(problem, allowed)
         found = infer(problem, seed, count, rounds, _told(progress, began))
         outcome = Outcome.of_simulations(problem, found, seed)
     else:
         search = _method(method, problem, seed, options)
         problem.evaluator.prepare(search.widest)
-        compiled = compiled_aside(scene.unnamed())  # for the fitted motion, which is simulated last
+        compiled = compiled_aside(knee.unnamed())  # for the fitted motion, which is simulated last
         state = None
         identity = problem.fingerprint(method, seed, search.settings())
         if resume and checkpoint is not None:
@@ -159,7 +166,8 @@ def fit_tendons(
         doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
         search, state = _searched(search, state, identity, progress, checkpoint)
         problem, outcome = search.problem, Outcome.of_search(search, state)
-    estimate = estimate_of(problem, outcome, method, data, springs, besides, doubts, allowed, began)
+    given = [data for _, data in trials]
+    estimate = estimate_of(problem, outcome, method, given, springs, besides, doubts, allowed, began)
     if not outcome.interrupted:
         compiled()
         judge(estimate)
@@ -219,40 +227,31 @@ def _told(progress: Callable[[Progress], None] | None, began: float) -> Callable
     return tell
 
 
-def measured_of(scene: Scene) -> Measured:
-    """The measurements that a scene carries.
-
-    Raises:
-        InputError: it carries none.
-    """
-    if scene.measured is None:
-        raise InputError("nothing to compare with", where="measured", expected="measurements of this scene's motion")
-    return scene.measured
-
-
-def likelihood_of(estimate: Estimate, measured: Measured | None) -> Problem:
+def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | None] | None) -> Problem:
     """The problem that an estimate solved, with the noise that it found.
 
     Args:
         estimate: of a likelihood, with its scene.
-        measured: the measurements; by default those of the estimate, or of its scene.
+        measured: the measurements, of every trial; by default those of the estimate, or of its scenes.
 
     Raises:
         InputError: an estimate without a scene, or of the paper's objective; what `Objective.of` has against the
             measurements.
     """
-    e, scene = estimate, estimate.nominal_scene
-    if scene is None:
+    e, scenes = estimate, [trial.nominal for trial in estimate.trials]
+    if not scenes:
         remedy = "Estimate.load(path, scene)"
         raise InputError("an estimate from a file holds no scene", where="estimate", remedy=remedy)
     if e.objective == "paper":
         remedy = "objective='likelihood'"
         raise InputError("the paper's objective is no likelihood", where="estimate", remedy=remedy)
     limits = {n: (lower, upper) for n, lower, upper in zip(e.names, e.lower, e.upper, strict=True)}
-    data = measured or e.measured or measured_of(scene)
-    target = Objective.of(scene, data, use=e.channels, noise=e.noise, springs=e.springs or SPRINGS)
+    trials = trials_of(scenes, [trial.measured for trial in e.trials] if measured is None else measured)
+    target = objective_of(trials, "likelihood", e.channels, e.noise, "linear", e.springs or SPRINGS)
     target = replace(target, share=e.share)
-    problem = Problem.of(scene, free_parameters(scene, e.names, limits, e.priors), target)
+    first = free_parameters(scenes[0], e.names, limits, e.priors)
+    others = [free_parameters(scene, e.names, dict.fromkeys(e.names, _ANY)) for scene in scenes[1:]]
+    problem = Problem.of(scenes, shared_parameters([first, *others]), target)
     problem.evaluator.prepare(None)
     return problem
 

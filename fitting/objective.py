@@ -63,6 +63,7 @@ class Objective:
     synthetic: bool
     source: str
     share: float = 1.0  # of the likelihood that counts beside priors: see `fitting.correlated`
+    frames: tuple[slice, ...] = (slice(None),)  # those of each trial: see `fitting.trials`
 
     @staticmethod
     def of(
@@ -119,6 +120,12 @@ class Objective:
             measured.synthetic,
             measured.source,
         )
+
+    @property
+    def trials(self) -> tuple[Objective, ...]:
+        """The measurements of each trial."""
+        parts = [(self.measured[rows], self.present[rows]) for rows in self.frames]
+        return tuple(replace(self, measured=m, present=there, frames=(slice(None),)) for m, there in parts)
 
     @property
     def unit(self) -> str:
@@ -272,10 +279,10 @@ def _rho_slope(z: Floats, loss: str) -> Floats:
     return 1 / np.sqrt(1 + z) if loss == "soft_l1" else np.ones_like(z)
 
 
-def _chosen_channels(
-    scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
-) -> dict[str, Floats]:
-    """The measured channels that are compared, (n, columns) each."""
+def measured_channels(
+    scene: Scene, measured: Measured, springs: Mapping[str, str]
+) -> tuple[dict[str, Floats], tuple[str, ...]]:
+    """What was measured of a scene's channels, (n, columns) each, and all channels that could be."""
     available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}
     contact = scene.contact
     names = {e.name for e in scene.effects}
@@ -287,7 +294,14 @@ def _chosen_channels(
     data = {
         c: np.asarray(v, dtype=float).reshape(len(measured.times), -1) for c, v in available.items() if v is not None
     }
-    data = {c: v for c, v in data.items() if np.isfinite(v).all(axis=1).any()}
+    return {c: v for c, v in data.items() if np.isfinite(v).all(axis=1).any()}, tuple(available)
+
+
+def _chosen_channels(
+    scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
+) -> dict[str, Floats]:
+    """The measured channels that are compared, (n, columns) each."""
+    data, available = measured_channels(scene, measured, springs)
     wanted = tuple(data) if use == "all" else (use,) if isinstance(use, str) else tuple(use)
     if kind == "paper" and wanted != (POSITION,):
         expected = "position alone: the paper's objective has no other"

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.channel_checks import Limits, left_over, unresolved
-from fitting.estimate import Estimate
+from fitting.estimate import Estimate, FittedTrial
 from fitting.evaluation import Prediction, StepError
 from fitting.methods.problem import Method, Problem, State
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.programs import POSITION
-from fitting.time_shift import late_channels, time_shifts
+from fitting.time_shift import TimeShift, late_channels, time_shifts
+from fitting.trials import trial_names
 from fitting.uncertainty import relative, sizes, uncertainty
 from pftwin.base.errors import PftwinError
 from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.status import status_facts
 from pftwin.model.measured import Measured
+from pftwin.results.verdict import Verdict
 
 if TYPE_CHECKING:
     from fitting.inference.infer import Inferred
@@ -120,7 +122,7 @@ def estimate_of(
     problem: Problem,
     found: Outcome,
     method: str,
-    measured: Measured,
+    measured: Sequence[Measured],
     springs: Mapping[str, str],
     nuisance: Nuisance,
     doubts: list[str],
@@ -132,7 +134,7 @@ def estimate_of(
     Args:
         problem: that was solved.
         found: by the method of this name.
-        measured: what the estimate keeps of the measurements.
+        measured: of every trial, what the estimate keeps of the measurements.
         springs: as `fit_tendons` has them; `nuisance` too.
         doubts: of the measurements, before the search.
         limits: of the checks of what is left.
@@ -145,7 +147,11 @@ def estimate_of(
     r = target.residuals(seen.values)[0]
     rmse = _rmse(target, r)
     assert seen.slopes is not None
-    shifts = time_shifts(target, problem.scene.motion.times, seen.values[0], seen.slopes[0])
+    scenes, names = problem.evaluator.scenes, trial_names(problem.evaluator.scenes)
+    shifts: dict[str, TimeShift] = {}
+    for scene, name, rows, own in zip(scenes, names, target.frames, target.trials, strict=True):
+        found_here = time_shifts(own, scene.motion.times, seen.values[0][rows], seen.slopes[0][rows])
+        shifts |= {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in found_here.items()}
     late = late_channels(shifts, target.source, limits)
     left = left_over(target, r, limits, target.noise)
     moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
@@ -179,7 +185,7 @@ def estimate_of(
         seconds=time.perf_counter() - began,
         synthetic=target.synthetic,
         source=target.source,
-        scene_name=problem.scene.name,
+        scene_name=" + ".join(names),
         priors={p.name: p.prior for p in parameters.items if p.prior is not None},
         springs=dict(springs),
         nuisance=nuisance,
@@ -188,24 +194,32 @@ def estimate_of(
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
         coordinates=parameters.coordinates,
         step_error={channel: e.rms for channel, e in found.steps.items()},
-        nominal_scene=problem.scene,
-        measured=measured,
+        trial_rmse={
+            name: _rmse(own, r[rows]) for name, rows, own in zip(names, target.frames, target.trials, strict=True)
+        }
+        if len(scenes) > 1
+        else {},
+        trials=tuple(FittedTrial(*each) for each in zip(scenes, measured, strict=True)),
     )
 
 
 def judge(estimate: Estimate) -> None:
-    """Runs the fitted motion as everybody else runs it: a fit does not look at status."""
-    result = simulate(estimate.scene)
-    estimate.verdict = result.verdict.describe()
-    facts = status_facts(result.flags)
+    """Runs the fitted motions as everybody else runs them: a fit does not look at status."""
+    results = [simulate(scene) for scene in estimate.scenes]
+    reasons = [
+        f"{reason} ({name})" if len(results) > 1 else reason
+        for name, result in zip(trial_names(estimate.scenes), results, strict=True)
+        for reason in result.verdict.reasons
+    ]
+    estimate.verdict = Verdict(tuple(reasons)).describe()
+    facts = status_facts(np.concatenate([result.flags for result in results]))
     estimate.status, estimate.status_frames = facts["status"], facts["status_frames"]
 
 
-def _rmse(target: Objective, r: Any) -> dict[str, float]:
-    present = target.present
-    known = target.known(dict.fromkeys(target.channels, 1.0))
-    out = dict(zip(target.channels, np.sqrt(known.mean_squares(r[None])[0]).tolist(), strict=True))
-    if POSITION in target.channels:
-        for i, axis in enumerate("XYZ"):
-            out[axis] = float(np.sqrt(np.sum(r[:, i] ** 2) / present[:, i].sum()))
-    return out
+def _rmse(target: Objective, r: Floats) -> dict[str, float]:
+    """Of residuals (n, m), by channel and, of positions, by axis; nothing of what was not measured."""
+    squares, counts = np.sum(r**2, axis=0), target.present.sum(axis=0)
+    parts = {channel: rows for channel, _, rows in target.columns() if counts[rows.start]}
+    if POSITION in parts:
+        parts |= {axis: slice(i, i + 1) for i, axis in enumerate("XYZ", parts[POSITION].start)}
+    return {name: float(np.sqrt(squares[rows].sum() / counts[rows].sum())) for name, rows in parts.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,20 +29,23 @@ class EstimatePlots:
     def __init__(self, estimate: Estimate) -> None:
         self._estimate = estimate
 
-    def fit(self) -> Figure:
-        """The measured trajectory, the nominal and the fitted one.
+    def fit(self, trial: int = 1) -> Figure:
+        """The measured trajectory of a trial, the first by default, the nominal and the fitted one.
 
         Raises:
-            InputError: an estimate from a file, which holds neither scene nor measurements.
+            InputError: an estimate from a file, which holds neither scene nor measurements; no such trial.
         """
         import pftwin
         from pftwin.results.plots import case_figure
 
         e = self._estimate
-        if e.nominal_scene is None or e.measured is None:
+        if not e.trials or e.measured is None:
             raise InputError("an estimate from a file holds no measurements to draw")
-        results = {"nominal": pftwin.simulate(e.nominal_scene), "fitted": pftwin.simulate(e.scene)}
-        return case_figure(results, e.measured, f"{e.scene_name}: {e.method}, objective {e.objective}")
+        if not 1 <= trial <= len(e.trials):
+            raise InputError(f"no trial {trial}", where="trial", expected=f"1 to {len(e.trials)}")
+        nominal, measured = e.trials[trial - 1]
+        results = {"nominal": pftwin.simulate(nominal), "fitted": pftwin.simulate(e.scenes[trial - 1])}
+        return case_figure(results, measured, f"{nominal.name}: {e.method}, objective {e.objective}")
 
     def correlation(self, axes: Any = None) -> Figure:
         """Correlations of the errors of what was asked for; values and 95 % intervals in percent of nominal values.
@@ -141,7 +145,7 @@ class EstimatePlots:
         return figure_of(own)
 
     def save(self, stem: Path) -> list[Path]:
-        """All figures as STEM_fit.png, STEM_correlation.png, STEM_history.png, and as SVG.
+        """All figures as STEM_fit.png, STEM_correlation.png, STEM_history.png, and as SVG; STEM_fit_2.png of trial 2.
 
         Raises:
             OutputError: the folder is missing or cannot be written to.
@@ -149,6 +153,7 @@ class EstimatePlots:
         from pftwin.results.plots import save_figure
 
         drawn: dict[str, Any] = {"fit": self.fit, "correlation": self.correlation, "history": self.history}
+        drawn |= {f"fit_{n}": partial(self.fit, n) for n in range(2, len(self._estimate.trials) + 1)}
         written: list[Path] = []
         for name, draw in drawn.items():
             written += save_figure(draw(), stem.with_name(f"{stem.name}_{name}"))

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from fitting.estimate import Estimate
+from fitting.estimate import Estimate, FittedTrial
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
 
 UNITS = {"K": "N/m", "L": "m"}  # by a spring parameter's letter
 
@@ -50,3 +52,8 @@ def made_estimate(values: Mapping[str, tuple[float, float]], **more: Any) -> Est
         "scene_name": "rig case 2, P5",
     }
     return Estimate(**{**fields, **more})
+
+
+def of_trial(scene: Scene, measured: Measured | None = None) -> dict[str, Any]:
+    """What an estimate of one trial holds of it, for `made_estimate`."""
+    return {"trials": (FittedTrial(scene, measured),)}

@@ -10,7 +10,7 @@ from typer import Option
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
-from pftwin.cli.scenes import SceneOptions, on_scene
+from pftwin.cli.scenes import SceneOptions, TrialsOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ NuisanceOption = Annotated[
 def fit(
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="FIT.json", help="The estimate.")],
-    knee: SceneOptions,
+    knee: TrialsOptions,
     method: Annotated[
         str,
         Option(
@@ -82,16 +82,17 @@ def fit(
     figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
     json: JsonOption = None,
 ) -> None:
-    """Fit the tendons to motion capture, and say how sure the answer is.
+    """Fit the tendons to motion capture, of one trial or several, and say how sure the answer is.
 
-    Example: `pftwin fit --case 2 -o fit.json`
+    Examples: `pftwin fit --case 2 -o fit.json`, `pftwin fit walk.toml stairs.toml -o fit.json`
     """
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
     levels, allowed = noise_levels(noise), check_limits(limit)
-    chosen = knee.load()
-    if chosen.measured is None:
-        raise InputError("nothing to compare with", where=knee.scene, expected="a table [measured] in the scene file")
+    trials = knee.load()
+    for path, trial in zip(knee.scene or [], trials, strict=False):
+        if trial.measured is None:
+            raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
     from fitting.fit import fit_tendons
 
     if posterior is not None:
@@ -103,8 +104,7 @@ def fit(
             shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
 
         estimate = fit_tendons(
-            chosen.scene,
-            chosen.measured,
+            [trial.scene for trial in trials],
             method=method,
             objective=objective,
             free=names_in(free),

@@ -47,12 +47,10 @@ class Work:
             PftwinError: the fitted motion may not be spoken of.
             KeyboardInterrupt: Ctrl-C; an unfinished fit is discarded.
         """
-        from fitting.fit import fit_tendons, measured_of
+        from fitting.fit import fit_tendons
 
         scene = self._scene(patient)
-        estimate = fit_tendons(
-            scene, measured_of(scene), progress=lambda p: tell(p.iteration / max(p.of, 1)), **(patient.fit or {})
-        )
+        estimate = fit_tendons(scene, progress=lambda p: tell(p.iteration / max(p.of, 1)), **(patient.fit or {}))
         if estimate.reason.startswith("interrupted"):
             raise KeyboardInterrupt
         if estimate.invalid:

@@ -163,7 +163,7 @@ def compile_fit() -> float:
 
     scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
     began = time.perf_counter()
-    problem = Problem.of(scene, free_parameters(scene, SPRING_PARAMETERS), Objective.of(scene, measured))
+    problem = Problem.of([scene], [free_parameters(scene, SPRING_PARAMETERS)], Objective.of(scene, measured))
     problem.evaluator.prepare(None)  # as least squares does: every evaluation has derivatives
     problem.prediction(problem.parameters.nominal, problem.evaluator.fine)
     return time.perf_counter() - began

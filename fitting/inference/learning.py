@@ -19,10 +19,10 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.float32]
 
 _SUMMARIES = 80
-_FOR_SUMMARIES, _FOR_NOISE = 1500, 750  # recordings that tell directions of the summaries, and the noise
+_SOME = 2000  # recordings that tell directions of the summaries, and the noise
 _NETWORKS = 3  # trained from different starts
 _WORSE = 0.3  # networks that tell less than the best by more than this [nats] are left out
-_NOISE_ROUNDS, _NOISE_DRAWS = 3, 40  # of a search for noise that leaves what measurements leave
+_NOISE_ROUNDS, _NOISE_DRAWS = 3, 100  # of a search for noise that leaves what measurements leave
 _TRIES = 100  # of drawing
 _FAR = 5.0  # least distance of a summary of the measurements from the simulated ones' mean, in their deviations
 
@@ -95,8 +95,8 @@ def learn(
     """
     from fitting.inference.network import trained  # with optax, which no other fit needs
 
-    some = random.permutation(len(simulated))[:_FOR_SUMMARIES]
-    noise = _noise_like(objective, simulated[some[:_FOR_NOISE]], noise, random)
+    some = random.permutation(len(simulated))[:_SOME]
+    noise = _noise_like(objective, simulated[some], noise, random)
     table = Table.of(objective, noise)
     clean = table.rows(simulated)
     summaries = Summaries.of(clean[some], _SUMMARIES)

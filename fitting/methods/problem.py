@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from fitting.evaluation import Evaluator, Prediction
 from fitting.objective import Normal, Objective
 from fitting.parameters import Parameters
+from fitting.trials import TrialsEvaluator
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.base.text_files import read_json
@@ -49,24 +50,35 @@ class ProblemAnswer(NamedTuple):
 
 @dataclass(eq=False)
 class Problem:
-    """A scene, what is free in it, and what it is compared with."""
+    """A scene, or those of several trials, what is free in them, and what they are compared with."""
 
-    scene: Scene
+    scene: Scene  # of the first trial
     parameters: Parameters
     objective: Objective
-    evaluator: Evaluator
+    evaluator: Evaluator | TrialsEvaluator
 
     @staticmethod
     def of(
-        scene: Scene,
-        parameters: Parameters,
+        scenes: Sequence[Scene],
+        parameters: Sequence[Parameters],
         objective: Objective,
         computed: tuple[str, ...] | None = None,
         devices: Devices = "all",
     ) -> Problem:
-        """A problem with its own evaluator, which computes these channels on these devices."""
-        evaluator = Evaluator(scene, parameters, objective.channels, computed=computed, devices=devices)
-        return Problem(scene, parameters, objective, evaluator)
+        """A problem with its own evaluator, which computes these channels on these devices.
+
+        Args:
+            scenes: of every trial, nominal.
+            parameters: what is free in each: `fitting.trials.shared_parameters`.
+            objective: all measurements: `fitting.trials.joined_objective`.
+            computed: as `Evaluator` has it; `devices` too.
+        """
+        own = [
+            Evaluator(scene, free, objective.channels, computed=computed, devices=devices)
+            for scene, free in zip(scenes, parameters, strict=True)
+        ]
+        evaluator = own[0] if len(own) == 1 else TrialsEvaluator(tuple(own))
+        return Problem(scenes[0], parameters[0], objective, evaluator)
 
     def answer(self, request: Request) -> ProblemAnswer:
         """The objective with the priors."""
@@ -76,7 +88,9 @@ class Problem:
             value = self.objective.value(self.evaluator.values(theta, request.substeps))
             return ProblemAnswer(value + prior)
         if request.want == "gradient":
-            prediction, gradient = self.evaluator.with_pull(theta, request.substeps, self.objective.pull)
+            prediction = self.evaluator.values(theta, request.substeps)
+            seen = np.where(prediction.usable[:, None, None], prediction.values, 0.0)
+            gradient = self.evaluator.gradients(theta, request.substeps, self.objective.pull(seen))
             value = self.objective.value(prediction)
             known = np.isfinite(value) & np.isfinite(gradient).all(axis=1)
             return ProblemAnswer(np.where(known, value + prior, np.inf), np.where(known[:, None], gradient + pull, 0.0))
@@ -96,7 +110,7 @@ class Problem:
     def fingerprint(self, *settings: Any) -> str:
         """A hash of everything that determines a fit's course: scene, parameters, measurements and these settings."""
         total = hashlib.sha256()
-        arrays, fixed = eqx.partition(self.scene.unnamed(), eqx.is_array)
+        arrays, fixed = eqx.partition([scene.unnamed() for scene in self.evaluator.scenes], eqx.is_array)
         texts = [jax.tree.structure(arrays), jax.tree.leaves(fixed), jax.tree.structure(fixed)]
         o = self.objective
         texts += [self.parameters, o.kind, o.channels, o.noise, o.loss, settings, self.evaluator.computed]

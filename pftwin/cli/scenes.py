@@ -132,6 +132,31 @@ class SceneOptions:
         return chosen_scene(self.scene, self.case, self.contact)
 
 
+TrialsArgument = Annotated[
+    list[Path] | None,
+    Argument(metavar="[SCENE.toml]...", help="Scene file; or those of several trials of one knee."),
+]
+TrialCasesOption = Annotated[
+    list[int] | None,
+    Option("--case", min=1, max=4, help="A case of the virtual rig instead of scene files; may be repeated."),
+]
+
+
+@dataclass(frozen=True)
+class TrialsOptions:
+    """The options that say which trials of one knee a command works on, one or several."""
+
+    scene: TrialsArgument = None
+    case: TrialCasesOption = None
+    contact: ContactOption = None
+
+    def load(self) -> list[Chosen]:
+        """Loads the scenes; InputError where one cannot."""
+        files: list[tuple[Path | None, int | None]] = [(path, None) for path in self.scene or []]
+        chosen = files + [(None, number) for number in self.case or []]
+        return [chosen_scene(*each, self.contact) for each in chosen or [(None, None)]]
+
+
 @dataclass(frozen=True)
 class RunOptions(SceneOptions):
     """Also those that say how it is simulated."""
@@ -148,7 +173,7 @@ class RunOptions(SceneOptions):
 
 
 def on_scene(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives a command whose argument `knee` is a `SceneOptions` or `RunOptions` the options of that class."""
+    """Gives a command whose argument `knee` is of one of the classes above the options of that class."""
     kind = inspect.signature(command, eval_str=True).parameters["knee"].annotation
     hints = get_type_hints(kind, include_extras=True)
     options = [

@@ -12,8 +12,8 @@ from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 
 
-def lifting_scene(n_frames: int = 41, height: float = 0.1) -> Scene:
-    times = 0.01 * np.arange(n_frames)
+def lifting_scene(n_frames: int = 41, height: float = 0.1, interval: float = 0.01) -> Scene:
+    times = interval * np.arange(n_frames)
     flexion = np.full(n_frames, np.radians(45.0))
     q = tibiofemoral_orientation(flexion, np.full(n_frames, 0.05), np.full(n_frames, -0.03))
     up = height * np.exp(-(((times - 0.2) / 0.05) ** 2))

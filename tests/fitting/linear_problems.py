@@ -63,15 +63,14 @@ def problem(
         values = np.einsum("tmp,np->ntm", slopes, theta)
         return Prediction(values, np.broadcast_to(slopes, (len(theta), *slopes.shape)), np.ones(len(theta), bool))
 
-    def with_pull(theta: np.ndarray, substeps: int, pull: Any) -> tuple[Prediction, np.ndarray]:
-        """As reverse mode does: the prediction, and its derivatives times the pull."""
-        prediction = with_slopes(theta, substeps)
-        return prediction, np.einsum("ntm,tmp->np", pull(prediction.values), slopes)
+    def gradients(theta: np.ndarray, substeps: int, pulls: np.ndarray) -> np.ndarray:
+        """As reverse mode does: derivatives of the predictions times the pulls."""
+        return np.einsum("ntm,tmp->np", pulls, slopes)
 
     evaluator: Any = SimpleNamespace(
         with_slopes=with_slopes,
         values=with_slopes,
-        with_pull=with_pull,
+        gradients=gradients,
         first=1,
         fine=1,
         coarse=1,

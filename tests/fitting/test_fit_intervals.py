@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from lifted_fits import HELD, NOISE, TRUTH, estimate, noisy, scene
-from made_estimates import made_estimate
+from made_estimates import made_estimate, of_trial
 
 import fitting
 import fitting.fit
@@ -61,7 +61,7 @@ def test_serial_correlation_is_seen():
 
 
 def test_an_estimate_is_saved_and_read_again(tmp_path):
-    found = made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, nominal_scene=scene())
+    found = made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, **of_trial(scene()))
     path = found.save(tmp_path / "fit.json")
     again = fitting.Estimate.load(path, scene())
     assert again.to_dict() == found.to_dict()

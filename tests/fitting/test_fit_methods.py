@@ -25,7 +25,7 @@ from pftwin.model.measured import Measured
 
 
 def test_genetic_batches_have_one_size():
-    problem = Problem.of(scene(), fitting.free_parameters(scene(), SPRINGS), Objective.of(scene(), clean()))
+    problem = Problem.of([scene()], [fitting.free_parameters(scene(), SPRINGS)], Objective.of(scene(), clean()))
     search = Genetic(problem, 0, populations=3)
     problem.evaluator.prepare(search.widest)
     assert problem.evaluator.chunk == 75  # one call a core

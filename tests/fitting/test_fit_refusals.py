@@ -75,7 +75,7 @@ def test_what_makes_no_difference_is_refused_before_the_search():
 
 
 def test_starts_that_die_are_dropped_and_counted():
-    problem = Problem.of(scene(), fitting.free_parameters(scene(), SPRINGS), Objective.of(scene(), clean()))
+    problem = Problem.of([scene()], [fitting.free_parameters(scene(), SPRINGS)], Objective.of(scene(), clean()))
     problem.evaluator.prepare(None)
     search = LeastSquares(problem, 0, starts=8)
     state = search.begin()
@@ -104,7 +104,7 @@ def test_all_starts_failing_is_an_error(monkeypatch):
 
 
 def test_an_unusable_prediction_is_infinitely_bad():
-    problem = Problem.of(scene(), fitting.free_parameters(scene(), SPRINGS), Objective.of(scene(), clean()))
+    problem = Problem.of([scene()], [fitting.free_parameters(scene(), SPRINGS)], Objective.of(scene(), clean()))
     problem.evaluator.prepare(None)
     at = problem.parameters.nominal[None]
     prediction = problem.evaluator.with_slopes(np.repeat(at, 2, axis=0), 6)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_estimates import made_estimate
+from made_estimates import made_estimate, of_trial
 from small_scene import small_scene
 
 import fitting
@@ -127,7 +127,7 @@ def fitted(monkeypatch):
         return Prediction(values, np.broadcast_to(slopes, (len(theta), *slopes.shape)), np.ones(len(theta), bool))
 
     evaluator = SimpleNamespace(with_slopes=with_slopes, fine=1, prepare=lambda widest: None)
-    monkeypatch.setattr(Problem, "of", staticmethod(lambda *given: Problem(*given, evaluator)))
+    monkeypatch.setattr(Problem, "of", staticmethod(lambda scenes, free, o: Problem(scenes[0], free[0], o, evaluator)))
     measured = Measured(scene.motion.times, center + noise.reshape(FRAMES, 3))
 
     def made(factor=1.0):
@@ -139,8 +139,7 @@ def fitted(monkeypatch):
             upper=3 * VALUES,
             objective="likelihood",
             noise={"position": SIGMA},
-            nominal_scene=scene,
-            measured=measured,
+            **of_trial(scene, measured),
         )
 
     return made

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made_estimates import made_estimate
+from made_estimates import made_estimate, of_trial
 from scipy.stats import norm
 from small_scene import small_scene
 
@@ -183,7 +183,7 @@ def of_the_small_knee() -> Estimate:
     made = made_estimate({"K1": (156.0, 6.0), "L1": (0.1432, 3e-4)})
     return dataclasses.replace(
         made, names=tuple(names), units=tuple(names.values()), values=values, covariance=np.diag(sd**2),
-        nominal_scene=small_scene(), scene_name="small knee",
+        **of_trial(small_scene()), scene_name="small knee",
     )  # fmt: skip
 
 

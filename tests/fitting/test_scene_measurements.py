@@ -11,8 +11,8 @@ import pytest
 from lifted_fits import SPRINGS, clean, scene
 
 import fitting
-from fitting.fit import measured_of
 from fitting.treatments import Treatment
+from fitting.trials import measured_of
 from pftwin import rig
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured

@@ -13,7 +13,7 @@ Each plant (`pftwin.rig.plant`, code of its own) has, drawn by its seed:
 It runs a case, and the laboratory records it: markers and load cells with their noise, files, filters, poses of the
 segments. PLANTS is a folder in which recordings are kept: a plant takes a minute. Then the twin, with its nominal
 numbers, is fitted. The truth of K and L is the straight line nearest to the plant's spring over the forces that
-occurred. Printed by parameter: root mean square error, how many 95 % intervals hold the truth, and their mean half
+occurred, the mean of those of several cases. Printed by parameter: root mean square error, how many 95 % intervals hold the truth, and their mean half
 width, all in per cent; and estimates that are INVALID, which are counted like others.
 """
 
@@ -99,18 +99,18 @@ def scene_in(case: int, seed: int, folder: Path, contact: str) -> tuple[Scene, M
 
 
 def fitted(
-    case: int, seed: int, folder: Path, contact: str, nuisance: str | None, use: list[str], method: str
+    cases: list[int], seed: int, folder: Path, contact: str, nuisance: str | None, use: list[str], method: str
 ) -> fitting.Estimate:
-    """The twin fitted to a plant's recording."""
-    scene, measured = scene_in(case, seed, folder, contact)
-    return fitting.fit_tendons(scene, measured, free=NAMES, bounds=BOUNDS, nuisance=nuisance, use=use, method=method)
+    """The twin fitted to a plant's recordings of some cases together."""
+    scenes, measured = zip(*(scene_in(case, seed, folder, contact) for case in cases), strict=True)
+    return fitting.fit_tendons(scenes, measured, free=NAMES, bounds=BOUNDS, nuisance=nuisance, use=use, method=method)
 
 
 def main() -> None:
     """Makes plants, fits the twin to them, prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("plants", type=Path, help="folder of the recordings")
-    parser.add_argument("--case", type=int, default=2)
+    parser.add_argument("--case", type=int, nargs="+", default=[2], help="several are fitted together")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--contact", default="spline")
     parser.add_argument("--nuisance", nargs="+", default=["none", "rig"], help="none, or as `pftwin fit --nuisance`")
@@ -122,7 +122,7 @@ def main() -> None:
     rows: dict[str, list[tuple[NDArray, NDArray, NDArray, float]]] = {nuisance: [] for nuisance in given.nuisance}
     for seed in given.seeds:
         began = time.perf_counter()
-        truth = recorded(given.case, seed, given.plants)[1]
+        truth = np.mean([recorded(case, seed, given.plants)[1] for case in given.case], axis=0)
         print(
             f"seed {seed}: plant {time.perf_counter() - began:.0f} s, truth {np.round(truth, 4).tolist()}", flush=True
         )

@@ -146,9 +146,9 @@ def _of_estimate(path: Path, given: Chosen | None) -> Material:
     from fitting.estimate import Estimate
     from pftwin.dynamics.simulate import simulate
 
-    estimate = Estimate.load(path)
-    chosen = _scene_of(estimate, given, path)
-    estimate.nominal_scene, estimate.measured = estimate.nuisance.prepared(chosen.scene), chosen.measured
+    loaded = Estimate.load(path)
+    chosen = _scene_of(loaded, given, path)
+    estimate = loaded.about(chosen.scene)
     scenes = {"nominal": chosen.scene, "fitted": estimate.scene}
     with spinner("compiling and simulating"):
         runs = [ReportedRun.of_result(simulate(scene), name) for name, scene in scenes.items()]
@@ -170,11 +170,10 @@ def _of_demo(folder: Path, given: Chosen | None) -> Material:
         )
     fits = {"the paper's objective": folder / DEMO_FIT, "likelihood": folder / "fit_likelihood.json"}
     present = {name: path for name, path in fits.items() if path.is_file()}
-    estimates = {name: Estimate.load(path) for name, path in present.items()}
-    first = next(iter(estimates.values()))
+    loaded = {name: Estimate.load(path) for name, path in present.items()}
+    first = next(iter(loaded.values()))
     chosen = _scene_of(first, given, folder / DEMO_FIT)
-    for estimate in estimates.values():
-        estimate.nominal_scene, estimate.measured = estimate.nuisance.prepared(chosen.scene), chosen.measured
+    estimates = {name: estimate.about(chosen.scene) for name, estimate in loaded.items()}
     named = _case_of(first)
     contact = named[1] if named else "P5"
     words = {PATHOLOGY: "pathology", TREATMENT: "treatment"}

@@ -92,9 +92,10 @@ def fitted(folder: Path, **more) -> Material:
     path = folder / "fit.json"
     found = estimate(**more)
     found.save(path)
-    found.nominal_scene, found.measured = found.nuisance.prepared(small_scene()), measured()
+    knee = dataclasses.replace(small_scene(), measured=measured())
+    found = found.about(knee)
     runs = [ReportedRun.of_result(small_result(), "fitted")]
-    chosen = Chosen(dataclasses.replace(small_scene(), measured=measured()), None)
+    chosen = Chosen(knee, None)
     return Material(path, "Fitted knee: small knee", {"the fit": found}, chosen, runs, files=[path])
 
 

@@ -1,0 +1,257 @@
+"""Several trials of one knee as one long recording: motions one after another, and one frame of nothing between two.
+
+Parameters are shared. A coordinate of a point is moved in every trial by as much as in the first, whose value is the
+one that is told: a tuberosity that lies 2 mm more distal does so in the treated knee too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.evaluation import Evaluator, Prediction, StepError
+from fitting.objective import Objective, measured_channels
+from fitting.parameters import Parameters
+from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class TrialsEvaluator:
+    """`Evaluator` for several trials; numbers of steps between two frames are those of the first."""
+
+    evaluators: tuple[Evaluator, ...]
+
+    def __post_init__(self) -> None:
+        nominal = [e.parameters.nominal for e in self.evaluators]
+        self._moved = [own - nominal[0] for own in nominal]
+
+    def prepare(self, widest: int | None) -> None:
+        """As `Evaluator.prepare`."""
+        for each in self.evaluators:
+            each.prepare(widest)
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The nominal scene of every trial."""
+        return tuple(scene for each in self.evaluators for scene in each.scenes)
+
+    @property
+    def computed(self) -> tuple[str, ...] | None:
+        """As `Evaluator.computed`."""
+        return self.evaluators[0].computed
+
+    @property
+    def first(self) -> int:
+        """As `Evaluator.first`."""
+        return self.evaluators[0].first
+
+    @cached_property
+    def coarse(self) -> int:
+        """As `Evaluator.coarse`: as many as the trial needs that needs most."""
+        return max(self._of_the_first(each, each.coarse) for each in self.evaluators)
+
+    @cached_property
+    def fine(self) -> int:
+        """As `Evaluator.fine`, likewise."""
+        return max(self._of_the_first(each, each.fine) for each in self.evaluators)
+
+    @property
+    def slope_chunk(self) -> int:
+        """As `Evaluator.slope_chunk`."""
+        return self.evaluators[0].slope_chunk
+
+    @property
+    def pull_chunk(self) -> int:
+        """As `Evaluator.pull_chunk`."""
+        return self.evaluators[0].pull_chunk
+
+    @pull_chunk.setter
+    def pull_chunk(self, chunk: int) -> None:
+        for each in self.evaluators:
+            each.pull_chunk = chunk
+
+    def values(self, theta: Floats, substeps: int) -> Prediction:
+        """As `Evaluator.values`."""
+        return _joined([e.values(at, steps) for e, at, steps in self._each(theta, substeps)])
+
+    def with_slopes(self, theta: Floats, substeps: int) -> Prediction:
+        """As `Evaluator.with_slopes`."""
+        return _joined([e.with_slopes(at, steps) for e, at, steps in self._each(theta, substeps)])
+
+    def gradients(self, theta: Floats, substeps: int, pulls: Floats) -> Floats:
+        """As `Evaluator.gradients`."""
+        lengths = [len(scene.motion.times) for scene in self.scenes]
+        parts = zip(self._each(theta, substeps), frames_of(lengths), strict=True)
+        return np.sum([e.gradients(at, steps, pulls[:, rows]) for (e, at, steps), rows in parts], axis=0)
+
+    def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:
+        """As `Evaluator.step_errors`: of the trial in which a channel is farthest off."""
+        found = [e.step_errors(at[0], steps, slopes=slopes) for e, at, steps in self._each(theta[None], substeps)]
+        if not all(found):
+            return {}
+        return {channel: max((each[channel] for each in found), key=lambda e: (e.large, e.rms)) for channel in found[0]}
+
+    def _each(self, theta: Floats, substeps: int) -> list[tuple[Evaluator, Floats, int]]:
+        """Every trial's evaluator, with its parameters (N, p) and steps."""
+        theta, first = np.atleast_2d(np.asarray(theta, dtype=np.float64)), self.first
+        return [
+            (each, theta + moved, -(-substeps * each.first // first))
+            for each, moved in zip(self.evaluators, self._moved, strict=True)
+        ]
+
+    def _of_the_first(self, each: Evaluator, substeps: int) -> int:
+        """Steps between two frames of the first trial that are no longer than these of another."""
+        return -(-substeps * self.first // each.first)
+
+
+def trials_of(
+    scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None
+) -> list[tuple[Scene, Measured]]:
+    """Every trial's scene and measurements, of one or several; by default what scenes carry.
+
+    Raises:
+        InputError: no scene; a scene that carries no measurements; not as many measurements as scenes.
+    """
+    scenes = [scene] if isinstance(scene, Scene) else list(scene)
+    if not scenes:
+        raise InputError("no trial", where="scene", expected="a scene, or several")
+    own: Sequence[Measured | None] = [None] * len(scenes)
+    given = own if measured is None else [measured] if isinstance(measured, Measured) else measured
+    if len(given) != len(scenes):
+        found = f"measurements of {len(given)} trials for {len(scenes)} scenes"
+        raise InputError(found, where="measured", expected="those of each scene")
+    return [(s, measured_of(s) if m is None else m) for s, m in zip(scenes, given, strict=True)]
+
+
+def measured_of(scene: Scene) -> Measured:
+    """The measurements that a scene carries.
+
+    Raises:
+        InputError: it carries none.
+    """
+    if scene.measured is None:
+        raise InputError("nothing to compare with", where="measured", expected="measurements of this scene's motion")
+    return scene.measured
+
+
+def trial_names(scenes: Sequence[Scene]) -> list[str]:
+    """Their names, those that come again with a number."""
+    found: list[str] = []
+    for scene in scenes:
+        again = 1 + sum(scene.name == other.name for other in scenes[: len(found)])
+        found.append(scene.name if again == 1 else f"{scene.name} ({again})")
+    return found
+
+
+def objective_of(
+    trials: Sequence[tuple[Scene, Measured]],
+    kind: str,
+    use: str | Sequence[str],
+    noise: Mapping[str, float] | None,
+    loss: str,
+    springs: Mapping[str, str],
+) -> Objective:
+    """The distance from all trials' measurements: as `Objective.of`, of each what was measured there.
+
+    Raises:
+        InputError: as `Objective.of`; a trial of which nothing that is used was measured.
+    """
+    there = [tuple(measured_channels(scene, data, springs)[0]) for scene, data in trials]
+    found = []
+    for (scene, data), channels in zip(trials, there, strict=True):
+        wanted: str | Sequence[str] = use
+        if len(trials) > 1 and use != "all":
+            names = [use] if isinstance(use, str) else list(use)
+            elsewhere = {c for other in there for c in other}
+            wanted = [c for c in names if c in channels or c not in elsewhere]  # what nobody measured is refused
+            if not wanted:
+                raise InputError(
+                    f"nothing of {', '.join(names)} was measured in {scene.name}",
+                    where=data.source,
+                    expected=f"one of: {', '.join(channels)}" if channels else "at least one measured frame",
+                )
+        found.append(Objective.of(scene, data, kind, use=wanted, noise=noise, loss=loss, springs=springs))
+    return joined_objective(found)
+
+
+def frames_of(lengths: Sequence[int]) -> tuple[slice, ...]:
+    """Which rows are those of each trial."""
+    starts = np.cumsum([0, *(n + 1 for n in lengths[:-1])]).tolist()
+    return tuple(slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
+
+
+def shared_parameters(trials: Sequence[Parameters]) -> list[Parameters]:
+    """What is free in every trial, with the first's values, bounds and priors, and coordinates moved as in the first.
+
+    Raises:
+        InputError: something else is free in one than in another.
+    """
+    first, found = trials[0], []
+    for number, own in enumerate(trials, 1):
+        if own.names != first.names:
+            apart = ", ".join(sorted({*own.names} ^ {*first.names}))
+            expected = "trials of one knee, with the same tendons, damping and friction"
+            raise InputError(f"only one of trials 1 and {number} has {apart}", where="trials", expected=expected)
+        items = []
+        for ours, theirs in zip(first.items, own.items, strict=True):
+            by = theirs.nominal - ours.nominal if ours.coordinate else 0.0
+            prior = None if ours.prior is None else (ours.prior[0] + by, ours.prior[1])
+            moved = {"nominal": ours.nominal + by, "lower": ours.lower + by, "upper": ours.upper + by, "prior": prior}
+            items.append(replace(theirs, **moved))
+        found.append(Parameters(tuple(items)))
+    return found
+
+
+def joined_objective(trials: Sequence[Objective]) -> Objective:
+    """Measurements of all trials: channels that one lacks are missing there."""
+    if len(trials) == 1:
+        return trials[0]
+    pose = [c for c in (POSITION, ORIENTATION) if any(c in t.channels for t in trials)]
+    channels = tuple(dict.fromkeys([*pose, *(c for t in trials for c in t.channels)]))
+    measured, present = [], []
+    for trial in trials:
+        n = len(trial.measured)
+        data = np.full((n + 1, sum(channel_widths(channels))), np.nan)
+        data[:n, columns_of(trial.channels, channels)] = trial.measured
+        measured.append(data)
+        there = {c: trial.present[:, rows.start] for c, _, rows in trial.columns()}
+        rows = [np.append(there.get(c, np.zeros(n, bool)), False) for c in channels]
+        present.append(np.stack(rows, axis=1))
+    first, sources = trials[0], dict.fromkeys(t.source for t in trials)
+    noise = None if first.noise is None else {c: v for t in trials for c, v in (t.noise or {}).items()}
+    whole = replace(
+        first,
+        channels=channels,
+        measured=np.concatenate(measured)[:-1],
+        synthetic=any(t.synthetic for t in trials),
+        source="; ".join(sources),
+        frames=frames_of([len(t.measured) for t in trials]),
+    )
+    by_channel = whole.known(noise or dict.fromkeys(channels, 1.0))
+    there = np.concatenate(present)[:-1][:, by_channel.group_of]
+    if first.kind == "paper":
+        return replace(whole, present=there)
+    return replace(whole, present=there, groups=channels, group_of=by_channel.group_of, noise=noise)
+
+
+def _joined(parts: list[Prediction]) -> Prediction:
+    """Motions one after another; usable where all are."""
+    usable = np.logical_and.reduce([p.usable for p in parts])
+    slopes = [p.slopes for p in parts if p.slopes is not None]
+    values = _one_after_another([p.values for p in parts])
+    return Prediction(values, _one_after_another(slopes) if slopes else None, usable)
+
+
+def _one_after_another(parts: list[Floats]) -> Floats:
+    """Of (N, n, ...), with a frame of zeros between two."""
+    between = np.zeros_like(parts[0][:, :1])
+    return np.concatenate([part for one in parts for part in (between, one)][1:], axis=1)

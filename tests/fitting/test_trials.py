@@ -1,0 +1,198 @@
+"""Several trials of one knee, fitted together: shared parameters, offsets of points, channels that one trial lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from lifting_scene import lifting_scene
+from small_scene import small_scene
+
+import fitting
+import pftwin
+from fitting.estimate import Estimate
+from fitting.fit import likelihood_of
+from fitting.methods.problem import Problem, Request
+from fitting.objective import SPRINGS, Objective
+from fitting.parameters import free_parameters
+from fitting.trials import frames_of, joined_objective, objective_of, shared_parameters, trial_names
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+
+POINT = "patellar_tendon.insertion.y"
+FREE = ("K1", "L2", POINT)
+BOUNDS = {"K1": 0.3, "L2": 0.3, POINT: (-0.02, 0.02)}
+MOVED = 0.003  # by how much the second trial has the insertion elsewhere, as after a treatment [m]
+OFF = 0.0017  # by how much it is elsewhere than the scenes say, in both [m]
+STIFFNESS, LENGTH = 1.1 * 156.0, 1.02 * 0.0714
+NOISE = {"position": 1e-4, "quadriceps": 0.05}
+
+
+@cache
+def nominal() -> tuple[Scene, Scene]:
+    """Motions of unlike height and rate."""
+    one = replace(lifting_scene(height=0.05), name="low")
+    other = replace(lifting_scene(height=0.07, interval=0.008), name="high")
+    return one, other.set(POINT, float(other.get(POINT)) + MOVED)
+
+
+def true(scene: Scene) -> Scene:
+    point = float(scene.get(POINT)) + OFF
+    return scene.set("K1", STIFFNESS).set("L2", LENGTH).set(POINT, point)
+
+
+@cache
+def measured() -> tuple[Measured, Measured]:
+    """Positions of both, without noise; the quadriceps' force of the second alone, without some frames."""
+    seen = []
+    for scene in nominal():
+        result = pftwin.simulate(true(scene), dt=1 / 2400, integrator=pftwin.LinearImplicit())
+        seen.append((result.times, result.center, np.array(result.tensions["quadriceps"])))
+    (times, center, _), (later, elsewhere, force) = seen
+    force[7:11] = np.nan
+    return Measured(times, center), Measured(later, elsewhere, femoral_spring_force=force, source="the laboratory")
+
+
+@cache
+def together() -> Estimate:
+    return fitted(nominal(), measured())
+
+
+def fitted(scenes: Any, data: Any, **more: Any) -> Estimate:
+    given = {"free": FREE, "bounds": BOUNDS, "use": ("position", "quadriceps"), "noise": NOISE, "starts": 4}
+    return fitting.fit_tendons(scenes, data, **{**given, **more})
+
+
+def test_what_both_trials_share_is_found():
+    found = together()
+    assert found.reason == "converged"
+    point = float(nominal()[0].get(POINT))  # values are those of the first trial
+    np.testing.assert_allclose(found.values, [STIFFNESS, LENGTH, point + OFF], rtol=1e-6)
+    assert found.nominal[2] == pytest.approx(point)
+
+
+def test_the_fitted_scenes_are_the_true_ones():
+    for scene, other in zip(together().scenes, nominal(), strict=True):
+        for name in FREE:
+            assert float(scene.get(name)) == pytest.approx(float(true(other).get(name)), rel=1e-6)
+
+
+def problem_of(trials: tuple[int, ...], use: tuple[str, ...]) -> Problem:
+    scenes, data = ([both[i] for i in trials] for both in (nominal(), measured()))
+    own = [free_parameters(scene, FREE, BOUNDS) for scene in scenes]
+    noise = {channel: NOISE[channel] for channel in use}
+    target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", use, noise, "linear", SPRINGS)
+    return Problem.of(scenes, shared_parameters(own), target)
+
+
+def test_values_gradients_and_information_add():
+    """Of independent trials, whose insertion is elsewhere by as much as in the joint problem."""
+    theta = np.array([160.0, 0.0705, float(nominal()[0].get(POINT)) + 0.001])
+    both = problem_of((0, 1), ("position", "quadriceps")).normal(theta, 6)
+    one = problem_of((0,), ("position",)).normal(theta, 6)
+    other = problem_of((1,), ("position", "quadriceps")).normal(theta + np.array([0, 0, MOVED]), 5)
+    for joint, first, second in zip(both, one, other, strict=True):
+        np.testing.assert_allclose(joint, first + second, rtol=1e-9)
+        assert (np.abs(first) > 0.01 * np.abs(joint)).any()
+        assert (np.abs(second) > 0.01 * np.abs(joint)).any()
+
+
+def test_reverse_mode_agrees_with_forward_mode():
+    problem, point = problem_of((0, 1), ("position",)), float(nominal()[0].get(POINT))
+    theta = np.array([[160.0, 0.0705, point + 0.001], [150.0, 0.0722, point - 0.002]])
+    reverse, forward = (problem.answer(Request(theta, 6, want)) for want in ("gradient", "normal"))
+    np.testing.assert_allclose(reverse.value, forward.value, rtol=1e-9)
+    scale = np.abs(forward.gradient).max(axis=0)
+    np.testing.assert_allclose(reverse.gradient / scale, forward.gradient / scale, atol=1e-6)
+
+
+def test_each_trial_tells_what_is_left_of_it():
+    found = together()
+    assert found.scene_name == "low + high"
+    assert found.trial_rmse.keys() == {"low", "high"}
+    assert "quadriceps" not in found.trial_rmse["low"]
+    assert found.trial_rmse["high"]["quadriceps"] < 1e-3
+    assert any(remark.startswith("left of position: ") and " in high" in remark for remark in found.remarks())
+
+
+def test_the_likelihood_of_an_estimate_is_that_of_all_trials():
+    problem = likelihood_of(together(), None)
+    assert problem.objective.present.sum() == 41 * 3 + 41 * 3 + 37
+    beside = together().values + np.array([[1.0, 0, 0], [0, 1e-4, 0], [0, 0, 1e-4]])
+    values = problem.normal(np.concatenate([together().values[None], beside])).value
+    assert values[0] == pytest.approx(together().objective_value, rel=1e-6)
+    assert (values[1:] > values[0] + 0.5).all()
+
+
+def test_every_trial_is_drawn(tmp_path):
+    files = {path.name for path in together().plot.save(tmp_path / "fit")}
+    assert {"fit_fit.png", "fit_fit_2.png"} <= files
+    with pytest.raises(InputError, match="no trial 3"):
+        together().plot.fit(3)
+
+
+def made(frames: int, channels: tuple[str, ...], seed: int) -> Objective:
+    """Of distinct numbers; columns are those of the channels, without orientations."""
+    widths = [3 if c == "position" else 1 for c in channels]
+    data, noise = np.random.default_rng(seed).normal(size=(frames, sum(widths))), dict.fromkeys(channels, 0.1 * seed)
+    there, of = np.ones(data.shape, bool), np.repeat(np.arange(len(channels)), widths)
+    return Objective("likelihood", channels, data, there, channels, of, noise, "linear", seed == 1, f"trial {seed}")
+
+
+def test_channels_that_a_trial_lacks_are_missing_there():
+    one, other = made(5, ("quadriceps",), 1), made(3, ("position", "contact"), 2)
+    whole = joined_objective([one, other])
+    assert whole.channels == ("position", "quadriceps", "contact")
+    assert whole.frames == frames_of([5, 3]) == (slice(0, 5), slice(6, 9))
+    np.testing.assert_array_equal(whole.measured[:5, 3], one.measured[:, 0])
+    np.testing.assert_array_equal(whole.measured[6:], np.insert(other.measured, 3, np.nan, axis=1))
+    expected = np.zeros((9, 5), bool)
+    expected[:5, 3], expected[6:, :3], expected[6:, 4] = True, True, True
+    np.testing.assert_array_equal(whole.present, expected)
+    assert (whole.synthetic, whole.source) == (True, "trial 1; trial 2")
+    assert whole.noise == {"quadriceps": 0.1, "position": 0.2, "contact": 0.2}
+    seen = np.random.default_rng(3).normal(size=(1, 9, 5))
+    parts = [trial.residuals(seen[:, rows]) for trial, rows in zip(whole.trials, whole.frames, strict=True)]
+    np.testing.assert_array_equal(parts[1][0, :, [0, 1, 2, 4]].T, seen[0, 6:, [0, 1, 2, 4]].T - other.measured)
+    assert (whole.residuals(seen)[0, 5] == 0).all()
+
+
+def test_priors_of_coordinates_move_with_them():
+    priors = {POINT: (float(nominal()[0].get(POINT)) + 0.0004, 0.001), "K1": (150.0, 9.0)}
+    own = [free_parameters(scene, FREE, BOUNDS, priors) for scene in nominal()]
+    first, second = shared_parameters(own)
+    assert first == own[0]
+    assert [i.prior for i in second.items] == [(150.0, 9.0), None, (pytest.approx(priors[POINT][0] + MOVED), 0.001)]
+    np.testing.assert_allclose(second.lower - first.lower, [0, 0, MOVED], atol=1e-12)
+    assert second.items[0].nominal == first.items[0].nominal
+
+
+def test_trials_of_one_name_are_told_apart():
+    assert trial_names([small_scene(), nominal()[0], small_scene()])[2] == f"{small_scene().name} (2)"
+
+
+@pytest.mark.parametrize(
+    ("scenes", "data", "more", "said"),
+    [
+        ((), None, {}, "no trial"),
+        ((0, 1), (0,), {}, "measurements of 1 trials for 2 scenes"),
+        ((0, 1), None, {}, "nothing to compare with"),
+        ((0, 1), (0, 1), {"use": "quadriceps"}, "nothing of quadriceps was measured in low"),
+        ((0, 1), (0, 1), {"use": "orientation"}, "no 'orientation' was measured"),
+        ((0, 1), (0, 1), {"noise": {"position": 1e-4}}, "no noise of 'quadriceps'"),
+    ],
+)
+def test_trials_that_share_nothing_are_refused(scenes, data, more, said):
+    given = None if data is None else [measured()[i] for i in data]
+    with pytest.raises(InputError, match=said):
+        fitted([nominal()[i] for i in scenes], given, **more)
+
+
+def test_a_trial_with_other_tendons_is_refused():
+    one, other = nominal()
+    with pytest.raises(InputError, match=r"only one of trials 1 and 2 has .*damping"):
+        fitted([one, other.set("quadriceps.damping", 0.0)], measured(), nuisance="damping=0.5")

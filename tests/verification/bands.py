@@ -65,7 +65,7 @@ def main() -> None:
     rows: dict[str, list[tuple[bool, float, float]]] = {name: [] for name in OUTCOMES}
     for seed in given.seeds:
         truth = truth_in(PREDICTED, seed, given.plants)
-        found = fitted(FITTED, seed, given.plants, given.contact, given.nuisance, given.use, given.method)
+        found = fitted([FITTED], seed, given.plants, given.contact, given.nuisance, given.use, given.method)
         other = scene_in(PREDICTED, seed, given.plants, given.contact)[0]
         seen: Any = fitting.predict(other, None, found, samples=given.samples)
         texts = []

@@ -18,6 +18,7 @@ from fitting.nuisance import Nuisance
 from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters, with_nuisance
 from fitting.programs import ORIENTATION, POSITION, channels_of
+from fitting.trials import shared_parameters, trial_names
 from fitting.uncertainty import in_words, inverse_information, percent, sizes
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -33,7 +34,7 @@ _UNFELT = 1e-6  # least effect of a parameter's whole range on all frames, in un
 
 @dataclass(frozen=True, eq=False)
 class ExperimentPlan:
-    """The best precision a design allows for parameters (p,), and which further channels would improve it."""
+    """The best precision a design allows for parameters (p,), and which further channels or trials would improve it."""
 
     names: tuple[str, ...]
     values: Floats
@@ -42,9 +43,10 @@ class ExperimentPlan:
     covariance: Floats  # (p, p): no unbiased estimate has a smaller one
     condition: float
     unfelt: tuple[str, ...]  # parameters to which nothing that is measured reacts
-    additions: dict[str, Floats]  # relative standard deviations (p,) with one more channel, best first
+    additions: dict[str, Floats]  # relative standard deviations (p,) with one more channel or trial, best first
     words: str
     sizes: Floats  # what deviations are relative to (p,)
+    trials: tuple[str, ...] = ()  # which additions are trials
 
     @property
     def relative(self) -> Floats:
@@ -60,7 +62,8 @@ class ExperimentPlan:
             best = next(iter(self.additions))
             before, after = float(self.relative.max()), float(self.additions[best].max())
             if after < 0.8 * before:
-                what = best if best in (POSITION, ORIENTATION) else f"the force of {best}"
+                plain = best in (POSITION, ORIENTATION, *self.trials)
+                what = best if plain else f"the force of {best}"
                 falls = f"falls from {percent(before)} to {percent(after)}"
                 text += f"; {what} measured as well helps most: the worst standard deviation {falls}"
             else:
@@ -86,6 +89,7 @@ def plan_experiment(
     use: Sequence[str] = (POSITION,),
     noise: Mapping[str, float] | None = None,
     candidates: Sequence[str] | None = None,
+    further: Sequence[Scene] = (),
     priors: Mapping[str, tuple[float, float]] | None = None,
     bounds: Bounds = 0.3,
     nuisance: str | Nuisance | None = None,
@@ -98,15 +102,19 @@ def plan_experiment(
         use: channels to be measured: "position", "orientation", effects' names for their forces.
         noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white.
         candidates: channels that might be measured besides; by default every other one that the scene has.
+        further: scenes of trials of the same knee that might be recorded besides, by the same channels.
         priors: by name, mean and standard deviation of a normal prior.
         bounds: as for a fit: what "no reaction" is measured by.
         nuisance: what the scene lacks or knows roughly, found besides: as for a fit.
 
     Raises:
-        InputError: unknown parameters or channels; a scene that cannot be simulated; a noise that is not positive.
+        InputError: unknown parameters or channels; a scene that cannot be simulated; a noise that is not positive;
+            further trials with other tendons, damping or friction.
     """
-    check(scene)
-    scene, parameters = with_nuisance(scene, free, bounds, priors, Nuisance.of(nuisance))
+    for each in (scene, *further):
+        check(each)
+    prepared = [with_nuisance(each, free, bounds, priors, Nuisance.of(nuisance)) for each in (scene, *further)]
+    (scene, *others), (parameters, *theirs) = ([p[0] for p in prepared], shared_parameters([p[1] for p in prepared]))
     asked = parameters.asked
     all_channels = channels_of(scene)
     more = [c for c in all_channels if c not in use] if candidates is None else list(candidates)
@@ -130,6 +138,10 @@ def plan_experiment(
     scale = np.abs(sizes(names, span, nominal, parameters.coordinates))
     values = np.linalg.eigvalsh(known * np.outer(scale, scale))
     with_more = {c: inverse_information(_of_the_first(base + information[c], asked)) for c in more}
+    names_of_trials = [f"trial {name}" for name in trial_names([scene, *others])[1:]]
+    for name, other, own in zip(names_of_trials, others, theirs, strict=True):
+        there = _information(other, own, measured, sigma, measured)[0]
+        with_more[name] = inverse_information(_of_the_first(base + sum(there.values()), asked))
     additions = {c: np.sqrt(np.diagonal(found)) / scale for c, found in with_more.items()}
     return ExperimentPlan(
         names,
@@ -142,6 +154,7 @@ def plan_experiment(
         dict(sorted(additions.items(), key=lambda item: float(item[1].max()))),
         in_words(names, span, nominal, covariance, measured, parameters.coordinates),
         scale,
+        tuple(names_of_trials),
     )
 
 

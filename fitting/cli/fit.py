@@ -10,7 +10,7 @@ from typer import Option
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
-from pftwin.cli.scenes import SceneOptions, TrialsOptions, on_scene
+from pftwin.cli.scenes import TrialsOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def _sample_posterior(estimate: Estimate, draws: int, output: Path) -> Posterior
 @on_scene
 def plan_experiment(
     *,
-    knee: SceneOptions,
+    knee: TrialsOptions,
     free: FreeOption = "K1,L1,K2,L2",
     use: UseOption = "position",
     noise: NoiseOption = None,
@@ -198,17 +198,21 @@ def plan_experiment(
 ) -> None:
     """Say how precisely an experiment could determine the parameters, before it is made, and what else to measure.
 
-    Example: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`
+    Of several scenes the first is recorded, and the others might be, as further trials of the same knee.
+
+    Examples: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`,
+    `pftwin plan-experiment walk.toml stairs.toml`
     """
     check_outputs(json)
     levels = noise_levels(noise)
-    chosen = knee.load()
+    chosen, *further = knee.load()
     from fitting.identifiability import plan_experiment as plan
     from fitting.programs import channels_of
 
     channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
     with spinner("linearising the motion"):
-        found = plan(chosen.scene, free=names_in(free), use=channels, noise=levels, nuisance=nuisance)
+        others = [each.scene for each in further]
+        found = plan(chosen.scene, free=names_in(free), use=channels, noise=levels, nuisance=nuisance, further=others)
     deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
     sheet = Sheet(
         f"{chosen.scene.name}: smallest possible standard deviations [%]",

@@ -110,6 +110,21 @@ def test_reverse_mode_agrees_with_forward_mode():
     np.testing.assert_allclose(reverse.gradient / scale, forward.gradient / scale, atol=1e-6)
 
 
+def test_a_plan_tells_what_a_further_trial_brings():
+    """Its information added, of the same channels at the same noise, without measurements."""
+    one, other = nominal()
+    noise = {"position": 3e-4, "quadriceps": 0.2}
+    plan = fitting.plan_experiment(
+        one, free=FREE, bounds=BOUNDS, noise=noise, candidates=["quadriceps"], further=[other]
+    )
+    alone, elsewhere = (fitting.plan_experiment(scene, candidates=[], **given).covariance for scene in nominal())
+    size = np.array([156.0, 0.0714, 0.04])  # the coordinate's deviation is told relative to its bounds' span
+    told = [np.linalg.inv(c / np.outer(size, size)) for c in (alone, elsewhere)]
+    np.testing.assert_allclose(plan.additions["trial high"], np.sqrt(np.diagonal(np.linalg.inv(sum(told)))), rtol=1e-6)
+    assert plan.trials == ("trial high",)
+    assert plan.additions.keys() == {"trial high", "quadriceps"}
+
+
 def test_each_trial_tells_what_is_left_of_it():
     found = together()
     assert found.scene_name == "low + high"

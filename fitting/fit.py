@@ -86,7 +86,7 @@ def fit_tendons(
             scene file's table [measured]. Of several trials, those of each.
         method: "least_squares" (multi-start Levenberg-Marquardt), "gradient" (Adam, then L-BFGS, by reverse mode, for
             many parameters), "genetic", "matlab_ga" (after Matlab's `ga`), "cma_es", "differential_evolution" (these
-            two need the extra `evosax`); or "simulations": no search, but a posterior learned from some 25,000
+            two need the extra `evosax`); or "simulations": no search, but a posterior learned from some 30,000
             simulated recordings (`fitting.inference`), whose intervals are those to report.
         objective: "likelihood", or "paper": the sum over X, Y, Z of the root mean square error of the sphere's centre
             in the femur frame, without forces.

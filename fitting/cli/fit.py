@@ -53,7 +53,7 @@ def fit(
         Option(
             metavar="NAME",
             help="least_squares, gradient, genetic, matlab_ga, cma_es or differential_evolution; or simulations: the"
-            " posterior, from some 25,000 simulated recordings.",
+            " posterior, from some 30,000 simulated recordings.",
         ),
     ] = "least_squares",
     objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",

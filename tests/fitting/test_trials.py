@@ -113,10 +113,8 @@ def test_reverse_mode_agrees_with_forward_mode():
 def test_a_plan_tells_what_a_further_trial_brings():
     """Its information added, of the same channels at the same noise, without measurements."""
     one, other = nominal()
-    noise = {"position": 3e-4, "quadriceps": 0.2}
-    plan = fitting.plan_experiment(
-        one, free=FREE, bounds=BOUNDS, noise=noise, candidates=["quadriceps"], further=[other]
-    )
+    given: Any = {"free": FREE, "bounds": BOUNDS, "noise": {"position": 3e-4, "quadriceps": 0.2}}
+    plan = fitting.plan_experiment(one, candidates=["quadriceps"], further=[other], **given)
     alone, elsewhere = (fitting.plan_experiment(scene, candidates=[], **given).covariance for scene in nominal())
     size = np.array([156.0, 0.0714, 0.04])  # the coordinate's deviation is told relative to its bounds' span
     told = [np.linalg.inv(c / np.outer(size, size)) for c in (alone, elsewhere)]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, create_model, model_validator
 
+from fitting.nuisance import Nuisance
 from fitting.prediction.ranges import values
 from fitting.treatments import KINDS
 from fitting.treatments.treatment import Way
@@ -47,6 +48,18 @@ def _amounts(given: Any) -> list[float]:
 PatientName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"), AfterValidator(_file_name)]
 
 
+Method = Literal["least_squares", "gradient", "genetic", "matlab_ga", "cma_es", "differential_evolution", "simulations"]
+
+
+def _nuisance(given: str) -> str:
+    """Itself, if it says what `fitting.Nuisance` may be."""
+    try:
+        Nuisance.of(given)
+    except InputError as error:
+        raise problem(error.problem, expected=error.expected) from None
+    return given
+
+
 class FitTable(Section):
     """How tendons are fitted: the options of `pftwin fit`, with the same defaults."""
 
@@ -58,14 +71,18 @@ class FitTable(Section):
     noise: dict[str, Positive] | None = Field(
         default=None, description="standard deviations by channel, in m, rad or N"
     )
-    method: Literal["least_squares", "gradient", "genetic", "matlab_ga", "cma_es", "differential_evolution"] | None = (
-        Field(default=None, description="how the best parameters are searched for")
+    method: Method | None = Field(default=None, description="how the best parameters, or the posterior, are found")
+    nuisance: Annotated[str, AfterValidator(_nuisance)] | None = Field(
+        default=None,
+        description='what scenes lack, fitted besides: "rig", "mocap", "mri", or deviations',
     )
     objective: Literal["likelihood", "paper"] | None = Field(default=None, description="what makes a fit good")
     loss: Literal["linear", "huber", "soft_l1"] | None = Field(default=None, description="how outliers count")
     starts: Annotated[int, Field(ge=1)] | None = Field(
         default=None, description="starting points (least squares, gradient)"
     )
+    simulations: Annotated[int, Field(ge=1000)] | None = Field(default=None, description="of each round (simulations)")
+    rounds: Annotated[int, Field(ge=1)] | None = Field(default=None, description="at most (simulations)")
     seed: Annotated[int, Field(ge=0)] | None = Field(default=None, description="of all random choices")
 
     def options(self) -> dict[str, Any]:

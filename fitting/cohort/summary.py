@@ -78,6 +78,7 @@ def fit_dataset(estimate: Estimate) -> Dataset:
     attributes |= {
         "synthetic": int(estimate.synthetic),
         "at_bounds": " ".join(estimate.at_bounds),
+        "besides": " ".join(estimate.besides),
         "sentence": estimate.sentence(),
         "remarks": "; ".join(estimate.remarks()),
     }
@@ -172,7 +173,10 @@ def table(rows: Iterable[Row], units: Mapping[str, str], about: Mapping[str, Any
 def _fitted(fit: Dataset, units: Units) -> Row:
     row: Row = {"fit_method": fit.attrs["method"], "fit_stopped": fit.attrs["reason"]}
     row["at_bounds"] = fit.attrs["at_bounds"]
+    besides = str(fit.attrs.get("besides", "")).split()  # in the store alone
     for name, unit in zip(fit["parameter"].values, fit["parameter_unit"].values, strict=True):
+        if name in besides:
+            continue
         at, column = fit.sel(parameter=name), str(name).replace(".", "_")
         for ending, variable in (("", "value"), ("_sd", "standard_deviation"), ("_low", "low"), ("_high", "high")):
             row[column + ending] = float(at[variable])

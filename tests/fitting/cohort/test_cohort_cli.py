@@ -220,6 +220,25 @@ def test_real_fits_beside_broken_files(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_posteriors_by_simulations_with_nuisance(tmp_path):
+    file = write_real(tmp_path)
+    text = file.read_text().partition("[[patient]]")[0] + '[[patient]]\nname = "first"\nscene = "first/scene.toml"\n'
+    fit = 'method = "simulations"\nsimulations = 1000\nrounds = 2\nnuisance = "friction=0.05"\n'
+    file.write_text(re.sub(r"(?m)^starts = .*\n", "", text).replace("[fit]\n", f"[fit]\n{fit}"))
+    result = pftwin("cohort", file)
+    assert result.exit_code == 0, result.output
+    found = Estimate.load(tmp_path / "cohort_results/patients/first.fit.json")
+    assert found.besides == ("contact.friction.coefficient",)
+    assert found.draws is not None
+    _, fitted, predicted = read_store(tmp_path / "cohort_results" / "patients" / "first.nc")
+    assert fitted is not None
+    assert fitted.attrs["besides"] == "contact.friction.coefficient"
+    assert predicted is not None
+    drawn = {tuple(row) for row in found.draws[:, :2].round(9)}
+    assert {tuple(row) for row in predicted["parameters"].values[1:, :2].round(9)} <= drawn
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_real_processes_killed(tmp_path):
     """As `test_cohort_kill` has it with cheap units: here compiled code runs, and threads of its own."""

@@ -10,7 +10,7 @@ from cheap_cohort import HEAD, write_cohort
 
 from fitting.cohort import read_cohort
 from fitting.cohort.description import FitTable
-from fitting.fit import METHODS
+from fitting.fit import METHODS, SIMULATIONS
 from fitting.objective import LOSSES, OBJECTIVES
 from fitting.prediction.variants import amounts_of, combinations
 from fitting.treatments import KINDS
@@ -36,6 +36,14 @@ def test_patients_override_the_fit(tmp_path):
     assert a.fit == {"free": ["K1", "L1"], "bounds": 0.5, "use": "all"}
     assert b.fit == {"free": ["K1", "L1"]}
     assert (a.case, a.scene) == (1, None)
+
+
+def test_nuisance_is_what_fits_take(tmp_path):
+    a = read(tmp_path, HEAD + PATIENT + '[patient.fit]\nnuisance = "attachments=0.001,friction=0.04"\n').patients[0]
+    assert a.fit["nuisance"] == "attachments=0.001,friction=0.04"
+    said = refused(tmp_path, HEAD + PATIENT + '[patient.fit]\nnuisance = "rigs"\n')
+    assert "found 'rigs'" in said
+    assert "one of: rig, mocap, mri" in said
 
 
 def test_ranges_become_all_combinations_in_si(tmp_path):
@@ -65,7 +73,7 @@ def test_choices_are_those_of_fits():
         annotation = FitTable.model_fields[name].annotation
         return get_args(get_args(annotation)[0])
 
-    assert choices("method") == tuple(METHODS)
+    assert choices("method") == (*METHODS, SIMULATIONS)
     assert choices("objective") == OBJECTIVES
     assert choices("loss") == LOSSES
 

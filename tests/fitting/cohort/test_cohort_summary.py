@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cheap_cohort import HEAD, CheapWork, cheap
+from made_estimates import made_estimate
 
 from fitting.cohort import run_cohort
+from fitting.cohort.summary import _fitted, fit_dataset
 from pftwin.base.errors import InputError, MissingExtraError
 
 pandas = pytest.importorskip("pandas")
@@ -94,3 +96,12 @@ def test_without_pyarrow_it_is_refused_at_once(tmp_path, monkeypatch):
     with pytest.raises(MissingExtraError, match=r"the summary of a cohort needs the package 'pyarrow'; try: .*cohort"):
         run_cohort(cheap(tmp_path, 1), work=work)
     assert work.ran == []
+
+
+def test_nuisance_is_in_the_store_alone():
+    found = made_estimate({"K1": (160.0, 2.0), "contact.friction.coefficient": (0.03, 0.01)})
+    found.besides = ("contact.friction.coefficient",)
+    units: dict[str, str] = {}
+    row = _fitted(fit_dataset(found), units)
+    assert {"K1", "K1_sd", "K1_low", "K1_high"} <= row.keys()
+    assert not any("friction" in column for column in (*row, *units))

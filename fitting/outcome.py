@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+_TRIED = 63  # draws next to the posterior's mean
+
 
 class Outcome(NamedTuple):
     """What a method came to."""
@@ -78,14 +80,22 @@ class Outcome(NamedTuple):
 
     @staticmethod
     def of_simulations(problem: Problem, found: Inferred, seed: int) -> Outcome:
-        """Of a posterior learned from simulations, at its mean."""
-        theta, covariance = found.draws.mean(axis=0), np.cov(found.draws.T).reshape(2 * [len(problem.parameters)])
-        plain = problem.evaluator.values(theta[None], found.substeps)
-        _check_usable(plain, "the posterior's means give no finite motion")
+        """Of a posterior learned from simulations, at its mean, or at the draw nearest to it that can be simulated."""
+        mean, deviations = found.draws.mean(axis=0), np.maximum(found.draws.std(axis=0), 1e-300)
+        nearest = np.argsort(np.linalg.norm((found.draws - mean) / deviations, axis=1))[:_TRIED]
+        tried = np.concatenate([mean[None], found.draws[nearest]])
+        every = problem.evaluator.values(tried, found.substeps)
+        best = int(np.argmax(every.usable))
+        theta, at = tried[best], slice(best, best + 1)
+        plain = Prediction(every.values[at], found.slopes[None], every.usable[at])
+        _check_usable(plain, "neither the posterior's means nor the draws next to them give a finite motion")
+        covariance = np.cov(found.draws.T).reshape(2 * [len(problem.parameters)])
         parameters, target = problem.parameters, problem.objective
         span = parameters.upper - parameters.lower
         size = sizes(parameters.names, span, theta, parameters.coordinates)
-        doubts = []
+        doubts = (
+            ["the posterior's means give no finite motion; values are those of a draw next to them"] if best else []
+        )
         if found.learned.strange:
             far = f"a summary of them is {found.learned.distance:.0f} standard deviations from its mean"
             doubts.append(f"the measurements lie outside of what was simulated: {far}")
@@ -94,7 +104,7 @@ class Outcome(NamedTuple):
             theta,
             covariance,
             found.draws,
-            plain._replace(slopes=found.slopes[None]),
+            plain,
             problem.evaluator.step_errors(theta, found.substeps, slopes=False),
             {channel: float(np.sqrt(s.mean())) for channel, s in squares.items()},
             float(found.learned.noise.correlations.mean()),

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from linear_problems import NOMINAL, parameters, problem
 from scipy.linalg import toeplitz
 
+from fitting.evaluation import Prediction
 from fitting.inference.infer import Inferred, check_size, infer
 from fitting.inference.learning import learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem
+from fitting.outcome import Outcome
 from fitting.parameters import Parameters
 from pftwin.base.errors import InputError
 
@@ -101,6 +104,27 @@ def test_measurements_that_no_simulation_resembles_are_strange():
     for case, expected in ((far, False), (strange, True)):
         apart = case.objective.residuals(case.evaluator.values(theta, 1).values).astype(np.float32)
         assert learn(region, theta, apart, case.objective, noise, random).strange is expected
+
+
+@pytest.mark.parametrize("runs", [True, False])
+def test_where_the_means_do_not_run_the_nearest_draw_stands(runs):
+    base, random = linear(3), np.random.default_rng(5)
+    draws = NOMINAL + np.array([0.2, 1.5, 0.01]) * random.normal(size=(500, 3))
+    mean = draws.mean(axis=0)
+
+    def values(theta: np.ndarray, substeps: int) -> Prediction:
+        seen = base.evaluator.with_slopes(theta, substeps)
+        return seen._replace(usable=np.array([runs or np.abs(row - mean).max() > 1e-9 for row in theta]))
+
+    evaluator = SimpleNamespace(values=values, step_errors=lambda theta, substeps, slopes: {})
+    learned = SimpleNamespace(strange=False, noise=Noise(SIGMA, np.full(4, RHO), 1.0))
+    history = [{"iteration": 1, "evaluations": 500.0}]
+    found = Inferred(draws, learned, slopes(), 0, 1, history, "the posterior no longer changes")
+    outcome = Outcome.of_simulations(replace(base, evaluator=evaluator), found, 0)
+    apart = np.linalg.norm((draws - mean) / draws.std(axis=0), axis=1)
+    np.testing.assert_allclose(outcome.theta, mean if runs else draws[np.argmin(apart)])
+    assert [doubt[:36] for doubt in outcome.doubts] == ([] if runs else ["the posterior's means give no finite"])
+    assert outcome.noise == {"position": pytest.approx(SIGMA[0]), "contact": pytest.approx(SIGMA[3])}
 
 
 def test_what_cannot_be_learned_is_refused():

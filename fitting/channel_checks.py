@@ -119,6 +119,8 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
     """Of each channel the best other reading, and pairs of forces that fit better swapped."""
     for channel, at, rows in objective.columns():
         keep = _some(objective.present[:, rows.start])
+        if not keep.size:
+            continue
         data, seen = objective.measured[keep, at], trials[:, keep, at]
         if channel not in _FLOOR:
             seen = seen[_rms(seen) >= _SLACK * min(float(_rms(seen).max()), float(_rms(data)))]
@@ -152,6 +154,8 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
     found = []
     for channel, columns, rows in objective.columns():
         there = objective.present[:, rows.start]
+        if not there.any():
+            continue
         left = float(_rms(residuals[there, rows]))
         kind = channel if channel in _FLOOR else "force"
         size = 1.0 if kind != "force" else max(float(_rms(objective.measured[there, columns])), 1e-300)

@@ -41,7 +41,7 @@ def share_of_independent(objective: Objective, r: Floats, j: Floats) -> float:
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     vectors = vectors / size[:, None]
     told = values > _OPEN * values[-1]
-    spread = np.einsum("pi,pq,qi->i", vectors, long_run_score(a, z, serial), vectors)
+    spread = np.einsum("pi,pq,qi->i", vectors, long_run_score(a, z, serial, objective.frames), vectors)
     return float(min(1.0, 1 / np.mean(spread[told] / values[told])))
 
 

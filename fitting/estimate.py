@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -147,9 +148,10 @@ class Estimate:
             raise InputError("an estimate from a file holds no scene", remedy="estimate.apply(scene)")
         return tuple(self.apply(trial.nominal) for trial in self.trials)
 
-    def about(self, scene: Scene) -> Estimate:
-        """The same estimate, with the nominal scene that a file does not hold, and its measurements."""
-        return replace(self, trials=(FittedTrial(self.nuisance.prepared(scene), scene.measured),))
+    def about(self, scene: Scene | Sequence[Scene]) -> Estimate:
+        """The same estimate, with the nominal scenes that a file does not hold, and their measurements."""
+        scenes = [scene] if isinstance(scene, Scene) else scene
+        return replace(self, trials=tuple(FittedTrial(self.nuisance.prepared(s), s.measured) for s in scenes))
 
     @property
     def apply(self) -> Applied:
@@ -270,12 +272,12 @@ class Estimate:
         return target
 
     @staticmethod
-    def load(path: str | os.PathLike[str], scene: Scene | None = None) -> Estimate:
+    def load(path: str | os.PathLike[str], scene: Scene | Sequence[Scene] | None = None) -> Estimate:
         """Reads an estimate that `save` wrote.
 
         Args:
             path: of the JSON file.
-            scene: the nominal scene, needed for `.scene`.
+            scene: the nominal scene, needed for `.scene`; of several trials those of all.
 
         Raises:
             InputError: no such file, or one that holds no estimate.

@@ -9,6 +9,7 @@ from fitting.channel_checks import Limits, misread
 from fitting.evaluation import Prediction
 from fitting.methods.problem import Problem, Request
 from fitting.programs import POSITION
+from fitting.trials import said_of_trials
 from pftwin.base.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -61,7 +62,12 @@ def plain_look(problem: Problem, limits: Limits) -> list[str]:
 
 
 def _misread(problem: Problem, trials: Prediction, limits: Limits) -> list[str]:
-    return misread(problem.objective, trials.values[trials.usable], limits) if trials.usable.any() else []
+    if not trials.usable.any():
+        return []
+    values = trials.values[trials.usable]
+    return said_of_trials(
+        problem.evaluator.scenes, problem.objective, lambda own, at: misread(own, values[:, at], limits)
+    )
 
 
 def _judged(problem: Problem, trials: Prediction, nominal: Floats, effect: Floats, limits: Limits) -> list[str]:
@@ -74,13 +80,16 @@ def _judged(problem: Problem, trials: Prediction, nominal: Floats, effect: Float
         remedy = "leave them out, or measure something that reacts to them"
         raise InputError(found, where="free", expected="parameters that make a difference", remedy=remedy)
     if problem.objective.channels[0] == POSITION:
-        off = nominal[:, :3] - problem.objective.measured[:, :3]
-        far = float(np.nanmedian(np.linalg.norm(off, axis=1)))
-        if far > _FAR:
-            raise InputError(
-                f"measured positions lie {1e3 * far:.0f} mm from the scene's",
-                where=problem.objective.source,
-                expected="the button's centre in the femur frame, in metres",
-                remedy="the frame and units of the scene",
-            )
+        for own, rows in zip(problem.objective.trials, problem.objective.frames, strict=True):
+            if not own.present[:, 0].any():
+                continue
+            off = nominal[rows, :3] - own.measured[:, :3]
+            far = float(np.nanmedian(np.linalg.norm(off, axis=1)))
+            if far > _FAR:
+                raise InputError(
+                    f"measured positions lie {1e3 * far:.0f} mm from the scene's",
+                    where=own.source,
+                    expected="the button's centre in the femur frame, in metres",
+                    remedy="the frame and units of the scene",
+                )
     return doubts

@@ -15,12 +15,12 @@ from fitting.estimate import Estimate
 from fitting.first_look import first_look, plain_look
 from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
-from fitting.nuisance import Nuisance
+from fitting.nuisance import EXACT, Nuisance
 from fitting.objective import SPRINGS, Objective
 from fitting.outcome import Outcome, estimate_of, judge
-from fitting.parameters import Bounds, free_parameters, with_nuisance
+from fitting.parameters import Bounds
 from fitting.programs import POSITION, channels_of
-from fitting.trials import objective_of, shared_parameters, trials_of
+from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.errors import InputError
 from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
@@ -39,7 +39,6 @@ METHODS = {  # module and class
 SIMULATIONS = "simulations"  # no search: see `fitting.inference`
 SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
 _BETWEEN_CHECKPOINTS = 1.0  # [s]
-_ANY = (-1e12, 1e12)  # bounds where the first trial's hold
 
 
 class Progress(NamedTuple):
@@ -91,8 +90,8 @@ def fit_tendons(
         objective: "likelihood", or "paper": the sum over X, Y, Z of the root mean square error of the sphere's centre
             in the femur frame, without forces.
         free: names of parameters; see `free_parameters`.
-        bounds: to either side as a share of the nominal values, or by name.
-        priors: by name, mean and standard deviation of a normal prior.
+        bounds: to either side as a share of the nominal values, or by name; of several trials, in the first.
+        priors: by name, mean and standard deviation of a normal prior, likewise.
         nuisance: what the scene lacks or knows roughly, fitted besides: "rig", "mocap", "mri" or a `fitting.Nuisance`;
             by default nothing, and whatever it lacks goes into what is free.
         seed: of all random choices: the same seed gives the same result; by simulations only where rounding is the same
@@ -141,11 +140,11 @@ def fit_tendons(
         where = "priors" if priors else "nuisance"
         raise InputError("the paper's objective has no noise to weigh priors against", where=where)
     besides = Nuisance.of(nuisance)
-    prepared = [with_nuisance(one, free, bounds, priors, besides) for one, _ in trials]
-    trials = [(one, data) for (one, _), (_, data) in zip(prepared, trials, strict=True)]
-    target = objective_of(trials, objective, use, noise, loss, springs)
-    knee, free_in_each = trials[0][0], shared_parameters([parameters for _, parameters in prepared])
-    problem = Problem.of([t[0] for t in trials], free_in_each, target, _computed(knee, target, computed), devices)
+    given = [data for _, data in trials]
+    scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+    target = objective_of(list(zip(scenes, given, strict=True)), objective, use, noise, loss, springs)
+    knee = scenes[0]
+    problem = Problem.of(scenes, parameters, target, _computed(knee, target, computed), devices)
     began = time.perf_counter()
     if method == SIMULATIONS:
         count, rounds = _check_simulations(objective, loss, checkpoint, options)
@@ -166,7 +165,6 @@ def fit_tendons(
         doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
         search, state = _searched(search, state, identity, progress, checkpoint)
         problem, outcome = search.problem, Outcome.of_search(search, state)
-    given = [data for _, data in trials]
     estimate = estimate_of(problem, outcome, method, given, springs, besides, doubts, allowed, began)
     if not outcome.interrupted:
         compiled()
@@ -207,7 +205,7 @@ def _check_simulations(
         if given != expected:
             raise InputError(f"simulations have no {name} {given!r}", where=name, expected=expected)
     if checkpoint is not None:
-        remedy = "leave it out: the whole takes a minute or two"
+        remedy = "leave it out: the whole takes some minutes"
         raise InputError("simulations keep no checkpoint", where="checkpoint", remedy=remedy)
     known = {"simulations": PER_ROUND, "rounds": ROUNDS}
     _check_options(SIMULATIONS, tuple(known), options)
@@ -245,13 +243,14 @@ def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | N
     if e.objective == "paper":
         remedy = "objective='likelihood'"
         raise InputError("the paper's objective is no likelihood", where="estimate", remedy=remedy)
+    if e.trial_rmse and len(scenes) != len(e.trial_rmse):
+        found = f"fitted to {len(e.trial_rmse)} trials, and {len(scenes)} of their scenes given"
+        raise InputError(found, where="estimate", expected="the scene of each: Estimate.load(path, [scene, ...])")
     limits = {n: (lower, upper) for n, lower, upper in zip(e.names, e.lower, e.upper, strict=True)}
     trials = trials_of(scenes, [trial.measured for trial in e.trials] if measured is None else measured)
     target = objective_of(trials, "likelihood", e.channels, e.noise, "linear", e.springs or SPRINGS)
     target = replace(target, share=e.share)
-    first = free_parameters(scenes[0], e.names, limits, e.priors)
-    others = [free_parameters(scene, e.names, dict.fromkeys(e.names, _ANY)) for scene in scenes[1:]]
-    problem = Problem.of(scenes, shared_parameters([first, *others]), target)
+    problem = Problem.of(scenes, free_in_trials(scenes, e.names, limits, e.priors, EXACT)[1], target)
     problem.evaluator.prepare(None)
     return problem
 

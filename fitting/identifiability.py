@@ -16,9 +16,9 @@ from fitting.fit import SPRING_PARAMETERS, likelihood_of
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Normal
-from fitting.parameters import Bounds, Parameters, with_nuisance
+from fitting.parameters import Bounds, Parameters
 from fitting.programs import ORIENTATION, POSITION, channels_of
-from fitting.trials import shared_parameters, trial_names
+from fitting.trials import check_channels, free_in_trials, trial_names
 from fitting.uncertainty import in_words, inverse_information, percent, sizes
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -62,17 +62,17 @@ class ExperimentPlan:
             best = next(iter(self.additions))
             before, after = float(self.relative.max()), float(self.additions[best].max())
             if after < 0.8 * before:
-                plain = best in (POSITION, ORIENTATION, *self.trials)
-                what = best if plain else f"the force of {best}"
+                what = best if best in (POSITION, ORIENTATION, *self.trials) else f"the force of {best}"
+                done = "recorded" if best in self.trials else "measured"
                 falls = f"falls from {percent(before)} to {percent(after)}"
-                text += f"; {what} measured as well helps most: the worst standard deviation {falls}"
+                text += f"; {what} {done} as well helps most: the worst standard deviation {falls}"
             else:
                 text += "; no single further measurement helps much"
         return text
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        plain = ("names", "values", "channels", "covariance", "condition", "unfelt")
+        plain = ("names", "values", "channels", "covariance", "condition", "unfelt", "trials")
         return {
             **{name: np.asarray(getattr(self, name)).tolist() for name in plain},
             "noise": self.noise,
@@ -113,8 +113,8 @@ def plan_experiment(
     """
     for each in (scene, *further):
         check(each)
-    prepared = [with_nuisance(each, free, bounds, priors, Nuisance.of(nuisance)) for each in (scene, *further)]
-    (scene, *others), (parameters, *theirs) = ([p[0] for p in prepared], shared_parameters([p[1] for p in prepared]))
+    prepared, free_in_each = free_in_trials([scene, *further], free, bounds, priors, Nuisance.of(nuisance))
+    (scene, *others), (parameters, *theirs) = prepared, free_in_each
     asked = parameters.asked
     all_channels = channels_of(scene)
     more = [c for c in all_channels if c not in use] if candidates is None else list(candidates)
@@ -128,6 +128,7 @@ def plan_experiment(
     if bad := [c for c in wanted if not (np.isfinite(sigma[c]) and sigma[c] > 0)]:
         raise InputError(f"{bad[0]}: found {sigma[bad[0]]!r}", where="noise", expected="a positive number")
     measured = tuple(c for c in wanted if c in use)
+    check_channels(others, measured)
     information, unfelt = _information(scene, parameters, wanted, sigma, tuple(use))
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
     base = sum(information[c] for c in use) + prior
@@ -205,7 +206,7 @@ def profile_likelihood(
     estimate: Estimate,
     name: str,
     *,
-    measured: Measured | None = None,
+    measured: Measured | Sequence[Measured] | None = None,
     points: int = 15,
     reach: float = 3.0,
     iterations: int = 6,
@@ -217,7 +218,7 @@ def profile_likelihood(
     Args:
         estimate: of a likelihood; with its scene.
         name: of the parameter.
-        measured: the measurements; by default those of the estimate.
+        measured: the measurements, of several trials those of each; by default those of the estimate.
         points: of the profile.
         reach: how far to either side, in standard deviations (kept within the bounds).
         iterations: of Gauss-Newton on the others.

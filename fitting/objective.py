@@ -37,6 +37,7 @@ SPRINGS = {"femoral": "quadriceps", "tibial": "patellar_tendon"}  # effects by m
 _AXES = ("X", "Y", "Z")
 _SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below these are rounding [m], [rad]; for forces 1e-5 [N]
 _SAME_TIME = 0.1  # of a frame's interval: allows for the rounding of printed times
+_ONE: dict[str, Any] = {"frames": (slice(None),), "sources": ()}  # of one trial
 _HUBER = 1.345  # residual from which the loss is linear, in units of the noise
 
 
@@ -64,6 +65,7 @@ class Objective:
     source: str
     share: float = 1.0  # of the likelihood that counts beside priors: see `fitting.correlated`
     frames: tuple[slice, ...] = (slice(None),)  # those of each trial: see `fitting.trials`
+    sources: tuple[str, ...] = ()  # of the measurements of each of several trials
 
     @staticmethod
     def of(
@@ -107,7 +109,7 @@ class Objective:
             expected = 'a likelihood with noise, such as noise={"position": 2e-4}'
             raise InputError(problem, where="loss", expected=expected)
         there = np.stack([np.isfinite(values).all(axis=1) for values in data.values()], axis=1)
-        column_channel = _column_channel(channels)
+        column_channel = channel_of_columns(channels)
         return Objective(
             kind,
             channels,
@@ -124,8 +126,10 @@ class Objective:
     @property
     def trials(self) -> tuple[Objective, ...]:
         """The measurements of each trial."""
-        parts = [(self.measured[rows], self.present[rows]) for rows in self.frames]
-        return tuple(replace(self, measured=m, present=there, frames=(slice(None),)) for m, there in parts)
+        return tuple(
+            replace(self, measured=self.measured[rows], present=self.present[rows], source=source, **_ONE)
+            for rows, source in zip(self.frames, self.sources or (self.source,), strict=True)
+        )
 
     @property
     def unit(self) -> str:
@@ -193,7 +197,7 @@ class Objective:
 
     def known(self, noise: Mapping[str, float]) -> Objective:
         """The same measurements as a likelihood of known noise, for covariances."""
-        by_channel = {"groups": self.channels, "group_of": _column_channel(self.channels), "noise": dict(noise)}
+        by_channel = {"groups": self.channels, "group_of": channel_of_columns(self.channels), "noise": dict(noise)}
         return replace(self, kind="likelihood", loss="linear", **by_channel)
 
     @property
@@ -261,7 +265,7 @@ class Objective:
             column, row = column + width, row + rows
 
 
-def _column_channel(channels: tuple[str, ...]) -> NDArray[np.intp]:
+def channel_of_columns(channels: tuple[str, ...]) -> NDArray[np.intp]:
     """The channel of each residual column (m,)."""
     return np.repeat(np.arange(len(channels)), [3 if c in (POSITION, ORIENTATION) else 1 for c in channels])
 

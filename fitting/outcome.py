@@ -17,7 +17,7 @@ from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.programs import POSITION
 from fitting.time_shift import TimeShift, late_channels, time_shifts
-from fitting.trials import trial_names
+from fitting.trials import said_of_trials, trial_names
 from fitting.uncertainty import relative, sizes, uncertainty
 from pftwin.base.errors import PftwinError
 from pftwin.dynamics.simulate import simulate
@@ -159,11 +159,13 @@ def estimate_of(
     assert seen.slopes is not None
     scenes, names = problem.evaluator.scenes, trial_names(problem.evaluator.scenes)
     shifts: dict[str, TimeShift] = {}
+    late: list[str] = []
     for scene, name, rows, own in zip(scenes, names, target.frames, target.trials, strict=True):
-        found_here = time_shifts(own, scene.motion.times, seen.values[0][rows], seen.slopes[0][rows])
-        shifts |= {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in found_here.items()}
-    late = late_channels(shifts, target.source, limits)
-    left = left_over(target, r, limits, target.noise)
+        of_trial = time_shifts(own, scene.motion.times, seen.values[0][rows], seen.slopes[0][rows])
+        named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in of_trial.items()}
+        late += late_channels(named, own.source, limits)
+        shifts |= named
+    left = said_of_trials(scenes, target, lambda own, rows: left_over(own, r[rows], limits, target.noise))
     moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
     draws, facts = found.draws, dict(found.facts)
     if draws is not None:

@@ -6,7 +6,7 @@ one that is told: a tuberosity that lies 2 mm more distal does so in the treated
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,14 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator, Prediction, StepError
-from fitting.objective import Objective, measured_channels
-from fitting.parameters import Parameters
-from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of
+from fitting.nuisance import Nuisance
+from fitting.objective import Objective, channel_of_columns, measured_channels
+from fitting.parameters import Bounds, Parameters, with_nuisance
+from fitting.programs import ORIENTATION, POSITION, channel_widths, channels_of, columns_of
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
 Floats = NDArray[np.float64]
+
+_ANY = (-1e12, 1e12)  # bounds where the first trial's hold
 
 
 @dataclass(eq=False)
@@ -127,8 +130,8 @@ def trials_of(
     own: Sequence[Measured | None] = [None] * len(scenes)
     given = own if measured is None else [measured] if isinstance(measured, Measured) else measured
     if len(given) != len(scenes):
-        found = f"measurements of {len(given)} trials for {len(scenes)} scenes"
-        raise InputError(found, where="measured", expected="those of each scene")
+        found = f"{len(given)} given, and {len(scenes)} scenes"
+        raise InputError(found, where="measured", expected="measurements for each scene")
     return [(s, measured_of(s) if m is None else m) for s, m in zip(scenes, given, strict=True)]
 
 
@@ -147,8 +150,18 @@ def trial_names(scenes: Sequence[Scene]) -> list[str]:
     """Their names, those that come again with a number."""
     found: list[str] = []
     for scene in scenes:
-        again = 1 + sum(scene.name == other.name for other in scenes[: len(found)])
-        found.append(scene.name if again == 1 else f"{scene.name} ({again})")
+        numbered = (f"{scene.name} ({n})" for n in range(2, len(scenes) + 2))
+        found.append(next(name for name in (scene.name, *numbered) if name not in found))
+    return found
+
+
+def said_of_trials(
+    scenes: Sequence[Scene], objective: Objective, check: Callable[[Objective, slice], list[str]]
+) -> list[str]:
+    """What a check of one trial's measurements, given them and their frames, says of each; of several by name."""
+    names, found = trial_names(scenes), []
+    for name, own, rows in zip(names, objective.trials, objective.frames, strict=True):
+        found += [said if len(names) == 1 else f"{said} (in {name})" for said in check(own, rows)]
     return found
 
 
@@ -180,7 +193,18 @@ def objective_of(
                     expected=f"one of: {', '.join(channels)}" if channels else "at least one measured frame",
                 )
         found.append(Objective.of(scene, data, kind, use=wanted, noise=noise, loss=loss, springs=springs))
-    return joined_objective(found)
+    joined = joined_objective(found)
+    check_channels([scene for scene, _ in trials], joined.channels)
+    return joined
+
+
+def check_channels(scenes: Sequence[Scene], channels: Sequence[str]) -> None:
+    """Refuses a trial that has not all channels that are predicted, of every trial."""
+    for scene in scenes:
+        known = channels_of(scene)
+        if missing := [c for c in channels if c not in known]:
+            found = f"{scene.name} has no {missing[0]!r}, which another trial has"
+            raise InputError(found, where="trials", expected=f"effects of the same names; here {', '.join(known)}")
 
 
 def frames_of(lengths: Sequence[int]) -> tuple[slice, ...]:
@@ -189,26 +213,44 @@ def frames_of(lengths: Sequence[int]) -> tuple[slice, ...]:
     return tuple(slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
 
 
-def shared_parameters(trials: Sequence[Parameters]) -> list[Parameters]:
-    """What is free in every trial, with the first's values, bounds and priors, and coordinates moved as in the first.
+def free_in_trials(
+    scenes: Sequence[Scene],
+    names: Sequence[str],
+    bounds: Bounds,
+    priors: Mapping[str, tuple[float, float]] | None,
+    nuisance: Nuisance,
+) -> tuple[list[Scene], list[Parameters]]:
+    """Every trial's scene with whatever is fitted in it, and what is free in it; bounds and priors are of the first.
 
     Raises:
-        InputError: something else is free in one than in another.
+        InputError: as `with_nuisance`; another number is free in one trial than in another.
     """
-    first, found = trials[0], []
-    for number, own in enumerate(trials, 1):
-        if own.names != first.names:
-            apart = ", ".join(sorted({*own.names} ^ {*first.names}))
-            expected = "trials of one knee, with the same tendons, damping and friction"
-            raise InputError(f"only one of trials 1 and {number} has {apart}", where="trials", expected=expected)
-        items = []
-        for ours, theirs in zip(first.items, own.items, strict=True):
-            by = theirs.nominal - ours.nominal if ours.coordinate else 0.0
-            prior = None if ours.prior is None else (ours.prior[0] + by, ours.prior[1])
-            moved = {"nominal": ours.nominal + by, "lower": ours.lower + by, "upper": ours.upper + by, "prior": prior}
-            items.append(replace(theirs, **moved))
-        found.append(Parameters(tuple(items)))
-    return found
+    first, own = with_nuisance(scenes[0], names, bounds, priors, nuisance)
+    found, free = [first], [own]
+    for scene in scenes[1:]:
+        prepared, there = with_nuisance(scene, names, dict.fromkeys(names, _ANY), None, nuisance)
+        found.append(prepared)
+        free.append(_shared(own, there, len(found)))
+    return found, free
+
+
+def _shared(first: Parameters, own: Parameters, number: int) -> Parameters:
+    """What is free in a trial of this number, with the first's values, bounds and priors; coordinates are moved."""
+    here, there = ({p.place.name: p for p in both.items} for both in (first, own))
+    if here.keys() != there.keys():
+        apart = ", ".join(sorted(here.keys() ^ there.keys()))
+        expected = "trials of one knee, with the same tendons, damping and friction; or full names of parameters"
+        raise InputError(f"only one of trials 1 and {number} has {apart} free", where="trials", expected=expected)
+    if odd := [name for name, p in here.items() if p.place.meaning != "value"]:
+        expected = "the slack length itself: each trial begins at another length"
+        raise InputError(f"{odd[0]} is no number that trials share", where="free", expected=expected)
+    items = []
+    for name, ours in here.items():
+        by = there[name].nominal - ours.nominal if ours.coordinate else 0.0
+        prior = None if ours.prior is None else (ours.prior[0] + by, ours.prior[1])
+        moved = {"nominal": ours.nominal + by, "lower": ours.lower + by, "upper": ours.upper + by, "prior": prior}
+        items.append(replace(there[name], **moved))
+    return Parameters(tuple(items))
 
 
 def joined_objective(trials: Sequence[Objective]) -> Objective:
@@ -235,12 +277,11 @@ def joined_objective(trials: Sequence[Objective]) -> Objective:
         synthetic=any(t.synthetic for t in trials),
         source="; ".join(sources),
         frames=frames_of([len(t.measured) for t in trials]),
+        sources=tuple(t.source for t in trials),
     )
-    by_channel = whole.known(noise or dict.fromkeys(channels, 1.0))
-    there = np.concatenate(present)[:-1][:, by_channel.group_of]
-    if first.kind == "paper":
-        return replace(whole, present=there)
-    return replace(whole, present=there, groups=channels, group_of=by_channel.group_of, noise=noise)
+    column_channel = channel_of_columns(channels)
+    whole = replace(whole, present=np.concatenate(present)[:-1][:, column_channel])
+    return whole if first.kind == "paper" else replace(whole, groups=channels, group_of=column_channel, noise=noise)
 
 
 def _joined(parts: list[Prediction]) -> Prediction:

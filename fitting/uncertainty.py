@@ -39,7 +39,7 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
     serial = serial_correlation(z, objective.present)
     inverse = inverse_information(information)
     if serial > SERIAL:
-        middle = objective.share**2 * long_run_score(a, z, serial) + precision
+        middle = objective.share**2 * long_run_score(a, z, serial, objective.frames) + precision
         covariance = inverse @ middle @ inverse
     else:
         covariance = inverse
@@ -72,15 +72,20 @@ def serial_correlation(z: Floats, present: NDArray[np.bool_]) -> float:
     return float(np.sum((z[1:] * z[:-1])[both]) / squares) if squares > 0 and both.any() else 0.0
 
 
-def long_run_score(a: Floats, z: Floats, serial: float) -> Floats:
-    """The long-run covariance of the score's sum (p, p), with Bartlett's weights over some correlation lengths."""
+def long_run_score(a: Floats, z: Floats, serial: float, frames: tuple[slice, ...] = (slice(None),)) -> Floats:
+    """The long-run covariance of the score's sum (p, p), with Bartlett's weights over some correlation lengths.
+
+    `frames` are those of each trial: what lies in two of them is not correlated.
+    """
     score = np.einsum("tmp,tm->tp", a, z)
-    score = score - score.mean(axis=0)
+    parts = [score[rows] for rows in frames]
+    mean = np.concatenate(parts).mean(axis=0)
+    parts = [part - mean for part in parts]
     length = 1 / max(1e-3, -np.log(min(max(serial, 0.05), 0.995)))
-    lags = int(np.clip(np.ceil(4 * length), 1, len(score) // 6))
-    total = score.T @ score
+    lags = int(np.clip(np.ceil(4 * length), 1, max(map(len, parts)) // 6))
+    total = np.sum([part.T @ part for part in parts], axis=0)
     for lag in range(1, lags + 1):
-        across = score[lag:].T @ score[:-lag]
+        across = np.sum([part[lag:].T @ part[:-lag] for part in parts if len(part) > lag], axis=0)
         total += (1 - lag / (lags + 1)) * (across + across.T)
     return total
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh, toeplitz
+from scipy.linalg import eigh
 from scipy.signal import lfilter
 
 from fitting.objective import Objective
@@ -72,8 +72,11 @@ class Noise(NamedTuple):
         sizes = self.span ** random.uniform(-1.0, 1.0, count)
         for column, (sd, rho) in enumerate(zip(self.deviations, self.correlations, strict=True)):
             white = random.standard_normal((count, n), dtype=np.float32)
-            white[:, 1:] *= np.float32(np.sqrt(1 - rho**2))
-            out[..., column] = lfilter([1.0], [1.0, -rho], white, axis=1) * (sd * sizes[:, None])
+            for rows in objective.frames:  # trials know nothing of each other
+                steps = white[:, rows]
+                steps[:, 1:] *= np.float32(np.sqrt(1 - rho**2))
+                white[:, rows] = lfilter([1.0], [1.0, -rho], steps, axis=1)
+            out[..., column] = white * (sd * sizes[:, None])
         return np.where(objective.present, out, np.float32(0))
 
 
@@ -142,7 +145,10 @@ class SummaryNoise(NamedTuple):
         there, covariance = objective.present[: len(shares)], np.zeros((k, k))
         for column, (sd, rho) in enumerate(zip(noise.deviations / table.scale, noise.correlations, strict=True)):
             weights = sd * np.where(there[:, column, None], shares[:, column], 0.0)
-            covariance += weights.T @ toeplitz(rho ** np.arange(len(weights))) @ weights
+            for rows in objective.frames:  # as `Noise.drawn` makes it of white noise, transposed
+                reacted = lfilter([1.0], [1.0, -rho], weights[rows][::-1], axis=0)[::-1].copy()
+                reacted[1:] *= np.sqrt(1 - rho**2)
+                covariance += reacted.T @ reacted
         values, vectors = eigh(covariance)
         return SummaryNoise(vectors * np.sqrt(np.maximum(values, 0.0)), noise.span)
 

@@ -152,9 +152,16 @@ class TrialsOptions:
 
     def load(self) -> list[Chosen]:
         """Loads the scenes; InputError where one cannot."""
-        files: list[tuple[Path | None, int | None]] = [(path, None) for path in self.scene or []]
-        chosen = files + [(None, number) for number in self.case or []]
-        return [chosen_scene(*each, self.contact) for each in chosen or [(None, None)]]
+        files, cases = self.scene or [], self.case or []
+        if files and cases:
+            raise InputError("both scene files and --case given", expected="trials of one knee")
+        if again := [str(each) for each in (*files, *cases) if (*files, *cases).count(each) > 1]:
+            raise InputError(f"{again[0]} is named twice", expected="each trial once")
+        if not files and not cases:
+            return [chosen_scene(None, None, self.contact)]  # which says what is missing
+        return [chosen_scene(path, None, self.contact) for path in files] + [
+            chosen_scene(None, number, self.contact) for number in cases
+        ]
 
 
 @dataclass(frozen=True)

@@ -121,3 +121,25 @@ def test_what_is_no_nuisance_is_refused_before_anything_is_compiled(toy, tmp_pat
         said = refused(*command, "--nuisance", "friction")
         assert "nuisance: found 'friction'" in said
         assert "rig, mocap, mri" in said
+
+
+def test_trials_are_of_one_kind_and_each_is_named_once(toy, tmp_path):
+    output = tmp_path / "fit.json"
+    assert "both scene files and --case given" in refused("fit", toy, "--case", 2, "-o", output)
+    assert f"{toy} is named twice" in refused("fit", toy, toy, "-o", output)
+    assert "2 is named twice" in refused("plan-experiment", "--case", 2, "--case", 2)
+
+
+@pytest.mark.slow
+def test_two_trials_are_fitted_and_planned(toy, tmp_path):
+    other = write_toy(tmp_path, (LIGHT + MEASURED).replace('name = "', 'name = "second '))
+    output = tmp_path / "fit.json"
+    result = pftwin("fit", toy, other, "-o", output, "--free", "K1,L1", "--starts", 2, "--json", "-")
+    assert result.exit_code in (0, 3), result.output
+    written = json.loads(output.read_text())
+    assert len(written["trial_rmse"]) == 2
+    assert {"fit_fit.png", "fit_fit_2.png"} <= {Path(p).name for p in json.loads(result.stdout)["files"]}
+    planned = pftwin("plan-experiment", toy, other, "--free", "K1,L1", "--json", "-")
+    assert planned.exit_code == 0, planned.output
+    (trial,) = json.loads(planned.stdout)["trials"]
+    assert trial in json.loads(planned.stdout)["additions"]

@@ -170,10 +170,10 @@ def test_summaries_of_few_directions_lose_nothing(shape):
 
 
 def test_noise_of_summaries_is_that_of_noisy_recordings():
-    """Means of blocks of correlated noise, with a gap, along some directions: covariances of 20,000 recordings."""
+    """Means of blocks of correlated noise of two trials, with a gap, along some directions: covariances of 20,000."""
     measured = np.ones((90, 4)) * [0.1, -0.2, 0.3, 20.0]
     measured[10:33, 3] = np.nan
-    target = objective(measured, None)
+    target = objective(measured, None, frames=(slice(0, 40), slice(41, 90)))
     noise = Noise(np.array([1e-3, 2e-3, 3e-3, 0.4]), np.array([0.9, 0.5, 0.0, 0.7]), 1.0)
     table, random = Table(4, np.array([2e-3, 1e-3, 4e-3, 0.3])), np.random.default_rng(11)
     summaries = Summaries(np.float32(0), np.linalg.qr(random.normal(size=(88, 5)))[0].astype(np.float32), np.ones(5))

@@ -15,10 +15,13 @@ import fitting
 import pftwin
 from fitting.estimate import Estimate
 from fitting.fit import likelihood_of
+from fitting.inference.recordings import Noise
 from fitting.methods.problem import Problem, Request
+from fitting.nuisance import EXACT
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import free_parameters
-from fitting.trials import frames_of, joined_objective, objective_of, shared_parameters, trial_names
+from fitting.trials import frames_of, free_in_trials, joined_objective, objective_of, trial_names
+from fitting.uncertainty import long_run_score
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
@@ -83,10 +86,10 @@ def test_the_fitted_scenes_are_the_true_ones():
 
 def problem_of(trials: tuple[int, ...], use: tuple[str, ...]) -> Problem:
     scenes, data = ([both[i] for i in trials] for both in (nominal(), measured()))
-    own = [free_parameters(scene, FREE, BOUNDS) for scene in scenes]
+    scenes, own = free_in_trials(scenes, FREE, BOUNDS, None, EXACT)
     noise = {channel: NOISE[channel] for channel in use}
     target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", use, noise, "linear", SPRINGS)
-    return Problem.of(scenes, shared_parameters(own), target)
+    return Problem.of(scenes, own, target)
 
 
 def test_values_gradients_and_information_add():
@@ -174,25 +177,85 @@ def test_channels_that_a_trial_lacks_are_missing_there():
     assert (whole.residuals(seen)[0, 5] == 0).all()
 
 
-def test_priors_of_coordinates_move_with_them():
-    priors = {POINT: (float(nominal()[0].get(POINT)) + 0.0004, 0.001), "K1": (150.0, 9.0)}
-    own = [free_parameters(scene, FREE, BOUNDS, priors) for scene in nominal()]
-    first, second = shared_parameters(own)
-    assert first == own[0]
+def test_priors_and_bounds_are_the_firsts_and_move_with_coordinates():
+    """The second trial's point lies beyond the bounds of the first's."""
+    point = float(nominal()[0].get(POINT))
+    bounds = {**BOUNDS, POINT: (point - 0.002, point + 0.001)}
+    priors = {POINT: (point + 0.0004, 0.001), "K1": (150.0, 9.0)}
+    first, second = free_in_trials(nominal(), FREE, bounds, priors, EXACT)[1]
+    assert first == free_parameters(nominal()[0], FREE, bounds, priors)
     assert [i.prior for i in second.items] == [(150.0, 9.0), None, (pytest.approx(priors[POINT][0] + MOVED), 0.001)]
     np.testing.assert_allclose(second.lower - first.lower, [0, 0, MOVED], atol=1e-12)
+    np.testing.assert_allclose(second.upper - first.upper, [0, 0, MOVED], atol=1e-12)
     assert second.items[0].nominal == first.items[0].nominal
 
 
+def reordered(scene: Scene) -> Scene:
+    return replace(scene, effects=scene.effects[::-1])
+
+
+def test_parameters_are_matched_by_where_they_are():
+    """K1 of a scene with its effects in another order is the other tendon's."""
+    one, other = nominal()
+    first, second = free_in_trials([one, reordered(other)], ("K1", "K2"), 0.3, None, EXACT)[1]
+    assert second.names == ("K2", "K1")
+    assert [p.place.name for p in second.items] == [p.place.name for p in first.items]
+    with pytest.raises(InputError, match=r"patellar_tendon\.stiffness, quadriceps\.stiffness free"):
+        free_in_trials([one, reordered(other)], ("K1",), 0.3, None, EXACT)
+
+
+def test_a_slack_length_as_strain_is_no_shared_number():
+    with pytest.raises(InputError, match=r"quadriceps\.slack_length\.strain"):
+        free_in_trials(nominal(), ("K1", "L1.strain"), {"L1.strain": (-0.5, 0.5)}, None, EXACT)
+
+
+def test_a_trial_without_a_channel_of_another_is_refused():
+    one, other = nominal()
+    renamed = replace(other.effects[other.index("contact")], name="inlay")
+    scene = other.without("contact").with_effect(renamed)
+    data = [replace(measured()[0], contact_force=np.ones(41)), measured()[1]]
+    with pytest.raises(InputError, match="high has no 'contact', which another trial has"):
+        fitted([one, scene], data, use=("position", "contact"), noise=None)
+
+
+def test_an_estimate_from_a_file_gets_all_its_scenes(tmp_path):
+    path = together().save(tmp_path / "fit.json")
+    scenes = [replace(s, measured=m) for s, m in zip(nominal(), measured(), strict=True)]
+    again = Estimate.load(path, scenes)
+    assert likelihood_of(again, None).objective.present.sum() == 41 * 3 + 41 * 3 + 37
+    with pytest.raises(InputError, match="fitted to 2 trials, and 1 of their scenes given"):
+        likelihood_of(Estimate.load(path, scenes[0]), None)
+
+
+def test_frames_of_two_trials_are_not_correlated():
+    """A score that falls in the second trial as it rose in the first: each trial's products alone, and their sum."""
+    ramp = np.linspace(-1.0, 1.0, 60)
+    z = np.concatenate([ramp, [0.0], -ramp])[:, None]
+    frames, a = frames_of([60, 60]), np.ones((121, 1, 1))
+    whole = long_run_score(a, z, 0.9, frames)
+    assert whole == pytest.approx(2 * long_run_score(a[:60], z[:60], 0.9))
+    assert abs(float(long_run_score(a, z, 0.9)[0, 0] / whole[0, 0]) - 1) > 0.1
+
+
+def test_noise_of_two_trials_is_not_correlated():
+    target = replace(made(9, ("position",), 1), frames=frames_of([4, 4]))
+    drawn = Noise(np.full(3, 0.2), np.full(3, 0.95), 1.0).drawn(4000, target, np.random.default_rng(3))[..., 0]
+    correlation = np.corrcoef(drawn.T)
+    assert correlation[2, 3] == pytest.approx(0.95, abs=0.02)
+    assert abs(correlation[3, 5]) < 0.06
+    np.testing.assert_allclose(drawn.std(axis=0)[[0, 5]], 0.2, rtol=0.05)
+
+
 def test_trials_of_one_name_are_told_apart():
-    assert trial_names([small_scene(), nominal()[0], small_scene()])[2] == f"{small_scene().name} (2)"
+    scenes = [replace(small_scene(), name=name) for name in ("a", "a (2)", "a")]
+    assert trial_names(scenes) == ["a", "a (2)", "a (3)"]
 
 
 @pytest.mark.parametrize(
     ("scenes", "data", "more", "said"),
     [
         ((), None, {}, "no trial"),
-        ((0, 1), (0,), {}, "measurements of 1 trials for 2 scenes"),
+        ((0, 1), (0,), {}, "1 given, and 2 scenes"),
         ((0, 1), None, {}, "nothing to compare with"),
         ((0, 1), (0, 1), {"use": "quadriceps"}, "nothing of quadriceps was measured in low"),
         ((0, 1), (0, 1), {"use": "orientation"}, "no 'orientation' was measured"),

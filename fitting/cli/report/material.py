@@ -195,7 +195,7 @@ def _scene_of(estimate: Estimate, given: Chosen | None, path: Path) -> Chosen:
                 remedy=_NAME_IT,
             )
         return chosen_scene(None, *named)
-    _check_same(estimate.scene_name, given, path)
+    _check_same(next(iter(estimate.trial_rmse), estimate.scene_name), given, path)  # of several trials, the first
     return given
 
 

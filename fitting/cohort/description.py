@@ -61,7 +61,7 @@ def _nuisance(given: str) -> str:
 
 
 class FitTable(Section):
-    """How tendons are fitted: the options of `pftwin fit`, with the same defaults."""
+    """How tendons are fitted: options of `fitting.fit_tendons`, with the same defaults."""
 
     free: Annotated[list[str], Field(min_length=1)] | None = Field(default=None, description="parameters")
     bounds: Positive | None = Field(default=None, description="to either side, as a share of the nominal value")

@@ -82,7 +82,7 @@ class Region(NamedTuple):
         return np.inf if self.ellipsoid is None else self.ellipsoid.size
 
     def like(self, before: Region, tolerance: float) -> bool:
-        """Whether it is as large as the region `before`, and where that was: in logarithms and in deviations."""
+        """Whether size (in logarithms) and middle (in deviations) are those of the region before, to a tolerance."""
         if self.ellipsoid is None or before.ellipsoid is None:
             return False
         moved = (self.ellipsoid.mean - before.ellipsoid.mean) / np.linalg.norm(self.ellipsoid.root, axis=1)

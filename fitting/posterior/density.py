@@ -10,6 +10,7 @@ Priors are tempered along with the likelihood, as in that profile.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -49,7 +50,7 @@ class Density:
     frame: Floats  # Q (k, p): orthonormal, the directions in which residuals at the centre react to parameters
 
     @staticmethod
-    def of(estimate: Estimate, measured: Measured | None) -> Density:
+    def of(estimate: Estimate, measured: Measured | Sequence[Measured] | None) -> Density:
         """The density of an estimate by likelihood.
 
         Raises:

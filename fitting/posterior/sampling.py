@@ -21,7 +21,7 @@ Needs the extra `posterior`.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -57,7 +57,7 @@ def sample_posterior(
     chains: int = 4,
     warmup: int = WARMUP,
     seed: int = 0,
-    measured: Measured | None = None,
+    measured: Measured | Sequence[Measured] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Posterior:
     """The posterior of an estimate's parameters, with its noise and priors, uniform within its bounds.

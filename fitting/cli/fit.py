@@ -84,7 +84,7 @@ def fit(
 ) -> None:
     """Fit the tendons to motion capture, of one trial or several, and say how sure the answer is.
 
-    Examples: `pftwin fit --case 2 -o fit.json`, `pftwin fit walk.toml stairs.toml -o fit.json`
+    Example: `pftwin fit --case 2 -o fit.json`, or `pftwin fit walk.toml stairs.toml -o fit.json`
     """
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
@@ -200,7 +200,7 @@ def plan_experiment(
 
     Of several scenes the first is recorded, and the others might be, as further trials of the same knee.
 
-    Examples: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`,
+    Example: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`, or
     `pftwin plan-experiment walk.toml stairs.toml`
     """
     check_outputs(json)

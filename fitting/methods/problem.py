@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fitting.evaluation import Evaluator, Prediction
 from fitting.objective import Normal, Objective
 from fitting.parameters import Parameters
-from fitting.trials import TrialsEvaluator
+from fitting.trials_evaluator import TrialsEvaluator
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.base.text_files import read_json
@@ -69,7 +69,7 @@ class Problem:
 
         Args:
             scenes: of every trial, nominal.
-            parameters: what is free in each: `fitting.trials.shared_parameters`.
+            parameters: what is free in each: `fitting.trials.free_in_trials`.
             objective: all measurements: `fitting.trials.joined_objective`.
             computed: as `Evaluator` has it; `devices` too.
         """

@@ -1,0 +1,118 @@
+"""Predictions of several trials of one knee, as those of one long recording: see `fitting.trials`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.evaluation import Evaluator, Prediction, StepError
+from fitting.trials import frames_of
+from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class TrialsEvaluator:
+    """`Evaluator` for several trials; numbers of steps between two frames are those of the first."""
+
+    evaluators: tuple[Evaluator, ...]
+
+    def __post_init__(self) -> None:
+        nominal = [e.parameters.nominal for e in self.evaluators]
+        self._moved = [own - nominal[0] for own in nominal]
+
+    def prepare(self, widest: int | None) -> None:
+        """As `Evaluator.prepare`."""
+        for each in self.evaluators:
+            each.prepare(widest)
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The nominal scene of every trial."""
+        return tuple(scene for each in self.evaluators for scene in each.scenes)
+
+    @property
+    def computed(self) -> tuple[str, ...] | None:
+        """As `Evaluator.computed`."""
+        return self.evaluators[0].computed
+
+    @property
+    def first(self) -> int:
+        """As `Evaluator.first`."""
+        return self.evaluators[0].first
+
+    @cached_property
+    def coarse(self) -> int:
+        """As `Evaluator.coarse`: as many as the trial needs that needs most."""
+        return max(self._of_the_first(each, each.coarse) for each in self.evaluators)
+
+    @cached_property
+    def fine(self) -> int:
+        """As `Evaluator.fine`, likewise."""
+        return max(self._of_the_first(each, each.fine) for each in self.evaluators)
+
+    @property
+    def slope_chunk(self) -> int:
+        """As `Evaluator.slope_chunk`."""
+        return self.evaluators[0].slope_chunk
+
+    @property
+    def pull_chunk(self) -> int:
+        """As `Evaluator.pull_chunk`."""
+        return self.evaluators[0].pull_chunk
+
+    @pull_chunk.setter
+    def pull_chunk(self, chunk: int) -> None:
+        for each in self.evaluators:
+            each.pull_chunk = chunk
+
+    def values(self, theta: Floats, substeps: int) -> Prediction:
+        """As `Evaluator.values`."""
+        return _joined([e.values(at, steps) for e, at, steps in self._each(theta, substeps)])
+
+    def with_slopes(self, theta: Floats, substeps: int) -> Prediction:
+        """As `Evaluator.with_slopes`."""
+        return _joined([e.with_slopes(at, steps) for e, at, steps in self._each(theta, substeps)])
+
+    def gradients(self, theta: Floats, substeps: int, pulls: Floats) -> Floats:
+        """As `Evaluator.gradients`."""
+        lengths = [len(scene.motion.times) for scene in self.scenes]
+        parts = zip(self._each(theta, substeps), frames_of(lengths), strict=True)
+        return np.sum([e.gradients(at, steps, pulls[:, rows]) for (e, at, steps), rows in parts], axis=0)
+
+    def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:
+        """As `Evaluator.step_errors`: of the trial in which a channel is farthest off."""
+        found = [e.step_errors(at[0], steps, slopes=slopes) for e, at, steps in self._each(theta[None], substeps)]
+        if not all(found):
+            return {}
+        return {channel: max((each[channel] for each in found), key=lambda e: (e.large, e.rms)) for channel in found[0]}
+
+    def _each(self, theta: Floats, substeps: int) -> list[tuple[Evaluator, Floats, int]]:
+        """Every trial's evaluator, with its parameters (N, p) and steps."""
+        theta, first = np.atleast_2d(np.asarray(theta, dtype=np.float64)), self.first
+        return [
+            (each, theta + moved, -(-substeps * each.first // first))
+            for each, moved in zip(self.evaluators, self._moved, strict=True)
+        ]
+
+    def _of_the_first(self, each: Evaluator, substeps: int) -> int:
+        """Steps between two frames of the first trial that are no longer than these of another."""
+        return -(-substeps * self.first // each.first)
+
+
+def _joined(parts: list[Prediction]) -> Prediction:
+    """Motions one after another; usable where all are."""
+    usable = np.logical_and.reduce([p.usable for p in parts])
+    slopes = [p.slopes for p in parts if p.slopes is not None]
+    values = _one_after_another([p.values for p in parts])
+    return Prediction(values, _one_after_another(slopes) if slopes else None, usable)
+
+
+def _one_after_another(parts: list[Floats]) -> Floats:
+    """Of (N, n, ...), with a frame of zeros between two."""
+    between = np.zeros_like(parts[0][:, :1])
+    return np.concatenate([part for one in parts for part in (between, one)][1:], axis=1)

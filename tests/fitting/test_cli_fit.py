@@ -132,7 +132,9 @@ def test_trials_are_of_one_kind_and_each_is_named_once(toy, tmp_path):
 
 @pytest.mark.slow
 def test_two_trials_are_fitted_and_planned(toy, tmp_path):
-    other = write_toy(tmp_path, (LIGHT + MEASURED).replace('name = "', 'name = "second '))
+    other = write_toy(tmp_path, LIGHT + MEASURED)
+    tibia = tibia_poses(61, rate=300)
+    write_poses(other.with_name("poses.csv"), {"tibia": tibia, "patella": fixed_poses(tibia, *START)})
     output = tmp_path / "fit.json"
     result = pftwin("fit", toy, other, "-o", output, "--free", "K1,L1", "--starts", 2, "--json", "-")
     assert result.exit_code in (0, 3), result.output

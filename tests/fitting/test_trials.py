@@ -144,6 +144,19 @@ def test_the_likelihood_of_an_estimate_is_that_of_all_trials():
     assert (values[1:] > values[0] + 0.5).all()
 
 
+@pytest.mark.slow
+def test_simulations_take_trials_and_nuisance():
+    random = np.random.default_rng(8)
+    data = [replace(m, center=m.center + NOISE["position"] * random.normal(size=(41, 3))) for m in measured()]
+    more: Any = {"free": ("K1", "L2"), "bounds": 0.2, "use": "position", "noise": {"position": NOISE["position"]}}
+    simulated = {"method": "simulations", "simulations": 2000, "rounds": 4, "nuisance": "attachments=0.001"}
+    found = fitting.fit_tendons(nominal(), data, **more, **simulated)
+    assert np.abs((found.values[:2] - [STIFFNESS, LENGTH]) / found.standard_deviations[:2]).max() < 4
+    assert len(found.besides) == 12
+    assert found.trial_rmse.keys() == {"low", "high"}
+    assert max(left["position"] for left in found.trial_rmse.values()) < 3 * NOISE["position"]
+
+
 def test_every_trial_is_drawn(tmp_path):
     files = {path.name for path in together().plot.save(tmp_path / "fit")}
     assert {"fit_fit.png", "fit_fit_2.png"} <= files

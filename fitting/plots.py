@@ -39,11 +39,11 @@ class EstimatePlots:
         from pftwin.results.plots import case_figure
 
         e = self._estimate
-        if not e.trials or e.measured is None:
-            raise InputError("an estimate from a file holds no measurements to draw")
-        if not 1 <= trial <= len(e.trials):
+        if e.trials and not 1 <= trial <= len(e.trials):
             raise InputError(f"no trial {trial}", where="trial", expected=f"1 to {len(e.trials)}")
-        nominal, measured = e.trials[trial - 1]
+        nominal, measured = e.trials[trial - 1] if e.trials else (None, None)
+        if nominal is None or measured is None:
+            raise InputError("an estimate from a file holds no measurements to draw")
         results = {"nominal": pftwin.simulate(nominal), "fitted": pftwin.simulate(e.scenes[trial - 1])}
         return case_figure(results, measured, f"{nominal.name}: {e.method}, objective {e.objective}")
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from fitting.prediction import outcomes
     from fitting.prediction.predicting import predict
     from fitting.programs import channels_of
+    from fitting.trained import TrainedPosterior
+    from fitting.training import train_posterior
     from fitting.treatments.optimise import optimise_treatment
 
 _HOME = {
@@ -42,6 +44,8 @@ _HOME = {
     "predict": "prediction.predicting",  # a module of the same name would hide the function
     "profile_likelihood": "identifiability",
     "sample_posterior": "posterior.sampling",
+    "train_posterior": "training",
+    "TrainedPosterior": "trained",
 }
 _MODULES = {"outcomes": "prediction.outcomes", "treatments": "treatments"}
 
@@ -52,6 +56,7 @@ __all__ = [
     "Parameter",
     "Parameters",
     "Posterior",
+    "TrainedPosterior",
     "channels_of",
     "fit_tendons",
     "free_parameters",
@@ -61,6 +66,7 @@ __all__ = [
     "predict",
     "profile_likelihood",
     "sample_posterior",
+    "train_posterior",
     "treatments",
 ]
 

@@ -8,6 +8,9 @@
 | force | what it leaves of a force, as a share of the force, rms | 0.15 | 0.5 |
 | noise | what it leaves of a channel, rms, in units of the noise that was stated | 30 | 300 |
 | shift | by how much a channel is late or early [s] (`fitting.time_shift`) | 0.02 | 0.1 |
+| simulated | how far it lies outside of what a posterior was learned from, in standard deviations | 5 | 15 |
+| trained_noise | what no simulation explains, in units of the noise that a posterior was trained for | 3 | 10 |
+| set_up | by how many standard deviations a trained posterior is off for knees simulated in this set-up | 1 | 3 |
 
 The rig's own measurements, whose plant differs from the twin in springs, attachments, friction and surface, reach 1.0,
 4.8 mm, 0.12 rad, 0.05, 14 and, for positions, 12 ms; pounds taken for newtons a reading of 2.4. "Named" means:
@@ -39,6 +42,9 @@ LIMITS: dict[str, tuple[float, float]] = {
     "force": (0.15, 0.5),
     "noise": (30.0, 300.0),
     "shift": (0.02, 0.1),
+    "simulated": (5.0, 15.0),
+    "trained_noise": (3.0, 10.0),
+    "set_up": (1.0, 3.0),
 }
 _UNITS = {  # by what a number must be multiplied, and what it then was
     POSITION: {
@@ -165,18 +171,26 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
         if stated is not None:
             times = left / (stated[channel] * np.sqrt(rows.stop - rows.start))
             cases.append(("noise", times, f"{cases[0][2]}, {times:.0f} times the stated noise"))
+        why = ": within the bounds the twin does not move or pull like this"
         for limit, value, said in cases:
-            if value >= limits[limit][1]:
-                raise InputError(
-                    said,
-                    where=objective.source,
-                    expected=f"less than {limits[limit][1]:g} by the limit {limit!r}: within the bounds the twin does "
-                    "not move or pull like this",
-                    remedy=f"check unit, sign and channel of {channel}; or {raised(limit, limits, value)}",
-                )
-            if value >= limits[limit][0]:
-                found.append(said)
+            remedy = f"check unit, sign and channel of {channel}; or "
+            found += bounded(limit, value, said, objective.source, limits, why, remedy)
     return found
+
+
+def bounded(
+    limit: str, value: float, said: str, source: str, limits: Limits, why: str = "", remedy: str = ""
+) -> list[str]:
+    """What is said of a value, if the limit of this name wants it named.
+
+    Raises:
+        InputError: the value is beyond what the limit allows.
+    """
+    named, refused = limits[limit]
+    if value >= refused:
+        expected = f"less than {refused:g} by the limit {limit!r}{why}"
+        raise InputError(said, where=source, expected=expected, remedy=remedy + raised(limit, limits, value))
+    return [said] if value >= named else []
 
 
 def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float]) -> list[str]:

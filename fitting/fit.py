@@ -153,7 +153,7 @@ def fit_tendons(
         compiled = compiled_aside(knee.unnamed())
         doubts = plain_look(problem, allowed)
         found = infer(problem, seed, count, rounds, _told(progress, began))
-        outcome = Outcome.of_simulations(problem, found, seed)
+        outcome = Outcome.of_simulations(problem, found, seed, allowed)
     else:
         search = _method(method, problem, seed, options)
         problem.evaluator.prepare(search.widest)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channel_checks import Limits, left_over, unresolved
+from fitting.channel_checks import Limits, bounded, left_over, unresolved
 from fitting.estimate import Estimate, FittedTrial
 from fitting.evaluation import Prediction, StepError
 from fitting.methods.problem import Method, Problem, State
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _TRIED = 63  # draws next to the posterior's mean
+_NO_DRAW_RUNS = "neither the posterior's means nor the draws next to them give a finite motion"
 
 
 class Outcome(NamedTuple):
@@ -79,48 +80,61 @@ class Outcome(NamedTuple):
         )
 
     @staticmethod
-    def of_simulations(problem: Problem, found: Inferred, seed: int) -> Outcome:
-        """Of a posterior learned from simulations, at its mean, or at the draw nearest to it that can be simulated."""
-        mean, deviations = found.draws.mean(axis=0), np.maximum(found.draws.std(axis=0), 1e-300)
-        nearest = np.argsort(np.linalg.norm((found.draws - mean) / deviations, axis=1))[:_TRIED]
-        tried = np.concatenate([mean[None], found.draws[nearest]])
+    def of_simulations(problem: Problem, found: Inferred, seed: int, limits: Limits) -> Outcome:
+        """Of a posterior learned from simulations, at its mean, or at the draw nearest to it that can be simulated.
+
+        Raises:
+            InputError: the measurements lie farther outside of what was simulated than the limits allow.
+        """
+        draws, target = found.answer.draws, problem.objective
+        mean, deviations = draws.mean(axis=0), np.maximum(draws.std(axis=0), 1e-300)
+        nearest = np.argsort(np.linalg.norm((draws - mean) / deviations, axis=1))[:_TRIED]
+        tried = np.concatenate([mean[None], draws[nearest]])
         every = problem.evaluator.values(tried, found.substeps)
         best = int(np.argmax(every.usable))
         theta, at = tried[best], slice(best, best + 1)
-        plain = Prediction(every.values[at], found.slopes[None], every.usable[at])
-        _check_usable(plain, "neither the posterior's means nor the draws next to them give a finite motion")
-        covariance = np.cov(found.draws.T).reshape(2 * [len(problem.parameters)])
-        parameters, target = problem.parameters, problem.objective
+        _check_usable(every._replace(usable=every.usable[at]), _NO_DRAW_RUNS)
+        slopes = _slopes(tried[every.usable], every.values[every.usable])
+        covariance = np.cov(draws.T).reshape(2 * [len(problem.parameters)])
+        parameters = problem.parameters
         span = parameters.upper - parameters.lower
         size = sizes(parameters.names, span, theta, parameters.coordinates)
         doubts = (
             ["the posterior's means give no finite motion; values are those of a draw next to them"] if best else []
         )
-        if found.learned.strange:
-            far = f"a summary of them is {found.learned.distance:.0f} standard deviations from its mean"
-            doubts.append(f"the measurements lie outside of what was simulated: {far}")
-        squares = {channel: found.learned.noise.deviations[rows] ** 2 for channel, _, rows in target.columns()}
+        far = f"a summary of them is {found.answer.distance:.0f} standard deviations from its mean"
+        said = f"the measurements lie outside of what was simulated: {far}"
+        doubts += bounded("simulated", found.answer.distance, said, target.source, limits)
+        squares = {channel: found.noise.deviations[rows] ** 2 for channel, _, rows in target.columns()}
         return Outcome(
             theta,
             covariance,
-            found.draws,
-            plain,
+            draws,
+            Prediction(every.values[at], slopes[None], every.usable[at]),
             problem.evaluator.step_errors(theta, found.substeps, slopes=False),
             {channel: float(np.sqrt(s.mean())) for channel, s in squares.items()},
-            float(found.learned.noise.correlations.mean()),
+            float(found.noise.correlations.mean()),
             float(np.linalg.cond(relative(size, covariance))),
             doubts,
             found.reason,
             found.interrupted,
             {
                 "iteration": len(found.history),
-                "evaluations": int(found.history[-1]["evaluations"]),
-                "starts": int(found.history[-1]["evaluations"]),
+                "evaluations": found.simulations,
+                "starts": found.simulations,
                 "dropped": found.dropped,
                 "seed": seed,
                 "history": found.history,
             },
         )
+
+
+def _slopes(theta: Floats, values: Floats) -> Floats:
+    """Of values (N, n, c) by parameters (N, p), by linear regression: (n, c, p)."""
+    scale = np.maximum(theta.std(axis=0), 1e-300)
+    x = (theta - theta.mean(axis=0)) / scale
+    rows = (values - values.mean(axis=0)).reshape(len(values), -1)
+    return (np.linalg.lstsq(x, rows, rcond=None)[0].T / scale).reshape(*values.shape[1:], -1)
 
 
 def _check_usable(seen: Prediction, found: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fitting.cli import cohort, demo, fit, treat
+from fitting.cli import before, cohort, demo, fit, treat
 from fitting.cli.live import command as live
 from fitting.cli.report import command as report
 from pftwin.cli.plugins import Command
@@ -10,7 +10,10 @@ from pftwin.cli.plugins import Command
 COMMANDS = (
     Command("demo", demo.demo, "The whole story on the virtual rig, beside the paper", "Start", 10),
     Command("fit", fit.fit, "Tendons from motion capture, with intervals", "Fit", 10),
-    Command("plan-experiment", fit.plan_experiment, "What an experiment can tell, before it is made", "Fit", 20),
+    Command("plan-experiment", before.plan_experiment, "What an experiment can tell, before it is made", "Fit", 20),
+    Command(
+        "train-posterior", before.train_posterior, "Once for a set-up: a posterior that answers at once", "Fit", 30
+    ),
     Command("treat", treat.treat, "Predict outcomes of treatments, with bands", "Treat", 10),
     Command("optimise", treat.optimise, "The smallest treatment that meets stated limits", "Treat", 20),
     Command("cohort", cohort.cohort, "Many patients: fits, treatments, one summary", "Treat", 30),

@@ -1,4 +1,4 @@
-"""`pftwin fit` and `pftwin plan-experiment`."""
+"""`pftwin fit`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from fitting.fit import Progress
     from fitting.posterior.sampling import Posterior
+    from pftwin.model.scene import Scene
 
 FreeOption = Annotated[str, Option("--free", metavar="NAMES", help='Parameters, with commas: "K1,L1,contact.radius".')]
 BoundsOption = Annotated[
@@ -41,6 +42,15 @@ NuisanceOption = Annotated[
         ' "attachments=0.001,friction=0.05,damping=0.5" (standard deviations).',
     ),
 ]
+_AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
+    "method": "least_squares",
+    "objective": "likelihood",
+    "free": ("K1", "L1", "K2", "L2"),
+    "bounds": 0.3,
+    "use": ("position",),
+    "loss": "linear",
+    "resume": False,
+}
 
 
 @on_scene
@@ -68,13 +78,18 @@ def fit(
         Option(
             "--limit",
             metavar="NAME=NAMED:REFUSED",
-            help="Of a check of what was measured: reading, position, orientation, force, noise or shift.",
+            help="Of a check of what was measured: reading, position, orientation, force, noise, shift, simulated,"
+            " trained_noise or set_up.",
         ),
     ] = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
     checkpoint: Annotated[Path | None, Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
     resume: Annotated[bool, Option("--resume", help="Go on from the checkpoint.")] = False,
+    trained: Annotated[
+        Path | None,
+        Option(metavar="FILE.npz", help="A posterior that `pftwin train-posterior` trained, which answers at once."),
+    ] = None,
     posterior: Annotated[
         int | None,
         Option(min=8, metavar="N", help="Check the intervals by N draws from the posterior in each of 4 chains."),
@@ -93,33 +108,26 @@ def fit(
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.measured is None:
             raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
-    from fitting.fit import fit_tendons
-
     if posterior is not None:
         _check_posterior(objective)
-    options: dict[str, Any] = {} if starts is None else {"starts": starts}
-    with report_written_on_interrupt(checkpoint), progress(f"{method}: compiling") as shown:
-
-        def tell(p: Progress) -> None:
-            shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
-
-        estimate = fit_tendons(
-            [trial.scene for trial in trials],
-            method=method,
-            objective=objective,
-            free=names_in(free),
-            bounds=bounds,
-            seed=seed,
-            use="all" if use.strip() == "all" else names_in(use),
-            noise=levels,
-            loss=loss,
-            nuisance=nuisance,
-            progress=tell,
-            checkpoint=checkpoint,
-            resume=resume,
-            limits=allowed,
-            **options,
-        )
+    asked: dict[str, Any] = {
+        "method": method,
+        "objective": objective,
+        "free": names_in(free),
+        "bounds": bounds,
+        "use": "all" if use.strip() == "all" else names_in(use),
+        "noise": levels,
+        "loss": loss,
+        "nuisance": nuisance,
+        "checkpoint": checkpoint,
+        "resume": resume,
+        **({} if starts is None else {"starts": starts}),
+    }
+    scenes = [trial.scene for trial in trials]
+    if trained is not None:
+        estimate = _answered(trained, scenes, asked, allowed)
+    else:
+        estimate = _fitted(scenes, asked, seed, allowed)
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior
@@ -128,6 +136,34 @@ def fit(
         raise Interrupted(output, *([] if checkpoint is None else [checkpoint]))
     if estimate.invalid:
         exit_flagged(estimate.sentence())
+
+
+def _fitted(
+    scenes: list[Scene], asked: dict[str, Any], seed: int, limits: dict[str, tuple[float, float]] | None
+) -> Estimate:
+    """Fits with progress on stderr."""
+    from fitting.fit import fit_tendons
+
+    method = asked["method"]
+    with report_written_on_interrupt(asked["checkpoint"]), progress(f"{method}: compiling") as shown:
+
+        def tell(p: Progress) -> None:
+            shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
+
+        return fit_tendons(scenes, seed=seed, progress=tell, limits=limits, **asked)
+
+
+def _answered(
+    trained: Path, scenes: list[Scene], asked: dict[str, Any], limits: dict[str, tuple[float, float]] | None
+) -> Estimate:
+    """What a trained posterior says; refuses options that were settled when it was trained."""
+    from fitting.trained import TrainedPosterior
+
+    if settled := [f"--{name}" for name, value in asked.items() if value != _AS_TRAINED.get(name)]:
+        found = f"a trained posterior beside {', '.join(settled)}"
+        raise InputError(found, where="--trained", expected="neither: they are as they were in training")
+    with spinner("answering"):
+        return TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
 
 
 def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:
@@ -184,43 +220,6 @@ def _sample_posterior(estimate: Estimate, draws: int, output: Path) -> Posterior
         found = sample_posterior(estimate, draws=draws, seed=estimate.seed, progress=shown)
     write_text(output, json.dumps({**estimate.to_dict(), "posterior": found.to_dict()}, indent=2) + "\n")
     return found
-
-
-@on_scene
-def plan_experiment(
-    *,
-    knee: TrialsOptions,
-    free: FreeOption = "K1,L1,K2,L2",
-    use: UseOption = "position",
-    noise: NoiseOption = None,
-    nuisance: NuisanceOption = None,
-    json: JsonOption = None,
-) -> None:
-    """Say how precisely an experiment could determine the parameters, before it is made, and what else to measure.
-
-    Of several scenes the first is recorded, and the others might be, as further trials of the same knee.
-
-    Example: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`, or
-    `pftwin plan-experiment walk.toml stairs.toml`
-    """
-    check_outputs(json)
-    levels = noise_levels(noise)
-    chosen, *further = knee.load()
-    from fitting.identifiability import plan_experiment as plan
-    from fitting.programs import channels_of
-
-    channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
-    with spinner("linearising the motion"):
-        others = [each.scene for each in further]
-        found = plan(chosen.scene, free=names_in(free), use=channels, noise=levels, nuisance=nuisance, further=others)
-    deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
-    sheet = Sheet(
-        f"{chosen.scene.name}: smallest possible standard deviations [%]",
-        ("measured", *found.names),
-        tuple((words, *(f"{100 * v:.3g}" for v in values)) for words, values in deviations.items()),
-        words=(0,),
-    )
-    present({"scene": chosen.scene.name, **found.to_dict()}, sheet, found.sentence(), json=json)
 
 
 def names_in(text: str) -> tuple[str, ...]:

@@ -4,8 +4,8 @@
 
 1. Parameters are drawn from their priors (what is asked for uniformly within its bounds), nuisance included, and
    simulated as recordings: motions with noise. The noise is like what no simulation explains of the measurements.
-2. Networks learn the posterior of what is asked for from summaries of these recordings (`fitting.inference.network`),
-   and linear regression that of nuisance given what is asked for.
+2. Networks learn the posterior of what is asked for from summaries of these recordings (`fitting.inference.network`);
+   nuisance, given what is asked for, follows from knees simulated there (`fitting.inference.besides`).
 3. The next round draws from where this posterior lies (`fitting.inference.region`), until that changes no more.
 
 So what is asked for depends on no linearisation and no best fit, and nuisance is integrated out.
@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import HALVINGS, Prediction
-from fitting.inference.learning import Learned, learn
+from fitting.inference.besides import with_nuisance
+from fitting.inference.learning import Answer, learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem
@@ -43,10 +44,10 @@ _MOST_NUMBERS = 100_000_000  # of all recordings of a round: they are held in me
 class Inferred(NamedTuple):
     """The last round's posterior, and how it was obtained."""
 
-    draws: Floats  # (N, p)
-    learned: Learned
-    slopes: Floats  # (n, c, p) of the predictions by the parameters
-    dropped: int  # simulations of all rounds without an equilibrium or a finite motion
+    answer: Answer
+    noise: Noise  # that recordings were given
+    simulations: int  # of all rounds
+    dropped: int  # of them, without an equilibrium or a finite motion
     substeps: int
     history: list[dict[str, float]]
     reason: str
@@ -69,6 +70,20 @@ def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
         found = f"{simulations:,} recordings of {numbers:,} numbers"
         expected = f"at most {_MOST_NUMBERS // numbers:,} simulations of this recording"
         raise InputError(found, where="simulations", expected=expected, remedy="fewer simulations, or fewer frames")
+
+
+def check_enough(usable: int, simulations: int, problem: Problem) -> None:
+    """Refuses to learn from what is left of so many simulations.
+
+    Raises:
+        InputError: too few found an equilibrium and a finite motion.
+    """
+    if usable < max(_FEWEST_USABLE * simulations, _FEWEST_SIMULATIONS / 2):
+        raise InputError(
+            f"{simulations - usable} of {simulations} simulations found no equilibrium or no finite motion",
+            where=problem.scene.name,
+            remedy="narrower bounds, or a scene that `pftwin simulate` can run",
+        )
 
 
 def infer(
@@ -95,18 +110,19 @@ def infer(
     try:
         for number in range(rounds):
             one = _round(problem, region, noise, substeps, simulations, np.random.default_rng([seed, number]))
-            smaller, dropped = whole.around(one.draws), dropped + one.dropped
+            draws, dropped = one.answer.draws, dropped + one.dropped
+            smaller = whole.around(draws)
             best = min(one.best, history[-1]["best"]) if history else one.best
             entry = {"iteration": number + 1, "evaluations": (number + 1) * simulations, "best": best}
             history.append({**entry, "spread": float(np.exp(smaller.size - region.widest))})
             settled = smaller.like(region, _SETTLED)
             reason = "the posterior no longer changes" if settled else f"still changing after round {number + 1}"
-            found = Inferred(one.draws, one.learned, one.slopes, dropped, substeps, history, reason)
+            found = Inferred(one.answer, one.noise, (number + 1) * simulations, dropped, substeps, history, reason)
             report(history[-1], rounds)
             if settled:
                 break
-            region, noise = smaller, one.learned.noise
-            errors = problem.evaluator.step_errors(one.draws.mean(axis=0), substeps, slopes=False)
+            region, noise = smaller, one.noise
+            errors = problem.evaluator.step_errors(draws.mean(axis=0), substeps, slopes=False)
             if any(e.large for e in errors.values()) and substeps < problem.evaluator.first << HALVINGS:
                 substeps *= 2
     except KeyboardInterrupt:
@@ -120,9 +136,8 @@ def infer(
 class _Round(NamedTuple):
     """One round's posterior."""
 
-    draws: Floats  # (N, p)
-    learned: Learned
-    slopes: Floats  # (n, c, p) of the predictions by the parameters, by regression
+    answer: Answer
+    noise: Noise
     dropped: int  # simulations without an equilibrium or a finite motion
     best: float  # least objective of a simulation
 
@@ -133,22 +148,12 @@ def _round(
     theta = region.drawn(simulations, random)
     seen = problem.evaluator.values(theta, substeps)
     theta, values = theta[seen.usable], seen.values[seen.usable]
-    if len(theta) < max(_FEWEST_USABLE * simulations, _FEWEST_SIMULATIONS / 2):
-        raise InputError(
-            f"{simulations - len(theta)} of {simulations} simulations found no equilibrium or no finite motion",
-            where=problem.scene.name,
-            remedy="narrower bounds, or a scene that `pftwin simulate` can run",
-        )
+    check_enough(len(theta), simulations, problem)
     apart = problem.objective.residuals(values).astype(np.float32)
-    learned = learn(region, theta, apart, problem.objective, noise, random)
+    nothing = np.zeros_like(apart[0])  # the measurements' distance from themselves
+    learned = learn(region, theta, apart, nothing, problem.objective, noise, random)
     cost = problem.objective.value(Prediction(values, None, np.ones(len(values), bool)))
     best = float(np.min(cost + problem.parameters.prior_terms(theta)[0]))
-    return _Round(learned.draws(DRAWS, random), learned, _slopes(theta, values), simulations - len(theta), best)
-
-
-def _slopes(theta: Floats, values: Floats) -> Floats:
-    """Of values (N, n, c) by parameters (N, p), by linear regression: (n, c, p)."""
-    scale = np.maximum(theta.std(axis=0), 1e-300)
-    x = (theta - theta.mean(axis=0)) / scale
-    rows = (values - values.mean(axis=0)).reshape(len(values), -1)
-    return (np.linalg.lstsq(x, rows, rcond=None)[0].T / scale).reshape(*values.shape[1:], -1)
+    answer = learned.answer(nothing, DRAWS, random)
+    draws = with_nuisance(problem, problem.objective, learned, nothing, answer.draws, substeps, random)
+    return _Round(answer._replace(draws=draws), learned.noise, simulations - len(theta), best)

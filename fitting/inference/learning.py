@@ -1,4 +1,4 @@
-"""What one round of simulated recordings tells about a measured one."""
+"""What simulated recordings tell about a measured one."""
 
 from __future__ import annotations
 
@@ -24,126 +24,133 @@ _NETWORKS = 3  # trained from different starts
 _WORSE = 0.3  # networks that tell less than the best by more than this [nats] are left out
 _NOISE_ROUNDS, _NOISE_DRAWS = 3, 100  # of a search for noise that leaves what measurements leave
 _TRIES = 100  # of drawing
-_FAR = 5.0  # least distance of a summary of the measurements from the simulated ones' mean, in their deviations
+
+
+class Answer(NamedTuple):
+    """The posterior of one recording."""
+
+    draws: Floats  # (N, p); of what is asked for alone before nuisance is added
+    distance: float  # of its farthest summary from the simulations' mean, in their standard deviations
+    level: float  # of its noise, by that which was learned from
 
 
 class Learned(NamedTuple):
-    """The posterior of one measured recording, by networks and, for nuisance, by linear regression."""
+    """The posterior of what is asked for, of any recording like the simulated ones."""
 
     region: Region
     networks: tuple[PosteriorNetwork, ...]
-    measured: Floats  # summaries of the measurements (k,), scaled as the network has them
+    table: Table
+    summaries: Summaries
+    middle: Floats  # (k,) and
+    size: Floats  # (k,) of summaries, which networks have scaled
     center: Floats  # (d,) and
     scale: Floats  # (d,) of the region's coordinates
-    nuisance: tuple[Floats, Floats]  # coefficients (k + d + 1, p - d), and the root of what they leave (p - d, p - d)
-    distance: float  # of the farthest summary of the measurements, in standard deviations
     noise: Noise  # that recordings were given
+    added: SummaryNoise  # what it does to summaries
+    usual: float  # root mean square of what is left of noise alone, in its units
 
-    @property
-    def strange(self) -> bool:
-        """Whether the measurements lie outside of what was simulated."""
-        return self.distance > _FAR
+    def seen(self, recordings: Rows) -> Floats:
+        """Summaries (N, k), scaled, of recordings (N, n, m): how far they are from what simulated ones were held to."""
+        return (self.summaries(self.table.rows(recordings)) - self.middle) / self.size
 
-    def draws(self, count: int, random: np.random.Generator) -> Floats:
-        """Parameters (count, p) from the posterior, within the bounds.
+    def answer(self, recording: Rows, count: int, random: np.random.Generator, off: Floats | float = 0.0) -> Answer:
+        """The posterior of a recording (n, m), with so many draws of what is asked for.
+
+        Args:
+            recording: as `seen` has it.
+            count: of the draws.
+            random: of the draws.
+            off: (d,) what is wrong with the posterior besides, in its deviations, by which it is widened.
 
         Raises:
             PftwinError: hardly any of what the networks say lies within the region.
         """
+        at = self.seen(recording[None])[0]
+        left = self.summaries.unexplained(self.table.rows(recording[None]))
+        distance = float(np.abs(at).max())
+        return Answer(self._draws(at, count, random, off), distance, float(np.sqrt(np.mean(left**2))) / self.usual)
+
+    def coordinates_drawn(self, at: Floats, count: int, random: np.random.Generator) -> Floats:
+        """Scaled coordinates (N, M, d) of recordings with summaries (N, k), bounds aside; M is at least `count`."""
+        each = -(-count // len(self.networks))
+        return np.concatenate([net.draws(at, each, random) for net in self.networks], axis=1)
+
+    def _draws(self, at: Floats, count: int, random: np.random.Generator, off: Floats | float) -> Floats:
         region, found = self.region, np.zeros((0, self.region.asked))
         for _ in range(_TRIES):
-            each = -(-count // len(self.networks))
-            u = np.concatenate([net.draws(self.measured, each, random) for net in self.networks])
+            u = self.coordinates_drawn(at[None], count, random)[0]
+            u = u.mean(axis=0) + np.sqrt(1 + np.square(off)) * (u - u.mean(axis=0))
             theta = region.from_coordinates(u * self.scale + self.center)
             found = np.concatenate([found, theta[region.contains(theta)]])
             if len(found) >= count:
-                found = random.permutation(found)[:count]
-                return np.concatenate([found, self._nuisance_draws(found, random)], axis=1)
+                return random.permutation(found)[:count]
         raise PftwinError(
             "the posterior that was learned lies beyond the bounds: a summary of the measurements is "
-            f"{self.distance:.0f} standard deviations from the simulations' mean; try: wider bounds"
+            f"{np.abs(at).max():.0f} standard deviations from the simulations' mean; try: wider bounds"
         )
-
-    def _nuisance_draws(self, theta: Floats, random: np.random.Generator) -> Floats:
-        """(N, p - d) given what is asked for (N, d): rows beyond the bounds are drawn again."""
-        weights, root = self.nuisance
-        p, d = self.region.parameters, self.region.asked
-        u = (self.region.coordinates(theta) - self.center) / self.scale
-        mean = _with_one(np.tile(self.measured, (len(u), 1)), u) @ weights
-        lower, upper = p.lower[d:], p.upper[d:]
-        drawn = mean + random.standard_normal(mean.shape) @ root.T
-        for _ in range(_TRIES):
-            beyond = np.flatnonzero(((drawn < lower) | (drawn > upper)).any(axis=1))
-            if not beyond.size:
-                break
-            drawn[beyond] = mean[beyond] + random.standard_normal((beyond.size, mean.shape[1])) @ root.T
-        return np.clip(drawn, lower, upper)
 
 
 def learn(
-    region: Region, theta: Floats, simulated: Rows, objective: Objective, noise: Noise, random: np.random.Generator
+    region: Region,
+    theta: Floats,
+    simulated: Rows,
+    measured: Rows,
+    objective: Objective,
+    noise: Noise,
+    random: np.random.Generator,
 ) -> Learned:
     """From recordings simulated without noise.
 
     Args:
         region: where parameters were drawn.
         theta: (N, p) the parameters.
-        simulated: (N, n, m) how far each recording is from the measurements: `Objective.residuals`.
+        simulated: (N, n, m) how far each recording is from some other one, as `Objective.residuals` has it.
+        measured: (n, m) the same of the measurements, which tell what noise is like.
         objective: the measurements.
-        noise: what the measurements' noise was like in the round before.
+        noise: what their noise was like in the round before.
         random: of noise and training.
     """
     from fitting.inference.network import trained  # with optax, which no other fit needs
 
     some = random.permutation(len(simulated))[:_SOME]
-    noise = _noise_like(objective, simulated[some], noise, random)
+    noise = _noise_like(objective, simulated[some], measured, noise, random)
     table = Table.of(objective, noise)
     clean = table.rows(simulated)
     summaries = Summaries.of(clean[some], _SUMMARIES)
     added = SummaryNoise.of(noise, objective, table, summaries)
     x = summaries(clean)
-    x_mean, x_sd = x.mean(axis=0), (x + added.drawn(len(x), random)).std(axis=0)
-    x, added = (x - x_mean) / x_sd, added.scaled(x_sd)
-    nothing = np.zeros((1, clean.shape[1]), np.float32)  # the measurements' distance from themselves
-    measured = ((summaries(nothing) - x_mean) / x_sd)[0]
+    middle, size = x.mean(axis=0), (x + added.drawn(len(x), random)).std(axis=0)
+    x, added = (x - middle) / size, added.scaled(size)
     u = region.coordinates(theta[:, : region.asked])
     center, scale = u.mean(axis=0), u.std(axis=0)
     u = (u - center) / scale
     tried = [trained(x, u, added, int(seed)) for seed in random.integers(2**31, size=_NETWORKS)]
     least = min(loss for _, loss in tried)
-    known = _with_one(x + added.drawn(len(x), random), u)
+    alone = table.rows(noise._replace(span=1.0).drawn(_NOISE_DRAWS, objective, random))
     return Learned(
         region,
         tuple(net for net, loss in tried if loss <= least + _WORSE),
-        measured,
+        table,
+        summaries,
+        middle,
+        size,
         center,
         scale,
-        _regression(known, theta[:, region.asked :], _with_one(measured[None], np.zeros_like(u[:1]))[0]),
-        float(np.abs(measured).max()),
         noise,
+        added,
+        float(np.sqrt(np.mean(summaries.unexplained(summaries.mean + alone) ** 2))),
     )
 
 
-def _with_one(x: Floats, u: Floats) -> Floats:
-    return np.concatenate([x, u, np.ones((len(x), 1))], axis=1)
-
-
-def _regression(x: Floats, y: Floats, at: Floats) -> tuple[Floats, Floats]:
-    """Coefficients (k, q) of y (N, q) by x (N, k), and a root of the covariance of a prediction `at` some x (k,)."""
-    weights = np.linalg.lstsq(x, y, rcond=None)[0]
-    left = y - x @ weights
-    leverage = float(at @ np.linalg.lstsq(x.T @ x, at, rcond=None)[0])
-    values, vectors = np.linalg.eigh((1 + leverage) * left.T @ left / max(len(x) - x.shape[1], 1))
-    return np.asarray(weights, dtype=np.float64), np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def _noise_like(objective: Objective, simulated: Rows, noise: Noise, random: np.random.Generator) -> Noise:
+def _noise_like(
+    objective: Objective, simulated: Rows, measured: Rows, noise: Noise, random: np.random.Generator
+) -> Noise:
     """Noise like what no simulation explains of the measurements, found from a first guess."""
     shape = objective.present.shape
     for _ in range(_NOISE_ROUNDS):
         table = Table(1, noise.deviations)
         summaries = Summaries.of(table.rows(simulated), _SUMMARIES)
-        left = summaries.unexplained(np.zeros((1, summaries.mean.size), np.float32))
+        left = summaries.unexplained(table.rows(measured[None]))
         drawn = summaries.unexplained(summaries.mean + table.rows(noise.drawn(_NOISE_DRAWS, objective, random)))
         noise = noise.like(objective, *(a.reshape(-1, *shape) * noise.deviations for a in (left, drawn)))
     return noise

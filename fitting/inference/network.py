@@ -72,13 +72,35 @@ class PosteriorNetwork(eqx.Module):
         return jax.scipy.special.logsumexp(at.log_weights + volume - 0.5 * jnp.sum(off**2, axis=1))
 
     def draws(self, summaries: Floats, count: int, random: np.random.Generator) -> Floats:
-        """Parameters (count, p) from the posterior of one recording."""
+        """Parameters (N, count, p) from the posteriors of recordings with these summaries (N, s)."""
         with standard_promotion():
-            at = jax.tree.map(np.asarray, self(jnp.asarray(summaries, jnp.float32)))
-        shares = np.exp(at.log_weights.astype(float))
-        which = random.choice(len(shares), count, p=shares / shares.sum())
-        normal = random.standard_normal((count, self.parameters, 1))
-        return at.means[which] + np.linalg.solve(np.swapaxes(at.roots, 1, 2)[which].astype(float), normal)[..., 0]
+            at = jax.tree.map(np.asarray, _mixtures(self, jnp.asarray(summaries, jnp.float32)))
+        rows = np.arange(len(summaries))[:, None]
+        shares = np.cumsum(np.exp(at.log_weights.astype(float)), axis=1)
+        drawn = random.uniform(size=(len(rows), count, 1)) * shares[:, None, -1:]
+        which = np.sum(drawn > shares[:, None, :-1], axis=2)
+        back = np.swapaxes(np.linalg.inv(at.roots.astype(float)), 2, 3)[rows, which]
+        normal = random.standard_normal((len(rows), count, self.parameters))
+        return at.means[rows, which] + np.einsum("ncij,ncj->nci", back, normal)
+
+
+def leaves_of(net: PosteriorNetwork) -> list[NDArray[np.float32]]:
+    """Its weights, for a file."""
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(net, eqx.is_inexact_array))]
+
+
+def network_of(summaries: int, parameters: int, leaves: list[NDArray[np.float32]]) -> PosteriorNetwork:
+    """A network of so many summaries and parameters, with weights from a file.
+
+    Raises:
+        ValueError: they are not its weights.
+    """
+    weights, fixed = eqx.partition(PosteriorNetwork(summaries, parameters, 0), eqx.is_inexact_array)
+    expected = [leaf.shape for leaf in jax.tree.leaves(weights)]
+    if (found := [leaf.shape for leaf in leaves]) != expected:
+        raise ValueError(f"weights of shapes {found}, not {expected}")
+    own = jax.tree.unflatten(jax.tree.structure(weights), [jnp.asarray(leaf, jnp.float32) for leaf in leaves])
+    return eqx.combine(own, fixed)
 
 
 def trained(summaries: Floats, parameters: Floats, noise: SummaryNoise, seed: int) -> tuple[PosteriorNetwork, float]:
@@ -132,6 +154,11 @@ def _with_noise(x: Array, root: Array, span: float, key: Array) -> Array:
     one, other = jax.random.split(key)
     sizes = jnp.float32(span) ** jax.random.uniform(one, (len(x), 1), jnp.float32, -1, 1)
     return x + sizes * jax.random.normal(other, x.shape, jnp.float32) @ root.T
+
+
+@eqx.filter_jit
+def _mixtures(net: PosteriorNetwork, summaries: Array) -> Mixture:
+    return jax.vmap(net)(summaries)
 
 
 @eqx.filter_jit

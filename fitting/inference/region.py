@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 from scipy.stats import chi2, norm
 
 from fitting.parameters import Parameters
@@ -149,4 +150,4 @@ class Region(NamedTuple):
         if self.ellipsoid is not None:
             return self.ellipsoid.mean + u @ self.ellipsoid.root.T
         lower, upper = self._bounds
-        return lower + (upper - lower) / (1 + np.exp(-u))
+        return lower + (upper - lower) * expit(u)

@@ -145,3 +145,33 @@ def test_two_trials_are_fitted_and_planned(toy, tmp_path):
     assert planned.exit_code == 0, planned.output
     (trial,) = json.loads(planned.stdout)["trials"]
     assert trial in json.loads(planned.stdout)["additions"]
+
+
+@pytest.mark.parametrize(
+    ("options", "named"), [(["--use", "position,orientation"], "--use"), (["--bounds", 0.4, "--starts", 3], "--starts")]
+)
+def test_what_was_settled_in_training_is_not_stated_again(toy, tmp_path, options, named):
+    said = refused("fit", toy, "-o", tmp_path / "fit.json", "--trained", tmp_path / "knee.npz", *options)
+    assert "a trained posterior beside" in said
+    assert named in said
+
+
+def test_a_trained_posterior_has_its_suffix(toy, tmp_path):
+    assert "try: " in refused("train-posterior", toy, "-o", tmp_path / "knee.json")
+
+
+@pytest.mark.slow
+def test_a_posterior_is_trained_once_and_answers(toy, tmp_path):
+    trained, output = tmp_path / "knee.npz", tmp_path / "fit.json"
+    options = ("--free", "K1,L1", "--noise", "position=1e-3", "--limit", "position=0.1:1")
+    result = pftwin("train-posterior", toy, "-o", trained, *options[:4], "--simulations", 2000, "--json", "-")
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert (printed["free"], printed["frames"], printed["simulations"]) == (["K1", "L1"], [121], 2000)
+    assert "answers recordings of 121 frames" in result.stderr
+    result = pftwin("fit", toy, "-o", output, "--trained", trained, *options[4:], "--no-figures")
+    assert result.exit_code in (0, 3), result.output
+    written = json.loads(output.read_text())
+    assert written["names"] == ["K1", "L1"]
+    assert "a posterior trained by" in written["reason"]
+    assert len(written["draws"]) == 2000

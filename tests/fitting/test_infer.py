@@ -11,9 +11,11 @@ import pytest
 from linear_problems import NOMINAL, parameters, problem
 from scipy.linalg import toeplitz
 
+from fitting.channel_checks import LIMITS
 from fitting.evaluation import Prediction
+from fitting.inference.besides import with_nuisance
 from fitting.inference.infer import Inferred, check_size, infer
-from fitting.inference.learning import learn
+from fitting.inference.learning import Answer, learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem
@@ -71,26 +73,22 @@ def found(seed: int = 3, stated: bool = True) -> Inferred:
 def test_the_posterior_is_that_of_bayes():
     mean, covariance = bayes(3)
     sd = np.sqrt(np.diagonal(covariance))
-    draws = found().draws
+    draws = found().answer.draws
     assert (np.abs(draws.mean(axis=0) - mean) < 0.35 * sd).all(), (draws.mean(axis=0) - mean) / sd
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.3)  # learned from 3,000 simulations
     ours, theirs = np.corrcoef(draws.T), covariance / np.outer(sd, sd)
     np.testing.assert_allclose(ours, theirs, atol=0.15)
     assert found().reason == "the posterior no longer changes"
-    assert not found().learned.strange
+    assert found().answer.distance < LIMITS["simulated"][0]
+    assert found().answer.level == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.slow
 def test_noise_that_is_not_stated_is_found():
     """As large as it came out in this recording: two hundred correlated frames are worth some twenty."""
-    noise, there = found(stated=False).learned.noise, measured(3) - slopes() @ TRUTH
+    noise, there = found(stated=False).noise, measured(3) - slopes() @ TRUTH
     np.testing.assert_allclose(noise.deviations, np.sqrt(np.mean(there**2, axis=0)), rtol=0.25)
     np.testing.assert_allclose(noise.correlations, RHO, atol=0.12)
-
-
-@pytest.mark.slow
-def test_slopes_by_regression_are_those_of_the_model():
-    np.testing.assert_allclose(found().slopes, slopes(), atol=1e-8 * np.abs(slopes()).max())
 
 
 def test_measurements_that_no_simulation_resembles_are_strange():
@@ -101,9 +99,32 @@ def test_measurements_that_no_simulation_resembles_are_strange():
     random = np.random.default_rng(0)
     region, noise = Region(far.parameters), Noise.initial(far.objective)
     theta = region.drawn(600, random)
+    nothing = np.zeros((FRAMES, 4), np.float32)
     for case, expected in ((far, False), (strange, True)):
         apart = case.objective.residuals(case.evaluator.values(theta, 1).values).astype(np.float32)
-        assert learn(region, theta, apart, case.objective, noise, random).strange is expected
+        seen = learn(region, theta, apart, nothing, case.objective, noise, random).seen(nothing[None])
+        assert (np.abs(seen).max() > LIMITS["simulated"][0]) is np.bool_(expected)
+
+
+def test_nuisance_given_what_is_asked_for_is_that_of_bayes():
+    """Linear recordings of which what is asked for is known to be elsewhere: the conditional normal distribution."""
+    base, random = linear(3), np.random.default_rng(8)
+    region, nothing = Region(base.parameters), np.zeros((FRAMES, 4), np.float32)
+    theta = region.drawn(1000, random)
+    apart = base.objective.residuals(base.evaluator.values(theta, 1).values).astype(np.float32)
+    known_noise = Noise(SIGMA, np.full(4, RHO), 1.0)
+    learned = learn(region, theta, apart, nothing, base.objective, known_noise, random)
+    mean, covariance = bayes(3)
+    deviations = np.sqrt(np.diagonal(covariance)[:2])
+    asked = mean[:2] + deviations * np.repeat([[1.0, -2.0], [0.0, 0.5]], 4000, axis=0)
+    draws = with_nuisance(base, base.objective, learned, nothing, asked, 1, random)
+    np.testing.assert_array_equal(draws[:, :2], asked)
+    gain = np.linalg.solve(covariance[:2, :2], covariance[:2, 2])
+    expected = mean[2] + (asked - mean[:2]) @ gain
+    sd = float(np.sqrt(covariance[2, 2] - covariance[2, :2] @ gain))
+    for half in (slice(0, 4000), slice(4000, 8000)):
+        assert draws[half, 2].mean() == pytest.approx(expected[half].mean(), abs=0.3 * sd)
+        assert draws[half, 2].std() == pytest.approx(sd, rel=0.15)
 
 
 @pytest.mark.parametrize("runs", [True, False])
@@ -117,13 +138,15 @@ def test_where_the_means_do_not_run_the_nearest_draw_stands(runs):
         return seen._replace(usable=np.array([runs or np.abs(row - mean).max() > 1e-9 for row in theta]))
 
     evaluator = SimpleNamespace(values=values, step_errors=lambda theta, substeps, slopes: {})
-    learned = SimpleNamespace(strange=False, noise=Noise(SIGMA, np.full(4, RHO), 1.0))
-    history = [{"iteration": 1, "evaluations": 500.0}]
-    found = Inferred(draws, learned, slopes(), 0, 1, history, "the posterior no longer changes")
-    outcome = Outcome.of_simulations(replace(base, evaluator=evaluator), found, 0)
+    noise, history = Noise(SIGMA, np.full(4, RHO), 1.0), [{"iteration": 1, "evaluations": 500.0}]
+    found = Inferred(Answer(draws, 1.0, 1.0), noise, 500, 3, 1, history, "the posterior no longer changes")
+    outcome = Outcome.of_simulations(replace(base, evaluator=evaluator), found, 0, LIMITS)
     apart = np.linalg.norm((draws - mean) / draws.std(axis=0), axis=1)
     np.testing.assert_allclose(outcome.theta, mean if runs else draws[np.argmin(apart)])
     assert [doubt[:36] for doubt in outcome.doubts] == ([] if runs else ["the posterior's means give no finite"])
+    assert outcome.seen.slopes is not None
+    np.testing.assert_allclose(outcome.seen.slopes, slopes()[None], atol=1e-8 * np.abs(slopes()).max())
+    assert (outcome.facts["evaluations"], outcome.facts["dropped"]) == (500, 3)
     assert outcome.noise == {"position": pytest.approx(SIGMA[0]), "contact": pytest.approx(SIGMA[3])}
 
 
@@ -147,5 +170,5 @@ def test_an_interrupt_keeps_the_last_whole_round():
     kept = infer(linear(3), seed=1, simulations=1000, rounds=4, report=interrupt)
     assert kept.interrupted
     assert len(kept.history) == 2
-    assert kept.draws.shape == (2000, 3)
-    assert NOMINAL[0] - HALF_WIDTH < kept.draws[:, 0].mean() < NOMINAL[0] + HALF_WIDTH
+    assert kept.answer.draws.shape == (2000, 3)
+    assert NOMINAL[0] - HALF_WIDTH < kept.answer.draws[:, 0].mean() < NOMINAL[0] + HALF_WIDTH

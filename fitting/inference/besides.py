@@ -1,0 +1,113 @@
+"""Nuisance of a posterior, given what is asked for: by knees that are simulated where the posterior lies.
+
+Summaries x of a recording are nearly linear in all parameters there. With what is asked for, u, given, nuisance z with
+a normal prior is then normal too:
+
+    x = a + A u + B z + e,    cov(e) = C,    z ~ N(m, V)
+    precision of z:  B' C^-1 B + V^-1,    mean:  its inverse times  B' C^-1 (x - a - A u) + V^-1 m
+
+C is what noise does to summaries, and what the straight model leaves of the simulated ones.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.inference.learning import Learned, Rows
+from fitting.methods.problem import Problem
+from fitting.objective import Objective
+from fitting.parameters import Parameters
+
+Floats = NDArray[np.float64]
+
+_TIMES = 3  # from the prior on, each time where the one before put it
+_KNEES, _PER_PARAMETER = 128, 6  # simulated each time, at least, and so many times the number of parameters
+_FEWEST = 2  # of them that must run, in numbers of parameters
+_TRIES = 100  # of drawing within the bounds
+
+
+def with_nuisance(
+    problem: Problem,
+    held: Objective,
+    learned: Learned,
+    recording: Rows,
+    asked: Floats,
+    substeps: int,
+    random: np.random.Generator,
+) -> Floats:
+    """Draws (N, p) of all parameters, from draws (N, d) of what is asked for.
+
+    Args:
+        problem: whose parameters they are, with its evaluator.
+        held: what recordings are held against.
+        learned: what tells summaries and noise.
+        recording: (n, m) from what it is held against.
+        asked: (N, d).
+        substeps: of the simulations, between two frames.
+        random: of nuisance.
+    """
+    parameters, d = problem.parameters, asked.shape[1]
+    if len(parameters) == d:
+        return asked
+    draws = np.concatenate([asked, parameters.scattered(len(asked), random)[:, d:]], axis=1)
+    for _ in range(_TIMES):
+        some = draws[: max(_KNEES, _PER_PARAMETER * len(parameters))]
+        seen = problem.evaluator.values(some, substeps)
+        if seen.usable.sum() < _FEWEST * len(parameters):
+            break
+        x = learned.seen(held.residuals(seen.values[seen.usable]).astype(np.float32))
+        straight = _Straight.of(some[seen.usable], x, learned.added.root)
+        mean, root = straight.given(learned.seen(recording[None])[0], asked, parameters)
+        draws = np.concatenate([asked, _within(mean, root, parameters, random)], axis=1)
+    return draws
+
+
+class _Straight(NamedTuple):
+    """Summaries, whitened, as a straight function of all parameters."""
+
+    center: Floats  # (p,)
+    at: Floats  # (k,) summaries there
+    slopes: Floats  # (k, p)
+    whitening: Floats  # (k, k)
+
+    @staticmethod
+    def of(theta: Floats, x: Floats, noise_root: Floats) -> _Straight:
+        """Through summaries (N, k) of simulated knees (N, p)."""
+        center, at, scale = theta.mean(axis=0), x.mean(axis=0), np.maximum(theta.std(axis=0), 1e-300)
+        t = (theta - center) / scale
+        slopes = np.linalg.lstsq(t, x - at, rcond=None)[0]
+        left = x - at - t @ slopes
+        covariance = noise_root @ noise_root.T + left.T @ left / max(len(x) - t.shape[1] - 1, 1)
+        values, vectors = np.linalg.eigh(covariance)
+        whitening = (vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T
+        return _Straight(center, whitening @ at, whitening @ slopes.T / scale, whitening)
+
+    def given(self, x: Floats, asked: Floats, parameters: Parameters) -> tuple[Floats, Floats]:
+        """Means (N, q) of nuisance given a recording's summaries (k,) and what is asked for (N, d), and the root (q, q)
+        of its covariance."""
+        d = asked.shape[1]
+        priors = [p.prior or (0.5 * (p.lower + p.upper), p.upper - p.lower) for p in parameters.items[d:]]
+        prior, sd = np.array(priors).T
+        b = self.slopes[:, d:] * sd  # of nuisance in its prior's deviations
+        left = self.whitening @ x - self.at - (asked - self.center[:d]) @ self.slopes[:, :d].T
+        middle = (self.center[d:] - prior) / sd
+        precision = b.T @ b + np.eye(len(sd))
+        mean = np.linalg.solve(precision, b.T @ (left + b @ middle).T).T
+        root = np.linalg.inv(np.linalg.cholesky(precision)).T
+        return prior + sd * mean, sd[:, None] * root
+
+
+def _within(mean: Floats, root: Floats, parameters: Parameters, random: np.random.Generator) -> Floats:
+    """Normal draws (N, q) about means; rows beyond the bounds are drawn again, and in the end moved to them."""
+    d = len(parameters) - mean.shape[1]
+    lower, upper = parameters.lower[d:], parameters.upper[d:]
+    drawn = mean + random.standard_normal(mean.shape) @ root.T
+    for _ in range(_TRIES):
+        beyond = np.flatnonzero(((drawn < lower) | (drawn > upper)).any(axis=1))
+        if not beyond.size:
+            break
+        drawn[beyond] = mean[beyond] + random.standard_normal((beyond.size, mean.shape[1])) @ root.T
+    return np.clip(drawn, lower, upper)

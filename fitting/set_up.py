@@ -1,0 +1,111 @@
+"""What a posterior was trained for, and recordings of such a set-up as it reads them: from the nominal knee."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.methods.problem import Problem
+from fitting.nuisance import Nuisance
+from fitting.objective import Objective
+from fitting.parameters import Parameters
+from fitting.trials import free_in_trials, objective_of, trial_names
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+
+Rows = NDArray[np.float32]
+
+_MISSING = 0.1  # largest share of a column's frames that may be missing: gaps are bridged
+
+
+class SetUp(NamedTuple):
+    """What a posterior was trained for."""
+
+    scene_name: str
+    free: tuple[str, ...]
+    bounds: dict[str, tuple[float, float]]
+    priors: dict[str, tuple[float, float]]  # without those of nuisance
+    nuisance: Nuisance
+    channels: tuple[str, ...]
+    noise: dict[str, float] | None  # by channel, if it was stated
+    springs: dict[str, str]
+    frames: tuple[int, ...]  # of each trial
+
+    @staticmethod
+    def of(problem: Problem, nuisance: Nuisance, springs: Mapping[str, str]) -> SetUp:
+        """Of a problem whose posterior is trained."""
+        asked, scenes = problem.parameters.items[: problem.parameters.asked], problem.evaluator.scenes
+        return SetUp(
+            " + ".join(trial_names(scenes)),
+            tuple(p.name for p in asked),
+            {p.name: (p.lower, p.upper) for p in asked},
+            {p.name: p.prior for p in asked if p.prior is not None},
+            nuisance,
+            problem.objective.channels,
+            problem.objective.noise,
+            dict(springs),
+            tuple(scene.motion.times.size for scene in scenes),
+        )
+
+    def parameters(self, scenes: Sequence[Scene]) -> tuple[list[Scene], list[Parameters]]:
+        """The scenes with whatever is fitted in them, and what is free in each."""
+        return free_in_trials(scenes, self.free, self.bounds, self.priors, self.nuisance)
+
+    def objective(self, trials: Sequence[tuple[Scene, Measured]]) -> Objective:
+        """The measurements of such scenes.
+
+        Raises:
+            InputError: other frames; a channel that was not measured, or one of which too much is missing.
+        """
+        if (found := tuple(scene.motion.times.size for scene, _ in trials)) != self.frames:
+            said = f"{listed(found)} frames"
+            raise InputError(said, where=trials[0][1].source, expected=f"{listed(self.frames)}, as it was trained for")
+        target = objective_of(trials, "likelihood", self.channels, self.noise, "linear", self.springs)
+        if missing := [c for c in self.channels if c not in target.channels]:
+            raise InputError(f"no {missing[0]!r} was measured", where=target.source, expected=", ".join(self.channels))
+        return target
+
+
+def from_nominal(problem: Problem, substeps: int) -> Objective:
+    """A comparison with the nominal knee's motion in the place of the measurements, of what was measured at all.
+
+    Raises:
+        InputError: the nominal knee does not run.
+    """
+    seen = problem.evaluator.values(problem.parameters.nominal[None], substeps)
+    if not seen.usable[0]:
+        raise InputError("the nominal knee finds no equilibrium or no finite motion", where=problem.scene.name)
+    target, present = problem.objective, np.zeros_like(problem.objective.present)
+    for rows in target.frames:
+        present[rows] = target.present[rows].any(axis=0)
+    return replace(target, measured=seen.values[0], present=present)
+
+
+def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Rows:
+    """The measurements (n, m) from the nominal knee's motion, with straight lines over gaps; zero where none is wanted.
+
+    Raises:
+        InputError: too much is missing.
+    """
+    target = problem.objective
+    measured = -target.residuals(held.measured[None])[0]
+    out = np.zeros(measured.shape, np.float32)
+    for rows in target.frames:
+        at = np.arange(len(measured[rows]))
+        for column in np.flatnonzero(wanted[rows].any(axis=0)):
+            known = target.present[rows, column]
+            if (share := 1 - known.mean()) > _MISSING:
+                found = f"{share:.0%} of a channel's frames are missing"
+                raise InputError(found, where=target.source, expected=f"at most {_MISSING:.0%}: gaps are bridged")
+            out[rows, column] = np.interp(at, at[known], measured[rows, column][known])
+    return out
+
+
+def listed(numbers: Sequence[int]) -> str:
+    """With commas."""
+    return ", ".join(str(n) for n in numbers)

@@ -1,0 +1,223 @@
+"""A posterior that was trained once for a set-up and answers each of its recordings: `fitting.train_posterior`."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.channel_checks import bounded, limits_of
+from fitting.estimate import Estimate
+from fitting.first_look import plain_look
+from fitting.fit import SIMULATIONS
+from fitting.inference.besides import with_nuisance
+from fitting.inference.infer import DRAWS, Inferred
+from fitting.inference.learning import Learned
+from fitting.methods.problem import Problem
+from fitting.nuisance import Nuisance
+from fitting.objective import Objective
+from fitting.outcome import Outcome, estimate_of, judge
+from fitting.set_up import SetUp, bridged, from_nominal, listed
+from fitting.trials import trials_of
+from pftwin.base.errors import InputError
+from pftwin.base.output import written_whole
+from pftwin.dynamics.simulate import compiled_aside
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene, check
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.float32]
+
+FORMAT = "pftwin trained posterior 1"
+_FEWEST_PROBES = 0.5  # share of the knees that are run again that must run
+_TOGETHER = 64  # simulations of an answer in a call
+_DRAWN = 1000  # of a posterior that is compared with another
+
+
+class Probes(NamedTuple):
+    """Knees that were simulated in the set-up, by which another one is told."""
+
+    theta: Floats  # (N, p)
+    recordings: Rows  # (N, n, m) without noise, from the nominal one
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedPosterior:
+    """The posterior of every recording of a set-up.
+
+    A recording is held against the nominal knee in its own motion, so that femur and tibia need not move in just the
+    same way again. Whether they moved, and the rest of the set-up is, enough like it was, is told by knees that are
+    simulated in both: as far as their posteriors move, that of this recording may be off.
+    """
+
+    set_up: SetUp
+    learned: Learned
+    probes: Probes
+    present: NDArray[np.bool_]  # (n, m) which numbers recordings have
+    substeps: int  # between two frames
+    simulations: int
+    dropped: int  # of them, without an equilibrium or a finite motion
+    seed: int
+    seconds: float  # that training took
+
+    def estimate(
+        self,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> Estimate:
+        """What a recording of this set-up tells.
+
+        Args:
+            scene: with the motion that was recorded, else as it was trained for; or those of several trials.
+            measured: as `fit_tendons` has it; `limits` too.
+
+        Raises:
+            InputError: another number of frames; channels that were not measured; another set-up, or a recording unlike
+                all that was simulated, by more than the limits allow; as `fit_tendons`.
+        """
+        began, allowed = time.perf_counter(), limits_of(limits)
+        trials = trials_of(scene, measured)
+        for one, _ in trials:
+            check(one)
+        scenes, parameters = self.set_up.parameters([one for one, _ in trials])
+        given = [data for _, data in trials]
+        target = self.set_up.objective(list(zip(scenes, given, strict=True)))
+        problem = Problem.of(scenes, parameters, target)
+        problem.evaluator.prepare(_TOGETHER)
+        compiled = compiled_aside(scenes[0].unnamed())
+        doubts = plain_look(problem, allowed)
+        held, random = from_nominal(problem, self.substeps), np.random.default_rng(self.seed)
+        off = self._off(problem, held)
+        said = f"in this motion and set-up the posterior, trained for another, is off by {off.max():.2g} deviations"
+        doubts += bounded("set_up", float(off.max()), said, target.source, allowed)
+        recording = bridged(problem, held, self.present)
+        answer = self.learned.answer(recording, DRAWS, random, off)
+        said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was trained for"
+        doubts += bounded("trained_noise", answer.level, said, target.source, allowed)
+        draws = with_nuisance(problem, held, self.learned, recording, answer.draws, self.substeps, random)
+        answer = answer._replace(draws=draws)
+        reason = f"a posterior trained by {self.simulations - self.dropped} simulations answered"
+        found = Inferred(answer, self.learned.noise, self.simulations, self.dropped, self.substeps, [], reason)
+        outcome = Outcome.of_simulations(problem, found, self.seed, allowed)
+        of = (SIMULATIONS, given, self.set_up.springs, self.set_up.nuisance, doubts, allowed, began)
+        estimate = estimate_of(problem, outcome, *of)
+        compiled()
+        judge(estimate)
+        return estimate
+
+    def _off(self, problem: Problem, held: Objective) -> Floats:
+        """How far posteriors (d,) of knees that were simulated in training lie apart, rms in their deviations, where
+        these knees run in the motion and set-up in which the nominal knee moves like this.
+
+        Raises:
+            InputError: most do not run.
+        """
+        seen = problem.evaluator.values(self.probes.theta, self.substeps)
+        if seen.usable.mean() < _FEWEST_PROBES:
+            found = "most knees that the posterior was trained with do not run"
+            raise InputError(found, where=problem.objective.source, expected="the set-up that it was trained for")
+        moved = held.residuals(seen.values[seen.usable]).astype(np.float32)
+        ends = []
+        for each in (self.probes.recordings[seen.usable], moved):
+            random = np.random.default_rng(self.seed)  # the same of both
+            u = self.learned.coordinates_drawn(self.learned.seen(each), _DRAWN, random)
+            ends.append((u.mean(axis=1), u.std(axis=1)))
+        (mean, sd), (other, _) = ends
+        return np.asarray(np.sqrt(np.mean(((other - mean) / sd) ** 2, axis=0)))
+
+    def facts(self) -> dict[str, Any]:
+        """Plain values, for JSON and for the file."""
+        plain = {**self.set_up._asdict(), "nuisance": asdict(self.set_up.nuisance)}
+        return {"format": FORMAT, **plain, **{key: getattr(self, key) for key in _FACTS}}
+
+    def sentence(self) -> str:
+        """What it answers, and what it was learned from."""
+        s = self.set_up
+        return (
+            f"answers recordings of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}; learned "
+            f"from {self.simulations - self.dropped:,} simulations in {self.seconds:.0f} s"
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes a file of NumPy's (.npz), whole or not at all.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        from fitting.inference.network import leaves_of
+
+        target, own = Path(path), self.learned
+        facts = {**self.facts(), "block": own.table.block, "span": own.noise.span, "usual": own.usual}
+        arrays: dict[str, Any] = {key: getattr(own, key) for key in _ARRAYS}
+        arrays |= {f"summaries_{key}": value for key, value in own.summaries._asdict().items()}
+        arrays |= {"deviations": own.noise.deviations, "correlations": own.noise.correlations, "root": own.added.root}
+        arrays["present"] = self.present
+        arrays |= {f"probes_{key}": value for key, value in self.probes._asdict().items()}
+        for i, net in enumerate(own.networks):
+            arrays |= {f"network{i}_{j}": leaf for j, leaf in enumerate(leaves_of(net))}
+        facts["networks"] = len(own.networks)
+        with written_whole(target) as temporary, temporary.open("wb") as file:
+            np.savez(file, facts=np.array(json.dumps(facts)), **arrays)
+        return target
+
+    @staticmethod
+    def load(path: str | os.PathLike[str], scene: Scene | Sequence[Scene]) -> TrainedPosterior:
+        """Reads what `save` wrote.
+
+        Args:
+            path: of the file.
+            scene: of the set-up, or of its trials.
+
+        Raises:
+            InputError: no such file, or one that holds no trained posterior; a scene without its parameters.
+        """
+        from fitting.inference.network import network_of
+        from fitting.inference.recordings import Noise, Summaries, SummaryNoise, Table
+        from fitting.inference.region import Region
+
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                held = {key: file[key] for key in file.files}
+            facts = json.loads(str(held["facts"]))
+            if facts["format"] != FORMAT:
+                raise ValueError(f"its format is {facts['format']!r}")
+            pairs: dict[str, Any] = {k: {n: (v[0], v[1]) for n, v in facts[k].items()} for k in ("bounds", "priors")}
+            own: dict[str, Any] = {key: tuple(facts[key]) for key in ("free", "channels", "frames")}
+            own |= {key: facts[key] for key in ("scene_name", "noise", "springs")}
+            set_up = SetUp(**own, **pairs, nuisance=Nuisance(**facts["nuisance"]))
+            noise = Noise(held["deviations"], held["correlations"], facts["span"])
+            summaries = Summaries(*(held[f"summaries_{key}"] for key in Summaries._fields))
+            arrays = {key: held[key] for key in _ARRAYS}
+            sizes = (summaries.directions.shape[1], arrays["center"].size)
+            nets = []
+            for i in range(facts["networks"]):
+                count = sum(key.startswith(f"network{i}_") for key in held)
+                nets.append(network_of(*sizes, [held[f"network{i}_{j}"] for j in range(count)]))
+            table, probes = (
+                Table(facts["block"], noise.deviations),
+                Probes(*(held[f"probes_{k}"] for k in Probes._fields)),
+            )
+            rest = {key: facts[key] for key in _FACTS}
+        except FileNotFoundError:
+            raise InputError("no such file", where=path, expected=_EXPECTED) from None
+        except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, BadZipFile) as error:
+            raise InputError(f"no trained posterior: {error}", where=path, expected=_EXPECTED) from None
+        region = Region(set_up.parameters([scene] if isinstance(scene, Scene) else list(scene))[1][0])
+        told = {"noise": noise, "added": SummaryNoise(held["root"], noise.span), "usual": facts["usual"]}
+        learned = Learned(region, tuple(nets), table, summaries, **arrays, **told)
+        return TrainedPosterior(set_up, learned, probes, held["present"], **rest)
+
+
+_EXPECTED = f"a file of {FORMAT!r}, as `pftwin train-posterior -o` writes it"
+_FACTS = ("substeps", "simulations", "dropped", "seed", "seconds")
+_ARRAYS = ("middle", "size", "center", "scale")

@@ -1,0 +1,133 @@
+"""`train_posterior`: simulations and networks once for a set-up, and then an answer at once for each recording.
+
+    trained = fitting.train_posterior(scene, nuisance="rig", use=("position", "quadriceps"))
+    estimate = trained.estimate(another_recording)
+
+It is the first round of `fit_tendons(method="simulations")`, with more simulations, for any recording of the set-up and
+not for one alone. So its intervals are wider than those of later rounds, and hold no less often.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.channel_checks import limits_of
+from fitting.evaluation import HALVINGS, Evaluator
+from fitting.first_look import plain_look
+from fitting.fit import SPRING_PARAMETERS
+from fitting.inference.infer import TOGETHER, check_enough, check_size
+from fitting.inference.learning import learn
+from fitting.inference.recordings import Noise
+from fitting.inference.region import Region
+from fitting.methods.problem import Problem
+from fitting.nuisance import Nuisance
+from fitting.objective import SPRINGS, Objective
+from fitting.parameters import Bounds
+from fitting.programs import POSITION
+from fitting.set_up import SetUp, bridged, from_nominal
+from fitting.trained import Probes, TrainedPosterior
+from fitting.trials import free_in_trials, objective_of, trials_of
+from fitting.trials_evaluator import TrialsEvaluator
+from pftwin.dynamics.batch.devices import Devices
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene, check
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.float32]
+
+AT_ALL = 30_000  # simulations
+_AT_ONCE = 2048  # of them, between two reports of progress
+_PROBES = 24
+
+
+def train_posterior(
+    scene: Scene | Sequence[Scene],
+    measured: Measured | Sequence[Measured | None] | None = None,
+    *,
+    free: Sequence[str] = SPRING_PARAMETERS,
+    bounds: Bounds = 0.3,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    nuisance: str | Nuisance | None = None,
+    seed: int = 0,
+    use: str | Sequence[str] = POSITION,
+    noise: Mapping[str, float] | None = None,
+    springs: Mapping[str, str] = SPRINGS,
+    simulations: int = AT_ALL,
+    progress: Callable[[int, int], None] | None = None,
+    devices: Devices = "all",
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> TrainedPosterior:
+    """A posterior that answers every recording of a set-up.
+
+    Args:
+        scene: the nominal one, with the motion of a first recording; or those of several trials of one knee.
+        measured: the first recording, of which noise is found that is not stated; by default what the scene carries.
+        free: as `fit_tendons` has it; `bounds`, `priors`, `nuisance`, `seed`, `use`, `noise`, `springs`, `devices` and
+            `limits` too.
+        simulations: recordings that are simulated.
+        progress: told how many simulations have run, of how many.
+
+    Raises:
+        InputError: as `fit_tendons(method="simulations")`; a channel of which too many frames are missing.
+    """
+    began, allowed, besides = time.perf_counter(), limits_of(limits), Nuisance.of(nuisance)
+    trials = trials_of(scene, measured)
+    for one, _ in trials:
+        check(one)
+    scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+    target = objective_of(
+        list(zip(scenes, [data for _, data in trials], strict=True)), "likelihood", use, noise, "linear", springs
+    )
+    problem = Problem.of(scenes, parameters, target, devices=devices)
+    check_size(problem.parameters, simulations, target.present.size)
+    problem.evaluator.prepare(TOGETHER)
+    plain_look(problem, allowed)
+    substeps = _substeps(problem.evaluator, problem.parameters.nominal)
+    held = from_nominal(problem, substeps)
+    first = bridged(problem, held, held.present)
+    random, region = np.random.default_rng(seed), Region(problem.parameters)
+    theta, recordings = _simulated(problem, held, region.drawn(simulations, random), substeps, progress)
+    learned = learn(region, theta, recordings, first, held, Noise.initial(target), random)
+    some = random.permutation(len(theta))[:_PROBES]
+    return TrainedPosterior(
+        SetUp.of(problem, besides, springs),
+        learned,
+        Probes(theta[some], recordings[some]),
+        held.present,
+        substeps,
+        simulations,
+        simulations - len(theta),
+        seed,
+        time.perf_counter() - began,
+    )
+
+
+def _substeps(evaluator: Evaluator | TrialsEvaluator, nominal: Floats) -> int:
+    """Steps between two frames that are short enough for the nominal knee."""
+    substeps = evaluator.first
+    for _ in range(HALVINGS):
+        if not any(e.large for e in evaluator.step_errors(nominal, substeps, slopes=False).values()):
+            break
+        substeps *= 2
+    return substeps
+
+
+def _simulated(
+    problem: Problem, held: Objective, theta: Floats, substeps: int, progress: Callable[[int, int], None] | None
+) -> tuple[Floats, Rows]:
+    """Of these parameters (N, p) those that run, and their recordings (N, n, m) from the nominal one."""
+    kept, recordings = [], []
+    for i in range(0, len(theta), _AT_ONCE):
+        part = theta[i : i + _AT_ONCE]
+        seen = problem.evaluator.values(part, substeps)
+        kept.append(part[seen.usable])
+        recordings.append(held.residuals(seen.values[seen.usable]).astype(np.float32))
+        if progress is not None:
+            progress(i + len(part), len(theta))
+    found = np.concatenate(kept)
+    check_enough(len(found), len(theta), problem)
+    return found, np.concatenate(recordings)

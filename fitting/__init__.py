@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting import treatments
+    from fitting.calibration.calibrate import calibrate
     from fitting.estimate import Estimate
     from fitting.fit import fit_tendons
     from fitting.identifiability import plan_experiment, profile_likelihood
@@ -36,6 +37,7 @@ _HOME = {
     "Parameter": "parameters",
     "Parameters": "parameters",
     "Posterior": "posterior.result",
+    "calibrate": "calibration.calibrate",
     "channels_of": "programs",
     "fit_tendons": "fit",
     "free_parameters": "parameters",
@@ -57,6 +59,7 @@ __all__ = [
     "Parameters",
     "Posterior",
     "TrainedPosterior",
+    "calibrate",
     "channels_of",
     "fit_tendons",
     "free_parameters",

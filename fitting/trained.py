@@ -14,13 +14,13 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channel_checks import bounded, limits_of
+from fitting.channel_checks import Limits, bounded, limits_of
 from fitting.estimate import Estimate
 from fitting.first_look import plain_look
 from fitting.fit import SIMULATIONS
 from fitting.inference.besides import with_nuisance
 from fitting.inference.infer import DRAWS, Inferred
-from fitting.inference.learning import Learned
+from fitting.inference.learning import Answer, Learned
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
@@ -86,34 +86,62 @@ class TrainedPosterior:
                 all that was simulated, by more than the limits allow; as `fit_tendons`.
         """
         began, allowed = time.perf_counter(), limits_of(limits)
+        problem, given = self._problem(scene, measured)
+        compiled = compiled_aside(problem.scene.unnamed())
+        doubts = plain_look(problem, allowed)
+        held, recording, answer, more = self._answer(problem, allowed)
+        random = np.random.default_rng([self.seed, 1])
+        draws = with_nuisance(problem, held, self.learned, recording, answer.draws, self.substeps, random)
+        reason = f"a posterior trained by {self.simulations - self.dropped} simulations answered"
+        found = Inferred(
+            answer._replace(draws=draws), self.learned.noise, self.simulations, self.dropped, self.substeps, [], reason
+        )
+        outcome = Outcome.of_simulations(problem, found, self.seed, allowed)
+        of = (SIMULATIONS, given, self.set_up.springs, self.set_up.nuisance, [*doubts, *more], allowed, began)
+        estimate = estimate_of(problem, outcome, *of)
+        compiled()
+        judge(estimate)
+        return estimate
+
+    def draws(
+        self,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> tuple[Floats, list[str]]:
+        """Draws (N, d) of what is asked for, and what forbids to believe them: `estimate`, without nuisance and without
+        a look at the fitted motion.
+
+        Raises:
+            InputError: as `estimate`.
+        """
+        answer, doubts = self._answer(self._problem(scene, measured)[0], limits_of(limits))[2:]
+        return answer.draws, doubts
+
+    def _problem(
+        self, scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None
+    ) -> tuple[Problem, list[Measured]]:
+        """What is to be answered, and the measurements of every trial."""
         trials = trials_of(scene, measured)
         for one, _ in trials:
             check(one)
         scenes, parameters = self.set_up.parameters([one for one, _ in trials])
         given = [data for _, data in trials]
-        target = self.set_up.objective(list(zip(scenes, given, strict=True)))
-        problem = Problem.of(scenes, parameters, target)
+        problem = Problem.of(scenes, parameters, self.set_up.objective(list(zip(scenes, given, strict=True))))
         problem.evaluator.prepare(_TOGETHER)
-        compiled = compiled_aside(scenes[0].unnamed())
-        doubts = plain_look(problem, allowed)
-        held, random = from_nominal(problem, self.substeps), np.random.default_rng(self.seed)
+        return problem, given
+
+    def _answer(self, problem: Problem, limits: Limits) -> tuple[Objective, Rows, Answer, list[str]]:
+        """What recordings are held against, the recording, its posterior without nuisance, and doubts of it."""
+        held, source = from_nominal(problem, self.substeps), problem.objective.source
         off = self._off(problem, held)
         said = f"in this motion and set-up the posterior, trained for another, is off by {off.max():.2g} deviations"
-        doubts += bounded("set_up", float(off.max()), said, target.source, allowed)
+        doubts = bounded("set_up", float(off.max()), said, source, limits)
         recording = bridged(problem, held, self.present)
-        answer = self.learned.answer(recording, DRAWS, random, off)
+        answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), off)
         said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was trained for"
-        doubts += bounded("trained_noise", answer.level, said, target.source, allowed)
-        draws = with_nuisance(problem, held, self.learned, recording, answer.draws, self.substeps, random)
-        answer = answer._replace(draws=draws)
-        reason = f"a posterior trained by {self.simulations - self.dropped} simulations answered"
-        found = Inferred(answer, self.learned.noise, self.simulations, self.dropped, self.substeps, [], reason)
-        outcome = Outcome.of_simulations(problem, found, self.seed, allowed)
-        of = (SIMULATIONS, given, self.set_up.springs, self.set_up.nuisance, doubts, allowed, began)
-        estimate = estimate_of(problem, outcome, *of)
-        compiled()
-        judge(estimate)
-        return estimate
+        return held, recording, answer, doubts + bounded("trained_noise", answer.level, said, source, limits)
 
     def _off(self, problem: Problem, held: Objective) -> Floats:
         """How far posteriors (d,) of knees that were simulated in training lie apart, rms in their deviations, where

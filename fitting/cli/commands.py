@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fitting.cli import before, cohort, demo, fit, treat
+from fitting.cli import before, calibrate, cohort, demo, fit, treat
 from fitting.cli.live import command as live
 from fitting.cli.report import command as report
 from pftwin.cli.plugins import Command
@@ -14,6 +14,7 @@ COMMANDS = (
     Command(
         "train-posterior", before.train_posterior, "Once for a set-up: a posterior that answers at once", "Fit", 30
     ),
+    Command("calibrate", calibrate.calibrate, "Do its intervals hold the truth? On simulated knees", "Fit", 40),
     Command("treat", treat.treat, "Predict outcomes of treatments, with bands", "Treat", 10),
     Command("optimise", treat.optimise, "The smallest treatment that meets stated limits", "Treat", 20),
     Command("cohort", cohort.cohort, "Many patients: fits, treatments, one summary", "Treat", 30),

@@ -2,6 +2,7 @@
 
     python tests/verification/coverage.py PLANTS --seeds 1 3 5 7 --nuisance none rig --use position quadriceps
     python tests/verification/coverage.py PLANTS --seeds 13 15 --nuisance rig --method simulations
+    python tests/verification/coverage.py PLANTS --seeds 13 15 --nuisance rig --method trained
 
 Each plant (`pftwin.rig.plant`, code of its own) has, drawn by its seed:
 
@@ -12,7 +13,7 @@ Each plant (`pftwin.rig.plant`, code of its own) has, drawn by its seed:
 
 It runs a case, and the laboratory records it: markers and load cells with their noise, files, filters, poses of the
 segments. PLANTS is a folder in which recordings are kept: a plant takes a minute. Then the twin, with its nominal
-numbers, is fitted. The truth of K and L is the straight line nearest to the plant's spring over the forces that
+numbers, is fitted; or answered by a posterior that was trained once, on the case's own recording. The truth of K and L is the straight line nearest to the plant's spring over the forces that
 occurred, the mean of those of several cases. Printed by parameter: root mean square error, how many 95 % intervals
 hold the truth, and their mean half width, all in per cent; and estimates that are INVALID, which are counted too.
 """
@@ -23,6 +24,7 @@ import argparse
 import json
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +37,7 @@ from pftwin.model.measured import Measured
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
+from pftwin.rig.cases import case as rig_case
 from pftwin.rig.cases import scene_of
 from pftwin.rig.contacts import contact_effect
 from pftwin.rig.laboratory import write_recording
@@ -103,7 +106,18 @@ def fitted(
 ) -> fitting.Estimate:
     """The twin fitted to a plant's recordings of some cases together."""
     scenes, measured = zip(*(scene_in(case, seed, folder, contact) for case in cases), strict=True)
+    if method == "trained":
+        return trained(tuple(cases), contact, nuisance, tuple(use)).estimate(scenes, measured)
     return fitting.fit_tendons(scenes, measured, free=NAMES, bounds=BOUNDS, nuisance=nuisance, use=use, method=method)
+
+
+@cache
+def trained(
+    cases: tuple[int, ...], contact: str, nuisance: str | None, use: tuple[str, ...]
+) -> fitting.TrainedPosterior:
+    """A posterior trained on the recordings that the package has of these cases."""
+    scenes = [rig_case(case, contact) for case in cases]
+    return fitting.train_posterior(scenes, free=NAMES, bounds=BOUNDS, nuisance=nuisance, use=use)
 
 
 def main() -> None:

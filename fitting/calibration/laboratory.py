@@ -1,0 +1,111 @@
+"""What a laboratory would record of a plant: markers with noise, their filter, poses fitted to them; load cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.files.mocap.filters import butterworth_lowpass
+from pftwin.files.mocap.frames import cluster_poses
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.measured import Measured
+from pftwin.model.motion import KneeMotion, SegmentMotion
+from pftwin.model.scene import Scene
+
+if TYPE_CHECKING:
+    from fitting.calibration.runs import Seen
+
+Floats = NDArray[np.float64]
+
+_CORNERS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]) / np.sqrt(3)
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """How motion and forces are recorded; by default as on the virtual rig.
+
+    Args:
+        marker_noise: standard deviation of each coordinate of a marker [m].
+        cluster: distance of each segment's four markers from its frame's origin [m].
+        cutoff: of the markers' second-order Butterworth low-pass [Hz]; None: no filter.
+        force_noise: standard deviation of a load cell's noise [N].
+        force_bias: standard deviation of its offset [N].
+    """
+
+    marker_noise: float = 2e-4
+    cluster: float = 0.05
+    cutoff: float | None = 12.0
+    force_noise: float = 0.15
+    force_bias: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("marker_noise", "cluster", "force_noise", "force_bias"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and (value > 0 if name == "cluster" else value >= 0)):
+                raise InputError(f"{name}: found {value!r}", where="laboratory", expected="a number, not negative")
+
+    def recorded(
+        self, scene: Scene, seen: Seen, springs: dict[str, str], random: np.random.Generator
+    ) -> tuple[KneeMotion, Measured]:
+        """The motion and measurements of a plant, as poses of recorded markers tell them.
+
+        Args:
+            scene: the plant's.
+            seen: what it did.
+            springs: names of the effects whose tensions the "femoral" and "tibial" spring forces are.
+            random: of the noise.
+
+        Raises:
+            InputError: a recording that is too short for the filter.
+        """
+        motion = scene.motion
+        times = np.asarray(motion.frame_times())
+        femur, tibia = (_poses(part, times) for part in (motion.femur, motion.tibia))
+        patella = PoseSeries(times, seen.position, seen.quaternion)
+        world = PoseSeries.from_matrices(
+            times,
+            femur.positions + np.einsum("nij,nj->ni", femur.matrices(), patella.positions),
+            femur.matrices() @ patella.matrices(),
+        )
+        femur, tibia, world = (self._poses_of_markers(each, random) for each in (femur, tibia, world))
+        relative = world.relative_to(femur)
+        point = np.asarray(scene.tracked_point().array(), dtype=float)
+        center = relative.positions + relative.matrices() @ point
+        forces = {name: self._load_cell(value, random) for name, value in seen.forces.items()}
+        contact = scene.contact
+        measured = Measured(
+            times,
+            center,
+            relative.quaternions,
+            contact_force=None if contact is None else forces[contact.name],
+            femoral_spring_force=forces.get(springs.get("femoral", "")),
+            tibial_spring_force=forces.get(springs.get("tibial", "")),
+            synthetic=True,
+            source="a plant",
+        )
+        if motion.femur is None:
+            return KneeMotion.from_poses(None, tibia.relative_to(femur)), measured
+        return KneeMotion.from_poses(femur, tibia), measured
+
+    def _poses_of_markers(self, poses: PoseSeries, random: np.random.Generator) -> PoseSeries:
+        places = self.cluster * _CORNERS
+        markers = poses.positions[:, None] + np.einsum("nij,mj->nmi", poses.matrices(), places)
+        markers = markers + random.normal(0.0, self.marker_noise, markers.shape)
+        if self.cutoff is not None:
+            markers = butterworth_lowpass(markers, poses.rate, self.cutoff)
+        return cluster_poses(markers, places, poses.times)
+
+    def _load_cell(self, force: Floats, random: np.random.Generator) -> Floats:
+        return force + random.normal(0.0, self.force_bias) + random.normal(0.0, self.force_noise, force.shape)
+
+
+def _poses(part: SegmentMotion | None, times: Floats) -> PoseSeries:
+    """Of a guided segment at the frames; None stands still in the world."""
+    if part is None:
+        return PoseSeries(times, np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)))
+    frames = part.frames(times)
+    return PoseSeries.from_matrices(times, np.asarray(frames.origin.array()), np.asarray(frames.rotation.array()))

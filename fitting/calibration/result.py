@@ -1,0 +1,156 @@
+"""What a calibration found: how often intervals held the truth, how wide they are, and what follows."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from pftwin.base.text_files import write_text
+
+if TYPE_CHECKING:
+    from fitting.calibration.plots import CalibrationPlots
+
+Floats = NDArray[np.float64]
+
+FORMAT = "pftwin calibration 1"
+LEVELS = (0.5, 0.8, 0.9, 0.95)
+_CHECKED = 0.95  # the level on which the verdict is
+_SURE = 0.95  # of the interval of a share that is held against it
+
+
+class Answers(NamedTuple):
+    """Of one kind of plants, those that were answered without a doubt: N of them, d parameters."""
+
+    ranks: Floats  # (N, d) share of the draws below the truth
+    errors: Floats  # (N, d) of the means, as a share of the truth
+    half_widths: Floats  # (N, d) of 95 % intervals, likewise
+    doubted: int  # answered with a doubt: INVALID
+    refused: int
+    dropped: int  # plants that could not be simulated
+
+    @staticmethod
+    def of(rows: list[tuple[Floats, Floats, bool]], dropped: int, refused: int, asked: int) -> Answers:
+        """From truth (d,), draws (M, d) and whether there is a doubt, of every answer."""
+        clean = [(truth, draws) for truth, draws, doubt in rows if not doubt]
+        empty = np.zeros((0, asked))
+        ranks = [np.mean(draws < truth, axis=0) for truth, draws in clean]
+        errors = [draws.mean(axis=0) / truth - 1 for truth, draws in clean]
+        half = [0.5 * np.ptp(np.quantile(d, (0.025, 0.975), axis=0), axis=0) / np.abs(t) for t, d in clean]
+        arrays = [np.array(each) if each else empty for each in (ranks, errors, half)]
+        return Answers(*arrays, doubted=len(rows) - len(clean), refused=refused, dropped=dropped)
+
+    def held(self, level: float) -> NDArray[np.bool_]:
+        """Which (N, d) central intervals of a level hold the truth."""
+        return np.abs(self.ranks - 0.5) < 0.5 * level
+
+    @property
+    def coverage(self) -> dict[float, Floats]:
+        """By level, the share of intervals (d,) that hold the truth."""
+        return {level: self.held(level).mean(axis=0) for level in LEVELS}
+
+    @property
+    def rms(self) -> Floats:
+        """Of the errors (d,)."""
+        return np.sqrt(np.mean(self.errors**2, axis=0))
+
+    def verdict(self, names: tuple[str, ...]) -> str:
+        """Whether 95 % intervals hold as often as they say, as far as so many plants can tell."""
+        if not len(self.ranks):
+            return "no plant was answered"
+        narrow, wide = [], []
+        for name, held in zip(names, self.held(_CHECKED).T, strict=True):
+            share = binomtest(int(held.sum()), len(held)).proportion_ci(_SURE)
+            if share.high < _CHECKED:
+                narrow.append(name)
+            elif share.low > _CHECKED:
+                wide.append(name)
+        said = [f"too narrow: {', '.join(narrow)}"] if narrow else []
+        said += [f"wider than need be: {', '.join(wide)}"] if wide else []
+        return "; ".join(said) or "hold"
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """`fitting.calibrate`: answers by the kind of plants."""
+
+    names: tuple[str, ...]
+    kinds: dict[str, Answers]
+    trained: str  # the posterior, in a sentence
+    seed: int
+    seconds: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether no kind of plant shows intervals to be too narrow, and all were answered by some."""
+        return not any(a.verdict(self.names).startswith(("too narrow", "no plant")) for a in self.kinds.values())
+
+    def sentence(self) -> str:
+        """The verdict in a line."""
+        if self.holds:
+            return "95 % intervals hold on all kinds of plants tried"
+        bad = {kind: a.verdict(self.names) for kind, a in self.kinds.items()}
+        told = "; ".join(f"on {kind} {said}" for kind, said in bad.items() if said != "hold")
+        return f"95 % intervals do NOT hold as often as they say: {told}"
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Of a table: kind of plants, answered of all, share of 95 % intervals that hold, half widths, verdict."""
+        found = []
+        for kind, a in self.kinds.items():
+            of = len(a.ranks) + a.doubted + a.refused + a.dropped
+            any_at_all = len(a.ranks) > 0
+            held = [f"{100 * x:.0f} %" for x in a.coverage[_CHECKED]] if any_at_all else [""] * len(self.names)
+            half = " ".join(f"{100 * x:.2g}" for x in a.half_widths.mean(axis=0)) if any_at_all else ""
+            found.append((kind, f"{len(a.ranks)} of {of}", *held, half, a.verdict(self.names)))
+        return found
+
+    @property
+    def plot(self) -> CalibrationPlots:
+        """Figures."""
+        from fitting.calibration.plots import CalibrationPlots
+
+        return CalibrationPlots(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        kinds = {
+            kind: {
+                "answered": len(a.ranks),
+                "doubted": a.doubted,
+                "refused": a.refused,
+                "dropped": a.dropped,
+                "coverage": {f"{level:g}": held.tolist() for level, held in a.coverage.items()} if len(a.ranks) else {},
+                "rms_error": a.rms.tolist() if len(a.ranks) else [],
+                "half_width": a.half_widths.mean(axis=0).tolist() if len(a.ranks) else [],
+                "verdict": a.verdict(self.names),
+                "ranks": a.ranks.round(4).tolist(),
+            }
+            for kind, a in self.kinds.items()
+        }
+        return {
+            "format": FORMAT,
+            "sentence": self.sentence(),
+            "holds": self.holds,
+            "names": list(self.names),
+            "kinds": kinds,
+            "trained": self.trained,
+            "synthetic": True,
+            "seed": self.seed,
+            "seconds": self.seconds,
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes JSON.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        target = Path(path)
+        write_text(target, json.dumps(self.to_dict(), indent=2) + "\n")
+        return target

@@ -1,0 +1,104 @@
+"""What plants do: their motions side by side, and the springs that the twin should find of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from fitting.calibration.plants import Plant
+from fitting.demo.straight_springs import straight_line
+from fitting.parameters import Parameters
+from pftwin.base.errors import InputError
+from pftwin.dynamics.batch.simulate_batch import simulate_batch
+from pftwin.dynamics.integrators import BDF2
+from pftwin.dynamics.observe import Observation
+from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
+
+_STEP = 5e-4  # of plants, by another integrator than a fit's [s]
+
+
+class Seen(NamedTuple):
+    """What a plant did, without noise."""
+
+    position: Floats  # (n, 3) of the patella in the femur [m]
+    quaternion: Floats  # (n, 4)
+    forces: dict[str, Floats]  # (n,) of contact and tendons by their names [N]
+    lengths: dict[str, Floats]  # (n,) of the tendons [m]
+
+
+def run(plants: Sequence[Plant]) -> list[Seen | None]:
+    """What each plant does; None of one that could not be simulated.
+
+    Raises:
+        InputError: scenes that cannot give a right answer.
+    """
+    found = simulate_batch(
+        [plant.scene for plant in plants],
+        integrator=BDF2(),
+        dt=_STEP,
+        outcome=_kept,
+        trajectories=False,
+        energy_budget=False,
+        estimate=False,
+        care=False,
+    )
+    failed = np.asarray(found["failed"])
+    kept = {str(name): np.asarray(found[name]) for name in found.data_vars if str(name).startswith(_OWN)}
+
+    def of(i: int) -> Seen:
+        mine = {name.removeprefix(_OWN): value[i] for name, value in kept.items()}
+        forces = {n.removeprefix("force "): v for n, v in mine.items() if n.startswith("force ")}
+        lengths = {n.removeprefix("length "): v for n, v in mine.items() if n.startswith("length ")}
+        return Seen(mine["position"], mine["quaternion"], forces, lengths)
+
+    return [None if failed[i] else of(i) for i in range(len(plants))]
+
+
+_OWN = "plant "  # before names of what is kept, which a batch has not itself
+
+
+def _kept(scene: Scene, seen: Observation) -> dict[str, Array]:
+    turn, place = seen.patella.orientation, seen.patella.position
+    found: dict[str, Any] = {
+        "position": jnp.stack([place.x, place.y, place.z], axis=-1),
+        "quaternion": jnp.stack([turn.w, turn.x, turn.y, turn.z], axis=-1),
+    }
+    for name, report in seen.effects.items():
+        force = report.get("force", report.get("tension"))
+        if force is not None and jnp.ndim(force) == 1:
+            found[f"force {name}"] = force
+        if "length" in report and jnp.ndim(report["length"]) == 1:
+            found[f"length {name}"] = report["length"]
+    return {f"{_OWN}{name}": value for name, value in found.items()}
+
+
+def truth_of(plant: Plant, seen: Seen, parameters: Parameters) -> Floats:
+    """What a fit should find of a plant (d,): of a tendon that follows another law, the straight line nearest to its
+    spring, over the forces that occurred.
+
+    Raises:
+        InputError: something else than stiffness and slack length is asked for of such a tendon; one that is never
+            stretched.
+    """
+    found = []
+    for item in parameters.items[: parameters.asked]:
+        owner, path = item.place.owner, item.place.path
+        if owner not in plant.curved:
+            found.append(float(item.place.read(plant.scene)))
+            continue
+        if path not in (("stiffness",), ("slack_length",)) or item.place.meaning != "value":
+            expected = "stiffness and slack length of a tendon that follows another law"
+            raise InputError(f"{item.name} has no true value in this plant", where="plants", expected=expected)
+        tendon: Any = plant.scene.effect(owner)
+        lengths = seen.lengths[owner]
+        pulls = np.asarray(tendon.held_tension(jnp.asarray(np.maximum(lengths, float(tendon.slack_length)))))
+        line = straight_line(lengths, pulls)
+        found.append(line.stiffness if path == ("stiffness",) else line.slack_length)
+    return np.array(found)

@@ -1,0 +1,67 @@
+"""`pftwin calibrate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from fitting.cli.fit import names_in
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
+from pftwin.cli.exit_codes import exit_flagged
+from pftwin.cli.scenes import SceneOptions, on_scene
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
+
+
+@on_scene
+def calibrate(
+    *,
+    output: Annotated[Path, Option("-o", "--output", metavar="CALIBRATION.json", help="What was found.")],
+    knee: SceneOptions,
+    trained: Annotated[Path, Option(metavar="FILE.npz", help="A posterior that `pftwin train-posterior` trained.")],
+    plants: Annotated[int, Option(min=1, help="Of each kind.")] = 100,
+    kinds: Annotated[
+        str | None, Option(metavar="NAMES", help="Some of: twin, misplaced, sliding, stiffening; by default all.")
+    ] = None,
+    marker_noise: Annotated[float, Option(metavar="METRES", help="Of each coordinate of a marker, by which")] = 2e-4,
+    force_noise: Annotated[float, Option(metavar="NEWTONS", help="and of a load cell plants are recorded.")] = 0.15,
+    seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
+    figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
+    json: JsonOption = None,
+) -> None:
+    """Count how often a trained posterior's intervals hold the truth, on simulated knees that differ from the twin.
+
+    Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 -o calibration.json`
+    """
+    check_suffix(output, [".json"], "calibrations are JSON")
+    check_outputs(output, json)
+    from fitting.calibration.calibrate import calibrate as run
+    from fitting.calibration.laboratory import Laboratory
+    from fitting.calibration.plants import PLANTS
+    from fitting.trained import TrainedPosterior
+
+    chosen = names_in(kinds) if kinds is not None else tuple(PLANTS)
+    if strange := [kind for kind in chosen if kind not in PLANTS]:
+        raise InputError(f"no plants {strange[0]!r}", where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
+    lab, scene = Laboratory(marker_noise=marker_noise, force_noise=force_noise), knee.load().scene
+    with progress("simulating plants") as shown:
+        found = run(
+            TrainedPosterior.load(trained, scene),
+            scene,
+            plants=plants,
+            kinds={kind: PLANTS[kind] for kind in chosen},
+            laboratory=lab,
+            seed=seed,
+            progress=lambda kind, done, of: shown(done, of, f"{done}/{of}", f"plants {kind}"),
+        )
+    files = [str(found.save(output))]
+    if figures:
+        with spinner("drawing"):
+            files += [str(p) for p in found.plot.save(output.with_suffix(""))]
+    head = ("SYNTHETIC plants", "answered", *(f"{name} held" for name in found.names), "half widths [%]", "verdict")
+    sheet = Sheet(f"{scene.name}: 95 % intervals", head, tuple(found.rows()), words=(0, len(head) - 1))
+    present({**found.to_dict(), "files": files}, sheet, found.sentence(), found.trained, written_line(files), json=json)
+    if not found.holds:
+        exit_flagged(found.sentence())

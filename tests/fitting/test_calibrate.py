@@ -1,0 +1,128 @@
+"""`calibrate`: verdicts on answers of known quality, and a posterior on plants of a small knee."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from lifted_fits import HELD, SPRINGS, noisy, scene
+
+import fitting
+from fitting.calibration.laboratory import Laboratory
+from fitting.calibration.plants import Knee, Plant, twin
+from fitting.calibration.result import Answers, Calibration
+from fitting.trained import TrainedPosterior
+from pftwin.base.errors import InputError
+
+NAMES = ("K1", "L2")
+NOISE = 5e-4  # [m]; errors of the fit's steps are a fifth of it
+LAB = Laboratory(marker_noise=NOISE, cutoff=None)
+
+
+@cache
+def trained() -> TrainedPosterior:
+    known = {"position": NOISE}
+    return fitting.train_posterior(scene(HELD), noisy(0, HELD), free=SPRINGS, noise=known, simulations=8000)
+
+
+def answers(width: float, count: int = 200, doubted: int = 0) -> Answers:
+    """Normal posteriors of two parameters whose means are off by one deviation, and as wide as that times a factor."""
+    random, truth = np.random.default_rng(4), np.array([150.0, 0.07])
+    deviation, rows = np.array([3.0, 7e-4]), []
+    for i in range(count):
+        mean = truth + deviation * random.standard_normal(2)
+        rows.append((truth, mean + width * deviation * random.standard_normal((400, 2)), i < doubted))
+    return Answers.of(rows, dropped=2, refused=1, asked=2)
+
+
+def test_right_posteriors_hold_as_often_as_they_say():
+    found = answers(1.0)
+    for level, held in found.coverage.items():
+        np.testing.assert_allclose(held, level, atol=3 * np.sqrt(level * (1 - level) / 200))
+    np.testing.assert_allclose(found.rms, [0.02, 0.01], rtol=0.15)
+    np.testing.assert_allclose(found.half_widths.mean(axis=0), [1.96 * 0.02, 1.96 * 0.01], rtol=0.05)
+    assert found.verdict(NAMES) == "hold"
+
+
+@pytest.mark.parametrize(
+    ("width", "said", "holds"), [(0.6, "too narrow: K1, L2", False), (2.0, "wider than need be: K1, L2", True)]
+)
+def test_other_posteriors_are_told_apart(width, said, holds):
+    found = Calibration(NAMES, {"twin": answers(1.0), "odd": answers(width)}, "a posterior", 0, 1.0)
+    assert found.kinds["odd"].verdict(NAMES) == said
+    assert found.holds is holds
+    assert ("do NOT hold" in found.sentence()) is not holds
+
+
+def test_few_plants_accuse_nobody():
+    assert answers(0.8, count=8).verdict(NAMES) == "hold"
+
+
+def test_doubted_answers_are_counted_apart():
+    found = answers(1.0, count=50, doubted=20)
+    assert (len(found.ranks), found.doubted, found.refused, found.dropped) == (30, 20, 1, 2)
+    whole = Calibration(NAMES, {"twin": found}, "a posterior", 0, 1.0)
+    assert whole.rows()[0][:2] == ("twin", "30 of 53")
+
+
+def test_where_nothing_was_answered_nothing_holds(tmp_path):
+    empty = Calibration(NAMES, {"twin": answers(1.0, count=3, doubted=3)}, "a posterior", 0, 1.0)
+    assert not empty.holds
+    assert "no plant was answered" in empty.sentence()
+    assert json.loads(empty.save(tmp_path / "c.json").read_text())["kinds"]["twin"]["answered"] == 0
+    assert len(empty.plot.save(tmp_path / "c")) == 4
+
+
+@pytest.mark.slow
+def test_a_posterior_holds_on_its_own_twins_and_a_narrowed_one_does_not(tmp_path):
+    one = {"twin": twin}
+    found = fitting.calibrate(trained(), scene(HELD), plants=60, kinds=one, laboratory=LAB, seed=2)
+    answered = found.kinds["twin"]
+    assert len(answered.ranks) >= 45, found.sentence()
+    assert found.holds, found.sentence()
+    assert (answered.coverage[0.95] > 0.88).all()
+    again = json.loads(found.save(tmp_path / "c.json").read_text())
+    assert again["kinds"]["twin"]["coverage"]["0.95"] == answered.coverage[0.95].tolist()
+    learned = trained().learned
+    narrowed = replace(trained(), learned=learned._replace(networks=tuple(Narrowed(n) for n in learned.networks)))
+    other = fitting.calibrate(narrowed, scene(HELD), plants=40, kinds=one, laboratory=LAB, seed=2)
+    assert not other.holds
+    assert "too narrow" in other.sentence()
+
+
+class Narrowed:
+    """A network whose draws lie four times as near to their mean."""
+
+    def __init__(self, net) -> None:
+        self.net = net
+
+    def draws(self, summaries, count, random):
+        u = self.net.draws(summaries, count, random)
+        return u.mean(axis=1, keepdims=True) + 0.25 * (u - u.mean(axis=1, keepdims=True))
+
+
+@pytest.mark.slow
+def test_plants_of_users_may_fail():
+    def slack(knee: Knee, random: np.random.Generator) -> Plant:
+        """With springs so soft that every other patella falls."""
+        return Plant(knee.drawn(random))
+
+    told = []
+    found = fitting.calibrate(
+        trained(), scene(HELD), plants=3, kinds={"mine": slack}, laboratory=replace(LAB, marker_noise=30 * NOISE),
+        progress=lambda *now: told.append(now),
+    )  # fmt: skip
+    assert [now[:2] for now in told] == [("mine", 0), ("mine", 1), ("mine", 2)]
+    assert found.kinds["mine"].refused + found.kinds["mine"].doubted == 3
+
+
+@pytest.mark.slow
+def test_what_cannot_be_calibrated_is_refused():
+    with pytest.raises(InputError, match="at least 1"):
+        fitting.calibrate(trained(), scene(HELD), plants=0)
+    several = replace(trained(), set_up=trained().set_up._replace(frames=(41, 41)))
+    with pytest.raises(InputError, match="one of a single trial"):
+        fitting.calibrate(several, scene(HELD))

@@ -1,0 +1,106 @@
+"""Plants that a posterior is tried on: how their numbers spread, springs that stiffen, what a fit should find."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scene import small_scene
+
+from fitting.calibration.plants import Knee, Plant, StiffeningSpring, misplaced, sliding, stiffening, twin
+from fitting.calibration.runs import Seen, truth_of
+from fitting.nuisance import Nuisance
+from fitting.parameters import with_nuisance
+from pftwin.base.errors import InputError
+from pftwin.rig.plant_parts import Spring
+
+FREE = ("K1", "L1", "K2", "L2")
+BOUNDS = {"K1": 0.5, "L1": 0.3, "K2": 0.4, "L2": 0.2}
+
+
+def knee() -> Knee:
+    return Knee(*with_nuisance(small_scene(), FREE, BOUNDS, None, Nuisance(attachments=1e-3, friction=0.02)))
+
+
+def drawn(make, count: int = 300) -> np.ndarray:
+    """Parameters (count, p) of plants."""
+    own, random = knee(), np.random.default_rng(1)
+    return np.array([own.parameters.vector(make(own, random).scene) for _ in range(count)])
+
+
+def test_twins_come_from_the_priors():
+    found, p = drawn(twin), knee().parameters
+    assert np.ptp(p.share(found)[:, :4], axis=0).min() > 0.97
+    at = p.names.index("quadriceps.origin.y")
+    mean, sd = p.items[at].prior
+    assert found[:, at].mean() == pytest.approx(mean, abs=3 * sd / np.sqrt(300))
+    assert found[:, at].std() == pytest.approx(sd, rel=0.12)
+
+
+def test_misplaced_plants_are_spread_evenly_and_less_than_their_priors():
+    """0.6 of the priors' deviations, none beyond the square root of 3 times that; of friction as well."""
+    found, p = drawn(misplaced), knee().parameters
+    share = p.share(found)[:, :4]
+    assert 0.25 <= share.min() < 0.27
+    assert 0.73 < share.max() <= 0.75
+    for name in ("patellar_tendon.insertion.x", "contact.friction.coefficient"):
+        at = p.names.index(name)
+        mean, sd = p.items[at].prior
+        off = (found[:, at] - mean) / sd
+        assert off.std() == pytest.approx(0.6, rel=0.1)
+        assert 1.0 < np.abs(off).max() < 0.6 * np.sqrt(3)
+
+
+def test_plants_slide_otherwise_than_the_twin():
+    own, random = knee(), np.random.default_rng(2)
+    laws = [sliding(own, random).scene.contact.friction for _ in range(100)]
+    coefficients, speeds = np.array([[float(f.coefficient), float(f.slip_speed)] for f in laws]).T
+    assert 0 < coefficients.min() < 0.01
+    assert 0.09 < coefficients.max() < 0.1
+    assert speeds.min() < 3e-4
+    assert speeds.max() > 4e-3
+    bare = Knee(*with_nuisance(small_scene().without("contact"), FREE, 0.3, None, Nuisance()))
+    with pytest.raises(InputError, match="friction without a contact"):
+        sliding(bare, random)
+
+
+def test_a_stiffening_spring_is_the_rigs_own():
+    """Against the plant of the rig, which shares no code with it; slope and energy by derivatives."""
+    k, length, e = 173.0, 0.14, 0.08
+    law = StiffeningSpring(jnp.asarray(k), jnp.asarray(4 * e / length))
+    other = Spring(k, length, 0.0, np.zeros(3), np.zeros(3), e)
+    for s in (0.004, 0.05, 0.12):
+        at = law.at(jnp.asarray(s))
+        assert float(at.force) == pytest.approx(other.force(length + s, 0.0), rel=1e-12)
+        assert float(at.energy) == pytest.approx(other.energy(length + s), rel=1e-12)
+        assert float(at.slope) == pytest.approx(float(jax.grad(lambda x: law.at(x).force)(jnp.asarray(s))), rel=1e-12)
+
+
+def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():
+    own, random = knee(), np.random.default_rng(3)
+    plant = stiffening(own, random)
+    assert plant.curved == ("quadriceps", "patellar_tendon")
+    lengths = {}
+    expected = []
+    for name, stretch in (("quadriceps", 0.05), ("patellar_tendon", 0.012)):
+        t = plant.scene.effect(name)
+        k, rest, e = (float(x) for x in (t.stiffness, t.slack_length, t.stiffening))
+        lengths[name] = rest + stretch * np.linspace(0.5, 1.0, 30) ** 2
+        s = lengths[name] - rest
+        slope, offset = np.polyfit(lengths[name], k * s * (1 + 4 * e / rest * s), 1)
+        expected += [slope, -offset / slope]
+        assert slope > k
+    seen = Seen(np.zeros((30, 3)), np.zeros((30, 4)), {}, lengths)
+    np.testing.assert_allclose(truth_of(plant, seen, own.parameters), expected, rtol=1e-9)
+    straight = misplaced(own, random)
+    np.testing.assert_array_equal(truth_of(straight, seen, own.parameters), own.parameters.vector(straight.scene)[:4])
+
+
+def test_a_curved_tendon_has_no_true_attachment():
+    scene, parameters = with_nuisance(small_scene(), ("quadriceps.origin.x",), 0.5, None, Nuisance())
+    plant = Plant(replace(scene), curved=("quadriceps",))
+    with pytest.raises(InputError, match=r"quadriceps\.origin\.x has no true value"):
+        truth_of(plant, Seen(np.zeros((2, 3)), np.zeros((2, 4)), {}, {}), parameters)

@@ -13,9 +13,10 @@ Each plant (`pftwin.rig.plant`, code of its own) has, drawn by its seed:
 
 It runs a case, and the laboratory records it: markers and load cells with their noise, files, filters, poses of the
 segments. PLANTS is a folder in which recordings are kept: a plant takes a minute. Then the twin, with its nominal
-numbers, is fitted; or answered by a posterior that was trained once, on the case's own recording. The truth of K and L is the straight line nearest to the plant's spring over the forces that
-occurred, the mean of those of several cases. Printed by parameter: root mean square error, how many 95 % intervals
-hold the truth, and their mean half width, all in per cent; and estimates that are INVALID, which are counted too.
+numbers, is fitted; or a posterior answers that was trained once, on the recording that the package has of the case. The
+truth of K and L is the straight line nearest to the plant's spring over the forces that occurred, the mean of those of
+several cases. Printed by parameter: root mean square error, how many 95 % intervals hold the truth, and their mean half
+width, all in per cent; and estimates that are INVALID, which are counted too.
 """
 
 from __future__ import annotations

@@ -67,6 +67,7 @@ class TrainedPosterior:
     dropped: int  # of them, without an equilibrium or a finite motion
     seed: int
     seconds: float  # that training took
+    widened: tuple[float, ...] = ()  # times (d,), as a calibration has asked for
 
     def estimate(
         self,
@@ -139,7 +140,8 @@ class TrainedPosterior:
         said = f"in this motion and set-up the posterior, trained for another, is off by {off.max():.2g} deviations"
         doubts = bounded("set_up", float(off.max()), said, source, limits)
         recording = bridged(problem, held, self.present)
-        answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), off)
+        wider = np.hypot(1.0, off) * (self.widened or 1.0)
+        answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), wider)
         said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was trained for"
         return held, recording, answer, doubts + bounded("trained_noise", answer.level, said, source, limits)
 
@@ -171,9 +173,11 @@ class TrainedPosterior:
     def sentence(self) -> str:
         """What it answers, and what it was learned from."""
         s = self.set_up
+        more = ", ".join(f"{name} {times:.2g}" for name, times in zip(s.free, self.widened, strict=False) if times > 1)
         return (
             f"answers recordings of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}; learned "
             f"from {self.simulations - self.dropped:,} simulations in {self.seconds:.0f} s"
+            + (f"; widened by a calibration: {more} times" if more else "")
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -235,7 +239,7 @@ class TrainedPosterior:
                 Table(facts["block"], noise.deviations),
                 Probes(*(held[f"probes_{k}"] for k in Probes._fields)),
             )
-            rest = {key: facts[key] for key in _FACTS}
+            rest: dict[str, Any] = {**{key: facts[key] for key in _FACTS}, "widened": tuple(facts["widened"])}
         except FileNotFoundError:
             raise InputError("no such file", where=path, expected=_EXPECTED) from None
         except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, BadZipFile) as error:
@@ -247,5 +251,5 @@ class TrainedPosterior:
 
 
 _EXPECTED = f"a file of {FORMAT!r}, as `pftwin train-posterior -o` writes it"
-_FACTS = ("substeps", "simulations", "dropped", "seed", "seconds")
+_FACTS = ("substeps", "simulations", "dropped", "seed", "seconds", "widened")
 _ARRAYS = ("middle", "size", "center", "scale")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,6 +16,7 @@ from pftwin.base.text_files import write_text
 
 if TYPE_CHECKING:
     from fitting.calibration.plots import CalibrationPlots
+    from fitting.trained import TrainedPosterior
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +61,13 @@ class Answers(NamedTuple):
         """Of the errors (d,)."""
         return np.sqrt(np.mean(self.errors**2, axis=0))
 
+    @property
+    def factors(self) -> Floats:
+        """By how much 95 % intervals (d,) would have to be wider to hold as often; at least 1."""
+        if not len(self.ranks):
+            return np.ones(self.ranks.shape[1])
+        return np.maximum(np.quantile(np.abs(self.errors) / self.half_widths, _CHECKED, axis=0), 1.0)
+
     def verdict(self, names: tuple[str, ...]) -> str:
         """Whether 95 % intervals hold as often as they say, as far as so many plants can tell."""
         if not len(self.ranks):
@@ -98,6 +106,14 @@ class Calibration:
         bad = {kind: a.verdict(self.names) for kind, a in self.kinds.items()}
         told = "; ".join(f"on {kind} {said}" for kind, said in bad.items() if said != "hold")
         return f"95 % intervals do NOT hold as often as they say: {told}"
+
+    def widened(self, trained: TrainedPosterior) -> TrainedPosterior:
+        """The posterior with answers so wide that their intervals would have held on every kind of plants.
+
+        It is shown by plants of another seed.
+        """
+        factors = np.max([a.factors for a in self.kinds.values()], axis=0)
+        return replace(trained, widened=tuple((factors * (trained.widened or 1.0)).tolist()))
 
     def rows(self) -> list[tuple[str, ...]]:
         """Of a table: kind of plants, answered of all, share of 95 % intervals that hold, half widths, verdict."""

@@ -27,6 +27,10 @@ def calibrate(
     ] = None,
     marker_noise: Annotated[float, Option(metavar="METRES", help="Of each coordinate of a marker, by which")] = 2e-4,
     force_noise: Annotated[float, Option(metavar="NEWTONS", help="and of a load cell plants are recorded.")] = 0.15,
+    widen: Annotated[
+        Path | None,
+        Option(metavar="WIDER.npz", help="Also a posterior whose intervals would have held on all these plants."),
+    ] = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
     json: JsonOption = None,
@@ -36,7 +40,9 @@ def calibrate(
     Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 -o calibration.json`
     """
     check_suffix(output, [".json"], "calibrations are JSON")
-    check_outputs(output, json)
+    if widen is not None:
+        check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
+    check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run
     from fitting.calibration.laboratory import Laboratory
     from fitting.calibration.plants import PLANTS
@@ -46,9 +52,10 @@ def calibrate(
     if strange := [kind for kind in chosen if kind not in PLANTS]:
         raise InputError(f"no plants {strange[0]!r}", where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
     lab, scene = Laboratory(marker_noise=marker_noise, force_noise=force_noise), knee.load().scene
+    posterior = TrainedPosterior.load(trained, scene)
     with progress("simulating plants") as shown:
         found = run(
-            TrainedPosterior.load(trained, scene),
+            posterior,
             scene,
             plants=plants,
             kinds={kind: PLANTS[kind] for kind in chosen},
@@ -57,6 +64,8 @@ def calibrate(
             progress=lambda kind, done, of: shown(done, of, f"{done}/{of}", f"plants {kind}"),
         )
     files = [str(found.save(output))]
+    if widen is not None:
+        files.append(str(found.widened(posterior).save(widen)))
     if figures:
         with spinner("drawing"):
             files += [str(p) for p in found.plot.save(output.with_suffix(""))]

@@ -53,14 +53,14 @@ class Learned(NamedTuple):
         """Summaries (N, k), scaled, of recordings (N, n, m): how far they are from what simulated ones were held to."""
         return (self.summaries(self.table.rows(recordings)) - self.middle) / self.size
 
-    def answer(self, recording: Rows, count: int, random: np.random.Generator, off: Floats | float = 0.0) -> Answer:
+    def answer(self, recording: Rows, count: int, random: np.random.Generator, wider: Floats | float = 1.0) -> Answer:
         """The posterior of a recording (n, m), with so many draws of what is asked for.
 
         Args:
             recording: as `seen` has it.
             count: of the draws.
             random: of the draws.
-            off: (d,) what is wrong with the posterior besides, in its deviations, by which it is widened.
+            wider: (d,) how many times the posterior is to be as wide.
 
         Raises:
             PftwinError: hardly any of what the networks say lies within the region.
@@ -68,18 +68,18 @@ class Learned(NamedTuple):
         at = self.seen(recording[None])[0]
         left = self.summaries.unexplained(self.table.rows(recording[None]))
         distance = float(np.abs(at).max())
-        return Answer(self._draws(at, count, random, off), distance, float(np.sqrt(np.mean(left**2))) / self.usual)
+        return Answer(self._draws(at, count, random, wider), distance, float(np.sqrt(np.mean(left**2))) / self.usual)
 
     def coordinates_drawn(self, at: Floats, count: int, random: np.random.Generator) -> Floats:
         """Scaled coordinates (N, M, d) of recordings with summaries (N, k), bounds aside; M is at least `count`."""
         each = -(-count // len(self.networks))
         return np.concatenate([net.draws(at, each, random) for net in self.networks], axis=1)
 
-    def _draws(self, at: Floats, count: int, random: np.random.Generator, off: Floats | float) -> Floats:
+    def _draws(self, at: Floats, count: int, random: np.random.Generator, wider: Floats | float) -> Floats:
         region, found = self.region, np.zeros((0, self.region.asked))
         for _ in range(_TRIES):
             u = self.coordinates_drawn(at[None], count, random)[0]
-            u = u.mean(axis=0) + np.sqrt(1 + np.square(off)) * (u - u.mean(axis=0))
+            u = u.mean(axis=0) + wider * (u - u.mean(axis=0))
             theta = region.from_coordinates(u * self.scale + self.center)
             found = np.concatenate([found, theta[region.contains(theta)]])
             if len(found) >= count:

@@ -57,6 +57,15 @@ def test_other_posteriors_are_told_apart(width, said, holds):
     assert ("do NOT hold" in found.sentence()) is not holds
 
 
+def test_a_posterior_is_widened_until_its_intervals_would_have_held():
+    """By 1 / 0.6 where all are too narrow by 0.6; those that hold or are too wide are left as they are."""
+    found = Calibration(NAMES, {"twin": answers(0.6, count=4000), "wide": answers(2.0)}, "a posterior", 0, 1.0)
+    np.testing.assert_allclose(found.kinds["twin"].factors, 1 / 0.6, rtol=0.06)
+    np.testing.assert_array_equal(found.kinds["wide"].factors, 1.0)
+    bare = TrainedPosterior(*[None] * 9, widened=(1.0, 1.25))
+    np.testing.assert_allclose(found.widened(bare).widened, np.array([1.0, 1.25]) * found.kinds["twin"].factors)
+
+
 def test_few_plants_accuse_nobody():
     assert answers(0.8, count=8).verdict(NAMES) == "hold"
 
@@ -88,9 +97,14 @@ def test_a_posterior_holds_on_its_own_twins_and_a_narrowed_one_does_not(tmp_path
     assert again["kinds"]["twin"]["coverage"]["0.95"] == answered.coverage[0.95].tolist()
     learned = trained().learned
     narrowed = replace(trained(), learned=learned._replace(networks=tuple(Narrowed(n) for n in learned.networks)))
-    other = fitting.calibrate(narrowed, scene(HELD), plants=40, kinds=one, laboratory=LAB, seed=2)
+    loose = {"set_up": (1e3, 1e4)}  # which counts in deviations, and they are smaller
+    other = fitting.calibrate(narrowed, scene(HELD), plants=40, kinds=one, laboratory=LAB, seed=2, limits=loose)
     assert not other.holds
     assert "too narrow" in other.sentence()
+    wider = other.widened(narrowed)
+    assert "widened by a calibration: K1 " in wider.sentence()
+    again = fitting.calibrate(wider, scene(HELD), plants=40, kinds=one, laboratory=LAB, seed=3, limits=loose)
+    assert again.holds, again.sentence()
 
 
 class Narrowed:

@@ -109,6 +109,11 @@ class Evaluator:
         return (self.scene,)
 
     @property
+    def own(self) -> tuple[Evaluator, ...]:
+        """The evaluator of every trial: itself."""
+        return (self,)
+
+    @property
     def first(self) -> int:
         """Steps between two frames of answers, before anything is known of their errors."""
         return substeps_for(self.scene.motion.frame_interval, _FINE_STEP)

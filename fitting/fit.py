@@ -14,6 +14,7 @@ from fitting.correlated import reweighed
 from fitting.estimate import Estimate
 from fitting.first_look import first_look, plain_look
 from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
+from fitting.inference.knees import Knees
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
 from fitting.nuisance import EXACT, Nuisance
 from fitting.objective import SPRINGS, Objective
@@ -152,7 +153,8 @@ def fit_tendons(
         problem.evaluator.prepare(TOGETHER)
         compiled = compiled_aside(knee.unnamed())
         doubts = plain_look(problem, allowed)
-        found = infer(problem, seed, count, rounds, _told(progress, began))
+        knees = Knees.of(problem, besides.stiffening, TOGETHER)
+        found = infer(problem, knees, seed, count, rounds, _told(progress, began))
         outcome = Outcome.of_simulations(problem, found, seed, allowed)
     else:
         search = _method(method, problem, seed, options)

@@ -36,17 +36,21 @@ class NuisanceNumbers(NamedTuple):
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Standard deviations of the priors of what a twin lacks or knows roughly; 0: it is as the scene has it.
+    """What a twin lacks or knows roughly: standard deviations of priors; 0: it is as the scene has it.
 
     Args:
         attachments: of each coordinate of both ends of every tendon and strand [m].
         friction: of the coefficient between button and femur; its mean is the scene's, or 0.05 where that has none.
         damping: of all damping of the patella and the tendons, as a share of the scene's.
+        stiffening: no deviation: by what share linear tendons are stiffer, at most, when stretched by a quarter of
+            their length. Posteriors by simulations count with it, evenly from 0 on, and what they tell of a tendon is
+            the straight line nearest to its spring; a search has no number for it.
     """
 
     attachments: float = 0.0
     friction: float = 0.0
     damping: float = 0.0
+    stiffening: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -126,7 +130,7 @@ def _friction_name(scene: Scene) -> str:
 
 EXACT = Nuisance()  # a twin that is taken as it is
 PRESETS = {  # choices
-    "rig": Nuisance(attachments=1e-3, friction=0.05, damping=0.5),  # parts made to drawings
-    "mocap": Nuisance(attachments=5e-3, friction=0.05, damping=0.5),  # attachments found by hand
-    "mri": Nuisance(attachments=2e-3, friction=0.05, damping=0.5),  # attachments seen in images
+    "rig": Nuisance(attachments=1e-3, friction=0.05, damping=0.5, stiffening=0.1),  # parts made to drawings
+    "mocap": Nuisance(attachments=5e-3, friction=0.05, damping=0.5, stiffening=0.1),  # attachments found by hand
+    "mri": Nuisance(attachments=2e-3, friction=0.05, damping=0.5, stiffening=0.1),  # attachments seen in images
 }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channel_checks import Limits, bounded, left_over, unresolved
+from fitting.channel_checks import Limits, left_over, unresolved
 from fitting.estimate import Estimate, FittedTrial
 from fitting.evaluation import Prediction, StepError
 from fitting.methods.problem import Method, Problem, State
@@ -102,9 +102,7 @@ class Outcome(NamedTuple):
         doubts = (
             ["the posterior's means give no finite motion; values are those of a draw next to them"] if best else []
         )
-        far = f"a summary of them is {found.answer.distance:.0f} standard deviations from its mean"
-        said = f"the measurements lie outside of what was simulated: {far}"
-        doubts += bounded("simulated", found.answer.distance, said, target.source, limits)
+        doubts += found.answer.doubts(target.source, limits)
         squares = {channel: found.noise.deviations[rows] ** 2 for channel, _, rows in target.columns()}
         return Outcome(
             theta,

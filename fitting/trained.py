@@ -117,8 +117,9 @@ class TrainedPosterior:
         Raises:
             InputError: as `estimate`.
         """
-        answer, doubts = self._answer(self._problem(scene, measured)[0], limits_of(limits))[2:]
-        return answer.draws, doubts
+        allowed, problem = limits_of(limits), self._problem(scene, measured)[0]
+        answer, doubts = self._answer(problem, allowed)[2:]
+        return answer.draws, doubts + answer.doubts(problem.objective.source, allowed)
 
     def _problem(
         self, scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None
@@ -134,7 +135,7 @@ class TrainedPosterior:
         return problem, given
 
     def _answer(self, problem: Problem, limits: Limits) -> tuple[Objective, Rows, Answer, list[str]]:
-        """What recordings are held against, the recording, its posterior without nuisance, and doubts of it."""
+        """What recordings are held against, the recording, its posterior without nuisance, and doubts of the set-up."""
         held, source = from_nominal(problem, self.substeps), problem.objective.source
         off = self._off(problem, held)
         said = f"in this motion and set-up the posterior, trained for another, is off by {off.max():.2g} deviations"
@@ -142,8 +143,7 @@ class TrainedPosterior:
         recording = bridged(problem, held, self.present)
         wider = np.hypot(1.0, off) * (self.widened or 1.0)
         answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), wider)
-        said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was trained for"
-        return held, recording, answer, doubts + bounded("trained_noise", answer.level, said, source, limits)
+        return held, recording, answer, doubts
 
     def _off(self, problem: Problem, held: Objective) -> Floats:
         """How far posteriors (d,) of knees that were simulated in training lie apart, rms in their deviations, where

@@ -20,6 +20,7 @@ from fitting.evaluation import HALVINGS, Evaluator
 from fitting.first_look import plain_look
 from fitting.fit import SPRING_PARAMETERS
 from fitting.inference.infer import TOGETHER, check_enough, check_size
+from fitting.inference.knees import Knees
 from fitting.inference.learning import learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
@@ -90,13 +91,16 @@ def train_posterior(
     held = from_nominal(problem, substeps)
     first = bridged(problem, held, held.present)
     random, region = np.random.default_rng(seed), Region(problem.parameters)
-    theta, recordings = _simulated(problem, held, region.drawn(simulations, random), substeps, progress)
+    straight = Knees.of(problem, 0.0, TOGETHER)  # which answers simulate
+    probes = Probes(*_simulated(straight, held, region.drawn(_PROBES, random), substeps, random, None))
+    knees = Knees.of(problem, besides.stiffening, TOGETHER)
+    theta, recordings = _simulated(knees, held, region.drawn(simulations, random), substeps, random, progress)
+    check_enough(len(theta), simulations, problem)
     learned = learn(region, theta, recordings, first, held, Noise.initial(target), random)
-    some = random.permutation(len(theta))[:_PROBES]
     return TrainedPosterior(
         SetUp.of(problem, besides, springs),
         learned,
-        Probes(theta[some], recordings[some]),
+        probes,
         held.present,
         substeps,
         simulations,
@@ -117,17 +121,20 @@ def _substeps(evaluator: Evaluator | TrialsEvaluator, nominal: Floats) -> int:
 
 
 def _simulated(
-    problem: Problem, held: Objective, theta: Floats, substeps: int, progress: Callable[[int, int], None] | None
+    knees: Knees,
+    held: Objective,
+    theta: Floats,
+    substeps: int,
+    random: np.random.Generator,
+    progress: Callable[[int, int], None] | None,
 ) -> tuple[Floats, Rows]:
     """Of these parameters (N, p) those that run, and their recordings (N, n, m) from the nominal one."""
     kept, recordings = [], []
     for i in range(0, len(theta), _AT_ONCE):
         part = theta[i : i + _AT_ONCE]
-        seen = problem.evaluator.values(part, substeps)
+        seen = knees.values(part, substeps, random)
         kept.append(part[seen.usable])
         recordings.append(held.residuals(seen.values[seen.usable]).astype(np.float32))
         if progress is not None:
             progress(i + len(part), len(theta))
-    found = np.concatenate(kept)
-    check_enough(len(found), len(theta), problem)
-    return found, np.concatenate(recordings)
+    return np.concatenate(kept), np.concatenate(recordings)

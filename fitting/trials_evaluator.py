@@ -36,6 +36,11 @@ class TrialsEvaluator:
         return tuple(scene for each in self.evaluators for scene in each.scenes)
 
     @property
+    def own(self) -> tuple[Evaluator, ...]:
+        """The evaluator of every trial."""
+        return self.evaluators
+
+    @property
     def computed(self) -> tuple[str, ...] | None:
         """As `Evaluator.computed`."""
         return self.evaluators[0].computed

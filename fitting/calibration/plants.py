@@ -12,19 +12,15 @@ Its springs may follow another law than the twin's: then the truth is the straig
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from fitting.parameters import Parameters
+from fitting.stiffening import linear_tendons, stiffened
 from pftwin.base.errors import InputError
-from pftwin.base.quantities import quantity
-from pftwin.base.spatial import Scalar, Vec3
 from pftwin.model.effects.friction import Friction
-from pftwin.model.effects.line_elements import TOE
-from pftwin.model.effects.tendon import DampedLine, SpringForce
 from pftwin.model.scene import Scene
 
 _NEAR = 0.5  # of the bounds about their middle: where springs of plants lie that are not drawn from the priors
@@ -68,35 +64,6 @@ class Plant(NamedTuple):
 Maker = Callable[[Knee, np.random.Generator], Plant]
 
 
-class StiffeningSpring(NamedTuple):
-    """F = K s (1 + e s / (L0 / 4))."""
-
-    stiffness: Scalar  # K [N/m]
-    more: Scalar  # 4 e / L0 [1/m]
-
-    def at(self, stretch: Scalar) -> SpringForce:
-        """At a stretch [m]."""
-        k, m, s = self.stiffness, self.more, stretch
-        return SpringForce(k * s * (1 + m * s), k * (1 + 2 * m * s), k * s * s * (0.5 + m * s / 3))
-
-
-class StiffeningTendon(DampedLine):
-    """A tendon that is stiffer the more it is stretched."""
-
-    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True))  # K, where it begins to pull
-    slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True))  # L0
-    damping: Scalar = eqx.field(metadata=quantity("N s/m", at_least=0))  # c
-    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
-    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
-    stiffening: Scalar = eqx.field(metadata=quantity("", at_least=0))  # e, when stretched by a quarter of its length
-    body: str = eqx.field(static=True)
-
-    @property
-    def law(self) -> StiffeningSpring:
-        """Its spring's."""
-        return StiffeningSpring(self.stiffness, 4 * self.stiffening / self.slack_length)
-
-
 def twin(knee: Knee, random: np.random.Generator) -> Plant:
     """The twin itself, with parameters from the priors."""
     return Plant(knee.drawn(random))
@@ -125,12 +92,8 @@ def sliding(knee: Knee, random: np.random.Generator) -> Plant:
 def stiffening(knee: Knee, random: np.random.Generator) -> Plant:
     """As `misplaced`, with linear tendons that stiffen."""
     scene = knee.near(random)
-    linear: list[Any] = [e for e in scene.effects if any(change.label == TOE for change in e.elaborations())]
-    for e in linear:
-        share = jnp.asarray(random.uniform(*_STIFFENING), float)
-        numbers = e.stiffness, e.slack_length, e.damping, e.insertion, e.origin, share
-        scene = scene.with_effect(StiffeningTendon(*numbers, e.body, name=e.name))
-    return Plant(scene, tuple(e.name for e in linear))
+    shares = {name: random.uniform(*_STIFFENING) for name in linear_tendons(scene)}
+    return Plant(stiffened(scene, shares), tuple(shares))
 
 
 PLANTS: dict[str, Maker] = {

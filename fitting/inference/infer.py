@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fitting.evaluation import HALVINGS, Prediction
 from fitting.inference.besides import with_nuisance
+from fitting.inference.knees import Knees
 from fitting.inference.learning import Answer, learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
@@ -87,12 +88,18 @@ def check_enough(usable: int, simulations: int, problem: Problem) -> None:
 
 
 def infer(
-    problem: Problem, seed: int, simulations: int, rounds: int, report: Callable[[dict[str, float], int], None]
+    problem: Problem,
+    knees: Knees,
+    seed: int,
+    simulations: int,
+    rounds: int,
+    report: Callable[[dict[str, float], int], None],
 ) -> Inferred:
     """The posterior of a problem's parameters.
 
     Args:
         problem: what is compared; its objective's noise, if stated, is taken as known.
+        knees: of the problem, that are simulated.
         seed: of all random choices.
         simulations: of each round.
         rounds: at most.
@@ -109,7 +116,8 @@ def infer(
     history: list[dict[str, float]] = []
     try:
         for number in range(rounds):
-            one = _round(problem, region, noise, substeps, simulations, np.random.default_rng([seed, number]))
+            random = np.random.default_rng([seed, number])
+            one = _round(problem, knees, region, noise, substeps, simulations, random)
             draws, dropped = one.answer.draws, dropped + one.dropped
             smaller = whole.around(draws)
             best = min(one.best, history[-1]["best"]) if history else one.best
@@ -143,10 +151,16 @@ class _Round(NamedTuple):
 
 
 def _round(
-    problem: Problem, region: Region, noise: Noise, substeps: int, simulations: int, random: np.random.Generator
+    problem: Problem,
+    knees: Knees,
+    region: Region,
+    noise: Noise,
+    substeps: int,
+    simulations: int,
+    random: np.random.Generator,
 ) -> _Round:
     theta = region.drawn(simulations, random)
-    seen = problem.evaluator.values(theta, substeps)
+    seen = knees.values(theta, substeps, random)
     theta, values = theta[seen.usable], seen.values[seen.usable]
     check_enough(len(theta), simulations, problem)
     apart = problem.objective.residuals(values).astype(np.float32)

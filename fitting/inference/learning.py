@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.channel_checks import Limits, bounded
 from fitting.inference.recordings import Noise, Summaries, SummaryNoise, Table
 from fitting.inference.region import Region
 from fitting.objective import Objective
@@ -24,6 +25,7 @@ _NETWORKS = 3  # trained from different starts
 _WORSE = 0.3  # networks that tell less than the best by more than this [nats] are left out
 _NOISE_ROUNDS, _NOISE_DRAWS = 3, 100  # of a search for noise that leaves what measurements leave
 _TRIES = 100  # of drawing
+_OUTSIDE = "the measurements lie outside of what was simulated"
 
 
 class Answer(NamedTuple):
@@ -32,6 +34,19 @@ class Answer(NamedTuple):
     draws: Floats  # (N, p); of what is asked for alone before nuisance is added
     distance: float  # of its farthest summary from the simulations' mean, in their standard deviations
     level: float  # of its noise, by that which was learned from
+
+    def doubts(self, source: str, limits: Limits) -> list[str]:
+        """What is said of a recording from this source that is unlike those that were simulated.
+
+        Raises:
+            InputError: it is more unlike than the limits allow.
+        """
+        far = f"a summary of them is {self.distance:.0f} standard deviations from its mean"
+        loud = f"what no simulation explains of them is {self.level:.2g} times the noise that was learned from"
+        return [
+            *bounded("simulated", self.distance, f"{_OUTSIDE}: {far}", source, limits),
+            *bounded("trained_noise", self.level, f"{_OUTSIDE}: {loud}", source, limits),
+        ]
 
 
 class Learned(NamedTuple):

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_scene import small_scene
 
-from fitting.calibration.plants import Knee, Plant, StiffeningSpring, misplaced, sliding, stiffening, twin
+from fitting.calibration.plants import Knee, Plant, misplaced, sliding, stiffening, twin
 from fitting.calibration.runs import Seen, truth_of
 from fitting.nuisance import Nuisance
 from fitting.parameters import with_nuisance
 from pftwin.base.errors import InputError
-from pftwin.rig.plant_parts import Spring
 
 FREE = ("K1", "L1", "K2", "L2")
 BOUNDS = {"K1": 0.5, "L1": 0.3, "K2": 0.4, "L2": 0.2}
@@ -65,18 +62,6 @@ def test_plants_slide_otherwise_than_the_twin():
     bare = Knee(*with_nuisance(small_scene().without("contact"), FREE, 0.3, None, Nuisance()))
     with pytest.raises(InputError, match="friction without a contact"):
         sliding(bare, random)
-
-
-def test_a_stiffening_spring_is_the_rigs_own():
-    """Against the plant of the rig, which shares no code with it; slope and energy by derivatives."""
-    k, length, e = 173.0, 0.14, 0.08
-    law = StiffeningSpring(jnp.asarray(k), jnp.asarray(4 * e / length))
-    other = Spring(k, length, 0.0, np.zeros(3), np.zeros(3), e)
-    for s in (0.004, 0.05, 0.12):
-        at = law.at(jnp.asarray(s))
-        assert float(at.force) == pytest.approx(other.force(length + s, 0.0), rel=1e-12)
-        assert float(at.energy) == pytest.approx(other.energy(length + s), rel=1e-12)
-        assert float(at.slope) == pytest.approx(float(jax.grad(lambda x: law.at(x).force)(jnp.asarray(s))), rel=1e-12)
 
 
 def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():

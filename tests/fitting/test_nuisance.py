@@ -70,7 +70,7 @@ def test_what_is_asked_for_by_name_is_not_asked_for_twice():
 
 
 def test_texts_of_the_command_line():
-    assert Nuisance.of("rig") == Nuisance(attachments=1e-3, friction=0.05, damping=0.5)
+    assert Nuisance.of("rig") == Nuisance(attachments=1e-3, friction=0.05, damping=0.5, stiffening=0.1)
     assert [Nuisance.of(name).attachments for name in ("mocap", "mri")] == [5e-3, 2e-3]
     assert Nuisance.of("friction=0.03, attachments=1e-3") == Nuisance(friction=0.03, attachments=1e-3)
     assert Nuisance.of(None) == Nuisance()

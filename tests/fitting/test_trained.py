@@ -109,7 +109,7 @@ def test_another_set_up_is_refused():
 @pytest.mark.slow
 def test_noise_beyond_what_was_trained_for_is_named_and_refused():
     loud = moved(scene(HELD), KNEES[0], 5, noise=5 * NOISE)
-    assert "times the noise that was trained for" in trained().estimate(scene(HELD), loud).sentence()
+    assert "times the noise that was learned from" in trained().estimate(scene(HELD), loud).sentence()
     with pytest.raises(InputError, match=r"what no simulation explains of them is \d+ times"):
         trained().estimate(scene(HELD), moved(scene(HELD), KNEES[0], 5, noise=20 * NOISE))
 

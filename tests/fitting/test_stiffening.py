@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lifted_fits import HELD, scene
 from small_scene import small_scene
 
 import pftwin
+from fitting.inference.knees import Knees
+from fitting.methods.problem import Problem
+from fitting.nuisance import EXACT
 from fitting.stiffening import StiffeningSpring, Working, linear_tendons, stiffened
+from fitting.trials import free_in_trials, objective_of
+from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.model.measured import Measured
 from pftwin.rig.plant_parts import Spring
 
 
@@ -57,3 +64,44 @@ def test_a_tendon_that_hangs_slack_at_times_stays_straight():
     k, own, e = Working.of(lengths).bent(np.array([173.0, 173.0]), np.array([0.11, 0.09]), np.array([0.1, 0.1]))
     assert (k[0], own[0], e[0]) == (173.0, 0.11, 0.0)
     assert k[1] < 173.0
+
+
+@pytest.mark.slow
+def test_simulated_knees_stiffen_by_chance_and_keep_their_lines():
+    """Against `simulate` of scenes that stiffen as much; lines through their tensions are those that were asked for."""
+    knee, names = scene(HELD), ("K1", "L1", "K2", "L2")
+    scenes, parameters = free_in_trials([knee], names, 0.3, None, EXACT)
+    seen = Measured(knee.motion.times, np.zeros((knee.motion.times.size, 3)))
+    target = objective_of([(scenes[0], seen)], "likelihood", "position", None, "linear", {})
+    knees = Knees.of(Problem.of(scenes, parameters, target), 0.15, 16)
+    assert [b.name for b in knees.bent] == ["quadriceps", "patellar_tendon"]
+    theta = parameters[0].nominal * np.array([[1.0, 1.0, 1.0, 1.0], [1.2, 0.95, 0.85, 1.03]])
+    found = knees.values(theta, 24, np.random.default_rng(5))
+    shares = np.random.default_rng(5).uniform(0.0, 0.15, (2, 2))
+    for row, share, values in zip(theta, shares, found.values, strict=True):
+        own = parameters[0].apply(knee, row)
+        bent, far = {}, 0.0
+        for i, b in enumerate(knees.bent):
+            k, rest, e = b.working.bent(*(np.array([x]) for x in (row[2 * i], row[2 * i + 1], share[i])))
+            own = parameters[0].apply(own, [*parameters[0].vector(own)[: 2 * i], k[0], rest[0], *row[2 * i + 2 :]])
+            bent[b.name], far = float(e[0]), max(far, float(e[0]))
+        result = pftwin.simulate(stiffened(own, bent), dt=knee.motion.frame_interval / 24, integrator=LinearImplicit())
+        np.testing.assert_allclose(values, result.center, atol=1e-7)
+        assert far > 0.01
+        for i, b in enumerate(knees.bent):
+            taut = result.tensions[b.name] > 0
+            slope, offset = np.polyfit(result.lengths[b.name][taut], result.tensions[b.name][taut], 1)
+            assert slope == pytest.approx(row[2 * i], rel=0.05)
+            assert -offset / slope == pytest.approx(row[2 * i + 1], rel=0.02)
+
+
+def test_other_tendons_stay_as_they_are():
+    """Those whose stiffness or slack length is not asked for; and all where nuisance is not."""
+    knee = scene(HELD)
+    scenes, parameters = free_in_trials([knee], ("K1", "L2"), 0.3, None, EXACT)
+    seen = Measured(knee.motion.times, np.zeros((knee.motion.times.size, 3)))
+    target = objective_of([(scenes[0], seen)], "likelihood", "position", None, "linear", {})
+    problem = Problem.of(scenes, parameters, target)
+    for most in (0.0, 0.1):
+        assert Knees.of(problem, most, 16).bent == ()
+        assert Knees.of(problem, most, 16).evaluator is problem.evaluator

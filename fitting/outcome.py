@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_TRIED = 63  # draws next to the posterior's mean
+_TRIED, _PER_PARAMETER = 63, 3  # draws next to the posterior's mean, at least, and per number of parameters
 _NO_DRAW_RUNS = "neither the posterior's means nor the draws next to them give a finite motion"
 
 
@@ -88,7 +88,8 @@ class Outcome(NamedTuple):
         """
         draws, target = found.answer.draws, problem.objective
         mean, deviations = draws.mean(axis=0), np.maximum(draws.std(axis=0), 1e-300)
-        nearest = np.argsort(np.linalg.norm((draws - mean) / deviations, axis=1))[:_TRIED]
+        count = max(_TRIED, _PER_PARAMETER * draws.shape[1])
+        nearest = np.argsort(np.linalg.norm((draws - mean) / deviations, axis=1))[:count]
         tried = np.concatenate([mean[None], draws[nearest]])
         every = problem.evaluator.values(tried, found.substeps)
         best = int(np.argmax(every.usable))

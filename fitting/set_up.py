@@ -60,14 +60,15 @@ class SetUp(NamedTuple):
         """The measurements of such scenes.
 
         Raises:
-            InputError: other frames; a channel that was not measured, or one of which too much is missing.
+            InputError: other frames; a channel that was not measured; of several trials, other channels in some.
         """
         if (found := tuple(scene.motion.times.size for scene, _ in trials)) != self.frames:
             said = f"{listed(found)} frames"
             raise InputError(said, where=trials[0][1].source, expected=f"{listed(self.frames)}, as it was trained for")
         target = objective_of(trials, "likelihood", self.channels, self.noise, "linear", self.springs)
-        if missing := [c for c in self.channels if c not in target.channels]:
-            raise InputError(f"no {missing[0]!r} was measured", where=target.source, expected=", ".join(self.channels))
+        if target.channels != self.channels:
+            found = f"{', '.join(target.channels)} measured"
+            raise InputError(found, where=target.source, expected=f"{', '.join(self.channels)}, as in training")
         return target
 
 

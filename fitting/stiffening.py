@@ -50,12 +50,14 @@ class StiffeningTendon(DampedLine):
 
 
 def linear_tendons(scene: Scene) -> tuple[str, ...]:
-    """Names of the tendons whose springs are linear: those that offer a toe region."""
-    return tuple(e.name for e in scene.effects if any(change.label == TOE for change in e.elaborations()))
+    """Names of the single tendons whose springs are linear: those that offer a toe region."""
+    lines = [e for e in scene.effects if any(change.label == TOE for change in e.elaborations())]
+    return tuple(e.name for e in lines if (line := e.line_element()) is not None and line.count is None)
 
 
 def stiffened(scene: Scene, shares: dict[str, Any]) -> Scene:
-    """The scene with linear tendons that stiffen, each by its share when stretched by a quarter of its length."""
+    """The scene with tendons that stiffen in the place of its linear ones of these names (`linear_tendons`), each by
+    its share when stretched by a quarter of its length."""
     for name, share in shares.items():
         e: Any = scene.effect(name)
         numbers = e.stiffness, e.slack_length, e.damping, e.insertion, e.origin, jnp.asarray(share, float)

@@ -68,6 +68,7 @@ class TrainedPosterior:
     seed: int
     seconds: float  # that training took
     widened: tuple[float, ...] = ()  # times (d,), as a calibration has asked for
+    doubts: tuple[str, ...] = ()  # of the recording that it was trained on
 
     def estimate(
         self,
@@ -85,6 +86,7 @@ class TrainedPosterior:
         Raises:
             InputError: another number of frames; channels that were not measured; another set-up, or a recording unlike
                 all that was simulated, by more than the limits allow; as `fit_tendons`.
+            PftwinError: the posterior lies beyond the bounds.
         """
         began, allowed = time.perf_counter(), limits_of(limits)
         problem, given = self._problem(scene, measured)
@@ -98,7 +100,8 @@ class TrainedPosterior:
             answer._replace(draws=draws), self.learned.noise, self.simulations, self.dropped, self.substeps, [], reason
         )
         outcome = Outcome.of_simulations(problem, found, self.seed, allowed)
-        of = (SIMULATIONS, given, self.set_up.springs, self.set_up.nuisance, [*doubts, *more], allowed, began)
+        doubts = [*(f"{doubt} (in training)" for doubt in self.doubts), *doubts, *more]
+        of = (SIMULATIONS, given, self.set_up.springs, self.set_up.nuisance, doubts, allowed, began)
         estimate = estimate_of(problem, outcome, *of)
         compiled()
         judge(estimate)
@@ -112,10 +115,10 @@ class TrainedPosterior:
         limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> tuple[Floats, list[str]]:
         """Draws (N, d) of what is asked for, and what forbids to believe them: `estimate`, without nuisance and without
-        a look at the fitted motion.
+        a look at other readings of the measurements and at the fitted motion.
 
         Raises:
-            InputError: as `estimate`.
+            PftwinError: as `estimate`.
         """
         allowed, problem = limits_of(limits), self._problem(scene, measured)[0]
         answer, doubts = self._answer(problem, allowed)[2:]
@@ -135,7 +138,7 @@ class TrainedPosterior:
         return problem, given
 
     def _answer(self, problem: Problem, limits: Limits) -> tuple[Objective, Rows, Answer, list[str]]:
-        """What recordings are held against, the recording, its posterior without nuisance, and doubts of the set-up."""
+        """What recordings are held against, the recording, its posterior without nuisance, and doubts."""
         held, source = from_nominal(problem, self.substeps), problem.objective.source
         off = self._off(problem, held)
         said = f"in this motion and set-up the posterior, trained for another, is off by {off.max():.2g} deviations"
@@ -143,7 +146,8 @@ class TrainedPosterior:
         recording = bridged(problem, held, self.present)
         wider = np.hypot(1.0, off) * (self.widened or 1.0)
         answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), wider)
-        return held, recording, answer, doubts
+        said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was learned from"
+        return held, recording, answer, doubts + bounded("trained_noise", answer.level, said, source, limits)
 
     def _off(self, problem: Problem, held: Objective) -> Floats:
         """How far posteriors (d,) of knees that were simulated in training lie apart, rms in their deviations, where
@@ -178,6 +182,7 @@ class TrainedPosterior:
             f"answers recordings of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}; learned "
             f"from {self.simulations - self.dropped:,} simulations in {self.seconds:.0f} s"
             + (f"; widened by a calibration: {more} times" if more else "")
+            + "".join(f"; INVALID: {doubt}" for doubt in self.doubts)
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -239,17 +244,19 @@ class TrainedPosterior:
                 Table(facts["block"], noise.deviations),
                 Probes(*(held[f"probes_{k}"] for k in Probes._fields)),
             )
-            rest: dict[str, Any] = {**{key: facts[key] for key in _FACTS}, "widened": tuple(facts["widened"])}
+            rest: dict[str, Any] = {key: facts[key] for key in _FACTS}
+            rest |= {key: tuple(facts[key]) for key in ("widened", "doubts")}
+            told = {"noise": noise, "added": SummaryNoise(held["root"], noise.span), "usual": facts["usual"]}
+            present = held["present"]
         except FileNotFoundError:
             raise InputError("no such file", where=path, expected=_EXPECTED) from None
-        except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, BadZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, BadZipFile) as error:
             raise InputError(f"no trained posterior: {error}", where=path, expected=_EXPECTED) from None
         region = Region(set_up.parameters([scene] if isinstance(scene, Scene) else list(scene))[1][0])
-        told = {"noise": noise, "added": SummaryNoise(held["root"], noise.span), "usual": facts["usual"]}
         learned = Learned(region, tuple(nets), table, summaries, **arrays, **told)
-        return TrainedPosterior(set_up, learned, probes, held["present"], **rest)
+        return TrainedPosterior(set_up, learned, probes, present, **rest)
 
 
 _EXPECTED = f"a file of {FORMAT!r}, as `pftwin train-posterior -o` writes it"
-_FACTS = ("substeps", "simulations", "dropped", "seed", "seconds", "widened")
+_FACTS = ("substeps", "simulations", "dropped", "seed", "seconds", "widened", "doubts")
 _ARRAYS = ("middle", "size", "center", "scale")

@@ -19,7 +19,7 @@ from fitting.channel_checks import limits_of
 from fitting.evaluation import HALVINGS, Evaluator
 from fitting.first_look import plain_look
 from fitting.fit import SPRING_PARAMETERS
-from fitting.inference.infer import TOGETHER, check_enough, check_size
+from fitting.inference.infer import MOST_NUMBERS, TOGETHER, check_enough, check_size
 from fitting.inference.knees import Knees
 from fitting.inference.learning import learn
 from fitting.inference.recordings import Noise
@@ -57,7 +57,7 @@ def train_posterior(
     use: str | Sequence[str] = POSITION,
     noise: Mapping[str, float] | None = None,
     springs: Mapping[str, str] = SPRINGS,
-    simulations: int = AT_ALL,
+    simulations: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     devices: Devices = "all",
     limits: Mapping[str, tuple[float, float]] | None = None,
@@ -69,7 +69,7 @@ def train_posterior(
         measured: the first recording, of which noise is found that is not stated; by default what the scene carries.
         free: as `fit_tendons` has it; `bounds`, `priors`, `nuisance`, `seed`, `use`, `noise`, `springs`, `devices` and
             `limits` too.
-        simulations: recordings that are simulated.
+        simulations: recordings that are simulated; by default 30,000, or as many as memory is meant to hold.
         progress: told how many simulations have run, of how many.
 
     Raises:
@@ -84,15 +84,18 @@ def train_posterior(
         list(zip(scenes, [data for _, data in trials], strict=True)), "likelihood", use, noise, "linear", springs
     )
     problem = Problem.of(scenes, parameters, target, devices=devices)
-    check_size(problem.parameters, simulations, target.present.size)
+    numbers = target.present.size
+    simulations = min(AT_ALL, MOST_NUMBERS // numbers) if simulations is None else simulations
+    check_size(problem.parameters, simulations, numbers)
     problem.evaluator.prepare(TOGETHER)
-    plain_look(problem, allowed)
+    doubts = plain_look(problem, allowed)
     substeps = _substeps(problem.evaluator, problem.parameters.nominal)
     held = from_nominal(problem, substeps)
     first = bridged(problem, held, held.present)
     random, region = np.random.default_rng(seed), Region(problem.parameters)
     straight = Knees.of(problem, 0.0, TOGETHER)  # which answers simulate
     probes = Probes(*_simulated(straight, held, region.drawn(_PROBES, random), substeps, random, None))
+    check_enough(len(probes.theta), _PROBES, problem)
     knees = Knees.of(problem, besides.stiffening, TOGETHER)
     theta, recordings = _simulated(knees, held, region.drawn(simulations, random), substeps, random, progress)
     check_enough(len(theta), simulations, problem)
@@ -107,6 +110,7 @@ def train_posterior(
         simulations - len(theta),
         seed,
         time.perf_counter() - began,
+        doubts=tuple(doubts),
     )
 
 

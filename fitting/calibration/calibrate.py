@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.plants import PLANTS, Knee, Maker
 from fitting.calibration.result import Answers, Calibration
-from fitting.calibration.runs import run, truth_of
+from fitting.calibration.runs import check_truth, run, truth_of
+from fitting.channel_checks import limits_of
+from fitting.set_up import listed
 from fitting.trained import TrainedPosterior
-from pftwin.base.errors import InputError
+from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.scene import Scene, check
 
 Floats = NDArray[np.float64]
 
 PER_KIND = 100  # plants
-_LEVELS = (0.025, 0.975)  # of the interval of which the width is told
+_OWN_STREAM = 7  # of random numbers: not those of a training with the same seed
 
 
 def calibrate(
@@ -47,19 +49,28 @@ def calibrate(
         progress: told the kind of plant, how many of them were answered, and of how many.
 
     Raises:
-        InputError: a posterior of several trials; no plants; a kind that this scene cannot have.
+        InputError: a posterior of several trials; no plants, or no kind of them; a kind that this scene cannot have;
+            another number of frames than it was trained for; a recording too short for the laboratory's filter.
     """
     if len(trained.set_up.frames) > 1:
         raise InputError("a posterior of several trials", where="trained", expected="one of a single trial")
-    if plants < 1:
-        raise InputError(f"found {plants!r}", where="plants", expected="at least 1")
-    check(scene)
+    if not isinstance(plants, int) or plants < 1:
+        raise InputError(f"found {plants!r}", where="plants", expected="a whole number, at least 1")
     began, made = time.perf_counter(), PLANTS if kinds is None else kinds
+    if not made:
+        raise InputError("no kind of plants", where="kinds", expected=f"some of: {', '.join(PLANTS)}; or functions")
+    limits_of(limits)
+    check(scene)
+    frames = scene.motion.times.size
+    if trained.set_up.frames != (frames,):
+        expected = f"{listed(trained.set_up.frames)}, as the posterior was trained for"
+        raise InputError(f"{frames} frames", where=scene.name, expected=expected)
     scenes, parameters = trained.set_up.parameters([scene])
     knee, lab, found = Knee(scenes[0], parameters[0]), laboratory or Laboratory(), {}
     for index, (kind, make) in enumerate(made.items()):
-        random = np.random.default_rng([seed, index])
+        random = np.random.default_rng([seed, index, _OWN_STREAM])
         members = [make(knee, random) for _ in range(plants)]
+        check_truth(members[0], knee.parameters)
         rows: list[tuple[Floats, Floats, bool]] = []
         dropped, refused = 0, 0
         for i, (plant, seen) in enumerate(zip(members, run(members), strict=True)):
@@ -71,7 +82,9 @@ def calibrate(
             motion, measured = lab.recorded(plant.scene, seen, trained.set_up.springs, random)
             try:
                 draws, doubts = trained.draws(replace(scene, motion=motion), measured, limits=limits)
-            except InputError:
+            except (
+                PftwinError
+            ):  # the posterior refuses this plant's recording; what the caller got wrong was told above
                 refused += 1
                 continue
             rows.append((truth_of(plant, seen, knee.parameters), draws, bool(doubts)))

@@ -2,9 +2,9 @@
 
     def sticky(knee, random):
         spread = knee.near(random)
-        return Plant(spread.with_effect(...))
+        return Plant(spread.with_effect(...))  # some other effect
 
-    calibrate(trained, scene, plants={"sticky": sticky})
+    calibrate(trained, scene, kinds={"sticky": sticky})
 
 Its springs may follow another law than the twin's: then the truth is the straight line nearest to them.
 """
@@ -41,12 +41,12 @@ class Knee(NamedTuple):
         return self.parameters.apply(self.scene, self.parameters.scattered(1, random)[0])
 
     def near(self, random: np.random.Generator) -> Scene:
-        """One whose springs lie about the middle of their bounds, and whose nuisance is spread less than its priors,
-        and evenly."""
-        p, d = self.parameters, self.parameters.asked
+        """One whose springs lie about the middle of their bounds, and whatever has a prior, such as nuisance, is spread
+        less than that, and evenly."""
+        p = self.parameters
         middle, half = 0.5 * (p.lower + p.upper), 0.5 * (p.upper - p.lower)
         theta = middle + _NEAR * half * random.uniform(-1.0, 1.0, len(p))
-        for i, item in enumerate(p.items[d:], d):
+        for i, item in enumerate(p.items):
             if item.prior is not None:
                 mean, sd = item.prior
                 most = np.sqrt(3.0) * _SCATTER * sd
@@ -65,7 +65,7 @@ Maker = Callable[[Knee, np.random.Generator], Plant]
 
 
 def twin(knee: Knee, random: np.random.Generator) -> Plant:
-    """The twin itself, with parameters from the priors."""
+    """The twin itself, with straight springs, and parameters from the priors."""
     return Plant(knee.drawn(random))
 
 

@@ -23,7 +23,9 @@ Floats = NDArray[np.float64]
 FORMAT = "pftwin calibration 1"
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 _CHECKED = 0.95  # the level on which the verdict is
-_SURE = 0.95  # of the interval of a share that is held against it
+_SURE = 0.95  # of the intervals of all parameters' shares together that are held against it
+_NARROW, _WIDE, _NONE = "too narrow", "wider than need be", "no plant was answered"
+_BAD = (_NARROW, _NONE)
 
 
 class Answers(NamedTuple):
@@ -63,25 +65,29 @@ class Answers(NamedTuple):
 
     @property
     def factors(self) -> Floats:
-        """By how much 95 % intervals (d,) would have to be wider to hold as often; at least 1."""
+        """By how many times those 95 % intervals (d,) that are too narrow would have to be wider; 1 of others."""
         if not len(self.ranks):
             return np.ones(self.ranks.shape[1])
-        return np.maximum(np.quantile(np.abs(self.errors) / self.half_widths, _CHECKED, axis=0), 1.0)
+        narrow = [word == _NARROW for word in self._words()]
+        return np.where(narrow, np.maximum(np.quantile(np.abs(self.errors) / self.half_widths, _CHECKED, axis=0), 1), 1)
 
     def verdict(self, names: tuple[str, ...]) -> str:
         """Whether 95 % intervals hold as often as they say, as far as so many plants can tell."""
         if not len(self.ranks):
-            return "no plant was answered"
-        narrow, wide = [], []
-        for name, held in zip(names, self.held(_CHECKED).T, strict=True):
-            share = binomtest(int(held.sum()), len(held)).proportion_ci(_SURE)
-            if share.high < _CHECKED:
-                narrow.append(name)
-            elif share.low > _CHECKED:
-                wide.append(name)
-        said = [f"too narrow: {', '.join(narrow)}"] if narrow else []
-        said += [f"wider than need be: {', '.join(wide)}"] if wide else []
-        return "; ".join(said) or "hold"
+            return _NONE
+        words = self._words()
+        listed = {
+            word: [name for name, own in zip(names, words, strict=True) if own == word] for word in (_NARROW, _WIDE)
+        }
+        return "; ".join(f"{word}: {', '.join(named)}" for word, named in listed.items() if named) or "hold"
+
+    def _words(self) -> list[str]:
+        """Of each parameter, whether its share may be as large as the level, with room for so many being looked at."""
+        found, sure = [], 1 - (1 - _SURE) / max(self.ranks.shape[1], 1)
+        for held in self.held(_CHECKED).T:
+            share = binomtest(int(held.sum()), len(held)).proportion_ci(sure)
+            found.append(_NARROW if share.high < _CHECKED else _WIDE if share.low > _CHECKED else "hold")
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +103,14 @@ class Calibration:
     @property
     def holds(self) -> bool:
         """Whether no kind of plant shows intervals to be too narrow, and all were answered by some."""
-        return not any(a.verdict(self.names).startswith(("too narrow", "no plant")) for a in self.kinds.values())
+        return not any(a.verdict(self.names).startswith(_BAD) for a in self.kinds.values())
 
     def sentence(self) -> str:
         """The verdict in a line."""
         if self.holds:
             return "95 % intervals hold on all kinds of plants tried"
-        bad = {kind: a.verdict(self.names) for kind, a in self.kinds.items()}
-        told = "; ".join(f"on {kind} {said}" for kind, said in bad.items() if said != "hold")
+        said = {kind: a.verdict(self.names) for kind, a in self.kinds.items()}
+        told = "; ".join(f"on {kind} {words}" for kind, words in said.items() if words.startswith(_BAD))
         return f"95 % intervals do NOT hold as often as they say: {told}"
 
     def widened(self, trained: TrainedPosterior) -> TrainedPosterior:

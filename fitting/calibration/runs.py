@@ -21,6 +21,7 @@ from pftwin.model.scene import Scene
 
 Floats = NDArray[np.float64]
 
+_OF_LINES = (("stiffness",), ("slack_length",))  # what the line nearest to a spring tells
 _STEP = 5e-4  # of plants, by another integrator than a fit's [s]
 
 
@@ -79,23 +80,31 @@ def _kept(scene: Scene, seen: Observation) -> dict[str, Array]:
     return {f"{_OWN}{name}": value for name, value in found.items()}
 
 
+def check_truth(plant: Plant, parameters: Parameters) -> None:
+    """Refuses to ask for what a plant does not have.
+
+    Raises:
+        InputError: the slack length of a tendon that follows another law is asked for as a strain or a force.
+    """
+    for item in parameters.items[: parameters.asked]:
+        if item.place.owner in plant.curved and item.place.meaning != "value":
+            expected = "stiffness and slack length themselves of a tendon that follows another law"
+            raise InputError(f"{item.name} has no true value in this plant", where="kinds", expected=expected)
+
+
 def truth_of(plant: Plant, seen: Seen, parameters: Parameters) -> Floats:
     """What a fit should find of a plant (d,): of a tendon that follows another law, the straight line nearest to its
     spring, over the forces that occurred.
 
     Raises:
-        InputError: something else than stiffness and slack length is asked for of such a tendon; one that is never
-            stretched.
+        InputError: a tendon that is never stretched.
     """
     found = []
     for item in parameters.items[: parameters.asked]:
         owner, path = item.place.owner, item.place.path
-        if owner not in plant.curved:
+        if owner not in plant.curved or path not in _OF_LINES:
             found.append(float(item.place.read(plant.scene)))
             continue
-        if path not in (("stiffness",), ("slack_length",)) or item.place.meaning != "value":
-            expected = "stiffness and slack length of a tendon that follows another law"
-            raise InputError(f"{item.name} has no true value in this plant", where="plants", expected=expected)
         tendon: Any = plant.scene.effect(owner)
         lengths = seen.lengths[owner]
         pulls = np.asarray(tendon.held_tension(jnp.asarray(np.maximum(lengths, float(tendon.slack_length)))))

@@ -7,7 +7,17 @@ from typing import Annotated
 
 from typer import Option
 
-from fitting.cli.fit import BoundsOption, FreeOption, NoiseOption, NuisanceOption, UseOption, names_in, noise_levels
+from fitting.cli.fit import (
+    BoundsOption,
+    FreeOption,
+    LimitOption,
+    NoiseOption,
+    NuisanceOption,
+    UseOption,
+    check_limits,
+    names_in,
+    noise_levels,
+)
 from pftwin.base.sheet import Sheet
 from pftwin.cli.scenes import TrialsOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
@@ -60,7 +70,8 @@ def train_posterior(
     use: UseOption = "position",
     noise: NoiseOption = None,
     nuisance: NuisanceOption = None,
-    simulations: Annotated[int, Option(min=1000, help="Recordings that are simulated.")] = 30_000,
+    simulations: Annotated[int | None, Option(min=1000, help="To learn from; 30,000 if left out.")] = None,
+    limit: LimitOption = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     json: JsonOption = None,
 ) -> None:
@@ -84,6 +95,7 @@ def train_posterior(
             use="all" if use.strip() == "all" else names_in(use),
             noise=levels,
             simulations=simulations,
+            limits=check_limits(limit),
             progress=lambda done, of: shown(done, of, f"{done}/{of}", "simulations" if done < of else "networks"),
         )
     files = [str(found.save(output))]

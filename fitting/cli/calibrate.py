@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Option
 
-from fitting.cli.fit import names_in
+from fitting.cli.fit import LimitOption, check_limits, names_in
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import exit_flagged
@@ -25,8 +25,10 @@ def calibrate(
     kinds: Annotated[
         str | None, Option(metavar="NAMES", help="Some of: twin, misplaced, sliding, stiffening; by default all.")
     ] = None,
-    marker_noise: Annotated[float, Option(metavar="METRES", help="Of each coordinate of a marker, by which")] = 2e-4,
-    force_noise: Annotated[float, Option(metavar="NEWTONS", help="and of a load cell plants are recorded.")] = 0.15,
+    marker_noise: Annotated[float, Option(metavar="METRES", help="Of each coordinate of a recorded marker.")] = 2e-4,
+    force_noise: Annotated[float, Option(metavar="NEWTONS", help="Of a load cell.")] = 0.15,
+    cutoff: Annotated[float, Option(metavar="HERTZ", help="Of the markers' low-pass; 0: none.")] = 12.0,
+    limit: LimitOption = None,
     widen: Annotated[
         Path | None,
         Option(metavar="WIDER.npz", help="Also a posterior whose intervals would have held on all these plants."),
@@ -51,7 +53,8 @@ def calibrate(
     chosen = names_in(kinds) if kinds is not None else tuple(PLANTS)
     if strange := [kind for kind in chosen if kind not in PLANTS]:
         raise InputError(f"no plants {strange[0]!r}", where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
-    lab, scene = Laboratory(marker_noise=marker_noise, force_noise=force_noise), knee.load().scene
+    lab = Laboratory(marker_noise=marker_noise, force_noise=force_noise, cutoff=cutoff or None)
+    allowed, scene = check_limits(limit), knee.load().scene
     posterior = TrainedPosterior.load(trained, scene)
     with progress("simulating plants") as shown:
         found = run(
@@ -61,6 +64,7 @@ def calibrate(
             kinds={kind: PLANTS[kind] for kind in chosen},
             laboratory=lab,
             seed=seed,
+            limits=allowed,
             progress=lambda kind, done, of: shown(done, of, f"{done}/{of}", f"plants {kind}"),
         )
     files = [str(found.save(output))]

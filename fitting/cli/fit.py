@@ -42,6 +42,15 @@ NuisanceOption = Annotated[
         ' "attachments=0.001,friction=0.05,damping=0.5" (standard deviations).',
     ),
 ]
+LimitOption = Annotated[
+    list[str] | None,
+    Option(
+        "--limit",
+        metavar="NAME=NAMED:REFUSED",
+        help="Of a check of what was measured: reading, position, orientation, force, noise, shift, simulated,"
+        " trained_noise or set_up.",
+    ),
+]
 _AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
     "method": "least_squares",
     "objective": "likelihood",
@@ -50,6 +59,7 @@ _AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
     "use": ("position",),
     "loss": "linear",
     "resume": False,
+    "seed": 0,
 }
 
 
@@ -73,15 +83,7 @@ def fit(
     noise: NoiseOption = None,
     loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
     nuisance: NuisanceOption = None,
-    limit: Annotated[
-        list[str] | None,
-        Option(
-            "--limit",
-            metavar="NAME=NAMED:REFUSED",
-            help="Of a check of what was measured: reading, position, orientation, force, noise, shift, simulated,"
-            " trained_noise or set_up.",
-        ),
-    ] = None,
+    limit: LimitOption = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
     checkpoint: Annotated[Path | None, Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
@@ -121,13 +123,11 @@ def fit(
         "nuisance": nuisance,
         "checkpoint": checkpoint,
         "resume": resume,
+        "seed": seed,
         **({} if starts is None else {"starts": starts}),
     }
     scenes = [trial.scene for trial in trials]
-    if trained is not None:
-        estimate = _answered(trained, scenes, asked, allowed)
-    else:
-        estimate = _fitted(scenes, asked, seed, allowed)
+    estimate = _fitted(scenes, asked, allowed) if trained is None else _answered(trained, scenes, asked, allowed)
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior
@@ -138,9 +138,7 @@ def fit(
         exit_flagged(estimate.sentence())
 
 
-def _fitted(
-    scenes: list[Scene], asked: dict[str, Any], seed: int, limits: dict[str, tuple[float, float]] | None
-) -> Estimate:
+def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, tuple[float, float]] | None) -> Estimate:
     """Fits with progress on stderr."""
     from fitting.fit import fit_tendons
 
@@ -150,7 +148,7 @@ def _fitted(
         def tell(p: Progress) -> None:
             shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
 
-        return fit_tendons(scenes, seed=seed, progress=tell, limits=limits, **asked)
+        return fit_tendons(scenes, progress=tell, limits=limits, **asked)
 
 
 def _answered(
@@ -161,7 +159,7 @@ def _answered(
 
     if settled := [f"--{name}" for name, value in asked.items() if value != _AS_TRAINED.get(name)]:
         found = f"a trained posterior beside {', '.join(settled)}"
-        raise InputError(found, where="--trained", expected="neither: they are as they were in training")
+        raise InputError(found, where="--trained", expected="it alone: the rest is as it was in training")
     with spinner("answering"):
         return TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
 

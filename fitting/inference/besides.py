@@ -6,7 +6,8 @@ a normal prior is then normal too:
     x = a + A u + B z + e,    cov(e) = C,    z ~ N(m, V)
     precision of z:  B' C^-1 B + V^-1,    mean:  its inverse times  B' C^-1 (x - a - A u) + V^-1 m
 
-C is what noise does to summaries, and what the straight model leaves of the simulated ones.
+C is what noise does to summaries, and what the straight model leaves of the simulated ones. These knees are the twin's,
+with straight springs: what springs that stiffen would do is not in C.
 """
 
 from __future__ import annotations
@@ -24,8 +25,7 @@ from fitting.parameters import Parameters
 Floats = NDArray[np.float64]
 
 _TIMES = 3  # from the prior on, each time where the one before put it
-_KNEES, _PER_PARAMETER = 128, 6  # simulated each time, at least, and so many times the number of parameters
-_FEWEST = 2  # of them that must run, in numbers of parameters
+_KNEES, _PER_PARAMETER = 192, 6  # simulated each time, at least, and so many times the number of parameters
 _TRIES = 100  # of drawing within the bounds
 
 
@@ -56,7 +56,8 @@ def with_nuisance(
     for _ in range(_TIMES):
         some = draws[: max(_KNEES, _PER_PARAMETER * len(parameters))]
         seen = problem.evaluator.values(some, substeps)
-        if seen.usable.sum() < _FEWEST * len(parameters):
+        freedom = int(seen.usable.sum()) - len(parameters) - 1
+        if freedom < 1.2 * learned.middle.size:  # too few to tell what they scatter by
             break
         x = learned.seen(held.residuals(seen.values[seen.usable]).astype(np.float32))
         straight = _Straight.of(some[seen.usable], x, learned.added.root)
@@ -80,7 +81,8 @@ class _Straight(NamedTuple):
         t = (theta - center) / scale
         slopes = np.linalg.lstsq(t, x - at, rcond=None)[0]
         left = x - at - t @ slopes
-        covariance = noise_root @ noise_root.T + left.T @ left / max(len(x) - t.shape[1] - 1, 1)
+        # The inverse of a covariance from few knees is too large by freedom / (freedom - k - 1) in the mean.
+        covariance = noise_root @ noise_root.T + left.T @ left / (len(x) - t.shape[1] - 2 - x.shape[1])
         values, vectors = np.linalg.eigh(covariance)
         whitening = (vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T
         return _Straight(center, whitening @ at, whitening @ slopes.T / scale, whitening)

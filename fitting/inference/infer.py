@@ -39,7 +39,7 @@ _MOST_ASKED = 12
 _SETTLED = 0.35  # changes of the region's mean log half width, and of its middle in deviations, that count as none
 _FEWEST_USABLE = 0.2  # share of simulations
 _FEWEST_SIMULATIONS = 1000
-_MOST_NUMBERS = 100_000_000  # of all recordings of a round: they are held in memory
+MOST_NUMBERS = 100_000_000  # of all recordings of a round: they are held in memory
 
 
 class Inferred(NamedTuple):
@@ -67,9 +67,9 @@ def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
     if simulations < _FEWEST_SIMULATIONS:
         expected = f"at least {_FEWEST_SIMULATIONS}"
         raise InputError(f"found {simulations}", where="simulations", expected=expected)
-    if simulations * numbers > _MOST_NUMBERS:
+    if simulations * numbers > MOST_NUMBERS:
         found = f"{simulations:,} recordings of {numbers:,} numbers"
-        expected = f"at most {_MOST_NUMBERS // numbers:,} simulations of this recording"
+        expected = f"at most {MOST_NUMBERS // numbers:,} simulations of this recording"
         raise InputError(found, where="simulations", expected=expected, remedy="fewer simulations, or fewer frames")
 
 
@@ -79,7 +79,7 @@ def check_enough(usable: int, simulations: int, problem: Problem) -> None:
     Raises:
         InputError: too few found an equilibrium and a finite motion.
     """
-    if usable < max(_FEWEST_USABLE * simulations, _FEWEST_SIMULATIONS / 2):
+    if usable < max(_FEWEST_USABLE * simulations, min(simulations, _FEWEST_SIMULATIONS) / 2):
         raise InputError(
             f"{simulations - usable} of {simulations} simulations found no equilibrium or no finite motion",
             where=problem.scene.name,

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from lifted_fits import HELD, SPRINGS, noisy, scene
+from lifting_scene import lifting_scene
 
 import fitting
 from fitting.calibration.laboratory import Laboratory
@@ -119,14 +120,13 @@ class Narrowed:
 
 
 @pytest.mark.slow
-def test_plants_of_users_may_fail():
-    def slack(knee: Knee, random: np.random.Generator) -> Plant:
-        """With springs so soft that every other patella falls."""
+def test_recordings_too_loud_are_not_counted():
+    def drawn(knee: Knee, random: np.random.Generator) -> Plant:
         return Plant(knee.drawn(random))
 
     told = []
     found = fitting.calibrate(
-        trained(), scene(HELD), plants=3, kinds={"mine": slack}, laboratory=replace(LAB, marker_noise=30 * NOISE),
+        trained(), scene(HELD), plants=3, kinds={"mine": drawn}, laboratory=replace(LAB, marker_noise=30 * NOISE),
         progress=lambda *now: told.append(now),
     )  # fmt: skip
     assert [now[:2] for now in told] == [("mine", 0), ("mine", 1), ("mine", 2)]
@@ -137,6 +137,12 @@ def test_plants_of_users_may_fail():
 def test_what_cannot_be_calibrated_is_refused():
     with pytest.raises(InputError, match="at least 1"):
         fitting.calibrate(trained(), scene(HELD), plants=0)
+    with pytest.raises(InputError, match="no kind of plants"):
+        fitting.calibrate(trained(), scene(HELD), kinds={})
+    with pytest.raises(InputError, match="no limit 'sett_up'"):
+        fitting.calibrate(trained(), scene(HELD), limits={"sett_up": (1.0, 2.0)})
+    with pytest.raises(InputError, match="31 frames"):
+        fitting.calibrate(trained(), lifting_scene(31, height=HELD))
     several = replace(trained(), set_up=trained().set_up._replace(frames=(41, 41)))
     with pytest.raises(InputError, match="one of a single trial"):
         fitting.calibrate(several, scene(HELD))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from small_scene import small_scene
 
-from fitting.calibration.plants import Knee, Plant, misplaced, sliding, stiffening, twin
-from fitting.calibration.runs import Seen, truth_of
+from fitting.calibration.plants import Knee, misplaced, sliding, stiffening, twin
+from fitting.calibration.runs import Seen, check_truth, truth_of
 from fitting.nuisance import Nuisance
 from fitting.parameters import with_nuisance
 from pftwin.base.errors import InputError
@@ -84,8 +82,16 @@ def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():
     np.testing.assert_array_equal(truth_of(straight, seen, own.parameters), own.parameters.vector(straight.scene)[:4])
 
 
-def test_a_curved_tendon_has_no_true_attachment():
-    scene, parameters = with_nuisance(small_scene(), ("quadriceps.origin.x",), 0.5, None, Nuisance())
-    plant = Plant(replace(scene), curved=("quadriceps",))
-    with pytest.raises(InputError, match=r"quadriceps\.origin\.x has no true value"):
-        truth_of(plant, Seen(np.zeros((2, 3)), np.zeros((2, 4)), {}, {}), parameters)
+def test_a_curved_tendon_has_its_true_attachment_and_no_true_strain():
+    random = np.random.default_rng(3)
+    for name, told in (("quadriceps.origin.x", True), ("L1.strain", False)):
+        own = Knee(*with_nuisance(small_scene(), (name,), {name: (-1.0, 1.0)}, None, Nuisance()))
+        plant = stiffening(own, random)
+        if told:
+            check_truth(plant, own.parameters)
+            seen = Seen(np.zeros((2, 3)), np.zeros((2, 4)), {}, {})
+            expected = float(plant.scene.effect("quadriceps").origin.x)
+            assert truth_of(plant, seen, own.parameters) == pytest.approx(expected)
+        else:
+            with pytest.raises(InputError, match=r"L1\.strain has no true value"):
+                check_truth(plant, own.parameters)

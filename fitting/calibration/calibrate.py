@@ -82,9 +82,7 @@ def calibrate(
             motion, measured = lab.recorded(plant.scene, seen, trained.set_up.springs, random)
             try:
                 draws, doubts = trained.draws(replace(scene, motion=motion), measured, limits=limits)
-            except (
-                PftwinError
-            ):  # the posterior refuses this plant's recording; what the caller got wrong was told above
+            except PftwinError:  # this recording; what the caller got wrong was told above
                 refused += 1
                 continue
             rows.append((truth_of(plant, seen, knee.parameters), draws, bool(doubts)))

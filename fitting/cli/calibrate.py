@@ -51,8 +51,9 @@ def calibrate(
     from fitting.trained import TrainedPosterior
 
     chosen = names_in(kinds) if kinds is not None else tuple(PLANTS)
-    if strange := [kind for kind in chosen if kind not in PLANTS]:
-        raise InputError(f"no plants {strange[0]!r}", where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
+    if not chosen or (strange := [kind for kind in chosen if kind not in PLANTS]):
+        found = f"no plants {strange[0]!r}" if chosen else "none named"
+        raise InputError(found, where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
     lab = Laboratory(marker_noise=marker_noise, force_noise=force_noise, cutoff=cutoff or None)
     allowed, scene = check_limits(limit), knee.load().scene
     posterior = TrainedPosterior.load(trained, scene)

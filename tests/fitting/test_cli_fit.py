@@ -175,3 +175,22 @@ def test_a_posterior_is_trained_once_and_answers(toy, tmp_path):
     assert written["names"] == ["K1", "L1"]
     assert "a posterior trained by" in written["reason"]
     assert len(written["draws"]) == 2000
+    calibration, wider = tmp_path / "calibration.json", tmp_path / "wider.npz"
+    options = ("--plants", 3, "--kinds", "misplaced,stiffening", "--cutoff", 0, "--widen", wider, "--seed", 3)
+    result = pftwin("calibrate", toy, "--trained", trained, "-o", calibration, *options)
+    assert result.exit_code in (0, 3), result.output
+    written = json.loads(calibration.read_text())
+    assert list(written["kinds"]) == ["misplaced", "stiffening"]
+    counts = written["kinds"]["stiffening"]
+    assert sum(counts[key] for key in ("answered", "doubted", "refused", "dropped")) == 3
+    assert (result.exit_code == 0) is written["holds"]
+    assert "SYNTHETIC plants" in result.stdout
+    assert wider.exists()
+    assert {p.name for p in tmp_path.glob("calibration_*.png")} == {"calibration_coverage.png", "calibration_ranks.png"}
+
+
+@pytest.mark.parametrize("kinds", ["stiff", ","])
+def test_plants_that_are_none_are_refused(toy, tmp_path, kinds):
+    said = refused("calibrate", toy, "--trained", tmp_path / "no.npz", "-o", tmp_path / "c.json", "--kinds", kinds)
+    assert "--kinds" in said
+    assert "twin, misplaced, sliding, stiffening" in said

@@ -65,11 +65,10 @@ class Answers(NamedTuple):
 
     @property
     def factors(self) -> Floats:
-        """By how many times those 95 % intervals (d,) that are too narrow would have to be wider; 1 of others."""
-        if not len(self.ranks):
+        """By how many times 95 % intervals (d,) would have to be wider to hold as often; 1 where none is too narrow."""
+        if _NARROW not in self._words():
             return np.ones(self.ranks.shape[1])
-        narrow = [word == _NARROW for word in self._words()]
-        return np.where(narrow, np.maximum(np.quantile(np.abs(self.errors) / self.half_widths, _CHECKED, axis=0), 1), 1)
+        return np.maximum(np.quantile(np.abs(self.errors) / self.half_widths, _CHECKED, axis=0), 1.0)
 
     def verdict(self, names: tuple[str, ...]) -> str:
         """Whether 95 % intervals hold as often as they say, as far as so many plants can tell."""

@@ -16,8 +16,9 @@ WITH_NUISANCE = (
     "where a force was measured, and in 16 of 24 from positions alone"
 )
 BY_SIMULATIONS = (
-    "95 % intervals of such posteriors, on six plants of the virtual rig, held the truth in 23 of 24 cases where a "
-    "force was measured, and in 24 of 24 from positions alone"
+    "95 % intervals of such posteriors, on plants of the virtual rig, held the truth in 40 of 40 cases where they were "
+    "trained once, with a force or from positions alone; learned in rounds, before springs stiffened in them, in 23 of "
+    "24 with a force and 24 of 24 without"
 )
 WITHOUT_NUISANCE = (
     "The twin was taken as exact: how often such intervals hold the truth of a knee that differs was not measured"

@@ -1,4 +1,4 @@
-"""What is done before a recording is fitted: `pftwin plan-experiment` and `pftwin train-posterior`."""
+"""`pftwin plan-experiment` and `pftwin train-posterior`: what is done before a recording is fitted."""
 
 from __future__ import annotations
 

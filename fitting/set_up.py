@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.evaluation import Prediction
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
@@ -18,6 +19,7 @@ from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
+Floats = NDArray[np.float64]
 Rows = NDArray[np.float32]
 
 _MISSING = 0.1  # largest share of a column's frames that may be missing: gaps are bridged
@@ -72,19 +74,21 @@ class SetUp(NamedTuple):
         return target
 
 
-def from_nominal(problem: Problem, substeps: int) -> Objective:
-    """A comparison with the nominal knee's motion in the place of the measurements, of what was measured at all.
+def from_nominal(problem: Problem, substeps: int, others: Floats) -> tuple[Objective, Prediction]:
+    """A comparison with the nominal knee's motion in the place of the measurements, of what was measured at all; and
+    the motions of others (N, p), simulated in the same call.
 
     Raises:
         InputError: the nominal knee does not run.
     """
-    seen = problem.evaluator.values(problem.parameters.nominal[None], substeps)
+    seen = problem.evaluator.values(np.concatenate([problem.parameters.nominal[None], others]), substeps)
     if not seen.usable[0]:
         raise InputError("the nominal knee finds no equilibrium or no finite motion", where=problem.scene.name)
     target, present = problem.objective, np.zeros_like(problem.objective.present)
     for rows in target.frames:
         present[rows] = target.present[rows].any(axis=0)
-    return replace(target, measured=seen.values[0], present=present)
+    held = replace(target, measured=seen.values[0], present=present)
+    return held, Prediction(seen.values[1:], None, seen.usable[1:])
 
 
 def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Rows:

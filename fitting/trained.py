@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fitting.channel_checks import Limits, bounded, limits_of
 from fitting.estimate import Estimate
+from fitting.evaluation import Prediction
 from fitting.first_look import plain_look
 from fitting.fit import SIMULATIONS
 from fitting.inference.besides import with_nuisance
@@ -139,8 +140,9 @@ class TrainedPosterior:
 
     def _answer(self, problem: Problem, limits: Limits) -> tuple[Objective, Rows, Answer, list[str]]:
         """What recordings are held against, the recording, its posterior without nuisance, and doubts."""
-        held, source = from_nominal(problem, self.substeps), problem.objective.source
-        off = self._off(problem, held)
+        held, seen = from_nominal(problem, self.substeps, self.probes.theta)
+        source = problem.objective.source
+        off = self._off(held, seen)
         said = f"in this motion and set-up the posterior, trained for another, is off by {off.max():.2g} deviations"
         doubts = bounded("set_up", float(off.max()), said, source, limits)
         recording = bridged(problem, held, self.present)
@@ -149,17 +151,16 @@ class TrainedPosterior:
         said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was learned from"
         return held, recording, answer, doubts + bounded("trained_noise", answer.level, said, source, limits)
 
-    def _off(self, problem: Problem, held: Objective) -> Floats:
-        """How far posteriors (d,) of knees that were simulated in training lie apart, rms in their deviations, where
-        these knees run in the motion and set-up in which the nominal knee moves like this.
+    def _off(self, held: Objective, seen: Prediction) -> Floats:
+        """How far posteriors (d,) of knees simulated in training lie from those of the same knees as they are seen in
+        another motion and set-up, held against its nominal knee: rms in their deviations.
 
         Raises:
             InputError: most do not run.
         """
-        seen = problem.evaluator.values(self.probes.theta, self.substeps)
         if seen.usable.mean() < _FEWEST_PROBES:
             found = "most knees that the posterior was trained with do not run"
-            raise InputError(found, where=problem.objective.source, expected="the set-up that it was trained for")
+            raise InputError(found, where=held.source, expected="the set-up that it was trained for")
         moved = held.residuals(seen.values[seen.usable]).astype(np.float32)
         ends = []
         for each in (self.probes.recordings[seen.usable], moved):

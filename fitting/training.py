@@ -90,12 +90,12 @@ def train_posterior(
     problem.evaluator.prepare(TOGETHER)
     doubts = plain_look(problem, allowed)
     substeps = _substeps(problem.evaluator, problem.parameters.nominal)
-    held = from_nominal(problem, substeps)
-    first = bridged(problem, held, held.present)
     random, region = np.random.default_rng(seed), Region(problem.parameters)
-    straight = Knees.of(problem, 0.0, TOGETHER)  # which answers simulate
-    probes = Probes(*_simulated(straight, held, region.drawn(_PROBES, random), substeps, random, None))
+    probed = region.drawn(_PROBES, random)
+    held, seen = from_nominal(problem, substeps, probed)  # with straight springs, as answers simulate
+    probes = Probes(probed[seen.usable], held.residuals(seen.values[seen.usable]).astype(np.float32))
     check_enough(len(probes.theta), _PROBES, problem)
+    first = bridged(problem, held, held.present)
     knees = Knees.of(problem, besides.stiffening, TOGETHER)
     theta, recordings = _simulated(knees, held, region.drawn(simulations, random), substeps, random, progress)
     check_enough(len(theta), simulations, problem)

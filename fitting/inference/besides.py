@@ -48,6 +48,10 @@ def with_nuisance(
         asked: (N, d).
         substeps: of the simulations, between two frames.
         random: of nuisance.
+
+    Returns:
+        The draws; where too few of the knees run to fit a straight model, nuisance as it was the time before, at first
+        from its prior.
     """
     parameters, d = problem.parameters, asked.shape[1]
     if len(parameters) == d:

@@ -29,6 +29,7 @@ Floats = NDArray[np.float64]
 CHUNK = 32  # variants evaluated at once by default
 _WITH_SLOPES = 16  # the same, with derivatives
 _WIDEST = 512  # variants in one call
+_ACCELERATED = 2048  # variants in every call of an accelerator: lanes that have nothing to do cost nothing
 _PARTS, _FEWEST = 2, 20  # calls that a batch is split into, for two cores; the least variants of each
 COLUMNS = 256  # variants times parameters in one call with derivatives
 _ROUGH = 5e-4  # largest error of a search's motion with long steps, rms [m]
@@ -90,6 +91,7 @@ class Evaluator:
     def __post_init__(self) -> None:
         found = chosen_devices(self.devices)
         self._count, self._threads = len(found), feeding_threads(self.devices)
+        self._accelerated = found[0].platform != "cpu"
         mesh = programs.mesh_of(found)
         self._program = programs.FitProgram(self.parameters.places, self.computed or self.channels, mesh)
         self._plain_scene = self.scene.unnamed()
@@ -99,7 +101,9 @@ class Evaluator:
     def prepare(self, widest: int | None) -> None:
         """Sets the batch size from the largest request without derivatives; None: there will be no such request."""
         self._with_plain = widest is not None
-        if widest is not None:
+        if self._accelerated:
+            self.chunk = _ACCELERATED
+        elif widest is not None:
             threads = _PARTS if self._count == 1 and widest >= _PARTS * _FEWEST else 1
             self.chunk = -(-widest // max(-(-widest // (_WIDEST * self._count)), threads))
 

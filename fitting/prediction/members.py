@@ -134,7 +134,7 @@ def run(
         size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # few sizes, so that programs are shared
         if starts is None:
             starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
-        pieces, piece = good_sizes(size)
+        pieces, piece = good_sizes(size, chosen[0].platform)
         sharding = Sharding(chosen, piece, pieces * piece * len(chosen))
         shared, rows = sharding.shared(recipe), (np.asarray(amounts, float), np.asarray(thetas, float), starts)
 

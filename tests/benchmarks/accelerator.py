@@ -1,4 +1,4 @@
-"""What an accelerator brings: variants a second by the size of the batch, kernels of one step, where the time goes.
+"""What an accelerator brings: variants a second by the size of the batch, and where the time goes.
 
 The study of `tests.benchmarks.batches`, on the first device that JAX has, in processes of their own for double and
 single precision. Without an accelerator there is nothing to measure; the same functions then serve tests on a CPU.
@@ -7,7 +7,6 @@ single precision. Without an accelerator there is nothing to measure; the same f
 from __future__ import annotations
 
 import json
-import re
 import statistics
 import sys
 import time
@@ -16,25 +15,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion
 from pftwin.dynamics.batch.sharding import Sharding, piece_for
-from pftwin.dynamics.frame_states import frame_states, starting_state, substeps_for
-from pftwin.dynamics.state import Guide, System
+from pftwin.dynamics.frame_states import frame_states, substeps_for
 from pftwin.model.scene import Scene
 from tests.benchmarks.batches import SETTINGS, amounts, transferred
 from tests.benchmarks.row import Row
 
-SIZES, QUICK_SIZES = (1, 16, 128, 1_024, 10_000, 100_000, 1_000_000), (1, 16)
+SIZES, QUICK_SIZES = (1_024, 32_768, 1_000_000), (1, 16)
 REAL_TIME = 1e6  # seconds of motion computed in a second, all variants together
 PRECISIONS = ("float64", "float32")
 _REPEATS = 3  # below a hundred thousand variants; above it the first is the last
-# Instructions that run nothing by themselves: names, constants and views of what is there.
-_FREE = {"parameter", "constant", "tuple", "get-tuple-element", "bitcast", "after-all", "partition-id", "replica-id"}
-_OPERATION = re.compile(r"=\s+(?:\([^=]*?\)|\S+)\s+([a-z][a-z0-9-]*)\(")
 
 
 def has_one() -> bool:
@@ -43,7 +37,7 @@ def has_one() -> bool:
 
 
 def rows(scene: Scene, sizes: tuple[int, ...]) -> list[Row]:
-    """Throughput by size, kernels of one step and shares of the time, in this process' float type."""
+    """Throughput by size and shares of the time, in this process' float type."""
     import pftwin
 
     device = jax.devices()[:1]
@@ -105,41 +99,7 @@ def _parts(scene: Scene, most: int, said: str) -> list[Row]:
         seconds = statistics.median(_clocked(work)[0] for _ in range(_REPEATS))
         what = f"{chunk.members:,} side by side, {jnp.zeros(()).dtype}: {name}"
         out.append(Row("accelerator", what, 1e3 * seconds, "ms", note=said))
-    kernels = kernels_of_step(scene, chunk.members)
-    what = f"kernels of one step, {jnp.zeros(()).dtype}"
-    return [*out, Row("accelerator", what, kernels, "1", note=f"{chunk.members:,} side by side; {said}")]
-
-
-def kernels_of_step(scene: Scene, count: int) -> int:
-    """How many operations a compiled step of a batch launches: what is no constant, name or view in its program."""
-    task, chosen = _task(scene), SETTINGS["integrator"]
-    step = scene.motion.frame_interval / jnp.asarray(task.substeps, dtype=float)
-
-    @eqx.filter_jit
-    def begun(row: Any) -> Any:
-        one = task.change(scene, row)
-        first = Guide.sample(one.motion, jnp.asarray(one.motion.start_time, dtype=float))
-        return chosen.begin(System.of(one), starting_state(one, member_equilibrium(task, row)), first, step)
-
-    def advanced(row: Any, state: Any) -> Any:
-        one = task.change(scene, row)
-
-        def guide_at(part: Any) -> Guide:
-            return Guide.sample(one.motion, one.motion.start_time + step * jnp.asarray(part, dtype=float))
-
-        return chosen.advance(System.of(one), state, guide_at, step, None)[0]
-
-    some = jnp.asarray(amounts(count), dtype=float)
-    states = jax.vmap(begun)(some)
-    return launched(jax.jit(jax.vmap(advanced)).lower(some, states).compile().as_text() or "")
-
-
-def launched(program: str) -> int:
-    """Instructions of a compiled program's entry that run something."""
-    entry = program[program.index("ENTRY ") :]  # a device whose programs have no text would fail here, not count none
-    body = entry[: entry.index("\n}")].splitlines()[1:]
-    operations = [found[1] for line in body if (found := _OPERATION.search(line))]
-    return sum(name not in _FREE for name in operations)
+    return out
 
 
 def work(task: dict[str, Any], target: Path) -> None:

@@ -1,9 +1,10 @@
-"""Many variants side by side, in pieces that suit the processor's cache.
+"""Many variants side by side, in pieces that suit the processor.
 
 A step reads and writes hundreds of arrays as long as a piece, which lie one after the other in memory. A piece of about
 a hundred variants fits a core's second-level cache, and pieces run one after the other. If the length is a large power
 of two, the same element of all arrays maps to the same few cache lines (4 KiB aliasing), so such pieces are padded with
-a few unused members.
+a few unused members. An accelerator has lanes by the thousand and starts every operation of a step anew: on an H200 a
+step of 32,000 variants takes hardly longer than one of 2,000.
 """
 
 from __future__ import annotations
@@ -15,15 +16,22 @@ import jax
 import jax.numpy as jnp
 
 PIECE = 120  # most variants of a piece
+ACCELERATED = 32_768  # the same on an accelerator
 ALIASING = 64  # elements: multiples of it are avoided
 FILL = 8  # members added: one vector register of float64
 
 
-def good_sizes(n: int) -> tuple[int, int]:
-    """The number of pieces for a batch of n, and their size; together they hold at least n members."""
-    pieces = max(1, -(-n // PIECE))
+def good_sizes(n: int, platform: str | None = None) -> tuple[int, int]:
+    """The number of pieces for a batch of n, and their size; together they hold at least n members.
+
+    Args:
+        n: members.
+        platform: of the devices; by default JAX's.
+    """
+    on_cpu = (platform or jax.default_backend()) == "cpu"
+    pieces = max(1, -(-n // (PIECE if on_cpu else ACCELERATED)))
     size = -(-n // pieces)
-    return pieces, size + FILL if size % ALIASING == 0 and size > 0 else size
+    return pieces, size + FILL if on_cpu and size % ALIASING == 0 and size > 0 else size
 
 
 def batched(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -24,16 +24,15 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from pftwin.dynamics.batch.batched import PIECE
+from pftwin.dynamics.batch.batched import ACCELERATED, PIECE
 
 FEW = 16  # members of a piece in a small batch
-_ACCELERATED = 2048  # members of a piece on an accelerator, whose lanes are thousands
 
 
 def piece_for(n: int, platform: str) -> int:
     """How many members are computed side by side: a function of n with few values, so that programs are shared."""
     if platform != "cpu":
-        return min(_ACCELERATED, max(FEW, 1 << (n - 1).bit_length()))
+        return min(ACCELERATED, max(FEW, 1 << (n - 1).bit_length()))
     return FEW if n <= 2 * FEW else PIECE
 
 

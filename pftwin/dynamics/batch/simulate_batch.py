@@ -27,7 +27,7 @@ from pftwin.model.scene import Scene
 if TYPE_CHECKING:
     from xarray import Dataset
 
-_PIECES = 8  # of each device in a chunk, by default
+_PIECES = 8  # of each CPU device in a chunk, by default; a piece of an accelerator is large by itself
 _LEAST, _FEW, _MOST = 1920, 64, 256  # members of a part; parts of a batch; pieces of a part
 _MOST_FRAMES = 300_000  # of all members, up to which trajectories are kept without being asked for: 30 MB
 
@@ -101,7 +101,8 @@ def simulate_batch(
     courses = _with_courses(groups, trajectories)
     total = sum(len(g.places) for g in groups)
     piece = piece_for(total, found_devices[0].platform)
-    spread = Sharding(found_devices, piece, chunk or _PIECES * piece * len(found_devices))
+    pieces = _PIECES if found_devices[0].platform == "cpu" else 1
+    spread = Sharding(found_devices, piece, chunk or pieces * piece * len(found_devices))
     threads = feeding_threads(devices)
     substeps = [_substeps(group, chosen, dt, tolerance) for group in groups]
     tasks = [

@@ -197,10 +197,15 @@ def medial_of_groove(surface: Surface, p: ClosestPoint) -> Scalar:
     places = jnp.linspace(surface.clipped(-jnp.ones_like(v)), surface.clipped(jnp.ones_like(v)), SECTION)
     height, _ = surface.profile(u).height_and_slope(places)
     # Filled with water, the groove is where it would stand deepest: below the lower of the highest walls on both sides.
-    # Number by number: XLA aborts the process on running maxima of arrays in a loop over several devices of a CPU.
+    # Number by number: XLA aborts the process on running maxima of arrays in a loop over several devices of a CPU, and
+    # on a GPU it would compute all of them anew for each number of an array.
     heights = [height[i] for i in range(SECTION)]
-    walls = list(accumulate(heights, jnp.maximum)), list(accumulate(heights[::-1], jnp.maximum))[::-1]
-    depth = jnp.stack([jnp.minimum(*higher) for higher in zip(*walls, strict=True)]) - height
-    beyond = v - jnp.max(jnp.where(depth == depth.max(), places, -jnp.inf))
-    by_lean = (jnp.abs(beyond) < places[1] - places[0]) | (depth.max() < SHALLOW)
+    walls = accumulate(heights, jnp.maximum), list(accumulate(heights[::-1], jnp.maximum))[::-1]
+    deepest, bottom = jnp.full_like(v, -jnp.inf), v
+    for i, (medial, lateral) in enumerate(zip(*walls, strict=True)):
+        depth = jnp.minimum(medial, lateral) - heights[i]
+        bottom = jnp.where(depth >= deepest, places[i], bottom)
+        deepest = jnp.maximum(depth, deepest)
+    beyond = v - bottom
+    by_lean = (jnp.abs(beyond) < places[1] - places[0]) | (deepest < SHALLOW)
     return jnp.where(by_lean, lean >= 0, beyond < 0)

@@ -5,15 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.calibration.laboratory import Laboratory
+from fitting.calibration.operations import OUTCOMES, Operated, Operation
 from fitting.calibration.plants import PLANTS, Knee, Maker
-from fitting.calibration.result import Answers, Calibration
+from fitting.calibration.result import Answers, Calibration, Plans
 from fitting.calibration.runs import check_truth, run, truth_of
 from fitting.channel_checks import limits_of
+from fitting.inference.infer import DRAWS
 from fitting.set_up import listed
 from fitting.trained import TrainedPosterior
 from pftwin.base.errors import InputError, PftwinError
@@ -32,6 +35,7 @@ def calibrate(
     plants: int = PER_KIND,
     kinds: Mapping[str, Maker] | None = None,
     laboratory: Laboratory | None = None,
+    operation: Operation | None = None,
     seed: int = 0,
     limits: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -44,6 +48,8 @@ def calibrate(
         plants: of each kind.
         kinds: functions that make a plant, by name; by default those of `fitting.calibration.plants`.
         laboratory: how plants are recorded; by default as on the virtual rig.
+        operation: what is predicted of each plant from its answer, beside what the treated plant does. Answers then
+            carry nuisance, and are looked at as `TrainedPosterior.estimate` does.
         seed: of all random choices.
         limits: as `TrainedPosterior.estimate` has them.
         progress: told the kind of plant, how many of them were answered, and of how many.
@@ -66,13 +72,16 @@ def calibrate(
         expected = f"{listed(trained.set_up.frames)}, as the posterior was trained for"
         raise InputError(f"{frames} frames", where=scene.name, expected=expected)
     scenes, parameters = trained.set_up.parameters([scene])
-    knee, lab, found = Knee(scenes[0], parameters[0]), laboratory or Laboratory(), {}
+    knee, lab = Knee(scenes[0], parameters[0]), laboratory or Laboratory()
+    asked = knee.parameters.asked
+    found: dict[str, Answers] = {}
+    operated: dict[str, list[Operated]] = {}
     for index, (kind, make) in enumerate(made.items()):
         random = np.random.default_rng([seed, index, _OWN_STREAM])
         members = [make(knee, random) for _ in range(plants)]
         check_truth(members[0], knee.parameters)
         rows: list[tuple[Floats, Floats, bool]] = []
-        dropped, refused = 0, 0
+        dropped, refused, done = 0, 0, []
         for i, (plant, seen) in enumerate(zip(members, run(members), strict=True)):
             if progress is not None:
                 progress(kind, i, plants)
@@ -80,12 +89,25 @@ def calibrate(
                 dropped += 1
                 continue
             motion, measured = lab.recorded(plant.scene, seen, trained.set_up.springs, random)
+            recorded, estimate = replace(scene, motion=motion), None
             try:
-                draws, doubts = trained.draws(replace(scene, motion=motion), measured, limits=limits)
+                if operation is None:
+                    draws, doubts = trained.draws(recorded, measured, limits=limits)
+                else:
+                    estimate = trained.estimate(recorded, measured, limits=limits)
+                    draws, doubts = estimate.samples(DRAWS)[:, :asked], estimate.doubts
             except PftwinError:  # this recording; what the caller got wrong was told above
                 refused += 1
                 continue
             rows.append((truth_of(plant, seen, knee.parameters), draws, bool(doubts)))
-        found[kind] = Answers.of(rows, dropped, refused, knee.parameters.asked)
-    names = knee.parameters.names[: knee.parameters.asked]
-    return Calibration(names, found, trained.sentence(), seed, time.perf_counter() - began)
+            if operation is not None and estimate is not None and not doubts:
+                done.append(operation.on(plant.scene, recorded, estimate))
+        found[kind], operated[kind] = Answers.of(rows, dropped, refused, asked), done
+    told: dict[str, Any] = {}
+    if operation is not None:
+        told["operation"] = operation.describe()
+        told["predictions"] = {kind: Answers.of_predictions(done, OUTCOMES) for kind, done in operated.items()}
+    if operation is not None and operation.limits:
+        told["plans"] = {kind: Plans.of(done, operation.confidence) for kind, done in operated.items()}
+    names = knee.parameters.names[:asked]
+    return Calibration(names, found, trained.sentence(), seed, time.perf_counter() - began, **told)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from fitting.calibration.operations import OUTCOMES, Operated
+from fitting.prediction.outcomes import MEASURES
 from pftwin.base.text_files import write_text
+from pftwin.results.plots.quantities import as_read
 
 if TYPE_CHECKING:
     from fitting.calibration.plots import CalibrationPlots
@@ -22,32 +26,40 @@ Floats = NDArray[np.float64]
 
 FORMAT = "pftwin calibration 1"
 LEVELS = (0.5, 0.8, 0.9, 0.95)
-_CHECKED = 0.95  # the level on which the verdict is
+INTERVALS, BANDS = 0.95, 0.9  # levels on which verdicts are: of what is asked for, of what is predicted
 _SURE = 0.95  # of the intervals of all parameters' shares together that are held against it
 _NARROW, _WIDE, _NONE = "too narrow", "wider than need be", "no plant was answered"
-_BAD = (_NARROW, _NONE)
+_UNSAFE, _NO_PLAN = "not as safe as they say", "no plan was found"
+_BAD = (_NARROW, _NONE, _UNSAFE)
 
 
 class Answers(NamedTuple):
-    """Of one kind of plants, those that were answered without a doubt: N of them, d parameters."""
+    """Of one kind of plants, those that were answered without a doubt: N of them, d parameters or outcomes."""
 
     ranks: Floats  # (N, d) share of the draws below the truth
-    errors: Floats  # (N, d) of the means, as a share of the truth
-    half_widths: Floats  # (N, d) of 95 % intervals, likewise
+    errors: Floats  # (N, d) of the means, of parameters as a share of the truth
+    half_widths: Floats  # (N, d) of intervals of the level, likewise
     doubted: int  # answered with a doubt: INVALID
     refused: int
     dropped: int  # plants that could not be simulated
+    level: float = INTERVALS  # on which the verdict is
 
     @staticmethod
     def of(rows: list[tuple[Floats, Floats, bool]], dropped: int, refused: int, asked: int) -> Answers:
-        """From truth (d,), draws (M, d) and whether there is a doubt, of every answer."""
-        clean = [(truth, draws) for truth, draws, doubt in rows if not doubt]
-        empty = np.zeros((0, asked))
-        ranks = [np.mean(draws < truth, axis=0) for truth, draws in clean]
-        errors = [draws.mean(axis=0) / truth - 1 for truth, draws in clean]
-        half = [0.5 * np.ptp(np.quantile(d, (0.025, 0.975), axis=0), axis=0) / np.abs(t) for t, d in clean]
-        arrays = [np.array(each) if each else empty for each in (ranks, errors, half)]
-        return Answers(*arrays, doubted=len(rows) - len(clean), refused=refused, dropped=dropped)
+        """Of parameters: from truth (d,), draws (M, d) and whether there is a doubt, of every answer."""
+        clean = [(truth, draws, np.abs(truth)) for truth, draws, doubt in rows if not doubt]
+        return _answers(clean, asked, INTERVALS)._replace(
+            doubted=len(rows) - len(clean), refused=refused, dropped=dropped
+        )
+
+    @staticmethod
+    def of_predictions(rows: Sequence[Operated], names: Sequence[str]) -> Answers:
+        """Of outcomes after a treatment. Those of plants that have none are dropped."""
+        some = [(row.truth, row.draws, np.ones(len(names))) for row in rows if np.isfinite(row.truth).all()]
+        clean = [row for row in some if len(row[1])]
+        return _answers(clean, len(names), BANDS)._replace(
+            doubted=len(some) - len(clean), dropped=len(rows) - len(some)
+        )
 
     def held(self, level: float) -> NDArray[np.bool_]:
         """Which (N, d) central intervals of a level hold the truth."""
@@ -65,17 +77,17 @@ class Answers(NamedTuple):
 
     @property
     def factors(self) -> Floats:
-        """By how many times 95 % intervals (d,) would have to be wider to hold as often; 1 where none is too narrow."""
+        """By how many times its intervals (d,) would have to be wider to hold as often; 1 where none is too narrow."""
         if _NARROW not in self._words():
             return np.ones(self.ranks.shape[1])
         # So high a quantile that a further plant is held as often (split conformal prediction: Vovk et al. 2005).
         count = len(self.ranks)
-        rank = min(np.ceil((count + 1) * _CHECKED) / count, 1.0)
+        rank = min(np.ceil((count + 1) * self.level) / count, 1.0)
         times = np.quantile(np.abs(self.errors) / self.half_widths, rank, axis=0, method="higher")
         return np.maximum(times, 1.0)
 
     def verdict(self, names: tuple[str, ...]) -> str:
-        """Whether 95 % intervals hold as often as they say, as far as so many plants can tell."""
+        """Whether intervals of its level hold as often as they say, as far as so many plants can tell."""
         if not len(self.ranks):
             return _NONE
         words = self._words()
@@ -87,10 +99,66 @@ class Answers(NamedTuple):
     def _words(self) -> list[str]:
         """Of each parameter, whether its share may be as large as the level, with room for so many being looked at."""
         found, sure = [], 1 - (1 - _SURE) / max(self.ranks.shape[1], 1)
-        for held in self.held(_CHECKED).T:
+        for held in self.held(self.level).T:
             share = binomtest(int(held.sum()), len(held)).proportion_ci(sure)
-            found.append(_NARROW if share.high < _CHECKED else _WIDE if share.low > _CHECKED else "hold")
+            found.append(_NARROW if share.high < self.level else _WIDE if share.low > self.level else "hold")
         return found
+
+    def row(self, kind: str, names: tuple[str, ...], scales: Floats) -> tuple[str, ...]:
+        """Of a table: kind of plants, answered of all, share of intervals that hold, half widths, verdict."""
+        of = len(self.ranks) + self.doubted + self.refused + self.dropped
+        held, half = [""] * len(names), ""
+        if len(self.ranks):
+            held = [f"{100 * x:.0f} %" for x in self.coverage[self.level]]
+            half = " ".join(f"{x:.2g}" for x in scales * self.half_widths.mean(axis=0))
+        return kind, f"{len(self.ranks)} of {of}", *held, half, self.verdict(names)
+
+    def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        some = len(self.ranks) > 0
+        return {
+            "answered": len(self.ranks),
+            "doubted": self.doubted,
+            "refused": self.refused,
+            "dropped": self.dropped,
+            "coverage": {f"{level:g}": held.tolist() for level, held in self.coverage.items()} if some else {},
+            "rms_error": self.rms.tolist() if some else [],
+            "half_width": self.half_widths.mean(axis=0).tolist() if some else [],
+            "verdict": self.verdict(names),
+            "ranks": self.ranks.round(4).tolist(),
+        }
+
+
+def _answers(clean: Sequence[tuple[Floats, Floats, Floats]], asked: int, level: float) -> Answers:
+    """From truth (d,), draws (M, d) and the units (d,) of errors, of every answer."""
+    ends, empty = (0.5 * (1 - level), 0.5 * (1 + level)), np.zeros((0, asked))
+    ranks = [np.mean(draws < truth, axis=0) for truth, draws, _ in clean]
+    errors = [(draws.mean(axis=0) - truth) / unit for truth, draws, unit in clean]
+    half = [0.5 * np.ptp(np.quantile(draws, ends, axis=0), axis=0) / unit for _, draws, unit in clean]
+    arrays = [np.array(each) if each else empty for each in (ranks, errors, half)]
+    return Answers(*arrays, doubted=0, refused=0, dropped=0, level=level)
+
+
+class Plans(NamedTuple):
+    """Of one kind of plants: treatments that were found, and whether they do in the plant what they were to do."""
+
+    safe: int
+    found: int
+    asked: int  # plants for which one was looked for
+    confidence: float
+
+    @staticmethod
+    def of(rows: Sequence[Operated], confidence: float) -> Plans:
+        """Of what was asked."""
+        found = [row.safe for row in rows if row.met]
+        return Plans(sum(bool(s) for s in found), len(found), len(rows), confidence)
+
+    def verdict(self) -> str:
+        """Whether as many are safe as were to be, as far as so many plants can tell."""
+        if not self.found:
+            return _NO_PLAN
+        high = binomtest(self.safe, self.found).proportion_ci(_SURE).high
+        return _UNSAFE if high < self.confidence else "hold"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,19 +170,28 @@ class Calibration:
     trained: str  # the posterior, in a sentence
     seed: int
     seconds: float
+    operation: str = ""  # what was predicted, in words
+    predictions: dict[str, Answers] = field(default_factory=dict)  # of `OUTCOMES`, SI
+    plans: dict[str, Plans] = field(default_factory=dict)
 
     @property
     def holds(self) -> bool:
-        """Whether no kind of plant shows intervals to be too narrow, and all were answered by some."""
-        return not any(a.verdict(self.names).startswith(_BAD) for a in self.kinds.values())
+        """Whether intervals, bands and plans keep their promise on all kinds of plants, some of each being answered."""
+        return not self._bad()
+
+    def _bad(self) -> list[str]:
+        """What does not hold, in words."""
+        said = {f"95 % intervals on {kind}": a.verdict(self.names) for kind, a in self.kinds.items()}
+        said |= {f"90 % bands on {kind}": a.verdict(OUTCOMES) for kind, a in self.predictions.items()}
+        said |= {f"plans on {kind}": p.verdict() for kind, p in self.plans.items()}
+        return [f"{what}: {words}" for what, words in said.items() if words.startswith(_BAD)]
 
     def sentence(self) -> str:
         """The verdict in a line."""
+        what = "95 % intervals" + (" and 90 % bands" if self.predictions else "") + (" and plans" if self.plans else "")
         if self.holds:
-            return "95 % intervals hold on all kinds of plants tried"
-        said = {kind: a.verdict(self.names) for kind, a in self.kinds.items()}
-        told = "; ".join(f"on {kind} {words}" for kind, words in said.items() if words.startswith(_BAD))
-        return f"95 % intervals do NOT hold as often as they say: {told}"
+            return f"{what} hold on all kinds of plants tried"
+        return f"{what} do NOT hold as often as they say: {'; '.join(self._bad())}"
 
     def widened(self, trained: TrainedPosterior) -> TrainedPosterior:
         """The posterior with answers so wide that their intervals would have held on every kind of plants.
@@ -125,15 +202,19 @@ class Calibration:
         return replace(trained, widened=tuple((factors * (trained.widened or 1.0)).tolist()))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Of a table: kind of plants, answered of all, share of 95 % intervals that hold, half widths, verdict."""
-        found = []
-        for kind, a in self.kinds.items():
-            of = len(a.ranks) + a.doubted + a.refused + a.dropped
-            any_at_all = len(a.ranks) > 0
-            held = [f"{100 * x:.0f} %" for x in a.coverage[_CHECKED]] if any_at_all else [""] * len(self.names)
-            half = " ".join(f"{100 * x:.2g}" for x in a.half_widths.mean(axis=0)) if any_at_all else ""
-            found.append((kind, f"{len(a.ranks)} of {of}", *held, half, a.verdict(self.names)))
-        return found
+        """Of a table of intervals: see `Answers.row`; half widths in per cent."""
+        return [a.row(kind, self.names, 100.0 * np.ones(len(self.names))) for kind, a in self.kinds.items()]
+
+    def prediction_rows(self) -> list[tuple[str, ...]]:
+        """Of a table of bands: likewise; half widths as outcomes are read, in mm, degrees, newtons and per cent."""
+        scales = np.array([_scale(name) for name in OUTCOMES])
+        return [a.row(kind, OUTCOMES, scales) for kind, a in self.predictions.items()]
+
+    def plan_rows(self) -> list[tuple[str, ...]]:
+        """Of a table of plans: kind of plants, found of all, safe of those, verdict."""
+        return [
+            (kind, f"{p.found} of {p.asked}", f"{p.safe} of {p.found}", p.verdict()) for kind, p in self.plans.items()
+        ]
 
     @property
     def plot(self) -> CalibrationPlots:
@@ -144,26 +225,16 @@ class Calibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        kinds = {
-            kind: {
-                "answered": len(a.ranks),
-                "doubted": a.doubted,
-                "refused": a.refused,
-                "dropped": a.dropped,
-                "coverage": {f"{level:g}": held.tolist() for level, held in a.coverage.items()} if len(a.ranks) else {},
-                "rms_error": a.rms.tolist() if len(a.ranks) else [],
-                "half_width": a.half_widths.mean(axis=0).tolist() if len(a.ranks) else [],
-                "verdict": a.verdict(self.names),
-                "ranks": a.ranks.round(4).tolist(),
-            }
-            for kind, a in self.kinds.items()
-        }
         return {
             "format": FORMAT,
             "sentence": self.sentence(),
             "holds": self.holds,
             "names": list(self.names),
-            "kinds": kinds,
+            "kinds": {kind: a.to_dict(self.names) for kind, a in self.kinds.items()},
+            "operation": self.operation,
+            "outcomes": list(OUTCOMES),
+            "predictions": {kind: a.to_dict(OUTCOMES) for kind, a in self.predictions.items()},
+            "plans": {kind: {**p._asdict(), "verdict": p.verdict()} for kind, p in self.plans.items()},
             "trained": self.trained,
             "synthetic": True,
             "seed": self.seed,
@@ -179,3 +250,8 @@ class Calibration:
         target = Path(path)
         write_text(target, json.dumps(self.to_dict(), indent=2) + "\n")
         return target
+
+
+def _scale(outcome: str) -> float:
+    scale, unit = as_read(MEASURES[outcome].unit)
+    return 100.0 if unit == "1" else scale

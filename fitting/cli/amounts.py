@@ -14,6 +14,7 @@ from pftwin.base.errors import InputError
 from pftwin.cli.plugins import with_options
 
 if TYPE_CHECKING:
+    from fitting.treatments import Treatment
     from pftwin.model.scene import Scene
 
 
@@ -106,17 +107,36 @@ def treated(scene: Scene, given: Given) -> Scene:
     """The scene after a treatment, which its name then tells; InputError for several values of one amount."""
     if not given:
         return scene
+    words = [f"{a.flag.removeprefix('--')} {_sole_amount(text, a):g} {a.unit}" for a, text in given]
+    return dataclasses.replace(treatment_of(given)(scene), name=", ".join([scene.name, *words]))
+
+
+def treatment_of(given: Given) -> Treatment:
+    """The treatment with one value of every amount; InputError for several, or for none at all."""
     from fitting.treatments import KINDS, Treatment
 
-    words = []
+    whole = Treatment()
     for kind, amounts in by_kind(given).items():
-        shown = {a.name: _sole_amount(values(text, a.flag), a) for a, text in amounts}
-        scene = Treatment.of(kind, {n: KINDS[kind].amounts[n].from_shown(v) for n, v in shown.items()})(scene)
-        words += [f"{a.flag.removeprefix('--')} {shown[a.name]:g} {a.unit}" for a, _ in amounts]
-    return dataclasses.replace(scene, name=", ".join([scene.name, *words]))
+        own = {a.name: KINDS[kind].amounts[a.name].from_shown(_sole_amount(text, a)) for a, text in amounts}
+        whole = whole.then(Treatment.of(kind, own))
+    return whole
 
 
-def _sole_amount(found: list[float], amount: Amount) -> float:
+def treatment_within(given: Given) -> tuple[Treatment, dict[str, tuple[float, float]]]:
+    """A treatment that has these amounts, and their ranges by kind and name [SI]; InputError for single values."""
+    from fitting.treatments import KINDS, Treatment
+
+    whole, ranges = Treatment(), {}
+    for kind, amounts in by_kind(given).items():
+        whole = whole.then(Treatment.of(kind, dict.fromkeys((a.name for a, _ in amounts), 0.0)))
+        for a, text in amounts:
+            low, high = KINDS[kind].amounts[a.name].from_shown(limits(text, a.flag))
+            ranges[f"{kind}.{a.name}"] = (float(low), float(high))
+    return whole, ranges
+
+
+def _sole_amount(text: str, amount: Amount) -> float:
+    found = values(text, amount.flag)
     if len(found) > 1:
         raise InputError(
             f"{len(found)} values", where=amount.flag, expected="one", remedy="pftwin treat runs through many"

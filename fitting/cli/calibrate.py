@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
+from fitting.cli.amounts import Given, treatment_of, treatment_within, with_amounts
 from fitting.cli.fit import LimitOption, check_limits, names_in
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
@@ -14,7 +15,12 @@ from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.scenes import SceneOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
+if TYPE_CHECKING:
+    from fitting.calibration.operations import Operation
+    from fitting.calibration.result import Calibration
 
+
+@with_amounts("VALUE", ", whose outcomes are predicted; with --meet FROM:TO, in which to look")
 @on_scene
 def calibrate(
     *,
@@ -29,6 +35,17 @@ def calibrate(
     force_noise: Annotated[float, Option(metavar="NEWTONS", help="Of a load cell.")] = 0.15,
     cutoff: Annotated[float, Option(metavar="HERTZ", help="Of the markers' low-pass; 0: none.")] = 12.0,
     limit: LimitOption = None,
+    amounts: Given,
+    meet: Annotated[
+        list[str] | None,
+        Option(
+            metavar="LIMIT", help='Try the smallest treatment that meets it: "dislocation_margin>=3 mm"; repeatable.'
+        ),
+    ] = None,
+    samples: Annotated[int, Option(min=20, help="Draws from each answer, of predictions.")] = 100,
+    confidence: Annotated[
+        float, Option(metavar="SHARE", help="Share of draws in which the limits of --meet must hold.")
+    ] = 0.9,
     widen: Annotated[
         Path | None,
         Option(metavar="WIDER.npz", help="Also a posterior whose intervals would have held on all these plants."),
@@ -39,7 +56,10 @@ def calibrate(
 ) -> None:
     """Count how often a trained posterior's intervals hold the truth, on simulated knees that differ from the twin.
 
-    Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 -o calibration.json`
+    With the amount of a treatment also: how often 90 % bands hold what the treated knee does; with `--meet`, how
+    many treatments that were planned for it do what they were to do.
+
+    Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 --medialise 10 -o calibration.json`
     """
     check_suffix(output, [".json"], "calibrations are JSON")
     if widen is not None:
@@ -54,6 +74,7 @@ def calibrate(
     if not chosen or (strange := [kind for kind in chosen if kind not in PLANTS]):
         found = f"no plants {strange[0]!r}" if chosen else "none named"
         raise InputError(found, where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
+    operation = _operation(amounts, meet or [], samples, confidence)
     lab = Laboratory(marker_noise=marker_noise, force_noise=force_noise, cutoff=cutoff or None)
     allowed, scene = check_limits(limit), knee.load().scene
     posterior = TrainedPosterior.load(trained, scene)
@@ -64,6 +85,7 @@ def calibrate(
             plants=plants,
             kinds={kind: PLANTS[kind] for kind in chosen},
             laboratory=lab,
+            operation=operation,
             seed=seed,
             limits=allowed,
             progress=lambda kind, done, of: shown(done, of, f"{done}/{of}", f"plants {kind}"),
@@ -76,6 +98,34 @@ def calibrate(
             files += [str(p) for p in found.plot.save(output.with_suffix(""))]
     head = ("SYNTHETIC plants", "answered", *(f"{name} held" for name in found.names), "half widths [%]", "verdict")
     sheet = Sheet(f"{scene.name}: 95 % intervals", head, tuple(found.rows()), words=(0, len(head) - 1))
-    present({**found.to_dict(), "files": files}, sheet, found.sentence(), found.trained, written_line(files), json=json)
+    parts = [sheet, *_sheets_of(found), found.sentence(), found.trained, written_line(files)]
+    present({**found.to_dict(), "files": files}, *parts, json=json)
     if not found.holds:
         exit_flagged(found.sentence())
+
+
+def _operation(amounts: Given, meet: list[str], samples: int, confidence: float) -> Operation | None:
+    if not amounts and not meet:
+        return None
+    from fitting.calibration.operations import Operation
+    from fitting.treatments.limits import Limit
+
+    if not meet:
+        return Operation(treatment_of(amounts), samples=samples)
+    treatment, ranges = treatment_within(amounts)
+    return Operation(treatment, tuple(Limit.parsed(text) for text in meet), ranges, samples, confidence)
+
+
+def _sheets_of(found: Calibration) -> list[Sheet]:
+    """Of what was predicted."""
+    from fitting.calibration.operations import OUTCOMES
+
+    said, words, sheets = found.operation, [name.replace("_", " ") for name in OUTCOMES], []
+    if found.predictions:
+        head = ("SYNTHETIC plants", "predicted", *words, "half widths [deg, mm, N, %]", "verdict")
+        rows = tuple(found.prediction_rows())
+        sheets.append(Sheet(f"90 % bands after {said}", head, rows, words=(0, len(head) - 1)))
+    if found.plans:
+        head = ("SYNTHETIC plants", "found", "safe in the plant", "verdict")
+        sheets.append(Sheet(f"plans: {said}", head, tuple(found.plan_rows()), words=(0, 3)))
+    return sheets

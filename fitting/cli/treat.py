@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from fitting.cli.amounts import Given, by_kind, limits, with_amounts
+from fitting.cli.amounts import Given, by_kind, treatment_within, with_amounts
 from fitting.coverage import BANDS
 from fitting.prediction.ranges import values
 from pftwin.base.errors import InputError
@@ -120,7 +120,7 @@ def optimise(
     Example: `pftwin optimise --case 2 --estimate fit.json --limit "dislocation_margin>=3 mm" --medialise 0:20 -o
     plan.json`
     """
-    pairs = {k: {a.name: limits(text, a.flag) for a, text in given} for k, given in by_kind(amounts).items()}
+    treatment, ranges = treatment_within(amounts)
     terminal.check_outputs(output, json)
     terminal.start_computing(batches=True)
     from fitting.treatments.limits import Limit, in_units
@@ -130,7 +130,6 @@ def optimise(
     stated = [Limit.parsed(text) for text in limit]
     found = _loaded(estimate)
     chosen = knee.load()
-    treatment, ranges = _treatment(pairs)
     with terminal.spinner("searching"):
         plan = optimise_treatment(
             chosen.scene,
@@ -164,21 +163,6 @@ def optimise(
     if not plan.met:
         exit_flagged("no amount within the range meets the limits")
     _check_estimate(found)
-
-
-def _treatment(
-    pairs: dict[str, dict[str, tuple[float, float]]],
-) -> tuple[Treatment, dict[str, tuple[float, float]]]:
-    """A treatment that has these amounts, by kind and name, and their ranges in SI units."""
-    from fitting.treatments import KINDS, Treatment
-
-    whole, ranges = Treatment(), {}
-    for kind, amounts in pairs.items():
-        whole = whole.then(Treatment.of(kind, dict.fromkeys(amounts, 0.0)))
-        for name, pair in amounts.items():
-            low, high = KINDS[kind].amounts[name].from_shown(pair)
-            ranges[f"{kind}.{name}"] = (float(low), float(high))
-    return whole, ranges
 
 
 def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **options: Any) -> tuple[Dataset, bool]:

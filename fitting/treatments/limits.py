@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.coverage import PLANS
 from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import Treatment
 from pftwin.base.errors import InputError
 from pftwin.results.plots.quantities import as_read
+
+if TYPE_CHECKING:
+    from xarray import DataArray, Dataset
+
+Floats = NDArray[np.float64]
 
 NO_NUMBER = ("dislocation_time", "dislocation_flexion", "re_engagement_time", "re_engagement_flexion")  # where none is
 _UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # scale of the margin where the bound is 0
@@ -84,6 +90,18 @@ class Limit:
         """The scale of its margin, so that limits on different outcomes can be compared."""
         bound = self.at_most if self.at_most is not None else self.at_least
         return abs(float(bound or 0.0)) or _UNIT_SIZE.get(MEASURES[self.outcome].unit, 0.01)
+
+
+def smallest_margin(data: Dataset, limits: Sequence[Limit]) -> Floats:
+    """Smallest scaled margin over all limits, of every variant (and draw) of a prediction; minus infinity without a
+    value."""
+    rooms = np.stack([lim.room(in_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
+    return np.where(np.isfinite(rooms), rooms, -np.inf)
+
+
+def in_si(values: DataArray) -> Floats:
+    """A prediction's outcome in the unit of `MEASURES`."""
+    return np.radians(values.values) if values.attrs["units"] == "deg" else values.values
 
 
 def in_units(outcome: str, value: float) -> str:

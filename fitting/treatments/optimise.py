@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fitting.prediction.plots import invalid_variants
 from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
-from fitting.treatments.limits import Limit, TreatmentPlan
+from fitting.treatments.limits import Limit, TreatmentPlan, smallest_margin
 from fitting.treatments.refine import CHUNK, Search, refine
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
@@ -89,7 +89,7 @@ def optimise_treatment(
     amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
     options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
     coarse = predict(scene, search.treated(amounts), estimate, **options)
-    room = _smallest_margin(coarse, wanted)
+    room = smallest_margin(coarse, wanted)
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
 
@@ -110,7 +110,7 @@ def optimise_treatment(
         shares = np.ones(len(part))
         if samples:
             data = predict(scene, search.treated(amounts[part]), estimate, samples=samples, seed=seed, **options)
-            shares = (_smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
+            shares = (smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
             simulated += len(part) * (1 + samples)
         if shares.max() > most:
             surest, most = part[int(np.argmax(shares))], float(shares.max())
@@ -129,12 +129,6 @@ def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floa
     return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
 
 
-def _smallest_margin(data: Any, limits: tuple[Limit, ...]) -> Floats:
-    """Smallest scaled margin over all limits, of every variant (and draw); minus infinity without a value."""
-    rooms = np.stack([lim.room(_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
-    return np.where(np.isfinite(rooms), rooms, -np.inf)
-
-
 def _checked(limits: tuple[Limit, ...], ranges: dict[str, tuple[float, float]]) -> tuple[Floats, Floats]:
     if not limits or not all(isinstance(lim, Limit) for lim in limits):
         raise InputError(
@@ -151,11 +145,6 @@ def _checked(limits: tuple[Limit, ...], ranges: dict[str, tuple[float, float]]) 
             raise InputError(f"found {pair!r}", where=f"ranges: {name}", expected="(least, most), in SI units")
     low, high = np.array([[float(a), float(b)] for a, b in ranges.values()]).T
     return low, high
-
-
-def _si(values: Any) -> Floats:
-    """A prediction's outcome in the unit of `MEASURES`."""
-    return np.radians(values.values) if values.attrs["units"] == "deg" else values.values
 
 
 __all__ = ["Limit", "TreatmentPlan", "optimise_treatment"]

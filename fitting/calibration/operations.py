@@ -1,0 +1,90 @@
+"""What is predicted of a plant's treatment from an estimate, beside what the treated plant does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.prediction.predicting import Fitted, predict
+from fitting.treatments import Treatment
+from fitting.treatments.limits import Limit, in_si, smallest_margin
+from fitting.treatments.optimise import optimise_treatment
+from pftwin.base.errors import InputError
+from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
+
+OUTCOMES = (
+    "mean_tilt",
+    "mean_shift",
+    "largest_lateral_offset",
+    "mean_contact_force",
+    "peak_contact_force",
+    "lateral_share",
+)
+
+
+@dataclass(frozen=True)
+class Operation:
+    """A treatment whose outcomes are predicted; or, with limits, the smallest that is found to meet them.
+
+    Args:
+        treatment: with its amounts; with limits, their values where `ranges` does not name them.
+        limits: that a treatment is to meet.
+        ranges: of the amounts (SI) in which it is looked for, as `optimise_treatment` has them.
+        samples: draws from each estimate.
+        confidence: share of them in which all limits are to hold.
+
+    Raises:
+        InputError: limits without ranges, or ranges without limits; too few draws.
+    """
+
+    treatment: Treatment
+    limits: tuple[Limit, ...] = ()
+    ranges: Mapping[str, tuple[float, float]] | None = None
+    samples: int = 100
+    confidence: float = 0.9
+
+    def __post_init__(self) -> None:
+        if bool(self.limits) != bool(self.ranges):
+            expected = "limits with the ranges in which to look for a treatment, or neither"
+            raise InputError("found one of them", where="operation", expected=expected)
+        if not isinstance(self.samples, int) or self.samples < 20:
+            raise InputError(f"found {self.samples!r}", where="samples", expected="a whole number, at least 20")
+
+    def describe(self) -> str:
+        """In words."""
+        wanted = " and ".join(limit.describe() for limit in self.limits)
+        return f"the smallest treatment with {wanted}" if wanted else self.treatment.describe()
+
+    def on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> Operated:
+        """What is predicted for a knee as it was recorded, and what the plant does.
+
+        Args:
+            plant: the knee itself.
+            recorded: the nominal knee in the recorded motion.
+            estimate: from the recording.
+        """
+        treatment, met = self.treatment, None
+        if self.limits:
+            options: Any = {"samples": self.samples, "confidence": self.confidence}
+            plan = optimise_treatment(recorded, self.limits, self.ranges, treatment, estimate, **options)
+            treatment, met = plan.treatment, plan.met
+        told, done = predict(recorded, treatment, estimate, samples=self.samples), predict(plant, treatment)
+        draws = np.stack([in_si(told[name])[0, 1:] for name in OUTCOMES], axis=1)
+        truth = np.array([in_si(done[name])[0] for name in OUTCOMES])
+        safe = met and bool(smallest_margin(done, self.limits)[0] >= 0)
+        return Operated(truth, draws[np.isfinite(draws).all(axis=1)], met, safe)
+
+
+class Operated(NamedTuple):
+    """Of one plant."""
+
+    truth: Floats  # (outcomes,)
+    draws: Floats  # (M, outcomes), those that can be simulated
+    met: bool | None  # whether a treatment was found that is predicted to meet the limits; None without any
+    safe: bool | None  # whether it then does in the plant

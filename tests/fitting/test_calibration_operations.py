@@ -1,0 +1,144 @@
+"""What is predicted of treated plants: bands and plans of known quality, on a small knee and on drawn numbers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scene import small_scene
+
+from fitting.calibration.operations import OUTCOMES, Operated, Operation
+from fitting.calibration.result import Answers, Calibration, Plans
+from fitting.prediction.outcomes import outcomes
+from fitting.treatments import Treatment
+from fitting.treatments.limits import Limit
+from pftwin import BDF2, simulate
+from pftwin.base.errors import InputError
+
+TRANSFER = "tibial_tuberosity_transfer"
+MOVED = Treatment.of(TRANSFER, medialisation=0.004)
+
+
+def stiff(k1: float):
+    """The small knee with a quadriceps tendon of this stiffness [N/m]."""
+    knee = small_scene(5)
+    tendon = knee.effect("quadriceps")
+    return knee.with_effect(eqx.tree_at(lambda t: t.stiffness, tendon, jnp.asarray(k1)))
+
+
+@dataclass(eq=False)
+class Estimated:
+    """An estimate of one number, with draws about it."""
+
+    values: np.ndarray
+    names: tuple[str, ...] = ("K1",)
+    units: tuple[str, ...] = ("N/m",)
+
+    def apply(self, scene, theta=None):
+        (stiffness,) = self.values if theta is None else theta
+        return scene.with_effect(eqx.tree_at(lambda t: t.stiffness, scene.effect("quadriceps"), jnp.asarray(stiffness)))
+
+    def samples(self, count, seed=0):
+        return self.values + 3.0 * np.random.default_rng(seed).standard_normal((count, 1))
+
+
+def predictions(width: float, count: int = 300) -> list[Operated]:
+    """Normal predictions whose means are off by one deviation, and as wide as that times a factor."""
+    random, size = np.random.default_rng(3), np.array([0.01, 1e-4, 2e-4, 0.3, 2.0, 0.02])
+    found = []
+    for _ in range(count):
+        truth = random.standard_normal(6)
+        mean = truth + size * random.standard_normal(6)
+        found.append(Operated(truth, mean + width * size * random.standard_normal((300, 6)), None, None))
+    return found
+
+
+def calibration(**told) -> Calibration:
+    right = np.random.default_rng(0)
+    rows = [(m := np.array([150.0]), m + right.normal() + right.standard_normal((200, 1)), False) for _ in range(50)]
+    answers = Answers.of(rows, dropped=0, refused=0, asked=1)
+    return Calibration(("K1",), {"twin": answers}, "a posterior", 0, 1.0, "a transfer", **told)
+
+
+def test_right_bands_hold_in_nine_of_ten_plants():
+    found = Answers.of_predictions(predictions(1.0), OUTCOMES)
+    np.testing.assert_allclose(found.coverage[0.9], 0.9, atol=0.06)
+    half = 1.645 * np.array([0.01, 1e-4, 2e-4, 0.3, 2.0, 0.02])  # of a normal distribution's 90 %, in SI
+    np.testing.assert_allclose(found.half_widths.mean(axis=0), half, rtol=0.03)
+    assert found.verdict(OUTCOMES) == "hold"
+    whole = calibration(predictions={"twin": found})
+    assert whole.sentence() == "95 % intervals and 90 % bands hold on all kinds of plants tried"
+    half = whole.prediction_rows()[0][-2].split()
+    np.testing.assert_allclose(
+        [float(x) for x in half], [0.94, 0.165, 0.33, 0.49, 3.3, 3.3], rtol=0.04
+    )  # deg, mm, N, %
+
+
+def test_bands_too_narrow_are_told_although_intervals_hold():
+    whole = calibration(predictions={"twin": Answers.of_predictions(predictions(0.5), OUTCOMES)})
+    assert not whole.holds
+    assert "do NOT hold as often as they say: 90 % bands on twin: too narrow: mean_tilt" in whole.sentence()
+
+
+def test_plants_without_an_outcome_are_dropped():
+    rows = predictions(1.0, count=9)
+    rows[2] = rows[2]._replace(truth=np.full(6, np.nan))
+    rows[4] = rows[4]._replace(draws=np.zeros((0, 6)))
+    found = Answers.of_predictions(rows, OUTCOMES)
+    assert (len(found.ranks), found.dropped, found.doubted) == (7, 1, 1)
+
+
+@pytest.mark.parametrize(("safe", "verdict"), [(5, "not as safe as they say"), (11, "hold"), (14, "hold")])
+def test_plans_are_held_against_their_confidence(safe, verdict, tmp_path):
+    """Of 14 with 0.9 asked for: with five safe ones a true share of 0.9 can be ruled out, with eleven not."""
+    met = [Operated(np.zeros(6), np.zeros((1, 6)), True, i < safe) for i in range(14)]
+    unmet = [Operated(np.zeros(6), np.zeros((1, 6)), False, False)] * 2
+    plans = Plans.of([*met, *unmet], 0.9)
+    assert (plans.safe, plans.found, plans.asked) == (safe, 14, 16)
+    whole = calibration(plans={"twin": plans})
+    assert whole.plan_rows() == [("twin", "14 of 16", f"{safe} of 14", verdict)]
+    assert whole.holds is (verdict == "hold")
+    again = json.loads(whole.save(tmp_path / "c.json").read_text())
+    assert again["plans"]["twin"] == {"safe": safe, "found": 14, "asked": 16, "confidence": 0.9, "verdict": verdict}
+
+
+def test_without_any_plan_nothing_is_said():
+    assert Plans.of([Operated(np.zeros(6), np.zeros((1, 6)), False, False)], 0.9).verdict() == "no plan was found"
+
+
+def test_the_plant_itself_is_treated():
+    """Truth is the plant's, of 190 N/m; draws are those of an estimate of 160, in the knee as it was recorded."""
+    seen = Operation(MOVED, samples=20).on(stiff(190.0), stiff(150.0), Estimated(np.array([160.0])))
+    other = outcomes(simulate(MOVED(stiff(190.0)), dt=5e-4, integrator=BDF2()))
+    np.testing.assert_allclose(seen.truth, [other[name] for name in OUTCOMES], rtol=1e-6)
+    assert (seen.met, seen.safe, seen.draws.shape) == (None, None, (20, 6))
+    force = OUTCOMES.index("mean_contact_force")
+    assert seen.draws[:, force].mean() < seen.truth[force]
+    right = Operation(MOVED, samples=20).on(stiff(160.0), stiff(150.0), Estimated(np.array([160.0])))
+    assert 0.1 < np.mean(right.draws[:, force] < right.truth[force]) < 0.9
+
+
+def test_a_plan_is_tried_on_the_plant():
+    """The force may be as large as a stiffness of 170 makes it: kept by the plant that the estimate is of, not by a
+    stiffer one."""
+    force = outcomes(simulate(stiff(170.0), dt=5e-4, integrator=BDF2()))["peak_contact_force"]
+    limit = Limit("peak_contact_force", at_most=float(force))
+    plan = Operation(MOVED.with_values([0.0]), (limit,), {"medialisation": (0.0, 0.002)}, samples=20)
+    estimate = Estimated(np.array([160.0]))
+    assert plan.on(stiff(160.0), stiff(150.0), estimate)[2:] == (True, True)
+    assert plan.on(stiff(190.0), stiff(150.0), estimate)[2:] == (True, False)
+
+
+def test_what_makes_no_sense_is_refused():
+    limit = Limit("mean_tilt", at_most=0.1)
+    with pytest.raises(InputError, match="limits with the ranges"):
+        Operation(MOVED, (limit,))
+    with pytest.raises(InputError, match="limits with the ranges"):
+        Operation(MOVED, ranges={"medialisation": (0.0, 0.02)})
+    with pytest.raises(InputError, match="at least 20"):
+        Operation(MOVED, samples=5)
+    assert "medially" in replace(Operation(MOVED), samples=30).describe()

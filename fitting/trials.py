@@ -31,11 +31,14 @@ def trials_of(
     """Every trial's scene and measurements, of one or several; by default what scenes carry.
 
     Raises:
-        InputError: no scene; a scene that carries no measurements; not as many measurements as scenes.
+        InputError: no scene, or something that is none; a scene that carries no measurements; not as many measurements
+            as scenes.
     """
-    scenes = [scene] if isinstance(scene, Scene) else list(scene)
+    scenes = list(scene) if isinstance(scene, Sequence) else [scene]
     if not scenes:
         raise InputError("no trial", where="scene", expected="a scene, or several")
+    if stray := [s for s in scenes if not isinstance(s, Scene)]:
+        raise InputError(f"found {type(stray[0]).__name__}", where="scene", expected="a scene, or several")
     own: Sequence[Measured | None] = [None] * len(scenes)
     given = own if measured is None else [measured] if isinstance(measured, Measured) else measured
     if len(given) != len(scenes):

@@ -124,14 +124,15 @@ def run(
     With `care`, members whose estimated error is large are simulated again in a quarter of the step.
 
     A chunk holds up to `chunk` members on each device; a study of fewer is one smaller chunk, filled up to `fewest`: at
-    the size of `chunk` all sizes share one program.
+    the size of `chunk` all sizes share one program. So do members that are simulated again, few as they may be: to
+    compile takes longer than idle lanes do.
     """
     recipe = recipe._replace(scene=recipe.scene.unnamed())
     chosen = chosen_devices(devices)
+    size = min(chunk, max(fewest, 1 << (len(amounts) - 1).bit_length()))  # few sizes, so that programs are shared
 
     def simulated(amounts: Floats, thetas: Floats, starts: Pose | None, progress: Any, recipe: Recipe) -> Members:
         n = len(amounts)
-        size = min(chunk, max(fewest, 1 << (n - 1).bit_length()))  # few sizes, so that programs are shared
         if starts is None:
             starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
         pieces, piece = good_sizes(size, chosen[0].platform)

@@ -281,6 +281,11 @@ def test_trials_that_share_nothing_are_refused(scenes, data, more, said):
         fitted([nominal()[i] for i in scenes], given, **more)
 
 
+def test_measurements_in_the_place_of_a_scene_are_told():
+    with pytest.raises(InputError, match="scene: found Measured"):
+        fitted(measured()[0], None)
+
+
 def test_a_trial_with_other_tendons_is_refused():
     one, other = nominal()
     with pytest.raises(InputError, match=r"only one of trials 1 and 2 has .*damping"):

@@ -161,7 +161,7 @@ class Estimate:
         """
         nominal = dict(zip(self.names, self.nominal.tolist(), strict=True))
         origins = tuple((name, nominal[name]) for name in self.coordinates)
-        return Applied(tuple(self.names), self.values, origins, self.nuisance)
+        return Applied(self.names, self.values, origins, self.nuisance)
 
     def samples(self, count: int, seed: int = 0) -> Floats:
         """Parameters (count, p) as uncertain as the estimate: of its draws, or normal and kept within the bounds."""

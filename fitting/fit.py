@@ -14,7 +14,7 @@ from fitting.correlated import reweighed
 from fitting.estimate import Estimate
 from fitting.first_look import first_look, plain_look
 from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
-from fitting.inference.knees import Knees
+from fitting.inference.own_lengths import at_own_lengths
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
 from fitting.nuisance import EXACT, Nuisance
 from fitting.objective import SPRINGS, Objective
@@ -141,6 +141,8 @@ def fit_tendons(
         where = "priors" if priors else "nuisance"
         raise InputError("the paper's objective has no noise to weigh priors against", where=where)
     besides = Nuisance.of(nuisance)
+    if method == SIMULATIONS:
+        besides = besides.at_work([one for one, _ in trials])
     given = [data for _, data in trials]
     scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
     target = objective_of(list(zip(scenes, given, strict=True)), objective, use, noise, loss, springs)
@@ -153,8 +155,12 @@ def fit_tendons(
         problem.evaluator.prepare(TOGETHER)
         compiled = compiled_aside(knee.unnamed())
         doubts = plain_look(problem, allowed)
-        knees = Knees.of(problem, besides.stiffening, TOGETHER)
-        found = infer(problem, knees, seed, count, rounds, _told(progress, began))
+        found = infer(problem, seed, count, rounds, _told(progress, began))
+        besides, draws = at_own_lengths(problem, besides, found.answer.draws)
+        scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+        problem = Problem.of(scenes, parameters, target, problem.evaluator.computed, devices)
+        problem.evaluator.prepare(TOGETHER)
+        found = found._replace(answer=found.answer._replace(draws=draws))
         outcome = Outcome.of_simulations(problem, found, seed, allowed)
     else:
         search = _method(method, problem, seed, options)

@@ -8,13 +8,14 @@ Only what moves the button matters: bones and button are as the scene has them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from fitting.stiffening import Working, linear_tendons, stiffened, stiffening_tendons, working_of
 from pftwin.base.errors import InputError
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
@@ -22,6 +23,7 @@ from pftwin.model.scene_parameters import find, named_arrays
 
 FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Research International 2015:185142, Table 5
 SLIP_SPEED = 1e-3  # [m/s]
+DEVIATIONS = ("attachments", "friction", "damping", "stiffening")  # what a text can set
 _REACH = 4.0  # standard deviations from the prior's mean to the bounds
 _DAMPING = ("N s/m", "N m s/rad")  # units of coefficients of damping
 
@@ -43,17 +45,23 @@ class Nuisance:
         friction: of the coefficient between button and femur; its mean is the scene's, or 0.05 where that has none.
         damping: of all damping of the patella and the tendons, as a share of the scene's.
         stiffening: no deviation: by what share linear tendons are stiffer, at most, when stretched by a quarter of
-            their length. Posteriors by simulations count with it, evenly from 0 on, and what they tell of a tendon is
-            the straight line nearest to its spring; a search has no number for it.
+            their length. Posteriors by simulations find it, for each tendon; what they tell of its stiffness and slack
+            length is the straight line nearest to its spring. A search has no number for it.
+        working: at what lengths tendons work, by name, over which lines are nearest: `at_work` finds them for the
+            nominal knee. Others stay linear.
     """
 
     attachments: float = 0.0
     friction: float = 0.0
     damping: float = 0.0
     stiffening: float = 0.0
+    working: tuple[tuple[str, Working], ...] = ()
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
+        known = tuple((name, Working(*(float(x) for x in numbers))) for name, numbers in self.working)
+        object.__setattr__(self, "working", known)  # lists, where it comes from a file
+        for name in DEVIATIONS:
+            value = getattr(self, name)
             if not (isinstance(value, int | float) and np.isfinite(value) and value >= 0):
                 raise InputError(f"{name}: found {value!r}", where="nuisance", expected="a standard deviation, or 0")
 
@@ -68,26 +76,38 @@ class Nuisance:
             return given or EXACT
         if given in PRESETS:
             return PRESETS[given]
-        known = [f.name for f in fields(Nuisance)]
-        expected = f"one of: {', '.join(PRESETS)}; or some of {', '.join(known)}, as in attachments=0.001"
-        found: dict[str, float] = {}
+        expected = f"one of: {', '.join(PRESETS)}; or some of {', '.join(DEVIATIONS)}, as in attachments=0.001"
+        found: dict[str, Any] = {}
         for part in given.split(","):
             name, _, value = (text.strip() for text in part.partition("="))
             try:
                 number = float(value)
             except ValueError:
                 raise InputError(f"found {part.strip()!r}", where="nuisance", expected=expected) from None
-            if name not in known or name in found:
+            if name not in DEVIATIONS or name in found:
                 raise InputError(f"found {name!r}", where="nuisance", expected=f"{expected}; each once")
             found[name] = number
         return Nuisance(**found)
 
-    def prepared(self, scene: Scene) -> Scene:
-        """The scene with whatever is to be fitted in it: with friction, if that is and the contact has none.
+    def at_work(self, scenes: Sequence[Scene]) -> Nuisance:
+        """The same, with what is needed to let tendons stiffen: the nominal knee is simulated in its trials."""
+        if not self.stiffening or self.working:
+            return self
+        return replace(self, working=tuple(working_of(scenes, linear_tendons(scenes[0])).items()))
+
+    def prepared(self, scene: Scene, working: Mapping[str, Working] | None = None) -> Scene:
+        """The scene with whatever is to be fitted in it: with friction, if that is and the contact has none, and with
+        tendons that stiffen, of which it is known at what lengths they work. Pure.
+
+        Args:
+            scene: to be prepared.
+            working: these lengths, as arrays maybe; by default its own.
 
         Raises:
             InputError: no contact, or one that cannot have friction.
         """
+        working = dict(self.working) if working is None else working
+        scene = stiffened(scene, working, dict.fromkeys(working, 0.5 * self.stiffening))
         if not self.friction or _friction_name(scene) in named_arrays(scene):
             return scene
         contact = scene.contact
@@ -120,6 +140,10 @@ class Nuisance:
         for name, (mean, sd) in priors.items():
             least = declared[name.partition("[")[0]].lower
             bounds[name] = (max(mean - _REACH * sd, least), mean + _REACH * sd)
+        for tendon in stiffening_tendons(scene) if self.stiffening else ():
+            name = f"{tendon}.stiffening"
+            bounds[name] = (0.0, self.stiffening)
+            priors[name] = (0.5 * self.stiffening, self.stiffening / np.sqrt(12))  # mean and deviation of even chances
         return NuisanceNumbers(tuple(priors), bounds, priors)
 
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import truncnorm
 
 from fitting.nuisance import EXACT, Nuisance
+from fitting.stiffening import Working
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar
 from pftwin.model.scene import Scene
@@ -248,19 +252,38 @@ def _limits(name: str, nominal: float, given: Any) -> tuple[float, float]:
     return lower, upper
 
 
-@dataclass(frozen=True)
-class Applied:
-    """`Estimate.apply`. Two of them are equal if they set the same parameters: a program takes the values (theta) as
-    arrays and holds this by its equality, while methods of two estimates are never equal.
+class Applied(eqx.Module):
+    """`Estimate.apply`. Its numbers are arrays, so that programs serve all estimates of the same parameters.
 
     A coordinate of a point moves the scene's own by what the fit has moved that of the fitted scene: a tuberosity that
     was found 2 mm more distal is 2 mm more distal in a treated knee too, and does not undo the treatment.
     """
 
-    names: tuple[str, ...]
-    values: Any = field(compare=False)  # (p,)
-    origins: tuple[tuple[str, float], ...] = ()  # the coordinates' names, and their values in the fitted scene
-    nuisance: Nuisance = field(default=EXACT, compare=False)  # what other scenes have to be given first; the names tell
+    names: tuple[str, ...] = eqx.field(static=True)
+    values: Array  # (p,)
+    working: dict[str, Working]  # lengths at which tendons worked that stiffen
+    origins: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    nuisance: Nuisance = eqx.field(static=True)
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        values: ArrayLike,
+        origins: tuple[tuple[str, float], ...] = (),
+        nuisance: Nuisance = EXACT,
+    ) -> None:
+        """As `Estimate` has them.
+
+        Args:
+            names: of the parameters.
+            values: of them (p,).
+            origins: names of coordinates, and their values in the fitted scene.
+            nuisance: what other scenes have to be given first.
+        """
+        self.names, self.origins = tuple(names), origins
+        self.values = jnp.asarray(values, dtype=float)
+        self.working = {n: Working(*(jnp.asarray(x, dtype=float) for x in numbers)) for n, numbers in nuisance.working}
+        self.nuisance = replace(nuisance, working=())
 
     def __call__(self, scene: Scene, theta: Any = None) -> Scene:
         """The scene with the values, or with others (p,) of the fitted scene. Pure in both.
@@ -268,14 +291,9 @@ class Applied:
         Raises:
             InputError: it has no such parameters.
         """
-        import jax.numpy as jnp
-
-        from fitting.parameters import applied
-        from pftwin.model.scene_parameters import find
-
-        scene = self.nuisance.prepared(scene)
+        scene = self.nuisance.prepared(scene, self.working)
         places = tuple(find(scene, name)[0] for name in self.names)
-        theta = jnp.asarray(self.values, dtype=float) if theta is None else theta
+        theta = self.values if theta is None else theta
         own, values = dict(self.origins), []
         for i, (name, place) in enumerate(zip(self.names, places, strict=True)):
             values.append(place.read(scene) + (theta[i] - own[name]) if name in own else theta[i])

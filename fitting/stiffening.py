@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,13 +12,17 @@ from numpy.typing import NDArray
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.dynamics.simulate import simulate
 from pftwin.model.effects.line_elements import TOE
 from pftwin.model.effects.tendon import DampedLine, SpringForce
 from pftwin.model.scene import Scene
+from pftwin.model.scene_parameters import named_arrays
 
 Floats = NDArray[np.float64]
 
 _TAUT = 2.0  # least distance of the slack length from the lengths that occur, in their deviations
+_SHARE = ".stiffening"  # the end of its name among the scene's numbers
+_SOLVING = 12  # steps of a search for a slack length, of which each is ten times as near
 
 
 class StiffeningSpring(NamedTuple):
@@ -32,45 +37,12 @@ class StiffeningSpring(NamedTuple):
         return SpringForce(k * s * (1 + m * s), k * (1 + 2 * m * s), k * s * s * (0.5 + m * s / 3))
 
 
-class StiffeningTendon(DampedLine):
-    """A tendon that is stiffer the more it is stretched."""
-
-    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True))  # K, where it begins to pull
-    slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True))  # L0
-    damping: Scalar = eqx.field(metadata=quantity("N s/m", at_least=0))  # c
-    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
-    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
-    stiffening: Scalar = eqx.field(metadata=quantity("", at_least=0))  # e, when stretched by a quarter of its length
-    body: str = eqx.field(static=True)
-
-    @property
-    def law(self) -> StiffeningSpring:
-        """Its spring's."""
-        return StiffeningSpring(self.stiffness, 4 * self.stiffening / self.slack_length)
-
-
-def linear_tendons(scene: Scene) -> tuple[str, ...]:
-    """Names of the single tendons whose springs are linear: those that offer a toe region."""
-    lines = [e for e in scene.effects if any(change.label == TOE for change in e.elaborations())]
-    return tuple(e.name for e in lines if (line := e.line_element()) is not None and line.count is None)
-
-
-def stiffened(scene: Scene, shares: dict[str, Any]) -> Scene:
-    """The scene with tendons that stiffen in the place of its linear ones of these names (`linear_tendons`), each by
-    its share when stretched by a quarter of its length."""
-    for name, share in shares.items():
-        e: Any = scene.effect(name)
-        numbers = e.stiffness, e.slack_length, e.damping, e.insertion, e.origin, jnp.asarray(share, float)
-        scene = scene.with_effect(StiffeningTendon(*numbers, e.body, name=name))
-    return scene
-
-
 class Working(NamedTuple):
     """The lengths at which a tendon works."""
 
-    mean: float  # [m]
-    variance: float  # [m^2]
-    skew: float  # the third central moment over the variance [m]
+    mean: Any  # [m]
+    variance: Any  # [m^2]
+    skew: Any  # the third central moment over the variance [m]
 
     @staticmethod
     def of(lengths: Floats) -> Working:
@@ -79,9 +51,9 @@ class Working(NamedTuple):
         variance = float(np.mean(off**2))
         return Working(float(lengths.mean()), variance, float(np.mean(off**3)) / max(variance, 1e-300))
 
-    def bent(self, stiffness: Floats, slack_length: Floats, share: Floats) -> tuple[Floats, Floats, Floats]:
-        """Springs that stiffen by shares (N,), to whose forces at these lengths the lines with these stiffnesses and
-        slack lengths are nearest, by least squares: their own stiffnesses, slack lengths and shares.
+    def bent(self, stiffness: Scalar, slack_length: Scalar, share: Scalar) -> tuple[StiffeningSpring, Scalar]:
+        """The spring that stiffens by a share, to whose forces at these lengths the line with this stiffness and slack
+        length is nearest, by least squares; and its own slack length.
 
         With m = 4 e / L, D from L to the mean length, v the lengths' variance, c their skew, a slack length lies at
 
@@ -91,8 +63,91 @@ class Working(NamedTuple):
         the lengths stays straight.
         """
         reach = self.mean - slack_length
-        m = np.where(reach > _TAUT * np.sqrt(self.variance), 4 * share / slack_length, 0.0)
+        m = jnp.where(reach > _TAUT * jnp.sqrt(self.variance), 4 * share / slack_length, 0.0)
         b, a = 1 - 2 * m * reach, reach * (1 + m * self.skew) - m * self.variance
-        d = 2 * a / (b + np.sqrt(np.maximum(b * b + 4 * m * a, 0.0)))
-        own = self.mean - d
-        return stiffness / (1 + m * (2 * d + self.skew)), own, m * own / 4
+        square = b * b + 4 * m * a
+        d = 2 * a / (b + jnp.sqrt(jnp.where(square > 0, square, 1.0)))
+        return StiffeningSpring(stiffness / (1 + m * (2 * d + self.skew)), m), self.mean - d
+
+    def told_at(self, other: Working, stiffness: Scalar, slack_length: Scalar, share: Scalar) -> tuple[Scalar, ...]:
+        """The same spring, told at other lengths: stiffness and slack length of the line nearest to it there, and its
+        share for which `other.bent` gives the spring again."""
+        law, own = self.bent(stiffness, slack_length, share)
+        k, m, d = law.stiffness, law.more, other.mean - own
+        line = k * (1 + m * (2 * d + other.skew))
+        slack = other.mean - k * (d + m * (d * d + other.variance)) / line
+        return line, slack, m * slack / 4
+
+
+class StiffeningTendon(DampedLine):
+    """A tendon that is stiffer the more it is stretched, told by the straight line nearest to its spring.
+
+    The line is nearest over the lengths at which the tendon works, and is what a twin with straight springs would have.
+    """
+
+    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # of the line
+    slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True, alias="L"))  # of the line
+    damping: Scalar = eqx.field(metadata=quantity("N s/m", at_least=0))  # c
+    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
+    stiffening: Scalar = eqx.field(metadata=quantity("", at_least=0))  # e, when stretched by a quarter of its length
+    mean_length: Scalar = eqx.field(metadata=quantity("m"))  # at work: see `Working`
+    length_variance: Scalar = eqx.field(metadata=quantity("m^2"))
+    length_skew: Scalar = eqx.field(metadata=quantity("m"))
+    body: str = eqx.field(static=True)
+
+    def _bent(self) -> tuple[StiffeningSpring, Scalar]:
+        working = Working(self.mean_length, self.length_variance, self.length_skew)
+        return working.bent(self.stiffness, self.slack_length, self.stiffening)
+
+    @property
+    def law(self) -> StiffeningSpring:
+        """Its spring's."""
+        return self._bent()[0]
+
+    @property
+    def rest_length(self) -> Scalar:
+        """Where it begins to pull [m]."""
+        return self._bent()[1]
+
+    def lengthened(self, by: Scalar | float) -> Self:
+        """See `ElasticLine`: it works at as much longer lengths."""
+        longer = self.slack_length + by, self.mean_length + by
+        return eqx.tree_at(lambda t: (t.slack_length, t.mean_length), self, longer)
+
+    def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
+        """See `ElasticLine`: of the line, by which the spring itself pulls so much."""
+        found = length - tension / self.stiffness
+        for _ in range(_SOLVING):
+            there = eqx.tree_at(lambda t: t.slack_length, self, found)
+            found = found + (there.held_tension(length) - tension) / self.stiffness
+        return found
+
+
+def linear_tendons(scene: Scene) -> tuple[str, ...]:
+    """Names of the single tendons whose springs are linear: those that offer a toe region."""
+    lines = [e for e in scene.effects if any(change.label == TOE for change in e.elaborations())]
+    return tuple(e.name for e in lines if (line := e.line_element()) is not None and line.count is None)
+
+
+def stiffening_tendons(scene: Scene) -> tuple[str, ...]:
+    """Names of those that stiffen."""
+    return tuple(name.removesuffix(_SHARE) for name in named_arrays(scene) if name.endswith(_SHARE))
+
+
+def stiffened(scene: Scene, working: Mapping[str, Working], shares: Mapping[str, Any]) -> Scene:
+    """The scene with tendons that stiffen in the place of its linear ones, each by its share when stretched by a
+    quarter of its length, for all of which it is known at what lengths they work. Pure in the numbers."""
+    for name in linear_tendons(scene):
+        if name in working:
+            e: Any = scene.effect(name)
+            own = e.stiffness, e.slack_length, e.damping, e.insertion, e.origin
+            share, mean, variance, skew = (jnp.asarray(x, float) for x in (shares[name], *working[name]))
+            scene = scene.with_effect(StiffeningTendon(*own, share, mean, variance, skew, e.body, name=name))
+    return scene
+
+
+def working_of(scenes: Sequence[Scene], names: Sequence[str]) -> dict[str, Working]:
+    """At what lengths these tendons of a knee work in the motions of these scenes, which are simulated."""
+    runs = [simulate(scene).lengths for scene in scenes]
+    return {name: Working.of(np.concatenate([r[name] for r in runs])) for name in names}

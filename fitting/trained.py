@@ -22,6 +22,7 @@ from fitting.fit import SIMULATIONS
 from fitting.inference.besides import with_nuisance
 from fitting.inference.infer import DRAWS, Inferred
 from fitting.inference.learning import Answer, Learned
+from fitting.inference.own_lengths import at_own_lengths
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
@@ -90,19 +91,18 @@ class TrainedPosterior:
             PftwinError: the posterior lies beyond the bounds.
         """
         began, allowed = time.perf_counter(), limits_of(limits)
-        problem, given = self._problem(scene, measured)
+        problem, given = self._problem(scene, measured, self.set_up)
         compiled = compiled_aside(problem.scene.unnamed())
         doubts = plain_look(problem, allowed)
-        held, recording, answer, more = self._answer(problem, allowed)
-        random = np.random.default_rng([self.seed, 1])
-        draws = with_nuisance(problem, held, self.learned, recording, answer.draws, self.substeps, random)
+        answer, draws, besides, more = self._answer(problem, allowed)
+        problem, given = self._problem(scene, measured, self.set_up._replace(nuisance=besides))
         reason = f"a posterior trained by {self.simulations - self.dropped} simulations answered"
         found = Inferred(
             answer._replace(draws=draws), self.learned.noise, self.simulations, self.dropped, self.substeps, [], reason
         )
         outcome = Outcome.of_simulations(problem, found, self.seed, allowed)
         doubts = [*(f"{doubt} (in training)" for doubt in self.doubts), *doubts, *more]
-        of = (SIMULATIONS, given, self.set_up.springs, self.set_up.nuisance, doubts, allowed, began)
+        of = (SIMULATIONS, given, self.set_up.springs, besides, doubts, allowed, began)
         estimate = estimate_of(problem, outcome, *of)
         compiled()
         judge(estimate)
@@ -115,31 +115,32 @@ class TrainedPosterior:
         *,
         limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> tuple[Floats, list[str]]:
-        """Draws (N, d) of what is asked for, and what forbids to believe them: `estimate`, without nuisance and without
-        a look at other readings of the measurements and at the fitted motion.
+        """Draws (N, d) of what is asked for, and what forbids to believe them: `estimate`, without a look at other
+        readings of the measurements and at the fitted motion.
 
         Raises:
             PftwinError: as `estimate`.
         """
-        allowed, problem = limits_of(limits), self._problem(scene, measured)[0]
-        answer, doubts = self._answer(problem, allowed)[2:]
-        return answer.draws, doubts + answer.doubts(problem.objective.source, allowed)
+        allowed, problem = limits_of(limits), self._problem(scene, measured, self.set_up)[0]
+        answer, draws, _, doubts = self._answer(problem, allowed)
+        return draws[:, : problem.parameters.asked], doubts + answer.doubts(problem.objective.source, allowed)
 
+    @staticmethod
     def _problem(
-        self, scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None
+        scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None, set_up: SetUp
     ) -> tuple[Problem, list[Measured]]:
         """What is to be answered, and the measurements of every trial."""
         trials = trials_of(scene, measured)
         for one, _ in trials:
             check(one)
-        scenes, parameters = self.set_up.parameters([one for one, _ in trials])
+        scenes, parameters = set_up.parameters([one for one, _ in trials])
         given = [data for _, data in trials]
-        problem = Problem.of(scenes, parameters, self.set_up.objective(list(zip(scenes, given, strict=True))))
+        problem = Problem.of(scenes, parameters, set_up.objective(list(zip(scenes, given, strict=True))))
         problem.evaluator.prepare(_TOGETHER)
         return problem, given
 
-    def _answer(self, problem: Problem, limits: Limits) -> tuple[Objective, Rows, Answer, list[str]]:
-        """What recordings are held against, the recording, its posterior without nuisance, and doubts."""
+    def _answer(self, problem: Problem, limits: Limits) -> tuple[Answer, Floats, Nuisance, list[str]]:
+        """The posterior without nuisance, draws (N, p) with it, the nuisance by which they are told, and doubts."""
         held, seen = from_nominal(problem, self.substeps, self.probes.theta)
         source = problem.objective.source
         off = self._off(held, seen)
@@ -149,7 +150,11 @@ class TrainedPosterior:
         wider = np.hypot(1.0, off) * (self.widened or 1.0)
         answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), wider)
         said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was learned from"
-        return held, recording, answer, doubts + bounded("trained_noise", answer.level, said, source, limits)
+        doubts += bounded("trained_noise", answer.level, said, source, limits)
+        random = np.random.default_rng([self.seed, 1])
+        draws = with_nuisance(problem, held, self.learned, recording, answer.draws, self.substeps, random)
+        besides, draws = at_own_lengths(problem, self.set_up.nuisance, draws)
+        return answer, draws, besides, doubts
 
     def _off(self, held: Objective, seen: Prediction) -> Floats:
         """How far posteriors (d,) of knees simulated in training lie from those of the same knees as they are seen in

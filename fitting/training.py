@@ -20,7 +20,6 @@ from fitting.evaluation import HALVINGS, Evaluator
 from fitting.first_look import plain_look
 from fitting.fit import SPRING_PARAMETERS
 from fitting.inference.infer import MOST_NUMBERS, TOGETHER, check_enough, check_size
-from fitting.inference.knees import Knees
 from fitting.inference.learning import learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
@@ -79,6 +78,7 @@ def train_posterior(
     trials = trials_of(scene, measured)
     for one, _ in trials:
         check(one)
+    besides = besides.at_work([one for one, _ in trials])
     scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
     target = objective_of(
         list(zip(scenes, [data for _, data in trials], strict=True)), "likelihood", use, noise, "linear", springs
@@ -92,12 +92,11 @@ def train_posterior(
     substeps = _substeps(problem.evaluator, problem.parameters.nominal)
     random, region = np.random.default_rng(seed), Region(problem.parameters)
     probed = region.drawn(_PROBES, random)
-    held, seen = from_nominal(problem, substeps, probed)  # with straight springs, as answers simulate
+    held, seen = from_nominal(problem, substeps, probed)
     probes = Probes(probed[seen.usable], held.residuals(seen.values[seen.usable]).astype(np.float32))
     check_enough(len(probes.theta), _PROBES, problem)
     first = bridged(problem, held, held.present)
-    knees = Knees.of(problem, besides.stiffening, TOGETHER)
-    theta, recordings = _simulated(knees, held, region.drawn(simulations, random), substeps, random, progress)
+    theta, recordings = _simulated(problem, held, region.drawn(simulations, random), substeps, progress)
     check_enough(len(theta), simulations, problem)
     learned = learn(region, theta, recordings, first, held, Noise.initial(target), random)
     return TrainedPosterior(
@@ -125,18 +124,17 @@ def _substeps(evaluator: Evaluator | TrialsEvaluator, nominal: Floats) -> int:
 
 
 def _simulated(
-    knees: Knees,
+    problem: Problem,
     held: Objective,
     theta: Floats,
     substeps: int,
-    random: np.random.Generator,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Floats, Rows]:
     """Of these parameters (N, p) those that run, and their recordings (N, n, m) from the nominal one."""
     kept, recordings = [], []
     for i in range(0, len(theta), _AT_ONCE):
         part = theta[i : i + _AT_ONCE]
-        seen = knees.values(part, substeps, random)
+        seen = problem.evaluator.values(part, substeps)
         kept.append(part[seen.usable])
         recordings.append(held.residuals(seen.values[seen.usable]).astype(np.float32))
         if progress is not None:

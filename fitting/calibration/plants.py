@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fitting.parameters import Parameters
-from fitting.stiffening import linear_tendons, stiffened
+from fitting.stiffening import linear_tendons, stiffened, stiffening_tendons, working_of
 from pftwin.base.errors import InputError
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
@@ -58,20 +58,26 @@ class Plant(NamedTuple):
     """A knee that is recorded."""
 
     scene: Scene
-    curved: tuple[str, ...] = ()  # names of tendons that follow another law than the twin's
+
+    curved: tuple[str, ...] = ()  # names of tendons whose springs are no straight lines
+
+    @staticmethod
+    def of(scene: Scene) -> Plant:
+        """Of a scene whose springs may stiffen."""
+        return Plant(scene, stiffening_tendons(scene))
 
 
 Maker = Callable[[Knee, np.random.Generator], Plant]
 
 
 def twin(knee: Knee, random: np.random.Generator) -> Plant:
-    """The twin itself, with straight springs, and parameters from the priors."""
-    return Plant(knee.drawn(random))
+    """The twin itself, with parameters from the priors."""
+    return Plant.of(knee.drawn(random))
 
 
 def misplaced(knee: Knee, random: np.random.Generator) -> Plant:
     """Attachments, friction and damping off otherwise than the priors say."""
-    return Plant(knee.near(random))
+    return Plant.of(knee.near(random))
 
 
 def sliding(knee: Knee, random: np.random.Generator) -> Plant:
@@ -86,14 +92,18 @@ def sliding(knee: Knee, random: np.random.Generator) -> Plant:
         raise InputError("friction without a contact", where="plants", expected="others than 'sliding'")
     coefficient, slip_speed = random.uniform(*_COEFFICIENTS), np.exp(random.uniform(*np.log(_SLIP_SPEEDS)))
     rough = Friction(*(jnp.asarray(x, float) for x in (coefficient, slip_speed)))
-    return Plant(scene.with_effect(contact.with_friction(rough)))
+    return Plant.of(scene.with_effect(contact.with_friction(rough)))
 
 
 def stiffening(knee: Knee, random: np.random.Generator) -> Plant:
-    """As `misplaced`, with linear tendons that stiffen."""
+    """As `misplaced`, with tendons that stiffen, evenly from not at all to by a tenth."""
     scene = knee.near(random)
-    shares = {name: random.uniform(*_STIFFENING) for name in linear_tendons(scene)}
-    return Plant(stiffened(scene, shares), tuple(shares))
+    if linear_tendons(scene):  # the twin's do not stiffen
+        working = working_of([knee.scene], linear_tendons(scene))
+        scene = stiffened(scene, working, dict.fromkeys(working, 0.0))
+    for name in stiffening_tendons(scene):
+        scene = scene.set(f"{name}.stiffening", random.uniform(*_STIFFENING))
+    return Plant.of(scene)
 
 
 PLANTS: dict[str, Maker] = {

@@ -107,7 +107,6 @@ def truth_of(plant: Plant, seen: Seen, parameters: Parameters) -> Floats:
             continue
         tendon: Any = plant.scene.effect(owner)
         lengths = seen.lengths[owner]
-        pulls = np.asarray(tendon.held_tension(jnp.asarray(np.maximum(lengths, float(tendon.slack_length)))))
-        line = straight_line(lengths, pulls)
+        line = straight_line(lengths, np.maximum(np.asarray(tendon.held_tension(jnp.asarray(lengths))), 0.0))
         found.append(line.stiffness if path == ("stiffness",) else line.slack_length)
     return np.array(found)

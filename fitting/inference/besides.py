@@ -6,8 +6,7 @@ a normal prior is then normal too:
     x = a + A u + B z + e,    cov(e) = C,    z ~ N(m, V)
     precision of z:  B' C^-1 B + V^-1,    mean:  its inverse times  B' C^-1 (x - a - A u) + V^-1 m
 
-C is what noise does to summaries, and what the straight model leaves of the simulated ones. These knees are the twin's,
-with straight springs: what springs that stiffen would do is not in C.
+C is what noise does to summaries, and what the straight model leaves of the simulated ones.
 """
 
 from __future__ import annotations

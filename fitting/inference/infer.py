@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from fitting.evaluation import HALVINGS, Prediction
 from fitting.inference.besides import with_nuisance
-from fitting.inference.knees import Knees
 from fitting.inference.learning import Answer, learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
@@ -89,7 +88,6 @@ def check_enough(usable: int, simulations: int, problem: Problem) -> None:
 
 def infer(
     problem: Problem,
-    knees: Knees,
     seed: int,
     simulations: int,
     rounds: int,
@@ -99,7 +97,6 @@ def infer(
 
     Args:
         problem: what is compared; its objective's noise, if stated, is taken as known.
-        knees: of the problem, that are simulated.
         seed: of all random choices.
         simulations: of each round.
         rounds: at most.
@@ -117,7 +114,7 @@ def infer(
     try:
         for number in range(rounds):
             random = np.random.default_rng([seed, number])
-            one = _round(problem, knees, region, noise, substeps, simulations, random)
+            one = _round(problem, region, noise, substeps, simulations, random)
             draws, dropped = one.answer.draws, dropped + one.dropped
             smaller = whole.around(draws)
             best = min(one.best, history[-1]["best"]) if history else one.best
@@ -152,7 +149,6 @@ class _Round(NamedTuple):
 
 def _round(
     problem: Problem,
-    knees: Knees,
     region: Region,
     noise: Noise,
     substeps: int,
@@ -160,7 +156,7 @@ def _round(
     random: np.random.Generator,
 ) -> _Round:
     theta = region.drawn(simulations, random)
-    seen = knees.values(theta, substeps, random)
+    seen = problem.evaluator.values(theta, substeps)
     theta, values = theta[seen.usable], seen.values[seen.usable]
     check_enough(len(theta), simulations, problem)
     apart = problem.objective.residuals(values).astype(np.float32)

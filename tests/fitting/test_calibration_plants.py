@@ -70,10 +70,10 @@ def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():
     expected = []
     for name, stretch in (("quadriceps", 0.05), ("patellar_tendon", 0.012)):
         t = plant.scene.effect(name)
-        k, rest, e = (float(x) for x in (t.stiffness, t.slack_length, t.stiffening))
+        k, rest, more = (float(x) for x in (t.law.stiffness, t.rest_length, t.law.more))
         lengths[name] = rest + stretch * np.linspace(0.5, 1.0, 30) ** 2
         s = lengths[name] - rest
-        slope, offset = np.polyfit(lengths[name], k * s * (1 + 4 * e / rest * s), 1)
+        slope, offset = np.polyfit(lengths[name], k * s * (1 + more * s), 1)
         expected += [slope, -offset / slope]
         assert slope > k
     seen = Seen(np.zeros((30, 3)), np.zeros((30, 4)), {}, lengths)

@@ -15,7 +15,6 @@ from fitting.channel_checks import LIMITS
 from fitting.evaluation import Prediction
 from fitting.inference.besides import with_nuisance
 from fitting.inference.infer import Inferred, check_size, infer
-from fitting.inference.knees import Knees
 from fitting.inference.learning import Answer, learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
@@ -68,7 +67,7 @@ def bayes(seed: int) -> tuple[np.ndarray, np.ndarray]:
 @cache
 def found(seed: int = 3, stated: bool = True) -> Inferred:
     case = linear(seed, stated)
-    return infer(case, Knees.of(case, 0.0, 256), seed=1, simulations=3000, rounds=6, report=lambda entry, most: None)
+    return infer(case, seed=1, simulations=3000, rounds=6, report=lambda entry, most: None)
 
 
 @pytest.mark.slow
@@ -169,7 +168,7 @@ def test_an_interrupt_keeps_the_last_whole_round():
         if entry["iteration"] == 2:
             raise KeyboardInterrupt
 
-    kept = infer(linear(3), Knees.of(linear(3), 0.0, 256), seed=1, simulations=1000, rounds=4, report=interrupt)
+    kept = infer(linear(3), seed=1, simulations=1000, rounds=4, report=interrupt)
     assert kept.interrupted
     assert len(kept.history) == 2
     assert kept.answer.draws.shape == (2000, 3)

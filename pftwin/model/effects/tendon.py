@@ -82,10 +82,15 @@ class DampedLine(ElasticLine):
         """c [N s/m]: the field `damping`, where a subclass does not derive it from another."""
         return self.damping
 
+    @property
+    def rest_length(self) -> Scalar:
+        """L0 [m]: the field `slack_length`, where a subclass does not derive it from others."""
+        return self.slack_length
+
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """Its pull."""
         line = self.line(now)
-        stretch, c = line.length - self.slack_length, self.dashpot
+        stretch, c = line.length - self.rest_length, self.dashpot
         # A tendon that shortens too fast to pull still gives up what it stores: as heat.
         elastic, k, stored = self.law.at(jnp.maximum(stretch, 0.0))
         pull = elastic + c * line.lengthening
@@ -95,7 +100,7 @@ class DampedLine(ElasticLine):
 
     def held_tension(self, length: Scalar) -> Scalar:
         """See `ElasticLine`: of the spring; of a linear one negative where it would hang slack."""
-        return self.law.at(length - self.slack_length).force
+        return self.law.at(length - self.rest_length).force
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
         """Tension and length."""

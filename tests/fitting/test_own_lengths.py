@@ -1,0 +1,53 @@
+"""Lines of stiffening springs told at the lengths of the fitted knee: the same springs, and the line through what they
+pull there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_scene import small_scene
+
+import pftwin
+from fitting.inference.own_lengths import at_own_lengths
+from fitting.methods.problem import Problem
+from fitting.nuisance import Nuisance
+from fitting.trials import free_in_trials, objective_of
+from pftwin.model.measured import Measured
+
+FREE = ("K1", "L1", "K2", "L2")
+
+
+def problem(free: tuple[str, ...], besides: Nuisance) -> Problem:
+    knee = small_scene()
+    scenes, parameters = free_in_trials([knee], free, 0.3, None, besides)
+    seen = Measured(knee.motion.times, np.zeros((knee.motion.times.size, 3)))
+    target = objective_of([(scenes[0], seen)], "likelihood", "position", None, "linear", {})
+    return Problem.of(scenes, parameters, target)
+
+
+def test_draws_are_told_by_lines_through_what_the_knee_pulls():
+    """A knee with shorter tendons works at other lengths than the nominal one: another line, the same tensions."""
+    besides = Nuisance(stiffening=0.2).at_work([small_scene()])
+    one = problem(FREE, besides)
+    theta = one.parameters.nominal * np.array([1.2, 0.75, 0.9, 0.95, 1.0, 1.2])
+    draws = theta + np.array([[1.0], [0.0], [-1.0]]) * np.array([2.0, 1e-3, 5.0, 2e-4, 0.0, 0.0])
+    own, told = at_own_lengths(one, besides, draws)
+    other = problem(FREE, own)
+    before, after = (
+        pftwin.simulate(p.parameters.apply(p.scene, row).set("quadriceps.damping", 0.0), dt=1e-3)
+        for p, row in ((one, draws[1]), (other, told[1]))
+    )
+    np.testing.assert_allclose(after.tensions["quadriceps"], before.tensions["quadriceps"], rtol=1e-9)
+    slope, offset = np.polyfit(after.lengths["quadriceps"], after.tensions["quadriceps"], 1)
+    assert told[1, 0] == pytest.approx(slope, rel=3e-3)
+    assert told[1, 1] == pytest.approx(-offset / slope, rel=3e-3)
+    assert draws[1, 0] > 1.05 * slope
+
+
+def test_what_is_not_free_is_left_as_it_is():
+    besides = Nuisance(stiffening=0.2).at_work([small_scene()])
+    one = problem(("K1", "L2"), besides)
+    draws = np.tile(one.parameters.nominal, (3, 1))
+    own, told = at_own_lengths(one, besides, draws)
+    assert own is besides
+    np.testing.assert_array_equal(told, draws)

@@ -156,11 +156,12 @@ def fit_tendons(
         compiled = compiled_aside(knee.unnamed())
         doubts = plain_look(problem, allowed)
         found = infer(problem, seed, count, rounds, _told(progress, began))
-        besides, draws = at_own_lengths(problem, besides, found.answer.draws)
-        scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
-        problem = Problem.of(scenes, parameters, target, problem.evaluator.computed, devices)
-        problem.evaluator.prepare(TOGETHER)
-        found = found._replace(answer=found.answer._replace(draws=draws))
+        if not found.interrupted:
+            besides, draws = at_own_lengths(problem, besides, found.answer.draws)
+            scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+            problem = Problem.of(scenes, parameters, target, problem.evaluator.computed, devices)
+            problem.evaluator.prepare(TOGETHER)
+            found = found._replace(answer=found.answer._replace(draws=draws))
         outcome = Outcome.of_simulations(problem, found, seed, allowed)
     else:
         search = _method(method, problem, seed, options)

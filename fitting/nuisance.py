@@ -45,8 +45,9 @@ class Nuisance:
         friction: of the coefficient between button and femur; its mean is the scene's, or 0.05 where that has none.
         damping: of all damping of the patella and the tendons, as a share of the scene's.
         stiffening: no deviation: by what share linear tendons are stiffer, at most, when stretched by a quarter of
-            their length. Posteriors by simulations find it, for each tendon; what they tell of its stiffness and slack
-            length is the straight line nearest to its spring. A search has no number for it.
+            their length. Posteriors by simulations find it, for each tendon, by a normal prior that is cut off at 0 and
+            there; what they tell of its stiffness and slack length is the straight line nearest to its spring, over the
+            fitted knee's lengths where both are free. A search has no number for it.
         working: at what lengths tendons work, by name, over which lines are nearest: `at_work` finds them for the
             nominal knee. Others stay linear.
     """
@@ -90,10 +91,17 @@ class Nuisance:
         return Nuisance(**found)
 
     def at_work(self, scenes: Sequence[Scene]) -> Nuisance:
-        """The same, with what is needed to let tendons stiffen: the nominal knee is simulated in its trials."""
+        """The same, with what is needed to let tendons stiffen: the nominal knee is simulated in its trials.
+
+        Raises:
+            InputError: its motion is not finite.
+        """
         if not self.stiffening or self.working:
             return self
-        return replace(self, working=tuple(working_of(scenes, linear_tendons(scenes[0])).items()))
+        found = working_of(scenes, linear_tendons(scenes[0]))
+        if not all(np.isfinite(lengths).all() for lengths in found.values()):
+            raise InputError("the nominal knee finds no finite motion", where=scenes[0].name)
+        return replace(self, working=tuple(found.items()))
 
     def prepared(self, scene: Scene, working: Mapping[str, Working] | None = None) -> Scene:
         """The scene with whatever is to be fitted in it: with friction, if that is and the contact has none, and with
@@ -140,10 +148,11 @@ class Nuisance:
         for name, (mean, sd) in priors.items():
             least = declared[name.partition("[")[0]].lower
             bounds[name] = (max(mean - _REACH * sd, least), mean + _REACH * sd)
-        for tendon in stiffening_tendons(scene) if self.stiffening else ():
-            name = f"{tendon}.stiffening"
-            bounds[name] = (0.0, self.stiffening)
-            priors[name] = (0.5 * self.stiffening, self.stiffening / np.sqrt(12))  # mean and deviation of even chances
+        stiff = {f"{tendon}.stiffening" for tendon in stiffening_tendons(scene)}
+        for name in (f"{tendon}.stiffening" for tendon, _ in self.working):
+            if name in stiff and name not in but:
+                bounds[name] = (0.0, self.stiffening)
+                priors[name] = (0.5 * self.stiffening, self.stiffening / np.sqrt(12))  # cut off at the bounds
         return NuisanceNumbers(tuple(priors), bounds, priors)
 
 

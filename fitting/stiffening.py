@@ -51,6 +51,10 @@ class Working(NamedTuple):
         variance = float(np.mean(off**2))
         return Working(float(lengths.mean()), variance, float(np.mean(off**3)) / max(variance, 1e-300))
 
+    def taut(self, slack_length: Any) -> Any:
+        """Whether a tendon that long is taut at all lengths, as far as their deviation tells."""
+        return self.mean - slack_length > _TAUT * jnp.sqrt(self.variance)
+
     def bent(self, stiffness: Scalar, slack_length: Scalar, share: Scalar) -> tuple[StiffeningSpring, Scalar]:
         """The spring that stiffens by a share, to whose forces at these lengths the line with this stiffness and slack
         length is nearest, by least squares; and its own slack length.
@@ -63,7 +67,7 @@ class Working(NamedTuple):
         the lengths stays straight.
         """
         reach = self.mean - slack_length
-        m = jnp.where(reach > _TAUT * jnp.sqrt(self.variance), 4 * share / slack_length, 0.0)
+        m = jnp.where(self.taut(slack_length), 4 * share / slack_length, 0.0)
         b, a = 1 - 2 * m * reach, reach * (1 + m * self.skew) - m * self.variance
         square = b * b + 4 * m * a
         d = 2 * a / (b + jnp.sqrt(jnp.where(square > 0, square, 1.0)))

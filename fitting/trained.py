@@ -38,7 +38,7 @@ from pftwin.model.scene import Scene, check
 Floats = NDArray[np.float64]
 Rows = NDArray[np.float32]
 
-FORMAT = "pftwin trained posterior 1"
+FORMAT = "pftwin trained posterior 2"
 _FEWEST_PROBES = 0.5  # share of the knees that are run again that must run
 _TOGETHER = 64  # simulations of an answer in a call
 _DRAWN = 1000  # of a posterior that is compared with another

@@ -40,7 +40,8 @@ class Operation:
         confidence: share of them in which all limits are to hold.
 
     Raises:
-        InputError: limits without ranges, or ranges without limits; too few draws.
+        InputError: limits without ranges, or ranges without limits; too few draws; a confidence that is no share;
+            several treatments.
     """
 
     treatment: Treatment
@@ -55,6 +56,10 @@ class Operation:
             raise InputError("found one of them", where="operation", expected=expected)
         if not isinstance(self.samples, int) or self.samples < 20:
             raise InputError(f"found {self.samples!r}", where="samples", expected="a whole number, at least 20")
+        if not 0 < self.confidence <= 1:
+            raise InputError(f"found {self.confidence!r}", where="confidence", expected="a share, such as 0.9")
+        if any(np.ndim(value) for value in self.treatment.values):
+            raise InputError("found several amounts", where="treatment", expected="one treatment")
 
     def describe(self) -> str:
         """In words."""
@@ -78,7 +83,8 @@ class Operation:
         draws = np.stack([in_si(told[name])[0, 1:] for name in OUTCOMES], axis=1)
         truth = np.array([in_si(done[name])[0] for name in OUTCOMES])
         safe = met and bool(smallest_margin(done, self.limits)[0] >= 0)
-        return Operated(truth, draws[np.isfinite(draws).all(axis=1)], met, safe)
+        run = np.isfinite(draws).all(axis=1)
+        return Operated(truth, draws[run], met, safe, float(run.mean()))
 
 
 class Operated(NamedTuple):
@@ -88,3 +94,4 @@ class Operated(NamedTuple):
     draws: Floats  # (M, outcomes), those that can be simulated
     met: bool | None  # whether a treatment was found that is predicted to meet the limits; None without any
     safe: bool | None  # whether it then does in the plant
+    share: float = 1.0  # of the draws that can be simulated

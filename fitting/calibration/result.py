@@ -28,9 +28,10 @@ FORMAT = "pftwin calibration 1"
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 INTERVALS, BANDS = 0.95, 0.9  # levels on which verdicts are: of what is asked for, of what is predicted
 _SURE = 0.95  # of the intervals of all parameters' shares together that are held against it
+_MOST_RUN = 0.5  # least share of draws that run, of predictions that are counted
 _NARROW, _WIDE, _NONE = "too narrow", "wider than need be", "no plant was answered"
 _UNSAFE, _NO_PLAN = "not as safe as they say", "no plan was found"
-_BAD = (_NARROW, _NONE, _UNSAFE)
+_BAD = (_NARROW, _NONE, _UNSAFE, _NO_PLAN)
 
 
 class Answers(NamedTuple):
@@ -54,12 +55,13 @@ class Answers(NamedTuple):
 
     @staticmethod
     def of_predictions(rows: Sequence[Operated], names: Sequence[str]) -> Answers:
-        """Of outcomes after a treatment. Those of plants that have none are dropped."""
-        some = [(row.truth, row.draws, np.ones(len(names))) for row in rows if np.isfinite(row.truth).all()]
-        clean = [row for row in some if len(row[1])]
-        return _answers(clean, len(names), BANDS)._replace(
-            doubted=len(some) - len(clean), dropped=len(rows) - len(some)
-        )
+        """Of outcomes after a treatment, where one was found. Those of plants that have none are dropped, and those of
+        which most draws cannot be simulated are doubted."""
+        treated = [row for row in rows if row.met is not False]
+        some = [row for row in treated if np.isfinite(row.truth).all()]
+        clean = [(row.truth, row.draws, np.ones(len(names))) for row in some if row.share >= _MOST_RUN]
+        answers = _answers(clean, len(names), BANDS)
+        return answers._replace(doubted=len(some) - len(clean), dropped=len(treated) - len(some))
 
     def held(self, level: float) -> NDArray[np.bool_]:
         """Which (N, d) central intervals of a level hold the truth."""

@@ -74,9 +74,9 @@ def calibrate(
     if not chosen or (strange := [kind for kind in chosen if kind not in PLANTS]):
         found = f"no plants {strange[0]!r}" if chosen else "none named"
         raise InputError(found, where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
-    operation = _operation(amounts, meet or [], samples, confidence)
     lab = Laboratory(marker_noise=marker_noise, force_noise=force_noise, cutoff=cutoff or None)
     allowed, scene = check_limits(limit), knee.load().scene
+    operation = _operation(amounts, meet or [], samples, confidence)
     posterior = TrainedPosterior.load(trained, scene)
     with progress("simulating plants") as shown:
         found = run(

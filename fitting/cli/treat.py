@@ -120,9 +120,9 @@ def optimise(
     Example: `pftwin optimise --case 2 --estimate fit.json --limit "dislocation_margin>=3 mm" --medialise 0:20 -o
     plan.json`
     """
-    treatment, ranges = treatment_within(amounts)
     terminal.check_outputs(output, json)
     terminal.start_computing(batches=True)
+    treatment, ranges = treatment_within(amounts)
     from fitting.treatments.limits import Limit, in_units
     from fitting.treatments.optimise import optimise_treatment
     from pftwin.model.measured import SYNTHETIC

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.stiffening import working_of
+from pftwin.base.errors import PftwinError
 
 Floats = NDArray[np.float64]
 
@@ -24,8 +25,8 @@ _OF_SPRINGS = ("stiffness", "slack_length", "stiffening")
 def at_own_lengths(problem: Problem, besides: Nuisance, draws: Floats) -> tuple[Nuisance, Floats]:
     """Draws (N, p), and nuisance, with the lengths at which tendons work in the motions of the draws' mean.
 
-    Tendons of which stiffness, slack length and stiffening are not all free are left as they are; so are all where that
-    motion is not finite.
+    Tendons of which stiffness, slack length and stiffening are not all free are left as they are, and those that would
+    hang slack in some draw; so are all where that motion cannot be simulated, which is told where the fit is judged.
     """
     columns = {p.place.name: i for i, p in enumerate(problem.parameters.items)}
     numbers = {name: [f"{name}.{number}" for number in _OF_SPRINGS] for name, _ in besides.working}
@@ -34,10 +35,13 @@ def at_own_lengths(problem: Problem, besides: Nuisance, draws: Floats) -> tuple[
         return besides, draws
     mean, nominal = draws.mean(axis=0), problem.parameters.nominal
     fitted = [e.parameters.apply(e.scene, mean + e.parameters.nominal - nominal) for e in problem.evaluator.own]
-    found, old = working_of(fitted, tuple(places)), dict(besides.working)
-    if not np.isfinite([*found.values()]).all():
+    try:
+        found = working_of(fitted, tuple(places))
+    except PftwinError:  # a mean beyond the scene's limits
         return besides, draws
-    told = draws.copy()
+    known, told = dict(besides.working), draws.copy()
     for name, own in places.items():
-        told[:, own] = np.stack(old[name].told_at(found[name], *draws[:, own].T), axis=1)
-    return replace(besides, working=tuple((old | found).items())), told
+        there = np.stack(known[name].told_at(found[name], *draws[:, own].T), axis=1)
+        if np.isfinite(there).all() and (there[:, :2] > 0).all() and found[name].taut(there[:, 1].max()):
+            told[:, own], known[name] = there, found[name]
+    return replace(besides, working=tuple(known.items())), told

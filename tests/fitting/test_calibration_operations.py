@@ -14,6 +14,7 @@ from small_scene import small_scene
 from fitting.calibration.operations import OUTCOMES, Operated, Operation
 from fitting.calibration.result import Answers, Calibration, Plans
 from fitting.prediction.outcomes import outcomes
+from fitting.prediction.variants import grid
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit
 from pftwin import BDF2, simulate
@@ -87,9 +88,10 @@ def test_bands_too_narrow_are_told_although_intervals_hold():
 def test_plants_without_an_outcome_are_dropped():
     rows = predictions(1.0, count=9)
     rows[2] = rows[2]._replace(truth=np.full(6, np.nan))
-    rows[4] = rows[4]._replace(draws=np.zeros((0, 6)))
+    rows[4] = rows[4]._replace(share=0.4)
+    rows[5] = rows[5]._replace(met=False)
     found = Answers.of_predictions(rows, OUTCOMES)
-    assert (len(found.ranks), found.dropped, found.doubted) == (7, 1, 1)
+    assert (len(found.ranks), found.dropped, found.doubted) == (6, 1, 1)
 
 
 @pytest.mark.parametrize(("safe", "verdict"), [(5, "not as safe as they say"), (11, "hold"), (14, "hold")])
@@ -106,8 +108,10 @@ def test_plans_are_held_against_their_confidence(safe, verdict, tmp_path):
     assert again["plans"]["twin"] == {"safe": safe, "found": 14, "asked": 16, "confidence": 0.9, "verdict": verdict}
 
 
-def test_without_any_plan_nothing_is_said():
-    assert Plans.of([Operated(np.zeros(6), np.zeros((1, 6)), False, False)], 0.9).verdict() == "no plan was found"
+def test_without_any_plan_none_holds():
+    plans = Plans.of([Operated(np.zeros(6), np.zeros((1, 6)), False, False)], 0.9)
+    assert plans.verdict() == "no plan was found"
+    assert not calibration(plans={"twin": plans}).holds
 
 
 def test_the_plant_itself_is_treated():
@@ -129,8 +133,8 @@ def test_a_plan_is_tried_on_the_plant():
     limit = Limit("peak_contact_force", at_most=float(force))
     plan = Operation(MOVED.with_values([0.0]), (limit,), {"medialisation": (0.0, 0.002)}, samples=20)
     estimate = Estimated(np.array([160.0]))
-    assert plan.on(stiff(160.0), stiff(150.0), estimate)[2:] == (True, True)
-    assert plan.on(stiff(190.0), stiff(150.0), estimate)[2:] == (True, False)
+    assert plan.on(stiff(160.0), stiff(150.0), estimate)[2:4] == (True, True)
+    assert plan.on(stiff(190.0), stiff(150.0), estimate)[2:4] == (True, False)
 
 
 def test_what_makes_no_sense_is_refused():
@@ -141,4 +145,8 @@ def test_what_makes_no_sense_is_refused():
         Operation(MOVED, ranges={"medialisation": (0.0, 0.02)})
     with pytest.raises(InputError, match="at least 20"):
         Operation(MOVED, samples=5)
+    with pytest.raises(InputError, match="confidence"):
+        Operation(MOVED, (limit,), {"medialisation": (0.0, 0.02)}, confidence=90.0)
+    with pytest.raises(InputError, match="several amounts"):
+        Operation(grid(TRANSFER, medialisation=[0.0, 0.01]))
     assert "medially" in replace(Operation(MOVED), samples=30).describe()

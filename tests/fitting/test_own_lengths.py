@@ -51,3 +51,15 @@ def test_what_is_not_free_is_left_as_it_is():
     own, told = at_own_lengths(one, besides, draws)
     assert own is besides
     np.testing.assert_array_equal(told, draws)
+
+
+def test_tendons_that_would_hang_slack_are_left_as_they_are():
+    """So long that the knee's own lengths do not stretch them: the line there is no line."""
+    besides = Nuisance(stiffening=0.2).at_work([small_scene()])
+    one = problem(FREE, besides)
+    draws = np.tile(one.parameters.nominal, (3, 1))
+    draws[2, 1] = 0.3
+    own, told = at_own_lengths(one, besides, draws)
+    np.testing.assert_array_equal(told[:, :2], draws[:, :2])
+    assert dict(own.working)["quadriceps"] == dict(besides.working)["quadriceps"]
+    assert dict(own.working)["patellar_tendon"] != dict(besides.working)["patellar_tendon"]

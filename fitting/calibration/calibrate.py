@@ -48,8 +48,8 @@ def calibrate(
         plants: of each kind.
         kinds: functions that make a plant, by name; by default those of `fitting.calibration.plants`.
         laboratory: how plants are recorded; by default as on the virtual rig.
-        operation: what is predicted of each plant from its answer, beside what the treated plant does. Answers then
-            carry nuisance, and are looked at as `TrainedPosterior.estimate` does.
+        operation: what is predicted of each plant from its answer, beside what the treated plant does. Answers are then
+            looked at as `TrainedPosterior.estimate` does.
         seed: of all random choices.
         limits: as `TrainedPosterior.estimate` has them.
         progress: told the kind of plant, how many of them were answered, and of how many.

@@ -12,13 +12,15 @@ Its springs may follow another law than the twin's: then the truth is the straig
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from fitting.parameters import Parameters
-from fitting.stiffening import linear_tendons, stiffened, stiffening_tendons, working_of
+from fitting.stiffening import Working, linear_tendons, stiffened, stiffening_tendons, working_of
 from pftwin.base.errors import InputError
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
@@ -30,11 +32,17 @@ _SLIP_SPEEDS = (2e-4, 5e-3)  # [m/s]
 _COEFFICIENTS = (0.0, 0.1)  # of friction
 
 
-class Knee(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Knee:
     """The twin that a posterior was trained for."""
 
     scene: Scene  # the nominal one, with whatever is fitted in it
     parameters: Parameters  # what is free in it; the first are asked for
+
+    @cached_property
+    def working(self) -> dict[str, Working]:
+        """At what lengths its linear tendons work, by name: it is simulated once for all plants."""
+        return working_of([self.scene], linear_tendons(self.scene))
 
     def drawn(self, random: np.random.Generator) -> Scene:
         """One whose parameters come from the priors."""
@@ -58,7 +66,6 @@ class Plant(NamedTuple):
     """A knee that is recorded."""
 
     scene: Scene
-
     curved: tuple[str, ...] = ()  # names of tendons whose springs are no straight lines
 
     @staticmethod
@@ -99,8 +106,7 @@ def stiffening(knee: Knee, random: np.random.Generator) -> Plant:
     """As `misplaced`, with tendons that stiffen, evenly from not at all to by a tenth."""
     scene = knee.near(random)
     if linear_tendons(scene):  # the twin's do not stiffen
-        working = working_of([knee.scene], linear_tendons(scene))
-        scene = stiffened(scene, working, dict.fromkeys(working, 0.0))
+        scene = stiffened(scene, knee.working, dict.fromkeys(knee.working, 0.0))
     for name in stiffening_tendons(scene):
         scene = scene.set(f"{name}.stiffening", random.uniform(*_STIFFENING))
     return Plant.of(scene)

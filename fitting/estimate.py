@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.channel_checks import shown
-from fitting.coverage import BY_SIMULATIONS, INTERVALS, WITH_NUISANCE, WITHOUT_NUISANCE
+from fitting.coverage import Coverage, coverage_of
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Applied
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
@@ -112,6 +112,11 @@ class Estimate:
         return len(self.names) - len(self.besides)
 
     @property
+    def coverage(self) -> Coverage:
+        """How often intervals, bands and plans of such fits held where the truth was known, in words."""
+        return coverage_of(self.draws is not None, bool(self.besides))
+
+    @property
     def at_bounds(self) -> tuple[str, ...]:
         """Parameters whose value, or whose interval by simulations, reaches a bound: the true one may lie beyond."""
         low, high = (self.values, self.values) if self.draws is None else self.intervals.T
@@ -192,9 +197,7 @@ class Estimate:
         said = in_words(
             self.names[:asked], span[:asked], self.values[:asked], covariance, self.channels, self.coordinates
         )
-        if self.draws is None:
-            return f"{said}. But {WITH_NUISANCE if self.besides else INTERVALS}"
-        return f"{said}. {BY_SIMULATIONS if self.besides else WITHOUT_NUISANCE}"
+        return f"{said}. {'But ' if self.draws is None else ''}{self.coverage.intervals}"
 
     def summary(self) -> str:
         """A table in text, with the remarks."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from fitting.prediction.predicting import Fitted, predict
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, in_si, smallest_margin
-from fitting.treatments.optimise import optimise_treatment
-from pftwin.base.errors import InputError
+from fitting.treatments.optimise import check_ranges, optimise_treatment
+from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -40,8 +40,8 @@ class Operation:
         confidence: share of them in which all limits are to hold.
 
     Raises:
-        InputError: limits without ranges, or ranges without limits; too few draws; a confidence that is no share;
-            several treatments.
+        InputError: limits without ranges, or ranges without limits or empty; too few draws; a confidence that is no
+            share; several treatments.
     """
 
     treatment: Treatment
@@ -60,11 +60,25 @@ class Operation:
             raise InputError(f"found {self.confidence!r}", where="confidence", expected="a share, such as 0.9")
         if any(np.ndim(value) for value in self.treatment.values):
             raise InputError("found several amounts", where="treatment", expected="one treatment")
+        if self.ranges:
+            check_ranges(self.ranges)
 
     def describe(self) -> str:
         """In words."""
         wanted = " and ".join(limit.describe() for limit in self.limits)
         return f"the smallest treatment with {wanted}" if wanted else self.treatment.describe()
+
+    def check(self, scene: Scene) -> None:
+        """Refuses what this knee cannot have.
+
+        Raises:
+            InputError: a treatment of a part that it lacks; an amount that the treatment does not know.
+        """
+        known = {name for own in self.treatment.names for name in (own, own.rpartition(".")[2])}
+        if stray := sorted(set(self.ranges or ()) - known):
+            expected = f"one of: {', '.join(self.treatment.names)}"
+            raise InputError(f"no amount {stray[0]!r}", where="ranges", expected=expected)
+        self.treatment(scene)
 
     def on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> Operated:
         """What is predicted for a knee as it was recorded, and what the plant does.
@@ -74,6 +88,12 @@ class Operation:
             recorded: the nominal knee in the recorded motion.
             estimate: from the recording.
         """
+        try:
+            return self._on(plant, recorded, estimate)
+        except PftwinError:  # of this knee: what the caller got wrong is told by `check`
+            return Operated.nothing(planned=bool(self.limits))
+
+    def _on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> Operated:
         treatment, met = self.treatment, None
         if self.limits:
             options: Any = {"samples": self.samples, "confidence": self.confidence}
@@ -95,3 +115,9 @@ class Operated(NamedTuple):
     met: bool | None  # whether a treatment was found that is predicted to meet the limits; None without any
     safe: bool | None  # whether it then does in the plant
     share: float = 1.0  # of the draws that can be simulated
+
+    @staticmethod
+    def nothing(planned: bool) -> Operated:
+        """Of a plant that could not be treated: without a plan, or dropped from what is predicted."""
+        none = False if planned else None
+        return Operated(np.full(len(OUTCOMES), np.nan), np.zeros((0, len(OUTCOMES))), none, none, 0.0)

@@ -106,14 +106,15 @@ class Answers(NamedTuple):
             found.append(_NARROW if share.high < self.level else _WIDE if share.low > self.level else "hold")
         return found
 
-    def row(self, kind: str, names: tuple[str, ...], scales: Floats) -> tuple[str, ...]:
-        """Of a table: kind of plants, answered of all, share of intervals that hold, half widths, verdict."""
+    def column(self, names: tuple[str, ...], scales: Floats) -> tuple[str, ...]:
+        """Of a table: answered of all; of each number the share of intervals that hold and the half width; verdict."""
         of = len(self.ranks) + self.doubted + self.refused + self.dropped
-        held, half = [""] * len(names), ""
+        cells, words = [""] * len(names), [self.verdict(names)]
         if len(self.ranks):
-            held = [f"{100 * x:.0f} %" for x in self.coverage[self.level]]
-            half = " ".join(f"{x:.2g}" for x in scales * self.half_widths.mean(axis=0))
-        return kind, f"{len(self.ranks)} of {of}", *held, half, self.verdict(names)
+            held, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
+            cells = [f"{100 * share:.0f} %, {width:.2g}" for share, width in zip(held, half, strict=True)]
+            words = [word for word in (_NARROW, _WIDE) if word in self._words()] or ["hold"]
+        return f"{len(self.ranks)} of {of}", *cells, "; ".join(words)
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -204,19 +205,19 @@ class Calibration:
         return replace(trained, widened=tuple((factors * (trained.widened or 1.0)).tolist()))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Of a table of intervals: see `Answers.row`; half widths in per cent."""
-        return [a.row(kind, self.names, 100.0 * np.ones(len(self.names))) for kind, a in self.kinds.items()]
+        """Of a table of intervals, a column for each kind: see `Answers.column`; half widths in per cent."""
+        return _table(self.kinds, self.names, [f"{name} [%]" for name in self.names], 100.0 * np.ones(len(self.names)))
 
     def prediction_rows(self) -> list[tuple[str, ...]]:
         """Of a table of bands: likewise; half widths as outcomes are read, in mm, degrees, newtons and per cent."""
-        scales = np.array([_scale(name) for name in OUTCOMES])
-        return [a.row(kind, OUTCOMES, scales) for kind, a in self.predictions.items()]
+        read = [_as_read(name) for name in OUTCOMES]
+        words = [f"{name.replace('_', ' ')} [{unit}]" for name, (_, unit) in zip(OUTCOMES, read, strict=True)]
+        return _table(self.predictions, OUTCOMES, words, np.array([scale for scale, _ in read]))
 
     def plan_rows(self) -> list[tuple[str, ...]]:
-        """Of a table of plans: kind of plants, found of all, safe of those, verdict."""
-        return [
-            (kind, f"{p.found} of {p.asked}", f"{p.safe} of {p.found}", p.verdict()) for kind, p in self.plans.items()
-        ]
+        """Of a table of plans, a column for each kind: found of all, safe of those, verdict."""
+        cells = [(f"{p.found} of {p.asked}", f"{p.safe} of {p.found}", p.verdict()) for p in self.plans.values()]
+        return list(zip(("found", "safe in the plant", "verdict"), *cells, strict=True))
 
     @property
     def plot(self) -> CalibrationPlots:
@@ -254,6 +255,13 @@ class Calibration:
         return target
 
 
-def _scale(outcome: str) -> float:
+def _table(
+    kinds: dict[str, Answers], names: tuple[str, ...], words: list[str], scales: Floats
+) -> list[tuple[str, ...]]:
+    columns = [answers.column(names, scales) for answers in kinds.values()]
+    return list(zip(("answered", *words, "verdict"), *columns, strict=True))
+
+
+def _as_read(outcome: str) -> tuple[float, str]:
     scale, unit = as_read(MEASURES[outcome].unit)
-    return 100.0 if unit == "1" else scale
+    return (100.0, "%") if unit == "1" else (scale, unit)

@@ -96,9 +96,7 @@ def calibrate(
     if figures:
         with spinner("drawing"):
             files += [str(p) for p in found.plot.save(output.with_suffix(""))]
-    head = ("SYNTHETIC plants", "answered", *(f"{name} held" for name in found.names), "half widths [%]", "verdict")
-    sheet = Sheet(f"{scene.name}: 95 % intervals", head, tuple(found.rows()), words=(0, len(head) - 1))
-    parts = [sheet, *_sheets_of(found), found.sentence(), found.trained, written_line(files)]
+    parts = [*_sheets_of(found, scene.name), found.sentence(), found.trained, written_line(files)]
     present({**found.to_dict(), "files": files}, *parts, json=json)
     if not found.holds:
         exit_flagged(found.sentence())
@@ -116,16 +114,13 @@ def _operation(amounts: Given, meet: list[str], samples: int, confidence: float)
     return Operation(treatment, tuple(Limit.parsed(text) for text in meet), ranges, samples, confidence)
 
 
-def _sheets_of(found: Calibration) -> list[Sheet]:
-    """Of what was predicted."""
-    from fitting.calibration.operations import OUTCOMES
-
-    said, words, sheets = found.operation, [name.replace("_", " ") for name in OUTCOMES], []
+def _sheets_of(found: Calibration, name: str) -> list[Sheet]:
+    """Tables with a column for each kind of plants."""
+    head, said = ("SYNTHETIC plants", *found.kinds), found.operation
+    sheets = [Sheet(f"{name}: 95 % intervals held, mean half width", head, tuple(found.rows()), words=(0,))]
     if found.predictions:
-        head = ("SYNTHETIC plants", "predicted", *words, "half widths [deg, mm, N, %]", "verdict")
-        rows = tuple(found.prediction_rows())
-        sheets.append(Sheet(f"90 % bands after {said}", head, rows, words=(0, len(head) - 1)))
+        title = f"90 % bands held, mean half width, after {said}"
+        sheets.append(Sheet(title, head, tuple(found.prediction_rows()), words=(0,)))
     if found.plans:
-        head = ("SYNTHETIC plants", "found", "safe in the plant", "verdict")
-        sheets.append(Sheet(f"plans: {said}", head, tuple(found.plan_rows()), words=(0, 3)))
+        sheets.append(Sheet(f"plans: {said}", head, tuple(found.plan_rows()), words=(0,)))
     return sheets

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from fitting.cli.amounts import Given, by_kind, treatment_within, with_amounts
-from fitting.coverage import BANDS
 from fitting.prediction.ranges import values
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
@@ -220,12 +219,12 @@ def _variants(numbers: dict[str, dict[str, list[float]]]) -> Treatment:
 
 
 def _sheet(data: Dataset) -> Sheet:
-    from fitting.prediction.plots import rows
+    from fitting.prediction.plots import coverage_in, rows
 
     headings, lines = rows(data)
     hidden = len(lines) - _MOST_ROWS
     title = data.attrs["title"] + (f" ({hidden} of {len(lines)} variants not shown)" if hidden > 0 else "")
-    notes = (f"in brackets: 95 % of the draws; {BANDS}",) if "sample" in data.dims else ()
+    notes = (f"in brackets: 95 % of the draws; {coverage_in(data)}",) if "sample" in data.dims else ()
     return Sheet(title, tuple(headings), tuple(map(tuple, lines[:_MOST_ROWS])), words=(), notes=notes)
 
 

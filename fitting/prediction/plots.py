@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.coverage import BANDS
+from fitting.coverage import NOT_KNOWN
 from pftwin.base.errors import InputError
 from pftwin.results.plots.quantities import as_read
 from pftwin.results.verdict import INVALID
@@ -264,6 +264,11 @@ def invalid_variants(data: Dataset) -> str:
     return f"{INVALID}: {np.count_nonzero(failed)} of {failed.size} variants ({why.removeprefix(f'{INVALID}: ')})"
 
 
+def coverage_in(data: Dataset) -> str:
+    """How often its bands hold, in words."""
+    return str(data.attrs.get("coverage", NOT_KNOWN.bands))
+
+
 def facts(data: Dataset) -> dict[str, Any]:
     """Plain values for JSON: per variant its treatment, amounts (SI units and degrees) and outcomes."""
     first, amounts = _by_estimate(data), _amounts(data)
@@ -277,7 +282,7 @@ def facts(data: Dataset) -> dict[str, Any]:
     if "status_frames" in first:
         trust = (_trust(first["status_frames"].isel(variant=i)) for i in range(data.sizes["variant"]))
         variants = [{**variant, **said} for variant, said in zip(variants, trust, strict=True)]
-    coverage = {"coverage": BANDS} if drawn else {}
+    coverage = {"coverage": coverage_in(data)} if drawn else {}
     return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands, **coverage}
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.coverage import NOT_KNOWN
 from fitting.prediction.members import Members, Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove
 from fitting.prediction.variants import VariantBatch, batches
@@ -207,7 +208,8 @@ def dataset(
     if sampled:
         about = {"long_name": "0: the estimate; then draws", "units": "1"}
         coordinates["sample"] = (("sample",), np.arange(many), about)
-    return Dataset(variables, coordinates, _attributes(batches, estimate, settings))
+    told = {"coverage": getattr(estimate, "coverage", NOT_KNOWN).bands} if sampled else {}
+    return Dataset(variables, coordinates, {**_attributes(batches, estimate, settings), **told})
 
 
 def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: int, timed: bool) -> Variables:

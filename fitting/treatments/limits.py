@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.coverage import PLANS
+from fitting.coverage import NOT_KNOWN
 from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import Treatment
 from pftwin.base.errors import InputError
@@ -123,6 +123,7 @@ class TreatmentPlan:
     confidence: float = 0.0  # required share of draws in which all limits hold
     share: float | None = None  # share of draws in which they hold; None without draws
     invalid: str = ""  # "INVALID" and why, where no amount has a motion that may be spoken of
+    coverage: str = NOT_KNOWN.plans  # how many such plans are safe, in words
     trust: Mapping[str, Any] = field(default_factory=dict)  # "status" and "status_frames", of a single amount
 
     def describe(self) -> str:
@@ -133,7 +134,7 @@ class TreatmentPlan:
         if self.share is not None:
             drawn = (
                 f"; all limits hold in {self.share:.0%} of {self.samples} draws from the estimate's uncertainty "
-                f"({self.confidence:.0%} asked for); {PLANS}"
+                f"({self.confidence:.0%} asked for); {self.coverage}"
             )
         if self.met:
             said = [

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.coverage import NOT_KNOWN
 from fitting.prediction.plots import invalid_variants
 from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
@@ -74,7 +75,8 @@ def optimise_treatment(
     """
     wanted = (limits,) if isinstance(limits, Limit) else tuple(limits)
     ranges = dict(ranges or {"medialisation": (0.0, 0.020)})
-    lower, upper = _checked(wanted, ranges)
+    _check_limits(wanted)
+    lower, upper = check_ranges(ranges)
     check_draws(samples, estimate)
     if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
         expected = "a share above 0 and up to 1, such as 0.9"
@@ -100,7 +102,8 @@ def optimise_treatment(
         outcomes = search.outcomes(at)
         count = simulated + search.count
         treated, trust = search.treated(at), search.trust(at)
-        return TreatmentPlan(met, treated, outcomes, wanted, count, samples, confidence, share, doubt, trust)
+        told = getattr(estimate, "coverage", NOT_KNOWN).plans
+        return TreatmentPlan(met, treated, outcomes, wanted, count, samples, confidence, share, doubt, told, trust)
 
     if not fine.size:
         return plan(False, amounts[int(np.argmax(room))])
@@ -129,11 +132,18 @@ def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floa
     return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
 
 
-def _checked(limits: tuple[Limit, ...], ranges: dict[str, tuple[float, float]]) -> tuple[Floats, Floats]:
+def _check_limits(limits: tuple[Limit, ...]) -> None:
     if not limits or not all(isinstance(lim, Limit) for lim in limits):
-        raise InputError(
-            f"found {limits!r}", where="limits", expected='limits such as Limit("largest_offset", at_most=0.01)'
-        )
+        expected = 'limits such as Limit("largest_offset", at_most=0.01)'
+        raise InputError(f"found {limits!r}", where="limits", expected=expected)
+
+
+def check_ranges(ranges: Mapping[str, tuple[float, float]]) -> tuple[Floats, Floats]:
+    """The least and the most (k,) of each amount, from pairs by their names.
+
+    Raises:
+        InputError: four amounts or more; a pair that is no range.
+    """
     if len(ranges) > max(_GRID):
         raise InputError(f"{len(ranges)} amounts", where="ranges", expected=f"at most {max(_GRID)}")
     for name, pair in ranges.items():

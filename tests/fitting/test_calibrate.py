@@ -75,7 +75,7 @@ def test_doubted_answers_are_counted_apart():
     found = answers(1.0, count=50, doubted=20)
     assert (len(found.ranks), found.doubted, found.refused, found.dropped) == (30, 20, 1, 2)
     whole = Calibration(NAMES, {"twin": found}, "a posterior", 0, 1.0)
-    assert whole.rows()[0][:2] == ("twin", "30 of 53")
+    assert whole.rows()[0] == ("answered", "30 of 53")
 
 
 def test_where_nothing_was_answered_nothing_holds(tmp_path):

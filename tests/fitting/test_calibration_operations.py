@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,10 +12,15 @@ import numpy as np
 import pytest
 from small_scene import small_scene
 
+from fitting.calibration.calibrate import calibrate
+from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.operations import OUTCOMES, Operated, Operation
+from fitting.calibration.plants import Plant
 from fitting.calibration.result import Answers, Calibration, Plans
+from fitting.nuisance import EXACT
 from fitting.prediction.outcomes import outcomes
 from fitting.prediction.variants import grid
+from fitting.set_up import SetUp
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit
 from pftwin import BDF2, simulate
@@ -38,6 +44,8 @@ class Estimated:
     values: np.ndarray
     names: tuple[str, ...] = ("K1",)
     units: tuple[str, ...] = ("N/m",)
+    asked: int = 1
+    doubts: tuple[str, ...] = ()
 
     def apply(self, scene, theta=None):
         (stiffness,) = self.values if theta is None else theta
@@ -73,10 +81,11 @@ def test_right_bands_hold_in_nine_of_ten_plants():
     assert found.verdict(OUTCOMES) == "hold"
     whole = calibration(predictions={"twin": found})
     assert whole.sentence() == "95 % intervals and 90 % bands hold on all kinds of plants tried"
-    half = whole.prediction_rows()[0][-2].split()
-    np.testing.assert_allclose(
-        [float(x) for x in half], [0.94, 0.165, 0.33, 0.49, 3.3, 3.3], rtol=0.04
-    )  # deg, mm, N, %
+    rows = whole.prediction_rows()
+    assert (rows[0], rows[-1]) == (("answered", "300 of 300"), ("verdict", "hold"))
+    assert [row[0] for row in rows[1:4]] == ["mean tilt [deg]", "mean shift [mm]", "largest lateral offset [mm]"]
+    half = [float(row[1].split(", ")[1]) for row in rows[1:-1]]
+    np.testing.assert_allclose(half, [0.94, 0.165, 0.33, 0.49, 3.3, 3.3], rtol=0.04)  # deg, mm, mm, N, N, %
 
 
 def test_bands_too_narrow_are_told_although_intervals_hold():
@@ -102,7 +111,7 @@ def test_plans_are_held_against_their_confidence(safe, verdict, tmp_path):
     plans = Plans.of([*met, *unmet], 0.9)
     assert (plans.safe, plans.found, plans.asked) == (safe, 14, 16)
     whole = calibration(plans={"twin": plans})
-    assert whole.plan_rows() == [("twin", "14 of 16", f"{safe} of 14", verdict)]
+    assert whole.plan_rows() == [("found", "14 of 16"), ("safe in the plant", f"{safe} of 14"), ("verdict", verdict)]
     assert whole.holds is (verdict == "hold")
     again = json.loads(whole.save(tmp_path / "c.json").read_text())
     assert again["plans"]["twin"] == {"safe": safe, "found": 14, "asked": 16, "confidence": 0.9, "verdict": verdict}
@@ -137,12 +146,72 @@ def test_a_plan_is_tried_on_the_plant():
     assert plan.on(stiff(190.0), stiff(150.0), estimate)[2:4] == (True, False)
 
 
+def test_a_knee_that_cannot_be_treated_has_no_plan_and_no_bands():
+    bare = stiff(150.0).without("patellar_tendon")
+    estimate = Estimated(np.array([160.0]))
+    seen = Operation(MOVED, samples=20).on(bare, stiff(150.0), estimate)
+    assert (seen.met, len(seen.draws)) == (None, 0)
+    assert Answers.of_predictions([seen], OUTCOMES).dropped == 1
+    limit = Limit("peak_contact_force", at_most=1e6)
+    plan = Operation(MOVED.with_values([0.0]), (limit,), {"medialisation": (0.0, 0.002)}, samples=20)
+    assert Plans.of([plan.on(bare, stiff(150.0), estimate)], 0.9)[:3] == (0, 0, 1)
+
+
+class Knowing(NamedTuple):
+    """In the place of a trained posterior: always the same answer."""
+
+    set_up: SetUp = SetUp(
+        "small", ("K1",), {"K1": (100.0, 220.0)}, {}, EXACT, ("position",), {"position": 1e-4}, {}, (5,)
+    )
+
+    def estimate(self, scene, measured, limits=None):
+        assert scene.motion.times.size == measured.times.size == 5
+        return Estimated(np.array([160.0]))
+
+    def sentence(self):
+        return "always 160 N/m"
+
+
+def asked_of(count: int, operation: Operation) -> Calibration:
+    """The same answer for plants that it fits, and for stiffer ones."""
+    kinds = {"like": lambda knee, random: Plant(stiff(160.0)), "stiffer": lambda knee, random: Plant(stiff(190.0))}
+    quiet = Laboratory(marker_noise=1e-8, cutoff=None)  # bands know nothing of the motion's noise
+    return calibrate(Knowing(), small_scene(5), plants=count, kinds=kinds, laboratory=quiet, operation=operation)
+
+
+def test_answers_are_carried_to_treated_plants():
+    found = asked_of(4, Operation(MOVED, samples=20))
+    assert [a.verdict(("K1",)) for a in found.kinds.values()] == ["hold", "too narrow: K1"]
+    assert found.predictions["like"].verdict(OUTCOMES) == "hold"
+    assert "mean_contact_force" in found.predictions["stiffer"].verdict(OUTCOMES)
+    assert (found.operation, found.plans) == (Operation(MOVED).describe(), {})
+
+
+@pytest.mark.slow
+def test_answers_are_carried_to_plans():
+    force = outcomes(simulate(stiff(170.0), dt=5e-4, integrator=BDF2()))["peak_contact_force"]
+    limit = Limit("peak_contact_force", at_most=float(force))
+    found = asked_of(2, Operation(MOVED.with_values([0.0]), (limit,), {"medialisation": (0.0, 0.002)}, samples=20))
+    assert {kind: p[:3] for kind, p in found.plans.items()} == {"like": (2, 2, 2), "stiffer": (0, 2, 2)}
+
+
+def test_an_operation_that_no_plant_could_have_is_refused_before_any_is_simulated():
+    graft = Operation(Treatment.of("mpfl_graft", stiffening=0.2))
+    with pytest.raises(InputError, match="graft"):
+        calibrate(Knowing(), small_scene(5), operation=graft)
+    limit, moved = Limit("mean_tilt", at_most=0.1), Treatment.of(TRANSFER, medialisation=0.0)
+    with pytest.raises(InputError, match="no amount 'deepening'"):
+        calibrate(Knowing(), small_scene(5), operation=Operation(moved, (limit,), {"deepening": (0.0, 0.02)}))
+
+
 def test_what_makes_no_sense_is_refused():
     limit = Limit("mean_tilt", at_most=0.1)
     with pytest.raises(InputError, match="limits with the ranges"):
         Operation(MOVED, (limit,))
     with pytest.raises(InputError, match="limits with the ranges"):
         Operation(MOVED, ranges={"medialisation": (0.0, 0.02)})
+    with pytest.raises(InputError, match=r"found \(0.02, 0.0\)"):
+        Operation(MOVED, (limit,), {"medialisation": (0.02, 0.0)})
     with pytest.raises(InputError, match="at least 20"):
         Operation(MOVED, samples=5)
     with pytest.raises(InputError, match="confidence"):

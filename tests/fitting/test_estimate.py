@@ -10,7 +10,7 @@ from made_estimates import made_estimate
 from scipy import stats
 
 import fitting
-from fitting.coverage import INTERVALS
+from fitting.coverage import QUICK
 from fitting.estimate import Estimate
 from fitting.uncertainty import in_words, percent, relative, sizes
 from pftwin.rig.cases import case
@@ -79,7 +79,7 @@ def test_doubts_of_the_measurements_come_before_any_number():
     assert "fix" not in e.summary()
     assert list(e.to_dict())[:3] == ["format", "sentence", "doubts"]
     assert not correlated().invalid
-    assert INTERVALS in correlated().sentence()
+    assert QUICK.intervals in correlated().sentence()
 
 
 def two_stiffnesses(deviation: float, correlation: float, **more):
@@ -97,7 +97,7 @@ def test_the_sentence_splits_two_stiffnesses_into_ratio_and_scale(correlation):
     if common > 3 * ratio:
         assert words == (
             f"positions fix K1/K2 to {ratio:.2g} %, the common scale of K1 and K2 only to {common:.2g} %: "
-            f"measure one force to fix both. But {INTERVALS}"
+            f"measure one force to fix both. But {QUICK.intervals}"
         )
     else:
         assert words.startswith("positions fix K1 to 5 % and K2 to 5 %; the weakest combination is of ")

@@ -11,7 +11,7 @@ from small_scene import small_scene
 
 import fitting
 import pftwin
-from fitting.coverage import WITH_NUISANCE
+from fitting.coverage import QUICK_WITH_NUISANCE
 from fitting.estimate import Estimate
 from fitting.nuisance import SLIP_SPEED, Nuisance
 from fitting.parameters import Applied, free_parameters
@@ -158,7 +158,7 @@ def test_an_estimate_speaks_of_what_was_asked_for(tmp_path):
     assert (found.names, found.besides) == (("K1", "L1", COEFFICIENT), (COEFFICIENT,))
     assert np.all(np.abs(found.values - [150.0, 0.1432, 0.03]) < 2.5 * found.standard_deviations)
     assert "friction" not in found.sentence()
-    assert WITH_NUISANCE in found.sentence()
+    assert QUICK_WITH_NUISANCE.intervals in found.sentence()
     assert "besides:\n  contact.friction.coefficient 0.0" in found.summary()
     again = Estimate.load(found.save(tmp_path / "fit.json"), small_scene(21))
     assert (again.besides, again.nuisance) == (found.besides, found.nuisance)

@@ -10,7 +10,7 @@ from lifted_fits import HELD, NOISE, TRUTH, estimate, noisy, scene
 from made_estimates import made_estimate
 
 import fitting
-from fitting.coverage import BY_SIMULATIONS, INTERVALS, WITHOUT_NUISANCE
+from fitting.coverage import QUICK, SIMULATIONS, SIMULATIONS_WITH_NUISANCE
 from fitting.estimate import Estimate
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -34,10 +34,10 @@ def test_intervals_are_the_draws_quantiles():
 
 def test_what_is_said_of_intervals_is_said_of_simulations():
     found = drawn()
-    assert WITHOUT_NUISANCE in found.sentence()
-    assert INTERVALS not in found.sentence()
+    assert SIMULATIONS.intervals in found.sentence()
+    assert QUICK.intervals not in found.sentence()
     found.besides, found.dropped, found.starts = ("L2",), 7, 900
-    assert BY_SIMULATIONS in found.sentence()
+    assert SIMULATIONS_WITH_NUISANCE.intervals in found.sentence()
     assert "7 of 900 simulations found no equilibrium" in found.remarks()[-1]
 
 

@@ -10,7 +10,7 @@ from made_estimates import made_estimate
 from typer.testing import CliRunner
 
 from fitting.cli.amounts import values
-from fitting.coverage import BANDS
+from fitting.coverage import QUICK
 from pftwin.base.errors import InputError
 from pftwin.cli import app
 from pftwin.files.result_files import load_dataset
@@ -44,7 +44,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
     assert "100 % of draws" in outcome.stdout
     assert SYNTHETIC in outcome.stdout
     assert "estimated from synthetic measurements" in outcome.stdout
-    assert f"in brackets: 95 % of the draws; {BANDS}" in outcome.stdout
+    assert f"in brackets: 95 % of the draws; {QUICK.bands}" in outcome.stdout
 
 
 @pytest.mark.slow
@@ -67,7 +67,7 @@ def test_files_hold_the_outcomes(treated):
     plain = json.loads((folder / "v.json").read_text())
     assert plain["variants"][1]["largest_offset"] == pytest.approx(float(data["largest_offset"][1, 0]))
     assert plain["units"]["largest_offset"] == "m"
-    assert plain["coverage"] == BANDS
+    assert plain["coverage"] == QUICK.bands
     for i, variant in enumerate(plain["variants"]):  # the estimate's own, not a draw's
         assert list(variant["status_frames"].values()) == data["status_frames"].values[i, 0].tolist()
         assert variant["status_frames"]["left_patch"] == int(data["status_frames"].sel(flag="left_patch")[i, 0])

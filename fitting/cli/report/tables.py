@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.pages import number
-from fitting.coverage import BANDS
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import csv_cells, read_lines
@@ -195,11 +194,12 @@ def predicted(data: Dataset) -> Sheet:
 
 def reservations(data: Dataset) -> list[str]:
     """Reservations to bear in mind when reading a prediction's table."""
-    from fitting.prediction.plots import invalid_variants
+    from fitting.prediction.plots import coverage_in, invalid_variants
 
     said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
-        said.append(f"In brackets: 95 % of {data.sizes['sample'] - 1} draws from the fit's uncertainty. {BANDS}.")
+        draws = data.sizes["sample"] - 1
+        said.append(f"In brackets: 95 % of {draws} draws from the fit's uncertainty. {coverage_in(data)}.")
     if doubt := invalid_variants(data):
         said.append(f"{doubt}: their rows are empty.")
     if left := data.attrs.get("variants_missing"):

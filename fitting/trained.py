@@ -20,7 +20,7 @@ from fitting.evaluation import Prediction
 from fitting.first_look import plain_look
 from fitting.fit import SIMULATIONS
 from fitting.inference.besides import with_nuisance
-from fitting.inference.infer import DRAWS, Inferred
+from fitting.inference.infer import DRAWS, TOGETHER, Inferred
 from fitting.inference.learning import Answer, Learned
 from fitting.inference.own_lengths import at_own_lengths
 from fitting.methods.problem import Problem
@@ -40,7 +40,6 @@ Rows = NDArray[np.float32]
 
 FORMAT = "pftwin trained posterior 2"
 _FEWEST_PROBES = 0.5  # share of the knees that are run again that must run
-_TOGETHER = 64  # simulations of an answer in a call
 _DRAWN = 1000  # of a posterior that is compared with another
 
 
@@ -136,7 +135,7 @@ class TrainedPosterior:
         scenes, parameters = set_up.parameters([one for one, _ in trials])
         given = [data for _, data in trials]
         problem = Problem.of(scenes, parameters, set_up.objective(list(zip(scenes, given, strict=True))))
-        problem.evaluator.prepare(_TOGETHER)
+        problem.evaluator.prepare(TOGETHER)
         return problem, given
 
     def _answer(self, problem: Problem, limits: Limits) -> tuple[Answer, Floats, Nuisance, list[str]]:

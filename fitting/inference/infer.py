@@ -31,7 +31,7 @@ from pftwin.base.errors import InputError
 Floats = NDArray[np.float64]
 
 PER_ROUND = 8000  # simulations
-TOGETHER = 256  # of them, in two calls for two cores
+TOGETHER = 64  # of them, in two calls for two cores: more take no less time each, and longer to compile
 ROUNDS = 6  # at most
 DRAWS = 2000
 _MOST_ASKED = 12

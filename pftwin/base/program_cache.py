@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Hashable, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -67,6 +68,7 @@ class Program:
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function, self._jitted = function, eqx.filter_jit(function)
         self._ready: dict[_Kind, tuple[Callable[..., Any], Any]] = {}  # the program and its answer's structure
+        self._begun: dict[_Kind, Callable[[], None]] = {}  # what compiles those that are traced
         functools.update_wrapper(self, function)
 
     def __call__(self, *args: Any) -> Any:
@@ -95,17 +97,25 @@ class Program:
         self.begin(*args)()
 
     def begin(self, *args: Any) -> Callable[[], None]:
-        """The first part of `prepare`, tracing, which two threads cannot do at once; what it returns does the rest."""
+        """The first part of `prepare`, tracing, which two threads cannot do at once; what it returns does the rest, or
+        waits for another thread that does."""
         kind, arrays = _kind_of(args)
         if kind in self._ready:
             return lambda: None
+        if kind in self._begun:
+            return self._begun[kind]
         shapes = jax.tree.map(lambda a: _shape(a) if _is_array(a) else a, args)
         key = _key(self._function, (shapes, repr(kind.settings), jax.default_backend()))
         lowered, structure = self._lowered(kind, arrays, key)
+        one_at_a_time = Lock()
 
         def finish() -> None:
-            self._ready[kind] = lowered.compile(), structure
+            with one_at_a_time:
+                if kind not in self._ready:
+                    self._ready[kind] = lowered.compile(), structure
+            self._begun.pop(kind, None)
 
+        self._begun[kind] = finish
         return finish
 
     def _lowered(self, kind: _Kind, arrays: list[Any], key: str | None) -> tuple[Any, Any]:

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import equinox as eqx
@@ -230,3 +231,23 @@ def test_both_programs_of_a_first_simulation_are_those_that_were_compiled_side_b
     assert len(simulate_module._run._ready) == before + 1
     assert first.timing["compile_s"] > 0
     assert simulate(scene, dt=3e-3).timing["compile_s"] == 0
+
+
+def test_what_is_being_compiled_is_not_traced_and_compiled_again():
+    """Whoever needs it first does it; the other one waits, and finds it done."""
+    traced = []
+
+    def scaled(x):
+        traced.append(x.shape)
+        return 2 * x
+
+    program = Program(scaled)
+    first, second = program.begin(jnp.ones(3)), program.begin(jnp.ones(3))
+    assert traced == [(3,)]
+    with ThreadPoolExecutor(2) as threads:
+        for done in (threads.submit(second), threads.submit(first)):
+            done.result()
+    assert program.at_hand(jnp.ones(3))
+    assert program.timed(jnp.ones(3)).preparation == 0
+    assert program(jnp.ones(4)).shape == (4,)
+    assert traced == [(3,), (4,)]

@@ -50,7 +50,7 @@ def demo(
 
 def _paper_study(folder: Path, json: str | None) -> dict[str, Any]:
     """The paper's section 2.6: springs fitted to case 2, cases 2 and 1 simulated with them; as plain values."""
-    from fitting.demo.paper_study import FITS, STEP, paper_study
+    from fitting.demo.paper_study import CASES, FITS, STEP, paper_study
     from fitting.demo.paper_study_tables import facts, notes, save
 
     with err().status("fitting ...") as spinner:
@@ -58,33 +58,28 @@ def _paper_study(folder: Path, json: str | None) -> dict[str, Any]:
         spinner.update("drawing ...")
         files = save(study, folder)
     where = f"written to {folder}: {', '.join(p.name for p in files)}"
-    sheets = (_table_2(study), *(_springs(study, fit) for fit in FITS), _outcomes(study))
+    sheets = (*(_table_2(study, n) for n in CASES), *(_springs(study, fit) for fit in FITS), _outcomes(study))
     show(*sheets, *notes(study), where, json=json)
     return {**facts(study), "figures": [str(p) for p in files if p.suffix in (".png", ".svg")]}
 
 
-def _table_2(study: PaperStudy) -> Sheet:
-    from fitting.demo.paper_study import CASES, PATHOLOGY
+def _table_2(study: PaperStudy, case: int) -> Sheet:
+    from fitting.demo.paper_study import PATHOLOGY
     from fitting.demo.paper_study_tables import table_2
 
+    what = "pathology, its springs fitted" if case == PATHOLOGY else f"treatment, by the springs of case {PATHOLOGY}"
     title = (
-        "Springs fitted to the motion of case 2 (pathology); cases 2 and 1 (treatment)\n"
-        "simulated with them: pftwin against the virtual rig's SYNTHETIC measurements,\n"
-        "A: fitted by the paper's objective; B: by likelihood; beside section 3 and\n"
-        "Table 2 of Michaud et al. 2024 (their rig; errors of springs without signs)"
+        f"Case {case} ({what}): pftwin against the virtual rig's\n"
+        "SYNTHETIC measurements. A: fitted by the paper's objective; B: by simulations, with what\n"
+        "the twin lacks; C: and one force; beside section 3 and Table 2 of Michaud et al. 2024"
     )
-    headings, rows = [""], []
-    for n in CASES:
-        called = "fitted" if n == PATHOLOGY else "predicted"
-        headings += [*(f"case {n}\n{called}\n{fit}" for fit in "AB"), f"case {n}\n\npaper"]
+    rows = []
     for row in table_2(study):
-        cells = [f"{row.label}, {row.unit}"]
-        for n in CASES:
-            own = [value for (case, _), value in row.values.items() if case == n]
-            cells += [_number(v, signed=row.unit == "%") for v in own]
-            cells.append(_number(row.paper[n]))
-        rows.append(tuple(cells))
-    return Sheet(title, tuple(headings), tuple(rows), words=(0,), narrow=True)
+        own = [value for (n, _), value in row.values.items() if n == case]
+        if any(value is not None for value in own):
+            cells = [_number(v, signed=row.unit == "%") for v in own]
+            rows.append((f"{row.label}, {row.unit}", *cells, _number(row.paper[case])))
+    return Sheet(title, ("", "A", "B", "C", "paper"), tuple(rows), words=(0,), narrow=True)
 
 
 def _springs(study: PaperStudy, fit: str) -> Sheet:

@@ -1,15 +1,16 @@
 """Section 2.6 of Michaud et al. 2024 on the virtual rig: springs fitted to a pathology, its treatment predicted.
 
-K1, L1, K2 and L2 are fitted to the patella's motion in case 2, where it dislocates, without forces. With the fitted
-values case 2 and case 1, the pathology and its treatment by medialising the tibial tuberosity, are simulated and
-compared with what was measured of each: the paper's Table 2.
+K1, L1, K2 and L2 are fitted to the patella's motion in case 2, where it dislocates. With the fitted values case 2 and
+case 1, the pathology and its treatment by medialising the tibial tuberosity, are simulated and compared with what was
+measured of each: the paper's Table 2. Fitted are, by the paper's objective, the springs alone; then what the twin lacks
+besides (friction, attachments, springs that stiffen), to the same positions, and to one force as well.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,18 +24,24 @@ from fitting.demo.straight_springs import (
     recorded_pulls,
 )
 from fitting.fit import SPRING_PARAMETERS, fit_tendons
+from fitting.training import train_posterior
 from pftwin.base.errors import PftwinError
 from pftwin.results.tracking import Tracking, find_dislocations, groove_offset
 
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
+    from pftwin.model.scene import Scene
     from pftwin.results.metrics import Validation
     from pftwin.results.result import Result
 
 PATHOLOGY, TREATMENT = 2, 1  # cases of the rig
 CASES = (PATHOLOGY, TREATMENT)
 NOMINAL, LINES = "nominal", "straight lines"
-FITS = ("paper", "likelihood")  # objectives; the first is the paper's own
+PAPERS = "paper"
+LEARNED = {"positions": ("position",), "force": ("position", "quadriceps")}  # by simulations: what is compared
+FITS = (PAPERS, *LEARNED)
+SURFACE = "spline"  # of fits by simulations, as exact as the implant's mesh; the paper's fit is on P5
+SIMULATIONS = 8_000  # of each
 STEP = 1e-3  # of the simulations, the paper's [s]
 
 
@@ -68,7 +75,7 @@ class Run(NamedTuple):
     """A simulation of a case with some springs, compared with the measurements of that case."""
 
     case: int
-    springs: str  # "paper" or "likelihood": those of that fit; "nominal"; "straight lines"
+    springs: str  # "paper", "positions" or "force": those of that fit; "nominal"; "straight lines"
     result: Result
     validation: Validation
     predicted: Tracking
@@ -95,8 +102,8 @@ def same_outcome(one: Tracking, other: Tracking) -> bool:
 class PaperStudy:
     """Fits, and simulations of both cases with several springs."""
 
-    compiling: float  # before the fits, for both [s]
-    fits: dict[str, Estimate]  # by objective
+    compiling: float  # before the paper's fit [s]
+    fits: dict[str, Estimate]  # by their names
     nearest: dict[str, StraightSpring]  # to the plant's law, by the spring's name
     recorded: dict[str, StraightSpring]  # through recorded forces and lengths
     runs: dict[str, dict[int, Run]]  # by springs and case
@@ -104,15 +111,19 @@ class PaperStudy:
     @property
     def nominal(self) -> np.ndarray:
         """K1, L1, K2, L2 as published."""
-        return self.fits["paper"].nominal
+        return self.fits[PAPERS].nominal
+
+    def springs(self, fit: str) -> np.ndarray:
+        """Those that a fit found."""
+        return self.fits[fit].values[: self.fits[fit].asked]
 
     def errors(self, fit: str) -> np.ndarray:
         """Of a fit's springs against the nominal ones [%]."""
-        return 100 * (self.fits[fit].values / self.nominal - 1)
+        return 100 * (self.springs(fit) / self.nominal - 1)
 
     def errors_of_line(self, fit: str) -> np.ndarray:
         """Of a fit's springs against the straight lines nearest to the plant's [%]."""
-        return 100 * (self.fits[fit].values / values_of(self.nearest) - 1)
+        return 100 * (self.springs(fit) / values_of(self.nearest) - 1)
 
 
 def values_of(lines: dict[str, StraightSpring]) -> np.ndarray:
@@ -120,13 +131,16 @@ def values_of(lines: dict[str, StraightSpring]) -> np.ndarray:
     return np.array([v for name in (QUADRICEPS, PATELLAR_TENDON) for v in lines[name][:2]])
 
 
-def paper_study(*, dt: float = STEP, progress: Callable[[str], None] | None = None, **options: Any) -> PaperStudy:
-    """Fits case 2 by the paper's objective and by likelihood, and simulates cases 2 and 1 with what was found.
+def paper_study(
+    *, dt: float = STEP, simulations: int = SIMULATIONS, progress: Callable[[str], None] | None = None, **options: Any
+) -> PaperStudy:
+    """Fits case 2 by the paper's objective and by simulations, and simulates cases 2 and 1 with what was found.
 
     Args:
         dt: step of the simulations [s].
+        simulations: from which each posterior is learned.
         progress: told what is being done.
-        options: of `fit_tendons`, such as `starts` and `seed`.
+        options: of the paper's fit by `fit_tendons`, such as `starts` and `seed`.
 
     Raises:
         InputError: as `fit_tendons`.
@@ -137,25 +151,45 @@ def paper_study(*, dt: float = STEP, progress: Callable[[str], None] | None = No
     say("compiling the fit")
     compiling = compile_fit()
     scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
-    fits: dict[str, Estimate] = {}
-    for objective in FITS:
-        say(f"fitting {', '.join(SPRING_PARAMETERS)} to case {PATHOLOGY} ({objective})")
-        found = fit_tendons(scene, measured, objective=objective, free=SPRING_PARAMETERS, **options)
-        if found.reason.startswith("interrupted"):
-            raise KeyboardInterrupt
-        fits[objective] = found
+    say(f"fitting {', '.join(SPRING_PARAMETERS)} to case {PATHOLOGY} by the paper's objective")
+    found = fit_tendons(scene, measured, objective="paper", free=SPRING_PARAMETERS, **options)
+    if found.reason.startswith("interrupted"):
+        raise KeyboardInterrupt
+    fits = {PAPERS: found} | {fit: learned_fit(fit, simulations, say) for fit in LEARNED}
     pulls = recorded_pulls(PATHOLOGY)
     nearest = {name: nearest_line(pull) for name, pull in pulls.items()}
     recorded = {name: recorded_line(pull) for name, pull in pulls.items()}
-    springs = {f: e.values for f, e in fits.items()}
-    springs |= {NOMINAL: fits[FITS[0]].nominal, LINES: values_of(nearest)}
     say(f"simulating cases {PATHOLOGY} and {TREATMENT}")
-    runs = {s: {n: simulated(n, s, theta, dt) for n in CASES} for s, theta in springs.items()}
+    alone = {PAPERS: found.values, NOMINAL: found.nominal, LINES: values_of(nearest)}
+    runs = {s: {n: simulated(n, s, with_springs(rig.case(n), theta), dt) for n in CASES} for s, theta in alone.items()}
+    for fit in LEARNED:
+        knees = {n: fits[fit].apply(rig.case(n, contact=SURFACE)) for n in CASES}
+        runs[fit] = {n: simulated(n, fit, knee, dt) for n, knee in knees.items()}
     return PaperStudy(compiling, fits, nearest, recorded, runs)
 
 
+def learned_fit(fit: str, simulations: int, say: Callable[[str], None]) -> Estimate:
+    """The posterior of case 2's springs, and of what the twin lacks, from simulated knees; its time holds training and
+    compiling."""
+    from pftwin import rig
+
+    used, began = LEARNED[fit], time.perf_counter()
+    scene, measured = rig.case(PATHOLOGY, contact=SURFACE), rig.measured(PATHOLOGY)
+    what = f"simulating {simulations:,} knees to fit {' and '.join(used)}"
+    trained = train_posterior(
+        scene,
+        measured,
+        use=used,
+        nuisance="rig",
+        simulations=simulations,
+        progress=lambda done, of: say(what if done < of else f"learning from {of:,} knees, {' and '.join(used)}"),
+    )
+    found = trained.estimate(scene, measured)
+    return replace(found, seconds=time.perf_counter() - began)
+
+
 def compile_fit() -> float:
-    """Compiles the program that both fits run by evaluating the nominal springs; returns the seconds it took."""
+    """Compiles the program that the paper's fit runs by evaluating the nominal springs; returns the seconds it took."""
     from fitting.methods.problem import Problem
     from fitting.objective import Objective
     from fitting.parameters import free_parameters
@@ -169,20 +203,29 @@ def compile_fit() -> float:
     return time.perf_counter() - began
 
 
-def simulated(case: int, springs: str, theta: np.ndarray, dt: float = STEP) -> Run:
-    """A case of the rig with K1, L1, K2, L2 = theta (4,) [N/m, m], compared with its measurements.
+def with_springs(scene: Scene, theta: np.ndarray) -> Scene:
+    """With K1, L1, K2, L2 = theta (4,) [N/m, m].
 
     Raises:
-        InputError: no such case; values that no spring can have.
-        PftwinError: a motion that may not be spoken of.
+        InputError: values that no spring can have.
     """
     import jax.numpy as jnp
 
     from fitting.parameters import free_parameters
+
+    return free_parameters(scene, SPRING_PARAMETERS).apply(scene, jnp.asarray(theta, dtype=float))
+
+
+def simulated(case: int, springs: str, scene: Scene, dt: float = STEP) -> Run:
+    """A case of the rig with these springs, compared with its measurements.
+
+    Raises:
+        InputError: no such case.
+        PftwinError: a motion that may not be spoken of.
+    """
     from pftwin import LinearImplicit, rig, simulate, validate
 
-    nominal, measured = rig.case(case), rig.measured(case)
-    scene = free_parameters(nominal, SPRING_PARAMETERS).apply(nominal, jnp.asarray(theta, dtype=float))
+    measured = rig.measured(case)
     result = simulate(scene, integrator=LinearImplicit(), dt=dt)  # as fits and predictions take their steps
     predicted = result.dislocations()
     if predicted is None:

@@ -12,6 +12,7 @@ import numpy as np
 from fitting.demo.paper_study import (
     CASES,
     FITS,
+    LEARNED,
     LINES,
     NOMINAL,
     PAPER,
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
 _SHOWN = {"m": (1e3, "mm")}  # lengths as people read them
 SPRINGS = {
     "paper": "fitted, paper's objective",
-    "likelihood": "fitted, likelihood",
+    "positions": "fitted by simulations",
+    "force": "fitted by simulations, and one force",
     NOMINAL: "nominal",
     LINES: "straight lines",
 }
@@ -73,12 +75,12 @@ def table_2(study: PaperStudy) -> Iterator[Row]:
     """Errors of the fitted springs, the time of the fit, and both cases' errors against the measurements."""
     none: dict[int, float | None] = dict.fromkeys(CASES)
     fitted = {fit: study.errors(fit) for fit in FITS}
-    for i, name in enumerate(study.fits[FITS[0]].names):
+    for i, name in enumerate(study.fits[FITS[0]].names):  # the paper's: springs alone
         errors = {(PATHOLOGY, fit): float(fitted[fit][i]) for fit in FITS}
         yield Row(f"{name} error of nominal", "%", _filled(errors), none | {PATHOLOGY: PAPER.errors[name]})
     seconds = {(PATHOLOGY, fit): study.fits[fit].seconds for fit in FITS}
     yield Row("time of the fit", "s", _filled(seconds), none | {PATHOLOGY: PAPER.seconds})
-    yield Row("compiling before it, once for both", "s", _filled({(PATHOLOGY, FITS[0]): study.compiling}), none)
+    yield Row("compiling before it", "s", _filled({(PATHOLOGY, FITS[0]): study.compiling}), none)
     rows = {(n, fit): study.runs[fit][n].validation.to_rows() for n in CASES for fit in FITS}
     for i, row in enumerate(rows[PATHOLOGY, FITS[0]]):
         values = {at: column[i].value for at, column in rows.items()}
@@ -93,7 +95,7 @@ def spring_rows(study: PaperStudy, fit: str) -> Iterator[SpringRow]:
     """K1, L1, K2, L2 of one fit beside the nominal values and the straight lines."""
     found, lines = study.fits[fit], values_of(study.nearest)
     errors, errors_of_line = study.errors(fit), study.errors_of_line(fit)
-    for i, name in enumerate(found.names):
+    for i, name in enumerate(found.names[: found.asked]):
         scale, unit = _SHOWN.get(found.units[i], (1.0, found.units[i]))
         low, high = found.intervals[i]
         truths = {"nominal": found.nominal[i], "line": lines[i]}
@@ -114,7 +116,7 @@ def spring_rows(study: PaperStudy, fit: str) -> Iterator[SpringRow]:
 
 
 def outcome_rows(study: PaperStudy) -> Iterator[OutcomeRow]:
-    """Per case: as measured, with the springs of both fits, and with the nominal ones."""
+    """Per case: as measured, with the springs of all fits, and with the nominal ones."""
     for n in CASES:
         yield OutcomeRow(n, "measured", study.runs[FITS[0]][n].measured.describe(), None)
         for springs in (*FITS, NOMINAL):
@@ -148,14 +150,19 @@ def notes(study: PaperStudy) -> Iterator[str]:
     )
     least = least if sums["paper"] < sums[LINES] else ""
     yield f"Sum of the errors in X, Y and Z in case {PATHOLOGY}, which the paper's fit makes least: {listed}.{least}"
-    yield (
-        f"By likelihood, {study.fits['likelihood'].sentence()}. Intervals allow for noise and its correlation in time, "
-        "not for what the twin leaves out."
-    )
+    for fit in LEARNED:
+        found = study.fits[fit]
+        used = " and ".join(found.channels)
+        yield (
+            f"Friction, attachments, damping and springs that stiffen fitted besides, by {found.starts:,} simulated "
+            f"knees, on the spline surface ({used}): {found.sentence()}."
+        )
     for fit, found in study.fits.items():
-        if found.reason != "converged" or found.at_bounds:
-            bounds = f"; at a bound: {', '.join(found.at_bounds)}" if found.at_bounds else ""
-            yield f"The fit by {fit} stopped: {found.reason}{bounds}."
+        stopped = fit not in LEARNED and found.reason != "converged"
+        at_bounds = [name for name in found.at_bounds if name not in found.besides]
+        if stopped or at_bounds:
+            bounds = f"; at a bound: {', '.join(at_bounds)}" if at_bounds else ""
+            yield f"The fit '{SPRINGS[fit]}' ended: {found.reason}{bounds}."
 
 
 def _shares(names: tuple[str, ...], percents: np.ndarray) -> str:
@@ -192,7 +199,7 @@ def facts(study: PaperStudy) -> dict[str, Any]:
 
 
 def save(study: PaperStudy, folder: Path) -> list[Path]:
-    """Writes table2.csv, springs.csv, fit.json, fit_likelihood.json, and a figure of each case as PNG and SVG.
+    """Writes table2.csv, springs.csv, fit.json (the paper's), fit_positions.json, fit_force.json, two figures.
 
     Raises:
         OutputError: the folder is missing or cannot be written to.
@@ -207,7 +214,7 @@ def save(study: PaperStudy, folder: Path) -> list[Path]:
     springs = [[fit, *row] for fit in FITS for row in spring_rows(study, fit)]
     written = [
         _write_csv(folder / "table2.csv", ["row", "unit", *columns], lines),
-        _write_csv(folder / "springs.csv", ["objective", *SpringRow._fields], springs),
+        _write_csv(folder / "springs.csv", ["fit", *SpringRow._fields], springs),
     ]
     for fit, found in study.fits.items():
         written.append(found.save(folder / ("fit.json" if fit == "paper" else f"fit_{fit}.json")))

@@ -22,6 +22,7 @@ from fitting.demo.paper_study import (
     same_outcome,
     simulated,
     values_of,
+    with_springs,
 )
 from fitting.demo.paper_study_tables import facts, notes, outcome_rows, save, spring_rows, table_2
 from fitting.demo.straight_springs import nearest_line, recorded_line, recorded_pulls
@@ -32,17 +33,27 @@ from pftwin.results.tracking import find_dislocations
 
 NAMES = ("K1", "L1", "K2", "L2")
 PUBLISHED = np.array([156.0, 0.1432, 629.0, 0.0714])
-FOUND = {"paper": np.array([1.1, 1.05, 0.9, 1.01]), "likelihood": np.array([1.2, 1.0, 1.0, 0.98])}
+FOUND = {
+    "paper": np.array([1.1, 1.05, 0.9, 1.01]),
+    "positions": np.array([1.2, 1.0, 1.0, 0.98]),
+    "force": np.array([1.17, 1.03, 1.1, 1.0]),
+}
+FRICTION = ("friction.coefficient", 0.02, 0.005)
 
 
-def estimate(objective: str, share: np.ndarray, sd: float, seconds: float) -> Estimate:
-    """An estimate as a fit leaves it, with relative standard deviations of sd."""
+def estimate(fit: str, share: np.ndarray, sd: float, seconds: float) -> Estimate:
+    """An estimate as a fit leaves it, with relative standard deviations of sd; all but the paper's with nuisance."""
+    numbers = dict(zip(NAMES, zip(PUBLISHED * share, sd * PUBLISHED, strict=True), strict=True))
+    besides = () if fit == "paper" else FRICTION[:1]
+    numbers |= dict.fromkeys(besides, FRICTION[1:])
+    nominal = np.append(PUBLISHED, len(besides) * [0.01])
     return made_estimate(
-        dict(zip(NAMES, zip(PUBLISHED * share, sd * PUBLISHED, strict=True), strict=True)),
-        nominal=PUBLISHED,
-        lower=0.7 * PUBLISHED,
-        upper=1.3 * PUBLISHED,
-        objective=objective,
+        numbers,
+        nominal=nominal,
+        lower=0.7 * nominal,
+        upper=1.3 * nominal if fit == "paper" else 2.5 * nominal,
+        besides=besides,
+        objective="paper" if fit == "paper" else "likelihood",
         noise={"position": 1e-3},
         serial_correlation=0.9,
         condition=1e5,
@@ -56,7 +67,7 @@ def estimate(objective: str, share: np.ndarray, sd: float, seconds: float) -> Es
 @pytest.fixture(scope="module")
 def nominal():
     """Both cases of the rig with the published springs."""
-    return {n: simulated(n, NOMINAL, PUBLISHED) for n in CASES}
+    return {n: simulated(n, NOMINAL, with_springs(rig.case(n), PUBLISHED)) for n in CASES}
 
 
 @pytest.fixture(scope="module")
@@ -74,22 +85,26 @@ def study(nominal):
 
 def test_the_springs_errors_stand_beside_the_papers(study):
     rows = {row.label: row for row in table_2(study)}
-    expected = {"K1": (10.0, 20.0, 8), "L1": (5.0, 0.0, 13), "K2": (-10.0, 0.0, 5), "L2": (1.0, -2.0, 3)}
-    for name, (by_paper, by_likelihood, published) in expected.items():
+    expected = {
+        "K1": (10.0, 20.0, 17.0, 8),
+        "L1": (5.0, 0.0, 3.0, 13),
+        "K2": (-10.0, 0.0, 10.0, 5),
+        "L2": (1.0, -2.0, 0.0, 3),
+    }
+    for name, (*by_fit, published) in expected.items():
         row = rows[f"{name} error of nominal"]
         assert row.unit == "%"
-        assert row.values[PATHOLOGY, "paper"] == pytest.approx(by_paper)
-        assert row.values[PATHOLOGY, "likelihood"] == pytest.approx(by_likelihood, abs=1e-9)
+        assert [row.values[PATHOLOGY, fit] for fit in FITS] == pytest.approx(by_fit, abs=1e-9)
         assert row.values[TREATMENT, "paper"] is None
         assert row.paper == {PATHOLOGY: published, TREATMENT: None}
-    assert rows["time of the fit"].values[PATHOLOGY, "likelihood"] == 2.0
+    assert rows["time of the fit"].values[PATHOLOGY, "positions"] == 2.0
     assert rows["time of the fit"].paper[PATHOLOGY] == 1233
 
 
 def test_each_case_is_compared_with_its_own_measurements_beside_the_papers(study, nominal):
     rows = {row.label: row for row in table_2(study)}
     distance = rows["mean distance"]
-    assert distance.values == {(2, "paper"): 20.0, (2, "likelihood"): 21.0, (1, "paper"): 10.0, (1, "likelihood"): 11.0}
+    assert distance.values == {(n, fit): 10.0 * n + i for n in CASES for i, fit in enumerate(FITS)}
     assert distance.paper == {2: 1.66, 1: 2.61}
     assert rows["contact force RMSE"].paper == {2: None, 1: None}
     for label, field in (("tilt RMSE", "tilt"), ("tibial spring RMSE", "tibial_spring")):
@@ -123,9 +138,9 @@ def test_pathology_and_treatment_are_predicted_as_measured(study, nominal):
     assert not nominal[TREATMENT].measured.events
     assert all(run.as_measured for run in nominal.values())
     rows = list(outcome_rows(study))
-    assert [row.as_measured for row in rows] == 2 * [None, True, True, True]
+    assert [row.as_measured for row in rows] == 2 * [None, True, True, True, True]
     begins = [row.text.split(" at ")[0] for row in rows]
-    assert begins == 4 * ["lateral dislocation"] + 4 * ["normal tracking"]
+    assert begins == 5 * ["lateral dislocation"] + 5 * ["normal tracking"]
 
 
 def test_a_wrong_outcome_is_called_wrong(study, nominal):
@@ -147,9 +162,9 @@ def test_the_paths_errors_are_the_papers_objective(nominal):
 
 
 def test_a_fit_that_did_not_converge_is_said_to(study):
-    assert len(list(notes(study))) == 4
+    assert len(list(notes(study))) == 5
     stuck = replace(study.fits["paper"], reason="iterations ran out", values=1.3 * PUBLISHED)
-    last = list(notes(replace(study, fits=study.fits | {"paper": stuck})))[4]
+    last = list(notes(replace(study, fits=study.fits | {"paper": stuck})))[5]
     assert "iterations ran out; at a bound: K1, L1, K2, L2" in last
 
 
@@ -168,12 +183,13 @@ def test_files(study, tmp_path):
     assert all(p.stat().st_size > 100 for p in written)
     rows = list(csv.DictReader((tmp_path / "table2.csv").open()))
     distance = next(r for r in rows if r["row"] == "mean distance")
-    assert [distance[f"case1_{what}"] for what in ("by_paper", "by_likelihood", "published")] == ["10", "11", "2.61"]
+    shown = [distance[f"case1_{what}"] for what in (*(f"by_{fit}" for fit in FITS), "published")]
+    assert shown == ["10", "11", "12", "2.61"]
     assert len(rows) == 4 + 2 + 12
     springs = list(csv.DictReader((tmp_path / "springs.csv").open()))
-    assert [(r["objective"], r["name"]) for r in springs] == [(f, n) for f in FITS for n in ("K1", "L1", "K2", "L2")]
+    assert [(r["fit"], r["name"]) for r in springs] == [(f, n) for f in FITS for n in ("K1", "L1", "K2", "L2")]
     assert Estimate.load(tmp_path / "fit.json").objective == "paper"
-    assert Estimate.load(tmp_path / "fit_likelihood.json").values == pytest.approx(study.fits["likelihood"].values)
+    assert Estimate.load(tmp_path / "fit_force.json").values == pytest.approx(study.fits["force"].values)
 
 
 def test_facts_say_that_the_measurements_are_synthetic(study):
@@ -181,15 +197,19 @@ def test_facts_say_that_the_measurements_are_synthetic(study):
     assert plain["synthetic"] is True
     assert {row["row"]: row["case1_by_paper"] for row in plain["table2"]}["mean distance"] == 10.0
     assert plain["springs"]["paper"][0]["paper_error"] == 8.0
-    assert len(plain["outcomes"]) == 8
+    assert len(plain["outcomes"]) == 10
     assert plain["runs"][NOMINAL][TREATMENT] == status_facts(study.runs[NOMINAL][TREATMENT].result.flags)
 
 
 def test_the_commands_tables_have_a_cell_for_every_heading(study):
-    sheets = [_table_2(study), *(_springs(study, fit) for fit in FITS), _outcomes(study)]
-    assert len(sheets[0].rows) == len(list(table_2(study)))
+    sheets = [*(_table_2(study, n) for n in CASES), *(_springs(study, fit) for fit in FITS), _outcomes(study)]
+    every = [f"{row.label}, {row.unit}" for row in table_2(study)]
+    assert [row[0] for row in sheets[0].rows] == every  # of the case that was fitted
+    assert [row[0] for row in sheets[1].rows] == every[6:]  # without errors of springs and times of fits
     for sheet in sheets:
         assert sheet.rows
         assert all(len(row) == len(sheet.headings) for row in sheet.rows)
     assert all("SYNTHETIC" in sheet.title for sheet in sheets[:-1])
-    assert sheets[0].headings[3] == "case 2\n\npaper"
+    assert dict(zip(sheets[1].headings, sheets[1].rows[every[6:].index("mean distance, mm")], strict=True)) == {
+        "": "mean distance, mm", "A": "10", "B": "11", "C": "12", "paper": "2.61"
+    }  # fmt: skip

@@ -168,7 +168,11 @@ def _of_demo(folder: Path, given: Chosen | None) -> Material:
             expected="the folder of `pftwin demo`, or a file",
             remedy="pftwin demo --out demo",
         )
-    fits = {"the paper's objective": folder / DEMO_FIT, "likelihood": folder / "fit_likelihood.json"}
+    fits = {
+        "the paper's objective": folder / DEMO_FIT,
+        "simulations, from positions": folder / "fit_positions.json",
+        "simulations, and one force": folder / "fit_force.json",
+    }
     present = {name: path for name, path in fits.items() if path.is_file()}
     loaded = {name: Estimate.load(path) for name, path in present.items()}
     first = next(iter(loaded.values()))

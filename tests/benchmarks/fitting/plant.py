@@ -11,30 +11,30 @@ MEAN_DISTANCE = 2.6  # of the treated case's predicted path from the measured on
 
 
 def rows(quick: bool) -> list[Row]:
-    """Errors of the springs with both objectives, and what is predicted of the treated case."""
+    """Errors of the springs by all fits, and what is predicted of the treated case."""
     from fitting.demo.paper_study import FITS, PAPER, PATHOLOGY, TREATMENT, paper_study
 
     study = paper_study(starts=4) if quick else paper_study()
     out = []
     for fit in FITS:
         estimate = study.fits[fit]
-        for i, name in enumerate(estimate.names):
+        for i, name in enumerate(estimate.names[: estimate.asked]):
             low, high = 100 * (estimate.intervals[i] / study.nominal[i] - 1)
             covers = "covers" if low <= 0 <= high else "leaves out"
             note = (
                 f"{study.errors(fit)[i]:+.1f} %, 95 % interval {low:+.1f} to {high:+.1f} %, which {covers} the nominal "
                 f"value; {study.errors_of_line(fit)[i]:+.1f} % from the straight line nearest to the plant's spring"
             )
-            what = f"{name}, objective {fit}: error on the mismatched plant"
+            what = f"{name}, fit {fit}: error on the mismatched plant"
             error = abs(float(study.errors(fit)[i]))
             out.append(Row("plant", what, error, "%", PAPER.errors[name], "at most", note))
     for fit in FITS:
         treated, untreated = study.runs[fit][TREATMENT], study.runs[fit][PATHOLOGY]
         distance, paper = float(treated.validation.mean_distance), PAPER.table_2[TREATMENT]["mean_distance"]
-        what = f"case {TREATMENT} predicted from the fit of case {PATHOLOGY}, objective {fit}: mean distance"
+        what = f"case {TREATMENT} predicted from the fit of case {PATHOLOGY}, fit {fit}: mean distance"
         out.append(Row("plant", what, distance, "mm", MEAN_DISTANCE, "at most", f"paper {paper} mm"))
         right = [run.as_measured for run in (untreated, treated)]
         note = "; ".join(f"case {run.case}: {run.predicted.describe()}" for run in (untreated, treated))
-        what = f"dislocation of case {PATHOLOGY} and tracking of case {TREATMENT}, objective {fit}: right"
+        what = f"dislocation of case {PATHOLOGY} and tracking of case {TREATMENT}, fit {fit}: right"
         out.append(Row("plant", what, float(sum(right)), "of 2", 2.0, "at least", note))
     return out

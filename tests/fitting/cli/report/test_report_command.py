@@ -89,7 +89,7 @@ def test_the_demos_folder(folder, tmp_path):
     """Its fits, its runs, its table and its pictures; nothing is simulated."""
     demo = tmp_path / "demo"
     demo.mkdir()
-    for name in ("fit.json", "fit_likelihood.json"):
+    for name in ("fit.json", "fit_force.json"):
         estimate(scene_name="rig case 2, P5", source=source_of(2), synthetic=True).save(demo / name)
     for n in (1, 2):
         small_result().save(demo / f"case{n}_P5.nc")

@@ -43,10 +43,10 @@ SIMULATIONS_WITH_NUISANCE = Coverage(
     "95 % intervals of such posteriors, on plants of the virtual rig, held the truth in 40 of 40 cases where they were "
     "trained once, with a force or from positions alone; learned in rounds, before springs stiffened in them, in 23 of "
     "24 with a force and 24 of 24 without",
-    "90 % bands of six outcomes of treated knees, predicted from such posteriors that were trained once by positions and "
-    "a force, held the truth in 78 to 100 % of synthetic plants, by outcome and kind of plants",
-    "plans from such posteriors that were trained once by positions and a force, safe in nine of ten draws, were safe in "
-    "67 of 73 synthetic plants",
+    "90 % bands of six outcomes of treated knees, predicted from such posteriors that were trained once by positions "
+    "and a force, held the truth in 78 to 100 % of synthetic plants, by outcome and kind of plants",
+    "plans from such posteriors that were trained once by positions and a force, safe in nine of ten draws, were safe "
+    "in 67 of 73 synthetic plants",
 )
 
 

@@ -118,7 +118,13 @@ def beside_the_truth(estimates):
         off, half = 100 * (e.values[:4] / truth - 1), 50 * np.ptp(e.intervals[:4], axis=1) / truth
         held = (e.intervals[:4, 0] <= truth) & (truth <= e.intervals[:4, 1])
         lines.append(
-            [name, *(f"{o:+.1f} ± {h:.1f}{'' if there else ' (missed)'}" for o, h, there in zip(off, half, held))]
+            [
+                name,
+                *(
+                    f"{o:+.1f} ± {h:.1f}{'' if there else ' (missed)'}"
+                    for o, h, there in zip(off, half, held, strict=True)
+                ),
+            ]
         )
     return table(["fit, off [%]", "K1", "L1", "K2", "L2"], lines)
 
@@ -140,9 +146,7 @@ beside_the_truth({"quick, positions": positions, "quick, and one force": quick})
 
 # %%
 surface = pftwin.rig.case(2, contact="spline")
-trained = fitting.train_posterior(
-    surface, measured, use=("position", "quadriceps"), nuisance="rig", simulations=8_000
-)
+trained = fitting.train_posterior(surface, measured, use=("position", "quadriceps"), nuisance="rig", simulations=8_000)
 print(trained.sentence())
 estimate = trained.estimate(surface, measured)
 print(estimate.sentence())
@@ -160,7 +164,8 @@ assert left["by simulations"] < 0.4 * left["quick"]
 
 # %% [markdown]
 # One knee proves little. `pftwin calibrate` repeats this on many simulated knees that differ from the twin in other
-# ways than the priors say, and counts: [how often intervals hold the truth](../docs/fitting.md#how-often-intervals-hold-the-truth).
+# ways than the priors say, and counts:
+# [how often intervals hold the truth](../docs/fitting.md#how-often-intervals-hold-the-truth).
 
 # %% [markdown]
 # ## Predict the treated knee

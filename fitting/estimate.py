@@ -16,6 +16,7 @@ from fitting.channel_checks import shown
 from fitting.coverage import Coverage, coverage_of
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Applied
+from fitting.sensors import Sensors
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
@@ -233,6 +234,8 @@ class Estimate:
             out.append(
                 f"beside the priors the measurements count as {100 * self.share:.2g} % of as many independent ones"
             )
+        if errors := Sensors.of(self.nuisance).describe():
+            out.append(f"allowed for throughout the recording, one standard deviation: {errors}")
         if self.dropped:
             tried = "starts" if self.draws is None else "simulations"
             out.append(f"{self.dropped} of {self.starts} {tried} found no equilibrium or no finite motion")

@@ -21,6 +21,7 @@ from fitting.objective import SPRINGS, Objective
 from fitting.outcome import Outcome, estimate_of, judge
 from fitting.parameters import Bounds
 from fitting.programs import POSITION, channels_of
+from fitting.sensors import Sensors
 from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.errors import InputError
 from pftwin.base.output import check_place
@@ -141,7 +142,9 @@ def fit_tendons(
         where = "priors" if priors else "nuisance"
         raise InputError("the paper's objective has no noise to weigh priors against", where=where)
     besides = Nuisance.of(nuisance)
-    if method == SIMULATIONS:
+    if method != SIMULATIONS:
+        besides.refuse_sensors(f"method {method!r}")
+    else:
         besides = besides.at_work([one for one, _ in trials])
     given = [data for _, data in trials]
     scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
@@ -155,7 +158,7 @@ def fit_tendons(
         problem.evaluator.prepare(TOGETHER)
         compiled = compiled_aside(knee.unnamed())
         doubts = plain_look(problem, allowed)
-        found = infer(problem, seed, count, rounds, _told(progress, began))
+        found = infer(problem, Sensors.of(besides), seed, count, rounds, _told(progress, began))
         if not found.interrupted:
             besides, draws = at_own_lengths(problem, besides, found.answer.draws)
             scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)

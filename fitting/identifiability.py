@@ -113,7 +113,9 @@ def plan_experiment(
     """
     for each in (scene, *further):
         check(each)
-    prepared, free_in_each = free_in_trials([scene, *further], free, bounds, priors, Nuisance.of(nuisance))
+    besides = Nuisance.of(nuisance)
+    besides.refuse_sensors("a plan of experiments")
+    prepared, free_in_each = free_in_trials([scene, *further], free, bounds, priors, besides)
     (scene, *others), (parameters, *theirs) = prepared, free_in_each
     asked = parameters.asked
     all_channels = channels_of(scene)

@@ -23,7 +23,9 @@ from pftwin.model.scene_parameters import find, named_arrays
 
 FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Research International 2015:185142, Table 5
 SLIP_SPEED = 1e-3  # [m/s]
-DEVIATIONS = ("attachments", "friction", "damping", "stiffening")  # what a text can set
+OF_KNEES = ("attachments", "friction", "damping", "stiffening")
+OF_SENSORS = ("force_scale", "force_bias", "time_shift", "placement")
+DEVIATIONS = (*OF_KNEES, *OF_SENSORS)  # what a text can set
 _REACH = 4.0  # standard deviations from the prior's mean to the bounds
 _DAMPING = ("N s/m", "N m s/rad")  # units of coefficients of damping
 
@@ -48,6 +50,12 @@ class Nuisance:
             their length. Posteriors by simulations find it, for each tendon, by a normal prior that is cut off at 0 and
             there; what they tell of its stiffness and slack length is the straight line nearest to its spring, over the
             fitted knee's lengths where both are free. A search has no number for it.
+        force_scale: of each force's sensor, as a share of what it reads. This and what follows stay the same throughout
+            a recording, are drawn into simulated ones, and have no number of their own: posteriors by simulations allow
+            for them, other methods refuse them.
+        force_bias: of the zero of each force's sensor, in each trial [N].
+        time_shift: by which the forces of a trial are late or early against the markers [s].
+        placement: of the tracked point in the femur's frame, each coordinate: bones registered to markers [m].
         working: at what lengths tendons work, by name, over which lines are nearest: `at_work` finds them for the
             nominal knee. Others stay linear.
     """
@@ -56,6 +64,10 @@ class Nuisance:
     friction: float = 0.0
     damping: float = 0.0
     stiffening: float = 0.0
+    force_scale: float = 0.0
+    force_bias: float = 0.0
+    time_shift: float = 0.0
+    placement: float = 0.0
     working: tuple[tuple[str, Working], ...] = ()
 
     def __post_init__(self) -> None:
@@ -68,18 +80,19 @@ class Nuisance:
 
     @staticmethod
     def of(given: str | Nuisance | None) -> Nuisance:
-        """Of a preset's name, "attachments=0.001,friction=0.05", or itself; None: a twin that is taken as exact.
+        """Of a preset's name, "attachments=0.001,friction=0.05", "rig,force_scale=0.02" or itself; None: a twin that is
+        taken as exact.
 
         Raises:
             InputError: no such preset; a text that names something else, or no numbers.
         """
         if given is None or isinstance(given, Nuisance):
             return given or EXACT
-        if given in PRESETS:
-            return PRESETS[given]
-        expected = f"one of: {', '.join(PRESETS)}; or some of {', '.join(DEVIATIONS)}, as in attachments=0.001"
+        expected = f"one of: {', '.join(PRESETS)}; or some of {', '.join(DEVIATIONS)}, as in attachments=0.001; or both"
+        first, *others = given.split(",")
+        preset = PRESETS.get(first.strip())
         found: dict[str, Any] = {}
-        for part in given.split(","):
+        for part in [first, *others] if preset is None else others:
             name, _, value = (text.strip() for text in part.partition("="))
             try:
                 number = float(value)
@@ -88,7 +101,18 @@ class Nuisance:
             if name not in DEVIATIONS or name in found:
                 raise InputError(f"found {name!r}", where="nuisance", expected=f"{expected}; each once")
             found[name] = number
-        return Nuisance(**found)
+        return replace(preset or EXACT, **found)
+
+    def refuse_sensors(self, by: str) -> None:
+        """Refuses errors of sensors, where there is nothing that allows for them.
+
+        Raises:
+            InputError: there are some.
+        """
+        if some := [name for name in OF_SENSORS if getattr(self, name)]:
+            expected = f"nothing of {', '.join(OF_SENSORS)}"
+            remedy = "method='simulations', or a posterior that is trained, which allow for them"
+            raise InputError(f"{by} cannot allow for {some[0]}", where="nuisance", expected=expected, remedy=remedy)
 
     def at_work(self, scenes: Sequence[Scene]) -> Nuisance:
         """The same, with what is needed to let tendons stiffen: the nominal knee is simulated in its trials.

@@ -27,6 +27,7 @@ from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.outcome import Outcome, estimate_of, judge
+from fitting.sensors import Sensors
 from fitting.set_up import SetUp, bridged, from_nominal, listed
 from fitting.trials import trials_of
 from pftwin.base.errors import InputError
@@ -151,7 +152,8 @@ class TrainedPosterior:
         said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was learned from"
         doubts += bounded("trained_noise", answer.level, said, source, limits)
         random = np.random.default_rng([self.seed, 1])
-        draws = with_nuisance(problem, held, self.learned, recording, answer.draws, self.substeps, random)
+        sensors = Sensors.of(self.set_up.nuisance)
+        draws = with_nuisance(problem, sensors, held, self.learned, recording, answer.draws, self.substeps, random)
         besides, draws = at_own_lengths(problem, self.set_up.nuisance, draws)
         return answer, draws, besides, doubts
 

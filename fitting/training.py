@@ -28,6 +28,7 @@ from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
+from fitting.sensors import Sensors
 from fitting.set_up import SetUp, bridged, from_nominal
 from fitting.trained import Probes, TrainedPosterior
 from fitting.trials import free_in_trials, objective_of, trials_of
@@ -96,7 +97,8 @@ def train_posterior(
     probes = Probes(probed[seen.usable], held.residuals(seen.values[seen.usable]).astype(np.float32))
     check_enough(len(probes.theta), _PROBES, problem)
     first = bridged(problem, held, held.present)
-    theta, recordings = _simulated(problem, held, region.drawn(simulations, random), substeps, progress)
+    drawn = region.drawn(simulations, random)
+    theta, recordings = _simulated(problem, held, Sensors.of(besides), drawn, substeps, random, progress)
     check_enough(len(theta), simulations, problem)
     learned = learn(region, theta, recordings, first, held, Noise.initial(target), random)
     return TrainedPosterior(
@@ -126,8 +128,10 @@ def _substeps(evaluator: Evaluator | TrialsEvaluator, nominal: Floats) -> int:
 def _simulated(
     problem: Problem,
     held: Objective,
+    sensors: Sensors,
     theta: Floats,
     substeps: int,
+    random: np.random.Generator,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Floats, Rows]:
     """Of these parameters (N, p) those that run, and their recordings (N, n, m) from the nominal one."""
@@ -136,7 +140,8 @@ def _simulated(
         part = theta[i : i + _AT_ONCE]
         seen = problem.evaluator.values(part, substeps)
         kept.append(part[seen.usable])
-        recordings.append(held.residuals(seen.values[seen.usable]).astype(np.float32))
+        read = sensors.read(seen.values[seen.usable], problem, random)
+        recordings.append(held.residuals(read).astype(np.float32))
         if progress is not None:
             progress(i + len(part), len(theta))
     return np.concatenate(kept), np.concatenate(recordings)

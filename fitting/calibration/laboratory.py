@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.nuisance import OF_SENSORS
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.filters import butterworth_lowpass
 from pftwin.files.mocap.frames import cluster_poses
@@ -34,6 +35,10 @@ class Laboratory:
         cutoff: of the markers' second-order Butterworth low-pass [Hz]; None: no filter.
         force_noise: standard deviation of a load cell's noise [N].
         force_bias: standard deviation of its offset [N].
+        force_scale: standard deviation of its scale, as a share.
+        time_shift: standard deviation of how late all forces are against the markers [s].
+        placement: standard deviation of how far off the femur is registered to its markers: each coordinate of the
+            tracked point in its frame [m].
     """
 
     marker_noise: float = 2e-4
@@ -41,9 +46,12 @@ class Laboratory:
     cutoff: float | None = 12.0
     force_noise: float = 0.15
     force_bias: float = 0.05
+    force_scale: float = 0.0
+    time_shift: float = 0.0
+    placement: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("marker_noise", "cluster", "force_noise", "force_bias"):
+        for name in ("marker_noise", "cluster", "force_noise", *OF_SENSORS):
             value = getattr(self, name)
             if not (np.isfinite(value) and (value > 0 if name == "cluster" else value >= 0)):
                 raise InputError(f"{name}: found {value!r}", where="laboratory", expected="a number, not negative")
@@ -74,8 +82,10 @@ class Laboratory:
         femur, tibia, world = (self._poses_of_markers(each, random) for each in (femur, tibia, world))
         relative = world.relative_to(femur)
         point = np.asarray(scene.tracked_point().array(), dtype=float)
-        center = relative.positions + relative.matrices() @ point
-        forces = {name: self._load_cell(value, random) for name, value in seen.forces.items()}
+        center = relative.positions + relative.matrices() @ point + random.normal(0.0, self.placement, 3)
+        late = random.normal(0.0, self.time_shift)
+        behind = {name: np.interp(times - late, times, value) for name, value in seen.forces.items()}
+        forces = {name: self._load_cell(value, random) for name, value in behind.items()}
         contact = scene.contact
         measured = Measured(
             times,
@@ -100,7 +110,8 @@ class Laboratory:
         return cluster_poses(markers, places, poses.times)
 
     def _load_cell(self, force: Floats, random: np.random.Generator) -> Floats:
-        return force + random.normal(0.0, self.force_bias) + random.normal(0.0, self.force_noise, force.shape)
+        read = force * (1 + random.normal(0.0, self.force_scale)) + random.normal(0.0, self.force_bias)
+        return read + random.normal(0.0, self.force_noise, force.shape)
 
 
 def _poses(part: SegmentMotion | None, times: Floats) -> PoseSeries:

@@ -38,8 +38,8 @@ NuisanceOption = Annotated[
     Option(
         "--nuisance",
         metavar="NAME",
-        help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri, or such as"
-        ' "attachments=0.001,friction=0.05,damping=0.5" (standard deviations).',
+        help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri, such as"
+        ' "attachments=0.001,friction=0.05,damping=0.5" (standard deviations), or both: "rig,force_scale=0.02".',
     ),
 ]
 LimitOption = Annotated[

@@ -6,7 +6,7 @@ a normal prior is then normal too:
     x = a + A u + B z + e,    cov(e) = C,    z ~ N(m, V)
     precision of z:  B' C^-1 B + V^-1,    mean:  its inverse times  B' C^-1 (x - a - A u) + V^-1 m
 
-C is what noise does to summaries, and what the straight model leaves of the simulated ones.
+C is what noise and errors of sensors do to summaries, and what the straight model leaves of the simulated ones.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from fitting.inference.learning import Learned, Rows
 from fitting.methods.problem import Problem
 from fitting.objective import Objective
 from fitting.parameters import Parameters
+from fitting.sensors import Sensors
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +31,7 @@ _TRIES = 100  # of drawing within the bounds
 
 def with_nuisance(
     problem: Problem,
+    sensors: Sensors,
     held: Objective,
     learned: Learned,
     recording: Rows,
@@ -41,6 +43,7 @@ def with_nuisance(
 
     Args:
         problem: whose parameters they are, with its evaluator.
+        sensors: errors that recordings have besides noise.
         held: what recordings are held against.
         learned: what tells summaries and noise.
         recording: (n, m) from what it is held against.
@@ -62,8 +65,11 @@ def with_nuisance(
         freedom = int(seen.usable.sum()) - len(parameters) - 1
         if freedom < 1.2 * learned.middle.size:  # too few to tell what they scatter by
             break
-        x = learned.seen(held.residuals(seen.values[seen.usable]).astype(np.float32))
-        straight = _Straight.of(some[seen.usable], x, learned.added.root)
+        values = seen.values[seen.usable]
+        x, read = (
+            learned.seen(held.residuals(v).astype(np.float32)) for v in (values, sensors.read(values, problem, random))
+        )
+        straight = _Straight.of(some[seen.usable], x, read - x, learned.added.root)
         mean, root = straight.given(learned.seen(recording[None])[0], asked, parameters)
         draws = np.concatenate([asked, _within(mean, root, parameters, random)], axis=1)
     return draws
@@ -78,14 +84,15 @@ class _Straight(NamedTuple):
     whitening: Floats  # (k, k)
 
     @staticmethod
-    def of(theta: Floats, x: Floats, noise_root: Floats) -> _Straight:
-        """Through summaries (N, k) of simulated knees (N, p)."""
+    def of(theta: Floats, x: Floats, misread: Floats, noise_root: Floats) -> _Straight:
+        """Through summaries (N, k) of simulated knees (N, p), which sensors tell so much (N, k) otherwise."""
         center, at, scale = theta.mean(axis=0), x.mean(axis=0), np.maximum(theta.std(axis=0), 1e-300)
         t = (theta - center) / scale
         slopes = np.linalg.lstsq(t, x - at, rcond=None)[0]
         left = x - at - t @ slopes
         # The inverse of a covariance from few knees is too large by freedom / (freedom - k - 1) in the mean.
         covariance = noise_root @ noise_root.T + left.T @ left / (len(x) - t.shape[1] - 2 - x.shape[1])
+        covariance += misread.T @ misread / len(x)
         values, vectors = np.linalg.eigh(covariance)
         whitening = (vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T
         return _Straight(center, whitening @ at, whitening @ slopes.T / scale, whitening)

@@ -26,6 +26,7 @@ from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem
 from fitting.parameters import Parameters
+from fitting.sensors import Sensors
 from pftwin.base.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -88,6 +89,7 @@ def check_enough(usable: int, simulations: int, problem: Problem) -> None:
 
 def infer(
     problem: Problem,
+    sensors: Sensors,
     seed: int,
     simulations: int,
     rounds: int,
@@ -97,6 +99,7 @@ def infer(
 
     Args:
         problem: what is compared; its objective's noise, if stated, is taken as known.
+        sensors: errors that recordings have besides noise.
         seed: of all random choices.
         simulations: of each round.
         rounds: at most.
@@ -114,7 +117,7 @@ def infer(
     try:
         for number in range(rounds):
             random = np.random.default_rng([seed, number])
-            one = _round(problem, region, noise, substeps, simulations, random)
+            one = _round(problem, sensors, region, noise, substeps, simulations, random)
             draws, dropped = one.answer.draws, dropped + one.dropped
             smaller = whole.around(draws)
             best = min(one.best, history[-1]["best"]) if history else one.best
@@ -149,6 +152,7 @@ class _Round(NamedTuple):
 
 def _round(
     problem: Problem,
+    sensors: Sensors,
     region: Region,
     noise: Noise,
     substeps: int,
@@ -159,11 +163,11 @@ def _round(
     seen = problem.evaluator.values(theta, substeps)
     theta, values = theta[seen.usable], seen.values[seen.usable]
     check_enough(len(theta), simulations, problem)
-    apart = problem.objective.residuals(values).astype(np.float32)
+    apart = problem.objective.residuals(sensors.read(values, problem, random)).astype(np.float32)
     nothing = np.zeros_like(apart[0])  # the measurements' distance from themselves
     learned = learn(region, theta, apart, nothing, problem.objective, noise, random)
     cost = problem.objective.value(Prediction(values, None, np.ones(len(values), bool)))
     best = float(np.min(cost + problem.parameters.prior_terms(theta)[0]))
     answer = learned.answer(nothing, DRAWS, random)
-    draws = with_nuisance(problem, problem.objective, learned, nothing, answer.draws, substeps, random)
+    draws = with_nuisance(problem, sensors, problem.objective, learned, nothing, answer.draws, substeps, random)
     return _Round(answer._replace(draws=draws), learned.noise, simulations - len(theta), best)

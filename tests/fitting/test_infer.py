@@ -21,6 +21,7 @@ from fitting.inference.region import Region
 from fitting.methods.problem import Problem
 from fitting.outcome import Outcome
 from fitting.parameters import Parameters
+from fitting.sensors import Sensors
 from pftwin.base.errors import InputError
 
 FRAMES, RHO = 200, 0.8
@@ -28,6 +29,7 @@ SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
 PRIOR = (0.37, 0.02)  # of the third parameter, which is nuisance
 TRUTH = np.array([1.23, -30.4, 0.4])
 HALF_WIDTH = 3.0
+EXACT_SENSORS, OFF = Sensors(), Sensors(placement=0.03, force_bias=0.8)
 
 
 def slopes() -> np.ndarray:
@@ -38,10 +40,11 @@ def slopes() -> np.ndarray:
     return size * np.sin(2 * np.pi * cycles * time + np.arange(3))
 
 
-def measured(seed: int) -> np.ndarray:
+def measured(seed: int, off: float = 0.0) -> np.ndarray:
+    """With noise, and so many of `OFF`'s deviations off throughout."""
     root = np.linalg.cholesky(toeplitz(RHO ** np.arange(FRAMES)))
     noise = root @ np.random.default_rng(seed).normal(size=(FRAMES, 4)) * SIGMA
-    return slopes() @ TRUTH + noise
+    return slopes() @ TRUTH + noise + off * np.array([OFF.placement] * 3 + [OFF.force_bias])
 
 
 def known() -> Parameters:
@@ -49,25 +52,28 @@ def known() -> Parameters:
     return Parameters((*items[:2], replace(items[2], nuisance=True)))
 
 
-def linear(seed: int, stated: bool = True) -> Problem:
+def linear(seed: int, stated: bool = True, off: float = 0.0) -> Problem:
     noise = {"position": SIGMA[0], "contact": SIGMA[3]} if stated else None
-    return problem(slopes(), measured(seed), known(), noise)
+    return problem(slopes(), measured(seed, off), known(), noise)
 
 
-def bayes(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """The posterior's mean and covariance in closed form: generalised least squares with the prior."""
-    root = np.linalg.cholesky(toeplitz(RHO ** np.arange(FRAMES)))
-    a = np.linalg.solve(root, (slopes() / SIGMA[:, None]).reshape(FRAMES, -1)).reshape(-1, 3)
-    b = np.linalg.solve(root, measured(seed) / SIGMA).reshape(-1)
-    precision = a.T @ a + np.diag([0, 0, PRIOR[1] ** -2])
-    covariance = np.linalg.inv(precision)
-    return covariance @ (a.T @ b + np.array([0, 0, PRIOR[0] * PRIOR[1] ** -2])), covariance
+def bayes(seed: int, sensors: Sensors = EXACT_SENSORS, off: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The posterior's mean and covariance in closed form: generalised least squares with the prior. An error that stays
+    the same throughout is the same variance between all frames."""
+    information, pull = np.diag([0, 0, PRIOR[1] ** -2]), np.array([0, 0, PRIOR[0] * PRIOR[1] ** -2])
+    same = np.array([sensors.placement] * 3 + [sensors.force_bias])
+    for column, (sd, constant) in enumerate(zip(SIGMA, same, strict=True)):
+        root = np.linalg.cholesky(sd**2 * toeplitz(RHO ** np.arange(FRAMES)) + constant**2)
+        a, b = (np.linalg.solve(root, x[:, column]) for x in (slopes(), measured(seed, off)))
+        information, pull = information + a.T @ a, pull + a.T @ b
+    covariance = np.linalg.inv(information)
+    return covariance @ pull, covariance
 
 
 @cache
-def found(seed: int = 3, stated: bool = True) -> Inferred:
-    case = linear(seed, stated)
-    return infer(case, seed=1, simulations=3000, rounds=6, report=lambda entry, most: None)
+def found(seed: int = 3, stated: bool = True, sensors: Sensors = EXACT_SENSORS, off: float = 0.0) -> Inferred:
+    case = linear(seed, stated, off)
+    return infer(case, sensors, seed=1, simulations=3000, rounds=6, report=lambda entry, most: None)
 
 
 @pytest.mark.slow
@@ -82,6 +88,17 @@ def test_the_posterior_is_that_of_bayes():
     assert found().reason == "the posterior no longer changes"
     assert found().answer.distance < LIMITS["simulated"][0]
     assert found().answer.level == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.slow
+def test_a_recording_of_sensors_that_are_off_is_answered_as_bayes_has_it():
+    """Taken as exact, they would put the first parameter more than two deviations off."""
+    mean, covariance = bayes(3, OFF, off=2.0)
+    sd = np.sqrt(np.diagonal(covariance))
+    assert np.abs(bayes(3, off=2.0)[0] - mean)[0] > 2 * sd[0]
+    draws = found(sensors=OFF, off=2.0).answer.draws
+    assert (np.abs(draws.mean(axis=0) - mean) < 0.35 * sd).all(), (draws.mean(axis=0) - mean) / sd
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.3)
 
 
 @pytest.mark.slow
@@ -107,18 +124,20 @@ def test_measurements_that_no_simulation_resembles_are_strange():
         assert (np.abs(seen).max() > LIMITS["simulated"][0]) is np.bool_(expected)
 
 
-def test_nuisance_given_what_is_asked_for_is_that_of_bayes():
+@pytest.mark.parametrize("sensors", [EXACT_SENSORS, OFF])
+def test_nuisance_given_what_is_asked_for_is_that_of_bayes(sensors):
     """Linear recordings of which what is asked for is known to be elsewhere: the conditional normal distribution."""
     base, random = linear(3), np.random.default_rng(8)
     region, nothing = Region(base.parameters), np.zeros((FRAMES, 4), np.float32)
     theta = region.drawn(1000, random)
-    apart = base.objective.residuals(base.evaluator.values(theta, 1).values).astype(np.float32)
+    values = sensors.read(base.evaluator.values(theta, 1).values, base, random)
+    apart = base.objective.residuals(values).astype(np.float32)
     known_noise = Noise(SIGMA, np.full(4, RHO), 1.0)
     learned = learn(region, theta, apart, nothing, base.objective, known_noise, random)
-    mean, covariance = bayes(3)
+    mean, covariance = bayes(3, sensors)
     deviations = np.sqrt(np.diagonal(covariance)[:2])
     asked = mean[:2] + deviations * np.repeat([[1.0, -2.0], [0.0, 0.5]], 4000, axis=0)
-    draws = with_nuisance(base, base.objective, learned, nothing, asked, 1, random)
+    draws = with_nuisance(base, sensors, base.objective, learned, nothing, asked, 1, random)
     np.testing.assert_array_equal(draws[:, :2], asked)
     gain = np.linalg.solve(covariance[:2, :2], covariance[:2, 2])
     expected = mean[2] + (asked - mean[:2]) @ gain
@@ -168,7 +187,7 @@ def test_an_interrupt_keeps_the_last_whole_round():
         if entry["iteration"] == 2:
             raise KeyboardInterrupt
 
-    kept = infer(linear(3), seed=1, simulations=1000, rounds=4, report=interrupt)
+    kept = infer(linear(3), EXACT_SENSORS, seed=1, simulations=1000, rounds=4, report=interrupt)
     assert kept.interrupted
     assert len(kept.history) == 2
     assert kept.answer.draws.shape == (2000, 3)

@@ -135,6 +135,7 @@ def test_the_plant_itself_is_treated():
     assert 0.1 < np.mean(right.draws[:, force] < right.truth[force]) < 0.9
 
 
+@pytest.mark.slow
 def test_a_plan_is_tried_on_the_plant():
     """The force may be as large as a stiffness of 170 makes it: kept by the plant that the estimate is of, not by a
     stiffer one."""
@@ -179,6 +180,7 @@ def asked_of(count: int, operation: Operation) -> Calibration:
     return calibrate(Knowing(), small_scene(5), plants=count, kinds=kinds, laboratory=quiet, operation=operation)
 
 
+@pytest.mark.slow
 def test_answers_are_carried_to_treated_plants():
     found = asked_of(4, Operation(MOVED, samples=20))
     assert [a.verdict(("K1",)) for a in found.kinds.values()] == ["hold", "too narrow: K1"]

@@ -46,6 +46,7 @@ def solved(run_reweighed: bool, slopes: np.ndarray, measured: np.ndarray, known)
     return np.asarray(state["best_theta"]), search.problem.objective.share
 
 
+@pytest.mark.slow
 def test_priors_are_not_drowned():
     """Truths drawn from their prior: errors in units of the prior's width, over repeats."""
     random, slopes = np.random.default_rng(4), slow_design()

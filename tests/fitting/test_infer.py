@@ -109,6 +109,7 @@ def test_noise_that_is_not_stated_is_found():
     np.testing.assert_allclose(noise.correlations, RHO, atol=0.12)
 
 
+@pytest.mark.slow
 def test_measurements_that_no_simulation_resembles_are_strange():
     """Ten times as far as the bounds reach along what the second parameter does."""
     far = linear(3)

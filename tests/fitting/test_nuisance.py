@@ -153,6 +153,7 @@ def fitted(knee: tuple[Scene, Measured], nuisance: Nuisance | None) -> Estimate:
     return fitting.fit_tendons(*knee, free=("K1", "L1"), use="all", noise=known, nuisance=nuisance, starts=4)
 
 
+@pytest.mark.slow
 def test_an_estimate_speaks_of_what_was_asked_for(tmp_path):
     found = fitted(knee_with(0.03, 0.006), Nuisance(friction=0.05))
     assert (found.names, found.besides) == (("K1", "L1", COEFFICIENT), (COEFFICIENT,))

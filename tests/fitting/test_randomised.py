@@ -100,6 +100,7 @@ def test_tempering_gives_the_estimates_covariance(line):
     np.testing.assert_allclose(tempering(np.linalg.inv(covariance), covariance), np.eye(2), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_with_correlated_noise_it_is_as_wide_as_estimates_scatter():
     """Noise of known covariance Omega, and slow designs: estimates scatter by (A'A)^-1 A' Omega A (A'A)^-1, here twice
     to three times as far as if it were white. From one recording, by residuals, covariance, tempering and draws."""

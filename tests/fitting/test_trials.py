@@ -70,6 +70,7 @@ def fitted(scenes: Any, data: Any, **more: Any) -> Estimate:
     return fitting.fit_tendons(scenes, data, **{**given, **more})
 
 
+@pytest.mark.slow
 def test_what_both_trials_share_is_found():
     found = together()
     assert found.reason == "converged"
@@ -104,6 +105,7 @@ def test_values_gradients_and_information_add():
         assert (np.abs(second) > 0.01 * np.abs(joint)).any()
 
 
+@pytest.mark.slow
 def test_reverse_mode_agrees_with_forward_mode():
     problem, point = problem_of((0, 1), ("position",)), float(nominal()[0].get(POINT))
     theta = np.array([[160.0, 0.0705, point + 0.001], [150.0, 0.0722, point - 0.002]])

@@ -32,6 +32,7 @@ def slack():
     return small_scene(11).set("quadriceps.slack_length", 143.0)
 
 
+@pytest.mark.slow
 def test_a_prediction_whose_variants_are_all_invalid_says_only_that():
     data = predict(slack(), grid("tibial_tuberosity_transfer", medialisation=[0.0, 0.005]))
     assert data["failed"].all()

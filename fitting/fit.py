@@ -123,7 +123,8 @@ def fit_tendons(
         InputError: what cannot give a right answer: see `free_parameters` and `Objective.of`; a parameter to which
             nothing that was measured reacts; all starts failing; a checkpoint of another problem; no such devices;
             measurements in other units, signs or axes, swapped, late, or unlike anything that the scene can do;
-            trials that have not the same tendons, damping and friction, or of which nothing that is used was measured.
+            trials that have not the same tendons, damping and friction, or of which nothing that is used was measured;
+            errors of sensors as nuisance with another method than simulations.
     """
     if method not in (*METHODS, SIMULATIONS):
         known = ", ".join((*METHODS, SIMULATIONS))

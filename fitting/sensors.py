@@ -18,7 +18,8 @@ Floats = NDArray[np.float64]
 
 
 class Sensors(NamedTuple):
-    """Standard deviations of errors that stay the same for a recording; 0: there is none."""
+    """Standard deviations of errors that stay the same for a recording, scale and placement in all its trials; 0: there
+    is none."""
 
     force_scale: float = 0.0  # of each force's sensor, as a share
     force_bias: float = 0.0  # of its zero, in each trial [N]
@@ -48,7 +49,7 @@ class Sensors(NamedTuple):
         return out
 
     def beside(self, noise: dict[str, float], objective: Objective) -> dict[str, float]:
-        """Noise of each channel together with these errors: what a right fit leaves, root mean square."""
+        """Noise of each channel together with these errors, root mean square; a shift in time is judged apart."""
         found = {}
         for channel, columns, rows in objective.columns():
             own = 0.0

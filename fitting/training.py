@@ -134,7 +134,8 @@ def _simulated(
     random: np.random.Generator,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Floats, Rows]:
-    """Of these parameters (N, p) those that run, and their recordings (N, n, m) from the nominal one."""
+    """Of these parameters (N, p) those that run, and their recordings (N, n, m) from the nominal one, without noise but
+    each with errors of its own sensors."""
     kept, recordings = [], []
     for i in range(0, len(theta), _AT_ONCE):
         part = theta[i : i + _AT_ONCE]

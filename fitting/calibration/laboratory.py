@@ -65,12 +65,12 @@ class Laboratory:
             scene: the plant's.
             seen: what it did.
             springs: names of the effects whose tensions the "femoral" and "tibial" spring forces are.
-            random: of the noise.
+            random: of the noise; what stays the same throughout has a stream of its own, spawned from it.
 
         Raises:
             InputError: a recording that is too short for the filter.
         """
-        motion = scene.motion
+        motion, constant = scene.motion, random.spawn(1)[0]
         times = np.asarray(motion.frame_times())
         femur, tibia = (_poses(part, times) for part in (motion.femur, motion.tibia))
         patella = PoseSeries(times, seen.position, seen.quaternion)
@@ -82,10 +82,11 @@ class Laboratory:
         femur, tibia, world = (self._poses_of_markers(each, random) for each in (femur, tibia, world))
         relative = world.relative_to(femur)
         point = np.asarray(scene.tracked_point().array(), dtype=float)
-        center = relative.positions + relative.matrices() @ point + random.normal(0.0, self.placement, 3)
-        late = random.normal(0.0, self.time_shift)
+        center = relative.positions + relative.matrices() @ point + constant.normal(0.0, self.placement, 3)
+        late = constant.normal(0.0, self.time_shift)
         behind = {name: np.interp(times - late, times, value) for name, value in seen.forces.items()}
-        forces = {name: self._load_cell(value, random) for name, value in behind.items()}
+        scaled = {name: value * (1 + constant.normal(0.0, self.force_scale)) for name, value in behind.items()}
+        forces = {name: self._load_cell(value, random) for name, value in scaled.items()}
         contact = scene.contact
         measured = Measured(
             times,
@@ -110,8 +111,7 @@ class Laboratory:
         return cluster_poses(markers, places, poses.times)
 
     def _load_cell(self, force: Floats, random: np.random.Generator) -> Floats:
-        read = force * (1 + random.normal(0.0, self.force_scale)) + random.normal(0.0, self.force_bias)
-        return read + random.normal(0.0, self.force_noise, force.shape)
+        return force + random.normal(0.0, self.force_bias) + random.normal(0.0, self.force_noise, force.shape)
 
 
 def _poses(part: SegmentMotion | None, times: Floats) -> PoseSeries:

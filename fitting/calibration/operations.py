@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.prediction.outcomes import Groove
 from fitting.prediction.predicting import Fitted, predict
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, in_si, smallest_margin
-from fitting.treatments.optimise import check_ranges, optimise_treatment
+from fitting.treatments.optimise import check_limits, check_ranges, optimise_treatment
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.scene import Scene
 
@@ -26,6 +27,7 @@ OUTCOMES = (
     "peak_contact_force",
     "lateral_share",
 )
+_UNKNOWN = np.full(len(OUTCOMES), np.nan)
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,8 @@ class Operation:
         confidence: share of them in which all limits are to hold.
 
     Raises:
-        InputError: limits without ranges, or ranges without limits or empty; too few draws; a confidence that is no
-            share; several treatments.
+        InputError: limits without ranges, ranges without limits, or one of them that is none; too few draws; a
+            confidence that is no share; several treatments.
     """
 
     treatment: Treatment
@@ -61,6 +63,7 @@ class Operation:
         if any(np.ndim(value) for value in self.treatment.values):
             raise InputError("found several amounts", where="treatment", expected="one treatment")
         if self.ranges:
+            check_limits(self.limits)
             check_ranges(self.ranges)
 
     def describe(self) -> str:
@@ -72,8 +75,10 @@ class Operation:
         """Refuses what this knee cannot have.
 
         Raises:
-            InputError: a treatment of a part that it lacks; an amount that the treatment does not know.
+            InputError: a treatment of a part that it lacks; an amount that the treatment does not know; no groove, from
+                which outcomes are told.
         """
+        Groove.of(scene)
         known = {name for own in self.treatment.names for name in (own, own.rpartition(".")[2])}
         if stray := sorted(set(self.ranges or ()) - known):
             expected = f"one of: {', '.join(self.treatment.names)}"
@@ -83,27 +88,31 @@ class Operation:
     def on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> Operated:
         """What is predicted for a knee as it was recorded, and what the plant does.
 
+        What this knee cannot have is no plan and no prediction; a plant that cannot be treated as planned is not safe.
+        What the caller got wrong is told by `check`.
+
         Args:
             plant: the knee itself.
             recorded: the nominal knee in the recorded motion.
             estimate: from the recording.
         """
-        try:
-            return self._on(plant, recorded, estimate)
-        except PftwinError:  # of this knee: what the caller got wrong is told by `check`
-            return Operated.nothing(planned=bool(self.limits))
-
-    def _on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> Operated:
         treatment, met = self.treatment, None
-        if self.limits:
-            options: Any = {"samples": self.samples, "confidence": self.confidence}
-            plan = optimise_treatment(recorded, self.limits, self.ranges, treatment, estimate, **options)
-            treatment, met = plan.treatment, plan.met
-        told, done = predict(recorded, treatment, estimate, samples=self.samples), predict(plant, treatment)
+        try:
+            if self.limits:
+                options: Any = {"samples": self.samples, "confidence": self.confidence}
+                plan = optimise_treatment(recorded, self.limits, self.ranges, treatment, estimate, **options)
+                treatment, met = plan.treatment, plan.met
+            told = predict(recorded, treatment, estimate, samples=self.samples)
+        except PftwinError:
+            return Operated(_UNKNOWN, np.zeros((0, len(OUTCOMES))), False if self.limits else None, None, 0.0)
         draws = np.stack([in_si(told[name])[0, 1:] for name in OUTCOMES], axis=1)
+        run = np.isfinite(draws).all(axis=1)
+        try:
+            done = predict(plant, treatment)
+        except PftwinError:
+            return Operated(_UNKNOWN, draws[run], met, met and False, float(run.mean()))
         truth = np.array([in_si(done[name])[0] for name in OUTCOMES])
         safe = met and bool(smallest_margin(done, self.limits)[0] >= 0)
-        run = np.isfinite(draws).all(axis=1)
         return Operated(truth, draws[run], met, safe, float(run.mean()))
 
 
@@ -115,9 +124,3 @@ class Operated(NamedTuple):
     met: bool | None  # whether a treatment was found that is predicted to meet the limits; None without any
     safe: bool | None  # whether it then does in the plant
     share: float = 1.0  # of the draws that can be simulated
-
-    @staticmethod
-    def nothing(planned: bool) -> Operated:
-        """Of a plant that could not be treated: without a plan, or dropped from what is predicted."""
-        none = False if planned else None
-        return Operated(np.full(len(OUTCOMES), np.nan), np.zeros((0, len(OUTCOMES))), none, none, 0.0)

@@ -143,7 +143,8 @@ def paper_study(
         options: of the paper's fit by `fit_tendons`, such as `starts` and `seed`.
 
     Raises:
-        InputError: as `fit_tendons`.
+        InputError: as `fit_tendons` and `train_posterior`.
+        PftwinError: a motion that may not be spoken of.
     """
     from pftwin import rig
 

@@ -149,7 +149,8 @@ def notes(study: PaperStudy) -> Iterator[str]:
         "(the plant's smooth trochlea, its friction, its attachments) can do that."
     )
     least = least if sums["paper"] < sums[LINES] else ""
-    yield f"Sum of the errors in X, Y and Z in case {PATHOLOGY}, which the paper's fit makes least: {listed}.{least}"
+    about = f"Sum of the errors in X, Y and Z in case {PATHOLOGY}, which the paper's fit makes least by springs alone"
+    yield f"{about}: {listed}.{least}"
     for fit in LEARNED:
         found = study.fits[fit]
         used = " and ".join(found.channels)

@@ -66,10 +66,11 @@ def with_nuisance(
         if freedom < 1.2 * learned.middle.size:  # too few to tell what they scatter by
             break
         values = seen.values[seen.usable]
-        x, read = (
-            learned.seen(held.residuals(v).astype(np.float32)) for v in (values, sensors.read(values, problem, random))
-        )
-        straight = _Straight.of(some[seen.usable], x, read - x, learned.added.root)
+        x = learned.seen(held.residuals(values).astype(np.float32))
+        misread = np.zeros_like(x)
+        if any(sensors):
+            misread = learned.seen(held.residuals(sensors.read(values, problem, random)).astype(np.float32)) - x
+        straight = _Straight.of(some[seen.usable], x, misread, learned.added.root)
         mean, root = straight.given(learned.seen(recording[None])[0], asked, parameters)
         draws = np.concatenate([asked, _within(mean, root, parameters, random)], axis=1)
     return draws
@@ -85,7 +86,7 @@ class _Straight(NamedTuple):
 
     @staticmethod
     def of(theta: Floats, x: Floats, misread: Floats, noise_root: Floats) -> _Straight:
-        """Through summaries (N, k) of simulated knees (N, p), which sensors tell so much (N, k) otherwise."""
+        """Through summaries (N, k) of simulated knees (N, p), and by how much (N, k) their sensors change them."""
         center, at, scale = theta.mean(axis=0), x.mean(axis=0), np.maximum(theta.std(axis=0), 1e-300)
         t = (theta - center) / scale
         slopes = np.linalg.lstsq(t, x - at, rcond=None)[0]

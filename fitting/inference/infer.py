@@ -32,7 +32,7 @@ from pftwin.base.errors import InputError
 Floats = NDArray[np.float64]
 
 PER_ROUND = 8000  # simulations
-TOGETHER = 64  # of them, in two calls for two cores: more take no less time each, and longer to compile
+TOGETHER = 64  # simulations that two cores run in two calls of 32. With 128 a call each takes as long, compiling twice
 ROUNDS = 6  # at most
 DRAWS = 2000
 _MOST_ASKED = 12

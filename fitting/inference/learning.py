@@ -110,7 +110,7 @@ def learn(
     noise: Noise,
     random: np.random.Generator,
 ) -> Learned:
-    """From recordings simulated without noise.
+    """From recordings simulated without noise, but with what sensors may be off by.
 
     Args:
         region: where parameters were drawn.

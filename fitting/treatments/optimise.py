@@ -75,7 +75,7 @@ def optimise_treatment(
     """
     wanted = (limits,) if isinstance(limits, Limit) else tuple(limits)
     ranges = dict(ranges or {"medialisation": (0.0, 0.020)})
-    _check_limits(wanted)
+    check_limits(wanted)
     lower, upper = check_ranges(ranges)
     check_draws(samples, estimate)
     if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
@@ -132,7 +132,12 @@ def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floa
     return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
 
 
-def _check_limits(limits: tuple[Limit, ...]) -> None:
+def check_limits(limits: Sequence[Limit]) -> None:
+    """Refuses what are no limits.
+
+    Raises:
+        InputError: none, or something else.
+    """
     if not limits or not all(isinstance(lim, Limit) for lim in limits):
         expected = 'limits such as Limit("largest_offset", at_most=0.01)'
         raise InputError(f"found {limits!r}", where="limits", expected=expected)

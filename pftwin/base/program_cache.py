@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Hashable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from threading import Lock
+from threading import Lock, RLock
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -69,6 +69,7 @@ class Program:
         self._function, self._jitted = function, eqx.filter_jit(function)
         self._ready: dict[_Kind, tuple[Callable[..., Any], Any]] = {}  # the program and its answer's structure
         self._begun: dict[_Kind, Callable[[], None]] = {}  # what compiles those that are traced
+        self._lock = RLock()  # of both
         functools.update_wrapper(self, function)
 
     def __call__(self, *args: Any) -> Any:
@@ -97,13 +98,18 @@ class Program:
         self.begin(*args)()
 
     def begin(self, *args: Any) -> Callable[[], None]:
-        """The first part of `prepare`, tracing, which two threads cannot do at once; what it returns does the rest, or
-        waits for another thread that does."""
+        """The first part of `prepare`, tracing, by one thread at a time; what it returns does the rest, or waits for
+        another thread that does. Where compiling fails it says so, and the next one tries again."""
         kind, arrays = _kind_of(args)
-        if kind in self._ready:
-            return lambda: None
-        if kind in self._begun:
+        with self._lock:
+            if kind in self._ready:
+                return lambda: None
+            if kind not in self._begun:
+                self._begun[kind] = self._traced(kind, arrays, args)
             return self._begun[kind]
+
+    def _traced(self, kind: _Kind, arrays: list[Any], args: Any) -> Callable[[], None]:
+        """What compiles it, once."""
         shapes = jax.tree.map(lambda a: _shape(a) if _is_array(a) else a, args)
         key = _key(self._function, (shapes, repr(kind.settings), jax.default_backend()))
         lowered, structure = self._lowered(kind, arrays, key)
@@ -111,11 +117,13 @@ class Program:
 
         def finish() -> None:
             with one_at_a_time:
-                if kind not in self._ready:
-                    self._ready[kind] = lowered.compile(), structure
-            self._begun.pop(kind, None)
+                if kind in self._ready:
+                    return
+                compiled = lowered.compile()
+                with self._lock:
+                    self._ready[kind] = compiled, structure
+                    self._begun.pop(kind, None)
 
-        self._begun[kind] = finish
         return finish
 
     def _lowered(self, kind: _Kind, arrays: list[Any], key: str | None) -> tuple[Any, Any]:

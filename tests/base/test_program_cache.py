@@ -9,6 +9,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import equinox as eqx
 import jax
@@ -241,13 +242,20 @@ def test_what_is_being_compiled_is_not_traced_and_compiled_again():
         traced.append(x.shape)
         return 2 * x
 
-    program = Program(scaled)
-    first, second = program.begin(jnp.ones(3)), program.begin(jnp.ones(3))
-    assert traced == [(3,)]
+    program, both = Program(scaled), Barrier(2)
+
+    def begun():
+        both.wait()
+        return program.begin(jnp.ones(3))
+
     with ThreadPoolExecutor(2) as threads:
+        first, second = (done.result() for done in [threads.submit(begun), threads.submit(begun)])
+        assert traced == [(3,)]
+        first()
+        ready = next(iter(program._ready.values()))
         for done in (threads.submit(second), threads.submit(first)):
             done.result()
-    assert program.at_hand(jnp.ones(3))
+    assert next(iter(program._ready.values())) is ready
     assert program.timed(jnp.ones(3)).preparation == 0
     assert program(jnp.ones(4)).shape == (4,)
     assert traced == [(3,), (4,)]

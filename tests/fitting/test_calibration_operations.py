@@ -151,11 +151,13 @@ def test_a_knee_that_cannot_be_treated_has_no_plan_and_no_bands():
     bare = stiff(150.0).without("patellar_tendon")
     estimate = Estimated(np.array([160.0]))
     seen = Operation(MOVED, samples=20).on(bare, stiff(150.0), estimate)
-    assert (seen.met, len(seen.draws)) == (None, 0)
+    assert (seen.met, len(seen.draws)) == (None, 20)
+    assert np.isnan(seen.truth).all()
     assert Answers.of_predictions([seen], OUTCOMES).dropped == 1
     limit = Limit("peak_contact_force", at_most=1e6)
     plan = Operation(MOVED.with_values([0.0]), (limit,), {"medialisation": (0.0, 0.002)}, samples=20)
-    assert Plans.of([plan.on(bare, stiff(150.0), estimate)], 0.9)[:3] == (0, 0, 1)
+    assert Plans.of([plan.on(bare, stiff(150.0), estimate)], 0.9)[:3] == (0, 1, 1)  # planned, and not safe
+    assert Plans.of([plan.on(stiff(150.0), bare, estimate)], 0.9)[:3] == (0, 0, 1)
 
 
 class Knowing(NamedTuple):
@@ -201,6 +203,8 @@ def test_an_operation_that_no_plant_could_have_is_refused_before_any_is_simulate
     graft = Operation(Treatment.of("mpfl_graft", stiffening=0.2))
     with pytest.raises(InputError, match="graft"):
         calibrate(Knowing(), small_scene(5), operation=graft)
+    with pytest.raises(InputError, match="groove"):
+        calibrate(Knowing(), small_scene(5).without("contact"), operation=Operation(MOVED))
     limit, moved = Limit("mean_tilt", at_most=0.1), Treatment.of(TRANSFER, medialisation=0.0)
     with pytest.raises(InputError, match="no amount 'deepening'"):
         calibrate(Knowing(), small_scene(5), operation=Operation(moved, (limit,), {"deepening": (0.0, 0.02)}))
@@ -214,6 +218,8 @@ def test_what_makes_no_sense_is_refused():
         Operation(MOVED, ranges={"medialisation": (0.0, 0.02)})
     with pytest.raises(InputError, match=r"found \(0.02, 0.0\)"):
         Operation(MOVED, (limit,), {"medialisation": (0.02, 0.0)})
+    with pytest.raises(InputError, match="limits such as"):
+        Operation(MOVED, ("mean_tilt<=5 deg",), {"medialisation": (0.0, 0.02)})
     with pytest.raises(InputError, match="at least 20"):
         Operation(MOVED, samples=5)
     with pytest.raises(InputError, match="confidence"):

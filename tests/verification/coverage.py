@@ -16,7 +16,7 @@ segments. PLANTS is a folder in which recordings are kept: a plant takes a minut
 numbers, is fitted; or a posterior answers that was trained once, on the recording that the package has of the case. The
 truth of K and L is the straight line nearest to the plant's spring over the forces that occurred, the mean of those of
 several cases. Printed by parameter: root mean square error, how many 95 % intervals hold the truth, and their mean half
-width, all in per cent; and estimates that are INVALID, which are counted too.
+width, all in per cent; and estimates that are INVALID, which are counted too. Refused ones are told and left out.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 import fitting
 import pftwin
 from fitting.demo.straight_springs import straight_line, stretch_under
+from pftwin.base.errors import PftwinError
 from pftwin.model.measured import Measured
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
@@ -103,22 +104,31 @@ def scene_in(case: int, seed: int, folder: Path, contact: str) -> tuple[Scene, M
 
 
 def fitted(
-    cases: list[int], seed: int, folder: Path, contact: str, nuisance: str | None, use: list[str], method: str
+    cases: list[int],
+    seed: int,
+    folder: Path,
+    contact: str,
+    nuisance: str | None,
+    use: list[str],
+    method: str,
+    simulations: int | None = None,
 ) -> fitting.Estimate:
     """The twin fitted to a plant's recordings of some cases together."""
     scenes, measured = zip(*(scene_in(case, seed, folder, contact) for case in cases), strict=True)
     if method == "trained":
-        return trained(tuple(cases), contact, nuisance, tuple(use)).estimate(scenes, measured)
+        return trained(tuple(cases), contact, nuisance, tuple(use), simulations).estimate(scenes, measured)
     return fitting.fit_tendons(scenes, measured, free=NAMES, bounds=BOUNDS, nuisance=nuisance, use=use, method=method)
 
 
 @cache
 def trained(
-    cases: tuple[int, ...], contact: str, nuisance: str | None, use: tuple[str, ...]
+    cases: tuple[int, ...], contact: str, nuisance: str | None, use: tuple[str, ...], simulations: int | None
 ) -> fitting.TrainedPosterior:
     """A posterior trained on the recordings that the package has of these cases."""
     scenes = [rig_case(case, contact) for case in cases]
-    return fitting.train_posterior(scenes, free=NAMES, bounds=BOUNDS, nuisance=nuisance, use=use)
+    return fitting.train_posterior(
+        scenes, free=NAMES, bounds=BOUNDS, nuisance=nuisance, use=use, simulations=simulations
+    )
 
 
 def main() -> None:
@@ -131,10 +141,11 @@ def main() -> None:
     parser.add_argument("--nuisance", nargs="+", default=["none", "rig"], help="none, or as `pftwin fit --nuisance`")
     parser.add_argument("--use", nargs="+", default=["position"])
     parser.add_argument("--method", default="least_squares")
+    parser.add_argument("--simulations", type=int, help="of each posterior that is trained; by default 30,000")
     parser.add_argument("--only-plants", action="store_true")
     given = parser.parse_args()
     pftwin.configure()
-    rows: dict[str, list[tuple[NDArray, NDArray, NDArray, float]]] = {nuisance: [] for nuisance in given.nuisance}
+    rows: dict[str, list[tuple[NDArray, NDArray, NDArray, float, bool]]] = {nuisance: [] for nuisance in given.nuisance}
     for seed in given.seeds:
         began = time.perf_counter()
         truth = np.mean([recorded(case, seed, given.plants)[1] for case in given.case], axis=0)
@@ -146,10 +157,15 @@ def main() -> None:
         for nuisance in given.nuisance:
             began = time.perf_counter()
             wanted = None if nuisance == "none" else nuisance
-            found = fitted(given.case, seed, given.plants, given.contact, wanted, given.use, given.method)
+            how = (given.contact, wanted, given.use, given.method, given.simulations)
+            try:
+                found = fitted(given.case, seed, given.plants, *how)
+            except PftwinError as error:
+                print(f"  {nuisance}: refused: {error}", flush=True)
+                continue
             off, ends = found.values[:4] / truth - 1, found.intervals[:4]
             half, held = 0.5 * np.diff(ends)[:, 0] / truth, (ends[:, 0] < truth) & (truth < ends[:, 1])
-            rows[nuisance].append((off, half, held, found.rmse["position"]))
+            rows[nuisance].append((off, half, held, found.rmse["position"], found.invalid))
             texts = [f"{100 * o:+.2f} (+-{100 * h:.2f})" for o, h in zip(off, half, strict=True)]
             besides = {n: float(f"{v:.3g}") for n, v in zip(found.names[4:], found.values[4:], strict=True)}
             left = f"{1e3 * found.rmse['position']:.3f} mm, {time.perf_counter() - began:.0f} s, {found.reason}"
@@ -158,11 +174,12 @@ def main() -> None:
                 print(f"  {found.sentence()}", flush=True)
     for nuisance, found in rows.items():
         if found:
-            off, half, inside, left = (np.array(column) for column in zip(*found, strict=True))
+            off, half, inside, left, invalid = (np.array(column) for column in zip(*found, strict=True))
             held = 100 * inside.mean(axis=0)
             rms, width = 100 * np.sqrt((off**2).mean(axis=0)), 100 * half.mean(axis=0)
             print(f"{nuisance}, {len(off)} plants: rms error {np.round(rms, 2)} %, held {held} %: {held.mean():.0f} %")
-            print(f"  half width {np.round(width, 2)} %; left of the position {1e3 * left.mean():.3f} mm")
+            more = f"left of the position {1e3 * left.mean():.3f} mm; {invalid.sum()} INVALID"
+            print(f"  half width {np.round(width, 2)} %; {more}")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ def rows(quick: bool) -> list[Row]:
     """Errors of the springs by all fits, and what is predicted of the treated case."""
     from fitting.demo.paper_study import FITS, PAPER, PATHOLOGY, TREATMENT, paper_study
 
-    study = paper_study(starts=4) if quick else paper_study()
+    study = paper_study(starts=4, simulations=1000) if quick else paper_study()
     out = []
     for fit in FITS:
         estimate = study.fits[fit]

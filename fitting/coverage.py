@@ -40,13 +40,13 @@ SIMULATIONS = NOT_KNOWN._replace(
     "measured"
 )
 SIMULATIONS_WITH_NUISANCE = Coverage(
-    "95 % intervals of such posteriors, on plants of the virtual rig, held the truth in 40 of 40 cases where they were "
-    "trained once, with a force or from positions alone; learned in rounds, before springs stiffened in them, in 23 of "
-    "24 with a force and 24 of 24 without",
-    "90 % bands of six outcomes of treated knees, predicted from such posteriors that were trained once by positions "
-    "and a force, held the truth in 78 to 100 % of synthetic plants, by outcome and kind of plants",
-    "plans from such posteriors that were trained once by positions and a force, safe in nine of ten draws, were safe "
-    "in 67 of 73 synthetic plants",
+    "95 % intervals of posteriors with nuisance 'rig', trained once on positions and a force, held the truth in 89 to "
+    "100 % of synthetic plants, by parameter and kind of plants; learned in rounds, before springs stiffened in them, "
+    "in 23 of 24 cases, and 24 of 24 from positions alone",
+    "Bands of 90 % (not 95) of six outcomes of treated knees, predicted from posteriors with nuisance 'rig' that were "
+    "trained once on positions and a force, held the truth in 78 to 100 % of synthetic plants, by outcome and kind",
+    "plans from posteriors with nuisance 'rig', trained once on positions and a force, were safe in 67 of 73 synthetic "
+    "plants where nine of ten draws had to be",
 )
 
 

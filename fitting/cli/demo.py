@@ -67,11 +67,13 @@ def _table_2(study: PaperStudy, case: int) -> Sheet:
     from fitting.demo.paper_study import PATHOLOGY
     from fitting.demo.paper_study_tables import table_2
 
-    what = "pathology, its springs fitted" if case == PATHOLOGY else f"treatment, by the springs of case {PATHOLOGY}"
+    what = "pathology, fitted" if case == PATHOLOGY else f"treatment, by what was fitted to case {PATHOLOGY}"
     title = (
-        f"Case {case} ({what}): pftwin against the virtual rig's\n"
-        "SYNTHETIC measurements. A: fitted by the paper's objective; B: by simulations, with what\n"
-        "the twin lacks; C: and one force; beside section 3 and Table 2 of Michaud et al. 2024"
+        f"Case {case} ({what}): pftwin against SYNTHETIC\n"
+        "measurements of the virtual rig. A: springs by the paper's objective, on P5;\n"
+        "B: by simulations, with what the twin lacks, on the spline; C: and one force;\n"
+        "beside section 3 and Table 2 of Michaud et al. 2024 (their rig; errors of\n"
+        "springs without signs)"
     )
     rows = []
     for row in table_2(study):

@@ -79,8 +79,8 @@ def table_2(study: PaperStudy) -> Iterator[Row]:
         errors = {(PATHOLOGY, fit): float(fitted[fit][i]) for fit in FITS}
         yield Row(f"{name} error of nominal", "%", _filled(errors), none | {PATHOLOGY: PAPER.errors[name]})
     seconds = {(PATHOLOGY, fit): study.fits[fit].seconds for fit in FITS}
-    yield Row("time of the fit", "s", _filled(seconds), none | {PATHOLOGY: PAPER.seconds})
-    yield Row("compiling before it", "s", _filled({(PATHOLOGY, FITS[0]): study.compiling}), none)
+    yield Row("time of the fit (B, C: with compiling)", "s", _filled(seconds), none | {PATHOLOGY: PAPER.seconds})
+    yield Row("compiling before the paper's", "s", _filled({(PATHOLOGY, FITS[0]): study.compiling}), none)
     rows = {(n, fit): study.runs[fit][n].validation.to_rows() for n in CASES for fit in FITS}
     for i, row in enumerate(rows[PATHOLOGY, FITS[0]]):
         values = {at: column[i].value for at, column in rows.items()}
@@ -231,10 +231,10 @@ def figure(study: PaperStudy, case: int) -> Figure:
     from pftwin.results.plots import case_figure
 
     results = {SPRINGS[s]: study.runs[s][case].result for s in (*FITS, NOMINAL)}
-    what = "pathology, the springs fitted to its motion" if case == PATHOLOGY else "treatment, predicted"
+    what = "pathology, fitted to its motion" if case == PATHOLOGY else "treatment, predicted"
     title = f"Case {case} of the virtual rig: {what}"
     if case != PATHOLOGY:
-        title += f" with the springs fitted to case {PATHOLOGY}"
+        title += f" with what was fitted to case {PATHOLOGY}"
     return case_figure(results, rig.measured(case), title)
 
 

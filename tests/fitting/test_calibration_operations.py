@@ -17,12 +17,16 @@ from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.operations import OUTCOMES, Operated, Operation
 from fitting.calibration.plants import Plant
 from fitting.calibration.result import Answers, Calibration, Plans
+from fitting.coverage import SIMULATIONS_WITH_NUISANCE, Coverage
 from fitting.nuisance import EXACT
 from fitting.prediction.outcomes import outcomes
+from fitting.prediction.plots import facts
+from fitting.prediction.predicting import predict
 from fitting.prediction.variants import grid
 from fitting.set_up import SetUp
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit
+from fitting.treatments.optimise import optimise_treatment
 from pftwin import BDF2, simulate
 from pftwin.base.errors import InputError
 
@@ -46,6 +50,7 @@ class Estimated:
     units: tuple[str, ...] = ("N/m",)
     asked: int = 1
     doubts: tuple[str, ...] = ()
+    coverage: Coverage = SIMULATIONS_WITH_NUISANCE
 
     def apply(self, scene, theta=None):
         (stiffness,) = self.values if theta is None else theta
@@ -133,6 +138,8 @@ def test_the_plant_itself_is_treated():
     assert seen.draws[:, force].mean() < seen.truth[force]
     right = Operation(MOVED, samples=20).on(stiff(160.0), stiff(150.0), Estimated(np.array([160.0])))
     assert 0.1 < np.mean(right.draws[:, force] < right.truth[force]) < 0.9
+    told = predict(stiff(150.0), MOVED, Estimated(np.array([160.0])), samples=20)
+    assert facts(told)["coverage"] == SIMULATIONS_WITH_NUISANCE.bands
 
 
 @pytest.mark.slow
@@ -145,6 +152,8 @@ def test_a_plan_is_tried_on_the_plant():
     estimate = Estimated(np.array([160.0]))
     assert plan.on(stiff(160.0), stiff(150.0), estimate)[2:4] == (True, True)
     assert plan.on(stiff(190.0), stiff(150.0), estimate)[2:4] == (True, False)
+    found = optimise_treatment(stiff(150.0), limit, plan.ranges, plan.treatment, estimate, samples=20)
+    assert SIMULATIONS_WITH_NUISANCE.plans in found.describe()
 
 
 def test_a_knee_that_cannot_be_treated_has_no_plan_and_no_bands():

@@ -97,8 +97,8 @@ def test_the_springs_errors_stand_beside_the_papers(study):
         assert [row.values[PATHOLOGY, fit] for fit in FITS] == pytest.approx(by_fit, abs=1e-9)
         assert row.values[TREATMENT, "paper"] is None
         assert row.paper == {PATHOLOGY: published, TREATMENT: None}
-    assert rows["time of the fit"].values[PATHOLOGY, "positions"] == 2.0
-    assert rows["time of the fit"].paper[PATHOLOGY] == 1233
+    assert rows["time of the fit (B, C: with compiling)"].values[PATHOLOGY, "positions"] == 2.0
+    assert rows["time of the fit (B, C: with compiling)"].paper[PATHOLOGY] == 1233
 
 
 def test_each_case_is_compared_with_its_own_measurements_beside_the_papers(study, nominal):

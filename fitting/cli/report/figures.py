@@ -132,7 +132,7 @@ def of_demo(folder: Path) -> list[Picture]:
     """The figures of the treatment in the demo's folder; InputError for a file that is no PNG picture."""
     captions = {
         "pathology_fitted": "Case 2, the pathology: measured (synthetic) and simulated with fitted springs",
-        "treatment_predicted": "Case 1, the treatment: predicted with the springs fitted to case 2",
+        "treatment_predicted": "Case 1, the treatment: predicted with what was fitted to case 2",
     }
     found = []
     for stem, words in captions.items():

@@ -23,9 +23,8 @@ from pftwin.model.scene_parameters import find, named_arrays
 
 FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Research International 2015:185142, Table 5
 SLIP_SPEED = 1e-3  # [m/s]
-OF_KNEES = ("attachments", "friction", "damping", "stiffening")
 OF_SENSORS = ("force_scale", "force_bias", "time_shift", "placement")
-DEVIATIONS = (*OF_KNEES, *OF_SENSORS)  # what a text can set
+DEVIATIONS = ("attachments", "friction", "damping", "stiffening", *OF_SENSORS)  # what a text can set
 _REACH = 4.0  # standard deviations from the prior's mean to the bounds
 _DAMPING = ("N s/m", "N m s/rad")  # units of coefficients of damping
 

@@ -29,7 +29,7 @@ class Sensors(NamedTuple):
     @staticmethod
     def of(nuisance: Nuisance) -> Sensors:
         """Those that are part of what is not known."""
-        return Sensors(*(getattr(nuisance, name) for name in OF_SENSORS))
+        return Sensors(**{name: getattr(nuisance, name) for name in OF_SENSORS})
 
     def read(self, values: Floats, problem: Problem, random: np.random.Generator) -> Floats:
         """Simulated motions (N, n, c) as such sensors would tell them."""

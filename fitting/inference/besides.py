@@ -27,6 +27,7 @@ Floats = NDArray[np.float64]
 _TIMES = 3  # from the prior on, each time where the one before put it
 _KNEES, _PER_PARAMETER = 192, 6  # simulated each time, at least, and so many times the number of parameters
 _TRIES = 100  # of drawing within the bounds
+_ALIKE = 1e-9  # spread of knees' numbers, as a share of their mean, that is rounding
 
 
 def with_nuisance(
@@ -87,7 +88,8 @@ class _Straight(NamedTuple):
     @staticmethod
     def of(theta: Floats, x: Floats, misread: Floats, noise_root: Floats) -> _Straight:
         """Through summaries (N, k) of simulated knees (N, p), and by how much (N, k) their sensors change them."""
-        center, at, scale = theta.mean(axis=0), x.mean(axis=0), np.maximum(theta.std(axis=0), 1e-300)
+        center, at, spread = theta.mean(axis=0), x.mean(axis=0), theta.std(axis=0)
+        scale = np.where(spread > _ALIKE * np.abs(center), spread, np.inf)  # knees that are alike in it tell nothing
         t = (theta - center) / scale
         slopes = np.linalg.lstsq(t, x - at, rcond=None)[0]
         left = x - at - t @ slopes

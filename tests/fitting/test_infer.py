@@ -150,6 +150,29 @@ def test_nuisance_given_what_is_asked_for_is_that_of_bayes(sensors):
         assert draws[half, 2].std() == pytest.approx(sd, rel=0.15)
 
 
+def test_nuisance_that_all_lies_at_its_bound_stays_there():
+    """Measurements ask for far more of two of twenty numbers than their bounds allow. Then all knees that are simulated
+    again are alike in them, and tell nothing of what they do: what regression makes of that is rounding, not zero."""
+    items, random = known().items, np.random.default_rng(8)
+    others = [replace(items[2], name=f"c{i}") for i in range(20)]
+    others[5:7] = [replace(item, lower=0.25, upper=0.5) for item in others[5:7]]
+    many, reactions = Parameters((*items[:2], *others)), random.normal(size=(FRAMES, 4, 22))
+    truth = np.array([*TRUTH[:2], *20 * [0.37]])
+    truth[7:9] = 5.0
+    far = problem(reactions, reactions @ truth, many, {"position": SIGMA[0], "contact": SIGMA[3]})
+    directions, nothing = 1e3 * random.normal(size=(FRAMES * 4, 80)), np.zeros((FRAMES, 4), np.float32)
+    learned = SimpleNamespace(
+        seen=lambda recordings: recordings.reshape(len(recordings), -1) @ directions,
+        middle=np.zeros(80),
+        added=SimpleNamespace(root=np.eye(80)),
+    )
+    asked = TRUTH[:2] + 0.01 * random.normal(size=(400, 2))
+    with np.errstate(over="raise", invalid="raise"):
+        draws = with_nuisance(far, EXACT_SENSORS, far.objective, learned, nothing, asked, 1, random)
+    assert np.isfinite(draws).all()
+    assert ((draws[:, 7:9] >= 0.25) & (draws[:, 7:9] <= 0.5)).all()
+
+
 @pytest.mark.parametrize("runs", [True, False])
 def test_where_the_means_do_not_run_the_nearest_draw_stands(runs):
     base, random = linear(3), np.random.default_rng(5)

@@ -13,7 +13,8 @@ from fitting.prediction.outcomes import Groove
 from fitting.prediction.predicting import Fitted, predict
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, in_si, smallest_margin
-from fitting.treatments.optimise import check_limits, check_ranges, optimise_treatment
+from fitting.treatments.optimise import check_confidence, check_limits, check_ranges, optimise_treatment
+from fitting.treatments.refine import places_of
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.scene import Scene
 
@@ -58,8 +59,7 @@ class Operation:
             raise InputError("found one of them", where="operation", expected=expected)
         if not isinstance(self.samples, int) or self.samples < 20:
             raise InputError(f"found {self.samples!r}", where="samples", expected="a whole number, at least 20")
-        if not 0 < self.confidence <= 1:
-            raise InputError(f"found {self.confidence!r}", where="confidence", expected="a share, such as 0.9")
+        check_confidence(self.confidence)
         if any(np.ndim(value) for value in self.treatment.values):
             raise InputError("found several amounts", where="treatment", expected="one treatment")
         if self.ranges:
@@ -79,10 +79,7 @@ class Operation:
                 which outcomes are told.
         """
         Groove.of(scene)
-        known = {name for own in self.treatment.names for name in (own, own.rpartition(".")[2])}
-        if stray := sorted(set(self.ranges or ()) - known):
-            expected = f"one of: {', '.join(self.treatment.names)}"
-            raise InputError(f"no amount {stray[0]!r}", where="ranges", expected=expected)
+        places_of(self.treatment, self.ranges or ())
         self.treatment(scene)
 
     def on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> Operated:

@@ -78,9 +78,7 @@ def optimise_treatment(
     check_limits(wanted)
     lower, upper = check_ranges(ranges)
     check_draws(samples, estimate)
-    if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
-        expected = "a share above 0 and up to 1, such as 0.9"
-        raise InputError(f"found {confidence!r}", where="confidence", expected=expected)
+    check_confidence(confidence)
     thetas = estimate_and_draws(estimate, samples, seed)
     if isinstance(treatment, str):
         treatment = Treatment.of(treatment, dict.fromkeys(ranges, 0.0))
@@ -130,6 +128,17 @@ def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floa
     """For a single amount, the next smaller grid value on the same side of zero; else the smallest of the range."""
     before = [a for a in amounts[:k] if (a * amounts[k] >= 0).all()]
     return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
+
+
+def check_confidence(confidence: float) -> None:
+    """Refuses what is no share of draws.
+
+    Raises:
+        InputError: no number above 0 and up to 1.
+    """
+    if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
+        expected = "a share above 0 and up to 1, such as 0.9"
+        raise InputError(f"found {confidence!r}", where="confidence", expected=expected)
 
 
 def check_limits(limits: Sequence[Limit]) -> None:

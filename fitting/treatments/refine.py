@@ -9,6 +9,7 @@ limits hold in a share of the draws is a limit itself: on the quantile of the le
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Any
 
 import equinox as eqx
@@ -57,6 +58,19 @@ def _outcomes_and_derivatives(
     return push(jnp.eye(len(places), dtype=amounts.dtype))
 
 
+def places_of(treatment: Treatment, names: Collection[str]) -> tuple[int, ...]:
+    """Places of amounts among a treatment's own, by their names, with or without the kind's.
+
+    Raises:
+        InputError: one that the treatment does not have.
+    """
+    own = treatment.names
+    places = {n.rpartition(".")[2]: i for i, n in enumerate(own)} | {n: i for i, n in enumerate(own)}
+    if stray := [n for n in names if n not in places]:
+        raise InputError(f"no amount {stray[0]!r}", where="ranges", expected=f"one of: {', '.join(own)}")
+    return tuple(places[n] for n in names)
+
+
 class Search:
     """Simulations with derivatives, remembered by their amounts.
 
@@ -84,11 +98,7 @@ class Search:
         dt: float | None,
         threshold: float,
     ) -> None:
-        own = treatment.names
-        places = {n.rpartition(".")[2]: i for i, n in enumerate(own)} | {n: i for i, n in enumerate(own)}
-        if stray := [n for n in names if n not in places]:
-            raise InputError(f"no amount {stray[0]!r}", where="ranges", expected=f"one of: {', '.join(own)}")
-        self._places = tuple(places[n] for n in names)
+        self._places = places_of(treatment, names)
         self._fixed = jnp.stack([jnp.asarray(v, dtype=float) for v in treatment.values])
         self._treatment = treatment
         self._care = dt is None

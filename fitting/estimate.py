@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fitting.channel_checks import shown
 from fitting.coverage import Coverage, coverage_of
-from fitting.nuisance import EXACT, Nuisance
-from fitting.parameters import Applied
+from fitting.nuisance import EXACT, REACH, Nuisance
+from fitting.parameters import Applied, weights_in
 from fitting.sensors import Sensors
 from fitting.uncertainty import NORMAL_95, SERIAL, in_words
 from pftwin.base.errors import InputError
@@ -75,7 +75,9 @@ class Estimate:
     notes: list[str] = field(default_factory=list)
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     nuisance: Nuisance = EXACT  # what was taken as not known, and fitted besides
-    besides: tuple[str, ...] = ()  # names of its numbers, the last of `names`
+    besides: tuple[str, ...] = ()  # names of its numbers, and of differences of trials, the last of `names`
+    varies: dict[str, float] = field(default_factory=dict)  # by what deviation a parameter differs between trials
+    differences: tuple[tuple[int, int], ...] = ()  # of the last parameters: to which each is added, in which trial
     springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
     verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
     status: str = ""  # of the fitted motion, in words; empty where none was given
@@ -113,9 +115,25 @@ class Estimate:
         return len(self.names) - len(self.besides)
 
     @property
+    def shared(self) -> int:
+        """How many parameters trials share: the first of `names`; differences of trials follow."""
+        return len(self.names) - len(self.differences)
+
+    @property
+    def in_trials(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """Of each parameter that differs between trials its value in each, by name, and that one's standard
+        deviation."""
+        found: dict[str, dict[str, tuple[float, float]]] = {}
+        for at, trial in self.differences:
+            weights = weights_in(self.differences, self.shared, trial)[at]
+            told = float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
+            found.setdefault(self.names[at], {})[list(self.trial_rmse)[trial]] = told
+        return found
+
+    @property
     def coverage(self) -> Coverage:
         """How often intervals, bands and plans of such fits held where the truth was known, in words."""
-        return coverage_of(self.draws is not None, bool(self.besides))
+        return coverage_of(self.draws is not None, len(self.besides) > len(self.differences))
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
@@ -152,7 +170,8 @@ class Estimate:
         """
         if not self.trials:
             raise InputError("an estimate from a file holds no scene", remedy="estimate.apply(scene)")
-        return tuple(self.apply(trial.nominal) for trial in self.trials)
+        each = [weights_in(self.differences, self.shared, k) @ self.values for k in range(len(self.trials))]
+        return tuple(self.apply(trial.nominal, theta) for trial, theta in zip(self.trials, each, strict=True))
 
     def about(self, scene: Scene | Sequence[Scene]) -> Estimate:
         """The same estimate, with the nominal scenes that a file does not hold, and their measurements."""
@@ -163,21 +182,30 @@ class Estimate:
     def apply(self) -> Applied:
         """`estimate.apply(scene)` has the estimated values, `estimate.apply(scene, theta)` others (p,).
 
-        Coordinates of points are carried as offsets: see `Applied`.
+        They are those that trials share. Coordinates of points are carried as offsets: see `Applied`.
         """
-        nominal = dict(zip(self.names, self.nominal.tolist(), strict=True))
-        origins = tuple((name, nominal[name]) for name in self.coordinates)
-        return Applied(self.names, self.values, origins, self.nuisance)
+        shared = self.names[: self.shared]
+        nominal = dict(zip(shared, self.nominal.tolist(), strict=False))
+        origins = tuple((name, nominal[name]) for name in self.coordinates if name in nominal)
+        return Applied(shared, self.values[: self.shared], origins, self.nuisance)
 
     def samples(self, count: int, seed: int = 0) -> Floats:
-        """Parameters (count, p) as uncertain as the estimate: of its draws, or normal and kept within the bounds."""
+        """Parameters (count, p) as uncertain as the estimate: of its draws, or normal and kept within the bounds.
+
+        What differs between trials is that of further ones.
+        """
+        random = np.random.default_rng(seed)
         if self.draws is not None:
-            random = np.random.default_rng(seed)
-            return self.draws[random.choice(len(self.draws), count, replace=count > len(self.draws))]
-        values, vectors = np.linalg.eigh(self.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        normal = np.random.default_rng(seed).standard_normal((count, len(self.values)))
-        return np.clip(self.values + normal @ root.T, self.lower, self.upper)
+            found = self.draws[random.choice(len(self.draws), count, replace=count > len(self.draws))]
+        else:
+            values, vectors = np.linalg.eigh(self.covariance)
+            root = vectors * np.sqrt(np.maximum(values, 0.0))
+            normal = random.standard_normal((count, len(self.values)))
+            found = np.clip(self.values + normal @ root.T, self.lower, self.upper)
+        for name, deviation in self.varies.items():
+            further = np.clip(random.standard_normal(count), -REACH, REACH)
+            found[:, self.names.index(name)] += deviation * further
+        return found
 
     @property
     def invalid(self) -> bool:
@@ -211,6 +239,9 @@ class Estimate:
                 f"  {name:<12} {self.values[i]:.6g} +- {self.standard_deviations[i]:.2g} {self.units[i]}"
                 f"  (95 %: {low:.6g} to {high:.6g}; nominal {self.nominal[i]:.6g})"
             )
+        for name, told in self.in_trials.items():
+            unit = self.units[self.names.index(name)]
+            lines += [f"  {name} in {trial}: {value:.6g} +- {sd:.2g} {unit}" for trial, (value, sd) in told.items()]
         lines += [*([] if self.invalid else [self.sentence()]), *self.remarks(), f"stopped: {self.reason}"]
         return "\n".join(lines)
 
@@ -262,6 +293,7 @@ class Estimate:
             **plain,
             "standard_deviations": self.standard_deviations.tolist(),
             "intervals_95": self.intervals.tolist(),
+            "in_trials": self.in_trials,
             "correlation": self.correlation.tolist(),
             "remarks": self.remarks(),
         }
@@ -294,7 +326,7 @@ class Estimate:
                 raise ValueError(f"its format is {content.get('format')!r}")
             since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
             since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": [], "draws": None}
-            since |= {"trial_rmse": {}}
+            since |= {"trial_rmse": {}, "varies": {}, "differences": []}
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k != "trials"}
             for key in _ARRAYS:
@@ -302,6 +334,7 @@ class Estimate:
             known["draws"] = None if known["draws"] is None else np.asarray(known["draws"], dtype=float)
             for key in ("names", "units", "channels", "coordinates", "besides"):
                 known[key] = tuple(known[key])
+            known["differences"] = tuple((int(at), int(trial)) for at, trial in known["differences"])
             known["nuisance"] = Nuisance(**known["nuisance"])
             known["doubts"] = [str(doubt) for doubt in known["doubts"]]
             for key in ("priors", "time_shifts"):

@@ -112,10 +112,9 @@ class Evaluator:
         """The nominal scene of every trial: one."""
         return (self.scene,)
 
-    @property
-    def own(self) -> tuple[Evaluator, ...]:
-        """The evaluator of every trial: itself."""
-        return (self,)
+    def scenes_at(self, theta: Floats) -> tuple[Scene, ...]:
+        """The scene of every trial with parameters (p,): one."""
+        return (self.parameters.apply(self.scene, theta),)
 
     @property
     def first(self) -> int:

@@ -65,6 +65,7 @@ def fit_tendons(
     bounds: Bounds = 0.3,
     priors: Mapping[str, tuple[float, float]] | None = None,
     nuisance: str | Nuisance | None = None,
+    varies: Mapping[str, float] | None = None,
     seed: int = 0,
     use: str | Sequence[str] = POSITION,
     noise: Mapping[str, float] | None = None,
@@ -96,6 +97,9 @@ def fit_tendons(
         priors: by name, mean and standard deviation of a normal prior, likewise.
         nuisance: what the scene lacks or knows roughly, fitted besides: "rig", "mocap", "mri" or a `fitting.Nuisance`;
             by default nothing, and whatever it lacks goes into what is free.
+        varies: of several trials, by name of what is free or nuisance, the standard deviation by which it differs from
+            trial to trial. What is told is the mean of all trials that there might be; each trial's difference is
+            fitted besides. By default nothing differs.
         seed: of all random choices: the same seed gives the same result; by simulations only where rounding is the same
             too, which the number of threads may change.
         use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
@@ -124,6 +128,7 @@ def fit_tendons(
             nothing that was measured reacts; all starts failing; a checkpoint of another problem; no such devices;
             measurements in other units, signs or axes, swapped, late, or unlike anything that the scene can do;
             trials that have not the same tendons, damping and friction, or of which nothing that is used was measured;
+            what varies and is not free, or leaves no room within its bounds;
             errors of sensors as nuisance with another method than simulations.
     """
     if method not in (*METHODS, SIMULATIONS):
@@ -139,8 +144,8 @@ def fit_tendons(
     trials = trials_of(scene, measured)
     for one, _ in trials:
         check(one)
-    if objective == "paper" and (priors or nuisance is not None):
-        where = "priors" if priors else "nuisance"
+    if objective == "paper" and (priors or varies or nuisance is not None):
+        where = "priors" if priors else "nuisance" if nuisance is not None else "varies"
         raise InputError("the paper's objective has no noise to weigh priors against", where=where)
     besides = Nuisance.of(nuisance)
     if method != SIMULATIONS:
@@ -148,7 +153,7 @@ def fit_tendons(
     else:
         besides = besides.at_work([one for one, _ in trials])
     given = [data for _, data in trials]
-    scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+    scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
     target = objective_of(list(zip(scenes, given, strict=True)), objective, use, noise, loss, springs)
     knee = scenes[0]
     problem = Problem.of(scenes, parameters, target, _computed(knee, target, computed), devices)
@@ -162,7 +167,7 @@ def fit_tendons(
         found = infer(problem, Sensors.of(besides), seed, count, rounds, _told(progress, began))
         if not found.interrupted:
             besides, draws = at_own_lengths(problem, besides, found.answer.draws)
-            scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+            scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
             problem = Problem.of(scenes, parameters, target, problem.evaluator.computed, devices)
             problem.evaluator.prepare(TOGETHER)
             found = found._replace(answer=found.answer._replace(draws=draws))
@@ -259,11 +264,13 @@ def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | N
     if e.trial_rmse and len(scenes) != len(e.trial_rmse):
         found = f"fitted to {len(e.trial_rmse)} trials, and {len(scenes)} of their scenes given"
         raise InputError(found, where="estimate", expected="the scene of each: Estimate.load(path, [scene, ...])")
-    limits = {n: (lower, upper) for n, lower, upper in zip(e.names, e.lower, e.upper, strict=True)}
+    shared = e.names[: e.shared]
+    limits = {n: (lower, upper) for n, lower, upper in zip(shared, e.lower, e.upper, strict=False)}
+    priors = {name: prior for name, prior in e.priors.items() if name in shared}
     trials = trials_of(scenes, [trial.measured for trial in e.trials] if measured is None else measured)
     target = objective_of(trials, "likelihood", e.channels, e.noise, "linear", e.springs or SPRINGS)
     target = replace(target, share=e.share)
-    problem = Problem.of(scenes, free_in_trials(scenes, e.names, limits, e.priors, EXACT)[1], target)
+    problem = Problem.of(scenes, free_in_trials(scenes, shared, limits, priors, EXACT, e.varies)[1], target)
     problem.evaluator.prepare(None)
     return problem
 

@@ -25,7 +25,7 @@ FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Resear
 SLIP_SPEED = 1e-3  # [m/s]
 OF_SENSORS = ("force_scale", "force_bias", "time_shift", "placement")
 DEVIATIONS = ("attachments", "friction", "damping", "stiffening", *OF_SENSORS)  # what a text can set
-_REACH = 4.0  # standard deviations from the prior's mean to the bounds
+REACH = 4.0  # standard deviations from the prior's mean to the bounds
 _DAMPING = ("N s/m", "N m s/rad")  # units of coefficients of damping
 
 
@@ -170,7 +170,7 @@ class Nuisance:
         bounds = {}
         for name, (mean, sd) in priors.items():
             least = declared[name.partition("[")[0]].lower
-            bounds[name] = (max(mean - _REACH * sd, least), mean + _REACH * sd)
+            bounds[name] = (max(mean - REACH * sd, least), mean + REACH * sd)
         stiff = {f"{tendon}.stiffening" for tendon in stiffening_tendons(scene)}
         for name in (f"{tendon}.stiffening" for tendon, _ in self.working):
             if name in stiff and name not in but:

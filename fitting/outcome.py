@@ -217,6 +217,8 @@ def estimate_of(
         springs=dict(springs),
         nuisance=nuisance,
         besides=tuple(p.name for p in parameters.items if p.nuisance),
+        varies=parameters.varies,
+        differences=parameters.differences,
         doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse)],
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
         coordinates=parameters.coordinates,

@@ -41,6 +41,8 @@ class Parameter:
         unit: of all of them.
         coordinate: whether it is one of a point, which other scenes may have elsewhere.
         nuisance: whether it is fitted besides, for what others would make good otherwise: `fitting.nuisance`.
+        trial: None: the number is shared by all trials; k: it is by how much that of trial k, from 0, is more than the
+            shared number at the same place (`fitting.differences`).
     """
 
     name: str
@@ -52,11 +54,12 @@ class Parameter:
     unit: str = ""
     coordinate: bool = False
     nuisance: bool = False
+    trial: int | None = None
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """The free parameters in their order; vectors of them have shape (..., p)."""
+    """The free parameters in their order, differences of trials last; vectors of them have shape (..., p)."""
 
     items: tuple[Parameter, ...]
 
@@ -67,6 +70,23 @@ class Parameters:
     def asked(self) -> int:
         """How many were asked for: the first; nuisance follows."""
         return sum(not p.nuisance for p in self.items)
+
+    @property
+    def shared(self) -> Parameters:
+        """Those that trials share: the first."""
+        return Parameters(tuple(p for p in self.items if p.trial is None))
+
+    @property
+    def differences(self) -> tuple[tuple[int, int], ...]:
+        """Of each that is one trial's difference: which of the shared ones it is added to, and the trial, from 0."""
+        at = {p.place: i for i, p in enumerate(self.shared.items)}
+        return tuple((at[p.place], p.trial) for p in self.items if p.trial is not None)
+
+    @property
+    def varies(self) -> dict[str, float]:
+        """Names of the shared ones that differ between trials, and by what standard deviation."""
+        own = (p.prior for p in self.items if p.trial is not None)
+        return {self.items[at].name: prior[1] for (at, _), prior in zip(self.differences, own, strict=True) if prior}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,6 +167,15 @@ class Parameters:
         precision = np.array([0.0 if p.prior is None else p.prior[1] ** -2 for p in self.items])
         off = theta - mean
         return 0.5 * np.sum(precision * off**2, axis=-1), precision * off, precision
+
+
+def weights_in(differences: Sequence[tuple[int, int]], shared: int, trial: int) -> NDArray[np.float64]:
+    """W (s, p): the s shared numbers have the values W theta in a trial, from 0; `differences` as `Parameters` has
+    them."""
+    weights = np.eye(shared, shared + len(differences))
+    for column, (at, own) in enumerate(differences, start=shared):
+        weights[at, column] = own == trial
+    return weights
 
 
 def applied(places: tuple[NumberPlace, ...], scene: Scene, theta: Any) -> Scene:

@@ -37,6 +37,7 @@ class SetUp(NamedTuple):
     noise: dict[str, float] | None  # by channel, if it was stated
     springs: dict[str, str]
     frames: tuple[int, ...]  # of each trial
+    varies: dict[str, float]  # between trials, by name
 
     @staticmethod
     def of(problem: Problem, nuisance: Nuisance, springs: Mapping[str, str]) -> SetUp:
@@ -52,11 +53,12 @@ class SetUp(NamedTuple):
             problem.objective.noise,
             dict(springs),
             tuple(scene.motion.times.size for scene in scenes),
+            problem.parameters.varies,
         )
 
     def parameters(self, scenes: Sequence[Scene]) -> tuple[list[Scene], list[Parameters]]:
         """The scenes with whatever is fitted in them, and what is free in each."""
-        return free_in_trials(scenes, self.free, self.bounds, self.priors, self.nuisance)
+        return free_in_trials(scenes, self.free, self.bounds, self.priors, self.nuisance, self.varies)
 
     def objective(self, trials: Sequence[tuple[Scene, Measured]]) -> Objective:
         """The measurements of such scenes.

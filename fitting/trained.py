@@ -238,6 +238,7 @@ class TrainedPosterior:
             pairs: dict[str, Any] = {k: {n: (v[0], v[1]) for n, v in facts[k].items()} for k in ("bounds", "priors")}
             own: dict[str, Any] = {key: tuple(facts[key]) for key in ("free", "channels", "frames")}
             own |= {key: facts[key] for key in ("scene_name", "noise", "springs")}
+            own["varies"] = facts.get("varies", {})  # older files have none
             set_up = SetUp(**own, **pairs, nuisance=Nuisance(**facts["nuisance"]))
             noise = Noise(held["deviations"], held["correlations"], facts["span"])
             summaries = Summaries(*(held[f"summaries_{key}"] for key in Summaries._fields))

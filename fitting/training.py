@@ -53,6 +53,7 @@ def train_posterior(
     bounds: Bounds = 0.3,
     priors: Mapping[str, tuple[float, float]] | None = None,
     nuisance: str | Nuisance | None = None,
+    varies: Mapping[str, float] | None = None,
     seed: int = 0,
     use: str | Sequence[str] = POSITION,
     noise: Mapping[str, float] | None = None,
@@ -67,8 +68,8 @@ def train_posterior(
     Args:
         scene: the nominal one, with the motion of a first recording; or those of several trials of one knee.
         measured: the first recording, of which noise is found that is not stated; by default what the scene carries.
-        free: as `fit_tendons` has it; `bounds`, `priors`, `nuisance`, `seed`, `use`, `noise`, `springs`, `devices` and
-            `limits` too.
+        free: as `fit_tendons` has it; `bounds`, `priors`, `nuisance`, `varies`, `seed`, `use`, `noise`, `springs`,
+            `devices` and `limits` too.
         simulations: recordings that are simulated; by default 30,000, or as many as memory is meant to hold.
         progress: told how many simulations have run, of how many.
 
@@ -80,7 +81,7 @@ def train_posterior(
     for one, _ in trials:
         check(one)
     besides = besides.at_work([one for one, _ in trials])
-    scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+    scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
     target = objective_of(
         list(zip(scenes, [data for _, data in trials], strict=True)), "likelihood", use, noise, "linear", springs
     )

@@ -1,7 +1,8 @@
 """Several trials of one knee as one long recording: motions one after another, and one frame of nothing between two.
 
-Parameters are shared. A coordinate of a point is moved in every trial by as much as in the first, whose value is the
-one that is told: a tuberosity that lies 2 mm more distal does so in the treated knee too.
+Parameters are shared, but for differences that are stated (`fitting.differences`). A coordinate of a point is moved in
+every trial by as much as in the first, whose value is the one that is told: a tuberosity that lies 2 mm more distal
+does so in the treated knee too.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.differences import with_differences
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective, channel_of_columns, measured_channels
 from fitting.parameters import Bounds, Parameters, with_nuisance
@@ -131,11 +133,13 @@ def free_in_trials(
     bounds: Bounds,
     priors: Mapping[str, tuple[float, float]] | None,
     nuisance: Nuisance,
+    varies: Mapping[str, float] | None = None,
 ) -> tuple[list[Scene], list[Parameters]]:
     """Every trial's scene with whatever is fitted in it, and what is free in it; bounds and priors are of the first.
+    So are the differences of trials.
 
     Raises:
-        InputError: as `with_nuisance`; another number is free in one trial than in another.
+        InputError: as `with_nuisance` and `with_differences`; another number is free in one trial than in another.
     """
     first, own = with_nuisance(scenes[0], names, bounds, priors, nuisance)
     found, free = [first], [own]
@@ -143,6 +147,7 @@ def free_in_trials(
         prepared, there = with_nuisance(scene, names, dict.fromkeys(names, _ANY), None, nuisance)
         found.append(prepared)
         free.append(_shared(own, there, len(found)))
+    free[0] = with_differences(first, own, varies or {}, trial_names(scenes))
     return found, free
 
 

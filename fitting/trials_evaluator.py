@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator, Prediction, StepError
+from fitting.parameters import weights_in
 from fitting.trials import frames_of
 from pftwin.model.scene import Scene
 
@@ -17,13 +18,21 @@ Floats = NDArray[np.float64]
 
 @dataclass(eq=False)
 class TrialsEvaluator:
-    """`Evaluator` for several trials; numbers of steps between two frames are those of the first."""
+    """`Evaluator` for several trials; numbers of steps between two frames are those of the first.
+
+    Args:
+        evaluators: of every trial, by the parameters that trials share.
+        differences: of trials, as `Parameters` has them: columns behind those of the shared ones.
+    """
 
     evaluators: tuple[Evaluator, ...]
+    differences: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         nominal = [e.parameters.nominal for e in self.evaluators]
         self._moved = [own - nominal[0] for own in nominal]
+        trials, shared = range(len(self.evaluators)), len(nominal[0])
+        self._weights = [weights_in(self.differences, shared, k) for k in trials]
 
     def prepare(self, widest: int | None) -> None:
         """As `Evaluator.prepare`."""
@@ -35,10 +44,9 @@ class TrialsEvaluator:
         """The nominal scene of every trial."""
         return tuple(scene for each in self.evaluators for scene in each.scenes)
 
-    @property
-    def own(self) -> tuple[Evaluator, ...]:
-        """The evaluator of every trial."""
-        return self.evaluators
+    def scenes_at(self, theta: Floats) -> tuple[Scene, ...]:
+        """The scene of every trial with parameters (p,)."""
+        return tuple(e.parameters.apply(e.scene, at[0]) for e, at, _ in self._each(theta, self.first))
 
     @property
     def computed(self) -> tuple[str, ...] | None:
@@ -81,13 +89,18 @@ class TrialsEvaluator:
 
     def with_slopes(self, theta: Floats, substeps: int) -> Prediction:
         """As `Evaluator.with_slopes`."""
-        return _joined([e.with_slopes(at, steps) for e, at, steps in self._each(theta, substeps)])
+        parts = []
+        for (e, at, steps), weights in zip(self._each(theta, substeps), self._weights, strict=True):
+            found = e.with_slopes(at, steps)
+            assert found.slopes is not None
+            parts.append(found._replace(slopes=found.slopes @ weights))
+        return _joined(parts)
 
     def gradients(self, theta: Floats, substeps: int, pulls: Floats) -> Floats:
         """As `Evaluator.gradients`."""
         lengths = [len(scene.motion.times) for scene in self.scenes]
-        parts = zip(self._each(theta, substeps), frames_of(lengths), strict=True)
-        return np.sum([e.gradients(at, steps, pulls[:, rows]) for (e, at, steps), rows in parts], axis=0)
+        parts = zip(self._each(theta, substeps), frames_of(lengths), self._weights, strict=True)
+        return np.sum([e.gradients(at, steps, pulls[:, rows]) @ w for (e, at, steps), rows, w in parts], axis=0)
 
     def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:
         """As `Evaluator.step_errors`: of the trial in which a channel is farthest off."""
@@ -100,8 +113,8 @@ class TrialsEvaluator:
         """Every trial's evaluator, with its parameters (N, p) and steps."""
         theta, first = np.atleast_2d(np.asarray(theta, dtype=np.float64)), self.first
         return [
-            (each, theta + moved, -(-substeps * each.first // first))
-            for each, moved in zip(self.evaluators, self._moved, strict=True)
+            (each, theta @ weights.T + moved, -(-substeps * each.first // first))
+            for each, weights, moved in zip(self.evaluators, self._weights, self._moved, strict=True)
         ]
 
     def _of_the_first(self, each: Evaluator, substeps: int) -> int:

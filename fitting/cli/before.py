@@ -14,7 +14,9 @@ from fitting.cli.fit import (
     NoiseOption,
     NuisanceOption,
     UseOption,
+    VariesOption,
     check_limits,
+    deviations_between,
     names_in,
     noise_levels,
 )
@@ -70,6 +72,7 @@ def train_posterior(
     use: UseOption = "position",
     noise: NoiseOption = None,
     nuisance: NuisanceOption = None,
+    varies: VariesOption = None,
     simulations: Annotated[int | None, Option(min=1000, help="To learn from; 30,000 if left out.")] = None,
     limit: LimitOption = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
@@ -82,7 +85,7 @@ def train_posterior(
     """
     check_suffix(output, [".npz"], "trained posteriors are files of NumPy's")
     check_outputs(output, json)
-    levels, scenes = noise_levels(noise), [trial.scene for trial in knee.load()]
+    levels, apart, scenes = noise_levels(noise), deviations_between(varies), [trial.scene for trial in knee.load()]
     from fitting.training import train_posterior as train
 
     with progress("compiling") as shown:
@@ -91,6 +94,7 @@ def train_posterior(
             free=names_in(free),
             bounds=bounds,
             nuisance=nuisance,
+            varies=apart,
             seed=seed,
             use="all" if use.strip() == "all" else names_in(use),
             noise=levels,

@@ -42,6 +42,14 @@ NuisanceOption = Annotated[
         ' "attachments=0.001,friction=0.05,damping=0.5" (standard deviations), or both: "rig,force_scale=0.02".',
     ),
 ]
+VariesOption = Annotated[
+    list[str] | None,
+    Option(
+        "--varies",
+        metavar="NAME=SD",
+        help="Of several trials: by how much a parameter differs from trial to trial, in its unit; may be repeated.",
+    ),
+]
 LimitOption = Annotated[
     list[str] | None,
     Option(
@@ -83,6 +91,7 @@ def fit(
     noise: NoiseOption = None,
     loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
     nuisance: NuisanceOption = None,
+    varies: VariesOption = None,
     limit: LimitOption = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
@@ -105,7 +114,7 @@ def fit(
     """
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
-    levels, allowed = noise_levels(noise), check_limits(limit)
+    levels, allowed, apart = noise_levels(noise), check_limits(limit), deviations_between(varies)
     trials = knee.load()
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.measured is None:
@@ -121,6 +130,7 @@ def fit(
         "noise": levels,
         "loss": loss,
         "nuisance": nuisance,
+        "varies": apart,
         "checkpoint": checkpoint,
         "resume": resume,
         "seed": seed,
@@ -190,9 +200,13 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
     title = f"{e.scene_name}, fitted to {against} ({e.method}, {e.objective})"
     head = ("", "estimate", "standard deviation", "95 % interval", "nominal", "unit")
     sheets = [Sheet(title, head, tuple(rows[: e.asked]), words=(0, 5))]
-    if e.besides:  # their names are long: without the intervals
-        short = tuple((name, value, sd, nominal, unit) for name, value, sd, _, nominal, unit in rows[e.asked :])
+    short = tuple((name, value, sd, nominal, unit) for name, value, sd, _, nominal, unit in rows[e.asked : e.shared])
+    if short:  # their names are long: without the intervals
         sheets.append(Sheet("fitted besides", (*head[:3], *head[4:]), short, words=(0, 4)))
+    if e.differences:
+        each = ((n, of, told) for n, trials in e.in_trials.items() for of, told in trials.items())
+        own = tuple((n, of, f"{value:.6g}", f"{sd:.2g}", e.units[e.names.index(n)]) for n, of, (value, sd) in each)
+        sheets.append(Sheet("in each trial", ("", "trial", *head[1:3], "unit"), own, words=(0, 1, 4)))
     first = [e.sentence()] if e.invalid else []
     lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *said, written_line(files)]
     present({**facts, "files": files}, *first, *sheets, *lines[len(first) :], json=json)
@@ -227,14 +241,23 @@ def names_in(text: str) -> tuple[str, ...]:
 
 def noise_levels(given: list[str] | None) -> dict[str, float] | None:
     """Standard deviations from "channel=sd"; InputError for anything else."""
-    levels = {}
+    return _deviations(given, "--noise", "position=2e-4")
+
+
+def deviations_between(given: list[str] | None) -> dict[str, float] | None:
+    """The same of numbers that differ between trials."""
+    return _deviations(given, "--varies", "L1=5e-4")
+
+
+def _deviations(given: list[str] | None, option: str, example: str) -> dict[str, float] | None:
+    found = {}
     for text in given or []:
-        channel, _, value = text.partition("=")
+        name, _, value = text.partition("=")
         try:
-            levels[channel.strip()] = float(value)
+            found[name.strip()] = float(value)
         except ValueError:
-            raise InputError(f"found {text!r}", where="--noise", expected='such as "position=2e-4"') from None
-    return levels or None
+            raise InputError(f"found {text!r}", where=option, expected=f'such as "{example}"') from None
+    return found or None
 
 
 def check_limits(given: list[str] | None) -> dict[str, tuple[float, float]] | None:

@@ -25,18 +25,19 @@ _OF_SPRINGS = ("stiffness", "slack_length", "stiffening")
 def at_own_lengths(problem: Problem, besides: Nuisance, draws: Floats) -> tuple[Nuisance, Floats]:
     """Draws (N, p), and nuisance, with the lengths at which tendons work in the motions of the draws' mean.
 
-    Tendons of which stiffness, slack length and stiffening are not all free are left as they are, and those that would
-    hang slack in some draw; so are all where that motion cannot be simulated, which is told where the fit is judged.
+    Tendons of which stiffness, slack length and stiffening are not all free are left as they are, those of which one
+    differs between trials, and those that would hang slack in some draw; so are all where that motion cannot be
+    simulated, which is told where the fit is judged.
     """
-    columns = {p.place.name: i for i, p in enumerate(problem.parameters.items)}
+    parameters = problem.parameters
+    vary = {parameters.items[at].place for at, _ in parameters.differences}
+    columns = {p.place.name: i for i, p in enumerate(parameters.items) if p.place not in vary}
     numbers = {name: [f"{name}.{number}" for number in _OF_SPRINGS] for name, _ in besides.working}
     places = {name: [columns[n] for n in own] for name, own in numbers.items() if columns.keys() >= set(own)}
     if not places:
         return besides, draws
-    mean, nominal = draws.mean(axis=0), problem.parameters.nominal
-    fitted = [e.parameters.apply(e.scene, mean + e.parameters.nominal - nominal) for e in problem.evaluator.own]
     try:
-        found = working_of(fitted, tuple(places))
+        found = working_of(problem.evaluator.scenes_at(draws.mean(axis=0)), tuple(places))
     except PftwinError:  # a mean beyond the scene's limits
         return besides, draws
     known, told = dict(besides.working), draws.copy()

@@ -74,10 +74,10 @@ class Problem:
             computed: as `Evaluator` has it; `devices` too.
         """
         own = [
-            Evaluator(scene, free, objective.channels, computed=computed, devices=devices)
+            Evaluator(scene, free.shared, objective.channels, computed=computed, devices=devices)
             for scene, free in zip(scenes, parameters, strict=True)
         ]
-        evaluator = own[0] if len(own) == 1 else TrialsEvaluator(tuple(own))
+        evaluator = own[0] if len(own) == 1 else TrialsEvaluator(tuple(own), parameters[0].differences)
         return Problem(scenes[0], parameters[0], objective, evaluator)
 
     def answer(self, request: Request) -> ProblemAnswer:

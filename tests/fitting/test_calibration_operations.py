@@ -173,7 +173,7 @@ class Knowing(NamedTuple):
     """In the place of a trained posterior: always the same answer."""
 
     set_up: SetUp = SetUp(
-        "small", ("K1",), {"K1": (100.0, 220.0)}, {}, EXACT, ("position",), {"position": 1e-4}, {}, (5,)
+        "small", ("K1",), {"K1": (100.0, 220.0)}, {}, EXACT, ("position",), {"position": 1e-4}, {}, (5,), {}
     )
 
     def estimate(self, scene, measured, limits=None):

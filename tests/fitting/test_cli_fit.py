@@ -136,10 +136,12 @@ def test_two_trials_are_fitted_and_planned(toy, tmp_path):
     tibia = tibia_poses(61, rate=300)
     write_poses(other.with_name("poses.csv"), {"tibia": tibia, "patella": fixed_poses(tibia, *START)})
     output = tmp_path / "fit.json"
-    result = pftwin("fit", toy, other, "-o", output, "--free", "K1,L1", "--starts", 2, "--json", "-")
+    apart = ("--free", "K1,L1", "--starts", 2, "--varies", "L1=1e-3")
+    result = pftwin("fit", toy, other, "-o", output, *apart, "--json", "-")
     assert result.exit_code in (0, 3), result.output
     written = json.loads(output.read_text())
     assert len(written["trial_rmse"]) == 2
+    assert list(written["in_trials"]["L1"]) == list(written["trial_rmse"])
     assert {"fit_fit.png", "fit_fit_2.png"} <= {Path(p).name for p in json.loads(result.stdout)["files"]}
     planned = pftwin("plan-experiment", toy, other, "--free", "K1,L1", "--json", "-")
     assert planned.exit_code == 0, planned.output

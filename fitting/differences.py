@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.nuisance import REACH
-from fitting.parameters import Parameter, Parameters
+from fitting.parameters import BETWEEN_TRIALS, Parameter, Parameters
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import named_arrays
@@ -59,7 +59,7 @@ def with_differences(
                     (0.0, sd),
                     p.unit,
                     coordinate=True,
-                    nuisance=True,
+                    source=BETWEEN_TRIALS,
                     trial=trial,
                 )
                 for trial, name in enumerate(trials)

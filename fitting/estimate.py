@@ -76,6 +76,7 @@ class Estimate:
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     nuisance: Nuisance = EXACT  # what was taken as not known, and fitted besides
     besides: tuple[str, ...] = ()  # names of its numbers, and of differences of trials, the last of `names`
+    sources: tuple[str, ...] = ()  # of each parameter: `fitting.parameters.ASKED`, or of what nuisance it is
     varies: dict[str, float] = field(default_factory=dict)  # by what deviation a parameter differs between trials
     differences: tuple[tuple[int, int], ...] = ()  # of the last parameters: to which each is added, in which trial
     springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
@@ -326,13 +327,13 @@ class Estimate:
                 raise ValueError(f"its format is {content.get('format')!r}")
             since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
             since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": [], "draws": None}
-            since |= {"trial_rmse": {}, "varies": {}, "differences": []}
+            since |= {"trial_rmse": {}, "varies": {}, "differences": [], "sources": []}
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k != "trials"}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)
             known["draws"] = None if known["draws"] is None else np.asarray(known["draws"], dtype=float)
-            for key in ("names", "units", "channels", "coordinates", "besides"):
+            for key in ("names", "units", "channels", "coordinates", "besides", "sources"):
                 known[key] = tuple(known[key])
             known["differences"] = tuple((int(at), int(trial)) for at, trial in known["differences"])
             known["nuisance"] = Nuisance(**known["nuisance"])

@@ -73,7 +73,7 @@ def _misread(problem: Problem, trials: Prediction, limits: Limits) -> list[str]:
 def _judged(problem: Problem, trials: Prediction, nominal: Floats, effect: Floats, limits: Limits) -> list[str]:
     """Doubts, from trial motions, the nominal one (n, c), and the effect of each parameter's whole range (p,)."""
     doubts = _misread(problem, trials, limits)
-    known = np.array([p.nuisance for p in problem.parameters.items])
+    known = np.arange(len(effect)) >= problem.parameters.asked  # by their priors
     if (unfelt := np.flatnonzero((effect < _UNFELT) & ~known)).size:
         names = ", ".join(problem.parameters.names[i] for i in unfelt)
         found = f"nothing that is compared ({', '.join(problem.objective.channels)}) reacts to {names}"

@@ -67,6 +67,7 @@ def treat(
     variants = _variants(numbers)
     found = _loaded(estimate)
     chosen = knee.load()
+    from fitting.prediction.band_sources import band_sources
     from fitting.prediction.plots import facts, invalid_variants, main_finding, outcome_figure
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
@@ -85,6 +86,10 @@ def treat(
     told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
     doubt = invalid_variants(data)
     parts = (said, _sheet(data)) if doubt else (_sheet(data), said)
+    if "parameter_source" in data.coords and "sample" in data.dims:
+        sources = band_sources(data)
+        told["bands_narrower_if_known"] = sources.facts()
+        parts += (sources.sheet(),)
     terminal.present(told, *parts, data.attrs.get("note", ""), terminal.written_line(files), json=json)
     if doubt:
         exit_flagged(doubt)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
 BAND = (0.025, 0.975)  # quantiles over samples: 95 %
-_PANELS = (
+PANELS = (
     ("largest_offset", 1e3, "off the groove's bottom, largest [mm]"),
     ("peak_contact_force", 1.0, "contact force, peak [N]"),
     ("mean_tilt", 1.0, "tilt, mean, lateral positive [deg]"),
@@ -98,7 +98,7 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
     names = amount_names(data)
     if not names or np.ptp(data[names[0]].values) == 0:
         raise InputError("no amount varies", where="outcome_figure", expected="a grid of amounts")
-    own = given_axes(axes, len(_PANELS), "one for each of " + ", ".join(p[0] for p in _PANELS))
+    own = given_axes(axes, len(PANELS), "one for each of " + ", ".join(p[0] for p in PANELS))
     axis = f"{names[0].replace('_', ' ')} [{in_shown_unit(data, names[0])[1]}]"
     with house_style():
         if own is None:
@@ -106,7 +106,7 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
             own = list(figure.subplots(2, 2, sharex=True).ravel())
             figure.supxlabel(axis, fontsize="medium")
             name_figure(figure, title or data.attrs["title"], _note(data))
-        for ax, (outcome, scale, label) in zip(own, _PANELS, strict=True):
+        for ax, (outcome, scale, label) in zip(own, PANELS, strict=True):
             for i, (name, rows) in enumerate(_lines(data, names)):
                 _draw(ax, data, names[0], outcome, scale, rows, name, i)
             ax.set_ylabel(label, fontsize=SMALL)
@@ -127,7 +127,8 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
 def _note(data: Dataset) -> str:
     parts = ["crosses: dislocated"]
     if "sample" in data.dims:
-        parts.append(f"bands: 95 % of {data.sizes['sample'] - 1} draws from the estimate, too narrow for a knee")
+        parts.append(f"bands: 95 % of {data.sizes['sample'] - 1} draws from the estimate")
+        parts.append(str(data.attrs.get("coverage_briefly", NOT_KNOWN.briefly)))
     if data.attrs.get("note"):
         parts.append(data.attrs["note"])
     return "; ".join(parts)

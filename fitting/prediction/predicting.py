@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.coverage import NOT_KNOWN
+from fitting.coverage import NOT_KNOWN, Coverage
 from fitting.prediction.members import Members, Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove
 from fitting.prediction.variants import VariantBatch, batches
@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 
 class Fitted(Protocol):
-    """The part of an estimate that a prediction needs; `fitting.Estimate` has it."""
+    """The part of an estimate that a prediction needs; `fitting.Estimate` has it. Your own may inherit from it."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -47,6 +47,31 @@ class Fitted(Protocol):
     def samples(self, count: int, seed: int = 0) -> Floats:
         """Parameters (count, p) as uncertain as the estimate."""
         ...
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """What each parameter is, or nothing."""
+        return ()
+
+    @property
+    def coverage(self) -> Coverage:
+        """How often intervals, bands and plans from it hold, in words."""
+        return NOT_KNOWN
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether what it was fitted to is."""
+        return False
+
+    @property
+    def source(self) -> str:
+        """What it was fitted to."""
+        return ""
+
+    @property
+    def doubts(self) -> Sequence[str]:
+        """What forbids to believe it."""
+        return ()
 
 
 def predict(
@@ -203,12 +228,19 @@ def dataset(
         parameters = thetas if sampled else thetas[0]
         coordinates["parameter"] = (("parameter",), list(estimate.names), {"long_name": "estimated parameter"})
         coordinates["parameter_unit"] = (("parameter",), list(estimate.units), {"long_name": "its unit"})
+        if estimate.sources:
+            about = {"long_name": "what it was fitted as"}
+            coordinates["parameter_source"] = (("parameter",), list(estimate.sources), about)
         about = {"units": "as parameter_unit", "long_name": "values that were used"}
         variables["parameters"] = ((*(("sample",) if sampled else ()), "parameter"), parameters, about)
     if sampled:
         about = {"long_name": "0: the estimate; then draws", "units": "1"}
         coordinates["sample"] = (("sample",), np.arange(many), about)
-    told = {"coverage": getattr(estimate, "coverage", NOT_KNOWN).bands} if sampled else {}
+    told = (
+        {}
+        if estimate is None or not sampled
+        else {"coverage": estimate.coverage.bands, "coverage_briefly": estimate.coverage.briefly}
+    )
     return Dataset(variables, coordinates, {**_attributes(batches, estimate, settings), **told})
 
 
@@ -267,16 +299,15 @@ def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: 
     from pftwin import __version__
 
     names = list(dict.fromkeys(b.scene.name for b in batches))
-    synthetic = bool(getattr(estimate, "synthetic", False))
-    source = getattr(estimate, "source", "")
-    said = [f"INVALID estimate: {doubt}" for doubt in getattr(estimate, "doubts", ())]
+    synthetic = estimate is not None and estimate.synthetic
+    said = [] if estimate is None else [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
     said += [SYNTHETIC] if any(b.scene.synthetic for b in batches) else []
     said += ["the parameters were estimated from synthetic measurements"] if synthetic else []
     return {
         "title": f"predicted outcomes: {', '.join(names)}",
         "source": f"pftwin {__version__}",
         "jax_version": jax.__version__,
-        "parameters": "of the scene" if estimate is None else f"estimated from {source or 'measurements'}",
+        "parameters": "of the scene" if estimate is None else f"estimated from {estimate.source or 'measurements'}",
         "synthetic": int(synthetic),
         **({"note": "; ".join(said)} if said else {}),
         **{k: float(v) for k, v in settings.items()},

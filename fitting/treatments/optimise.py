@@ -100,7 +100,7 @@ def optimise_treatment(
         outcomes = search.outcomes(at)
         count = simulated + search.count
         treated, trust = search.treated(at), search.trust(at)
-        told = getattr(estimate, "coverage", NOT_KNOWN).plans
+        told = (NOT_KNOWN if estimate is None else estimate.coverage).plans
         return TreatmentPlan(met, treated, outcomes, wanted, count, samples, confidence, share, doubt, told, trust)
 
     if not fine.size:

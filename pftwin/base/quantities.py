@@ -85,17 +85,25 @@ class Declared(NamedTuple):
 
 def declarations(value: Any) -> list[Declared]:
     """All leaves of a pytree, in JAX's order, with the nearest declaration above each."""
-    return [_declared(value, keys, leaf) for keys, leaf in jax.tree_util.tree_leaves_with_path(value)]
+    leaves, structure = jax.tree.flatten(value)
+    return [Declared(path, leaf, found) for leaf, (path, found) in zip(leaves, _declared(structure), strict=True)]
 
 
-def _declared(root: Any, keys: tuple[Any, ...], leaf: Any) -> Declared:
+@lru_cache(maxsize=256)
+def _declared(structure: Any) -> tuple[tuple[tuple[str, ...], Quantity | None], ...]:
+    """Path and nearest declaration of each leaf of a pytree of this structure."""
+    whole = jax.tree.unflatten(structure, range(structure.num_leaves))
+    return tuple(_declared_at(whole, keys) for keys, _ in jax.tree_util.tree_leaves_with_path(whole))
+
+
+def _declared_at(root: Any, keys: tuple[Any, ...]) -> tuple[tuple[str, ...], Quantity | None]:
     at, path, nearest = root, [], None
     for key in keys:
         name = key_name(key)
         nearest = declared_field(type(at), name) or nearest
         at = getattr(at, name) if hasattr(key, "name") else at[key.idx if hasattr(key, "idx") else key.key]
         path.append(name)
-    return Declared(tuple(path), leaf, nearest)
+    return tuple(path), nearest
 
 
 def key_name(key: Any) -> str:
@@ -115,7 +123,7 @@ def declared_field(owner: type, name: str) -> Quantity | None:
 def bounded_leaves(structure: Any) -> tuple[tuple[Quantity, tuple[int, ...]], ...]:
     """Numbers of the leaves of a pytree of this structure that have bounds, by their declaration."""
     groups: dict[Quantity, list[int]] = {}
-    for number, found in enumerate(declarations(jax.tree.unflatten(structure, range(structure.num_leaves)))):
-        if found.quantity is not None and found.quantity.bounded:
-            groups.setdefault(found.quantity, []).append(number)
+    for number, (_, found) in enumerate(_declared(structure)):
+        if found is not None and found.bounded:
+            groups.setdefault(found, []).append(number)
     return tuple((declared, tuple(numbers)) for declared, numbers in groups.items())

@@ -95,7 +95,12 @@ def _converged(solution: Solution) -> bool:
 
 
 def compiled_aside(scene: Scene, integrator: Integrator | None = None, energy: bool = True) -> Callable[[], object]:
-    """Traces what `simulate` runs and compiles it in other threads; what this returns waits for them."""
+    """Traces what `simulate` runs and compiles it in other threads; what this returns waits for them.
+
+    Where its first program is at hand the rest is too, as a rule: nothing is traced then.
+    """
+    if _solve.at_hand(scene):
+        return lambda: None
     start = eqx.filter_eval_shape(start_before_search, scene)
     threads = ThreadPoolExecutor(2)
     try:

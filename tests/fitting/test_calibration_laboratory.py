@@ -75,6 +75,7 @@ def test_the_filter_takes_noise_away_and_offsets_stay():
     assert off[0] != 0
 
 
+@pytest.mark.slow
 def test_errors_of_sensors_stay_the_same_throughout():
     """Of forces that are straight lines over time: late by s they read s times their slope less. The noise is that of
     the same seed without such errors."""

@@ -21,7 +21,7 @@ from fitting.coverage import SIMULATIONS_WITH_NUISANCE, Coverage
 from fitting.nuisance import EXACT
 from fitting.prediction.outcomes import outcomes
 from fitting.prediction.plots import facts
-from fitting.prediction.predicting import predict
+from fitting.prediction.predicting import Fitted, predict
 from fitting.prediction.variants import grid
 from fitting.set_up import SetUp
 from fitting.treatments import Treatment
@@ -42,7 +42,7 @@ def stiff(k1: float):
 
 
 @dataclass(eq=False)
-class Estimated:
+class Estimated(Fitted):
     """An estimate of one number, with draws about it."""
 
     values: np.ndarray
@@ -156,6 +156,7 @@ def test_a_plan_is_tried_on_the_plant():
     assert SIMULATIONS_WITH_NUISANCE.plans in found.describe()
 
 
+@pytest.mark.slow
 def test_a_knee_that_cannot_be_treated_has_no_plan_and_no_bands():
     bare = stiff(150.0).without("patellar_tendon")
     estimate = Estimated(np.array([160.0]))

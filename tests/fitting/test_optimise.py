@@ -9,7 +9,7 @@ import scenes
 from small_scene import small_scene
 
 from fitting.prediction.outcomes import outcomes
-from fitting.prediction.predicting import predict
+from fitting.prediction.predicting import Fitted, predict
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment
 from fitting.treatments.optimise import Limit, optimise_treatment
@@ -142,7 +142,7 @@ def test_bad_requests_are_named(knee, make, message):
 LIMIT = Limit("largest_offset", at_most=0.01)
 
 
-class Uncertain:
+class Uncertain(Fitted):
     """An estimate whose draws are the tuberosity's lateral place, evenly spread by +-1 mm about the scene's."""
 
     names, units, values = ("patellar_tendon.origin.y",), ("m",), np.zeros(1)

@@ -11,7 +11,7 @@ import pytest
 from small_scene import small_scene
 
 from fitting.prediction.outcomes import MEASURES, outcomes
-from fitting.prediction.predicting import STEP, predict
+from fitting.prediction.predicting import STEP, Fitted, predict
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from pftwin import BDF2, rig, simulate
@@ -69,7 +69,7 @@ def knee():
 
 
 @dataclass(eq=False)
-class Fitted:
+class Estimated(Fitted):
     """An estimate of two numbers."""
 
     names: tuple[str, ...] = ("K1", "L2")
@@ -98,7 +98,7 @@ VARIANTS = [
 
 @pytest.fixture(scope="module")
 def sampled(knee):
-    return predict(knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, devices=1)
+    return predict(knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
 
 
 def test_variants_stand_in_the_order_they_were_given(sampled):
@@ -122,11 +122,11 @@ def test_samples_spread_around_the_estimate(sampled, knee):
     np.testing.assert_allclose(sampled["parameters"].values[0], [160.0, 0.0715])
     force = sampled["mean_contact_force"].values
     assert np.ptp(force, axis=1).min() > 0.01  # N
-    treated = Treatment.of(TRANSFER, medialisation=0.004, distalisation=0.003)(Fitted().apply(knee))
+    treated = Treatment.of(TRANSFER, medialisation=0.004, distalisation=0.003)(Estimated().apply(knee))
     assert force[3, 0] == pytest.approx(
         outcomes(simulate(treated, dt=DT, integrator=BDF2()))["mean_contact_force"], rel=1e-7
     )
-    draw = Fitted().apply(knee, Fitted().samples(6, 3)[1])
+    draw = Estimated().apply(knee, Estimated().samples(6, 3)[1])
     treated = Treatment.of("quadriceps_lengthening", lengthening=0.004)(draw)
     assert force[8, 2] == pytest.approx(
         outcomes(simulate(treated, dt=DT, integrator=BDF2()))["mean_contact_force"], rel=1e-7
@@ -136,7 +136,9 @@ def test_samples_spread_around_the_estimate(sampled, knee):
 @pytest.mark.slow
 def test_chunks_do_not_change_the_answer(sampled, knee):
     calls = []
-    small = predict(knee, VARIANTS, Fitted(), samples=6, seed=3, dt=DT, chunk=16, progress=lambda *a: calls.append(a))
+    small = predict(
+        knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT, chunk=16, progress=lambda *a: calls.append(a)
+    )
     for name in MEASURES:
         np.testing.assert_allclose(small[name], sampled[name], rtol=1e-7, atol=1e-9, err_msg=name)
     np.testing.assert_array_equal(small["status_frames"], sampled["status_frames"])

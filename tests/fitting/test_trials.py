@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lifting_scene import lifting_scene
+from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, nominal, problem_of
 from small_scene import small_scene
 
 import fitting
@@ -18,29 +18,17 @@ from fitting.fit import likelihood_of
 from fitting.inference.recordings import Noise
 from fitting.methods.problem import Problem, Request
 from fitting.nuisance import EXACT
-from fitting.objective import SPRINGS, Objective
+from fitting.objective import Objective
 from fitting.parameters import free_parameters
-from fitting.trials import frames_of, free_in_trials, joined_objective, objective_of, trial_names
+from fitting.trials import frames_of, free_in_trials, joined_objective, trial_names
 from fitting.uncertainty import long_run_score
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
-POINT = "patellar_tendon.insertion.y"
-FREE = ("K1", "L2", POINT)
-BOUNDS = {"K1": 0.3, "L2": 0.3, POINT: (-0.02, 0.02)}
-MOVED = 0.003  # by how much the second trial has the insertion elsewhere, as after a treatment [m]
 OFF = 0.0017  # by how much it is elsewhere than the scenes say, in both [m]
 STIFFNESS, LENGTH = 1.1 * 156.0, 1.02 * 0.0714
 NOISE = {"position": 1e-4, "quadriceps": 0.05}
-
-
-@cache
-def nominal() -> tuple[Scene, Scene]:
-    """Motions of unlike height and rate."""
-    one = replace(lifting_scene(height=0.05), name="low")
-    other = replace(lifting_scene(height=0.07, interval=0.008), name="high")
-    return one, other.set(POINT, float(other.get(POINT)) + MOVED)
 
 
 def true(scene: Scene) -> Scene:
@@ -66,7 +54,7 @@ def together() -> Estimate:
 
 
 def fitted(scenes: Any, data: Any, **more: Any) -> Estimate:
-    given = {"free": FREE, "bounds": BOUNDS, "use": ("position", "quadriceps"), "noise": NOISE, "starts": 4}
+    given = {"free": FREE, "bounds": BOUNDS, "use": COMPUTED, "noise": NOISE, "starts": 4}
     return fitting.fit_tendons(scenes, data, **{**given, **more})
 
 
@@ -85,20 +73,16 @@ def test_the_fitted_scenes_are_the_true_ones():
             assert float(scene.get(name)) == pytest.approx(float(true(other).get(name)), rel=1e-6)
 
 
-def problem_of(trials: tuple[int, ...], use: tuple[str, ...]) -> Problem:
-    scenes, data = ([both[i] for i in trials] for both in (nominal(), measured()))
-    scenes, own = free_in_trials(scenes, FREE, BOUNDS, None, EXACT)
-    noise = {channel: NOISE[channel] for channel in use}
-    target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", use, noise, "linear", SPRINGS)
-    return Problem.of(scenes, own, target)
+def problem(trials: tuple[int, ...], use: tuple[str, ...]) -> Problem:
+    return problem_of(trials, [measured()[i] for i in trials], {channel: NOISE[channel] for channel in use})
 
 
 def test_values_gradients_and_information_add():
     """Of independent trials, whose insertion is elsewhere by as much as in the joint problem."""
     theta = np.array([160.0, 0.0705, float(nominal()[0].get(POINT)) + 0.001])
-    both = problem_of((0, 1), ("position", "quadriceps")).normal(theta, 6)
-    one = problem_of((0,), ("position",)).normal(theta, 6)
-    other = problem_of((1,), ("position", "quadriceps")).normal(theta + np.array([0, 0, MOVED]), 5)
+    both = problem((0, 1), COMPUTED).normal(theta, 6)
+    one = problem((0,), ("position",)).normal(theta, 6)
+    other = problem((1,), COMPUTED).normal(theta + np.array([0, 0, MOVED]), 5)
     for joint, first, second in zip(both, one, other, strict=True):
         np.testing.assert_allclose(joint, first + second, rtol=1e-9)
         assert (np.abs(first) > 0.01 * np.abs(joint)).any()
@@ -107,9 +91,9 @@ def test_values_gradients_and_information_add():
 
 @pytest.mark.slow
 def test_reverse_mode_agrees_with_forward_mode():
-    problem, point = problem_of((0, 1), ("position",)), float(nominal()[0].get(POINT))
+    both, point = problem((0, 1), ("position",)), float(nominal()[0].get(POINT))
     theta = np.array([[160.0, 0.0705, point + 0.001], [150.0, 0.0722, point - 0.002]])
-    reverse, forward = (problem.answer(Request(theta, 6, want)) for want in ("gradient", "normal"))
+    reverse, forward = (both.answer(Request(theta, 6, want)) for want in ("gradient", "normal"))
     np.testing.assert_allclose(reverse.value, forward.value, rtol=1e-9)
     scale = np.abs(forward.gradient).max(axis=0)
     np.testing.assert_allclose(reverse.gradient / scale, forward.gradient / scale, atol=1e-6)
@@ -138,10 +122,10 @@ def test_each_trial_tells_what_is_left_of_it():
 
 
 def test_the_likelihood_of_an_estimate_is_that_of_all_trials():
-    problem = likelihood_of(together(), None)
-    assert problem.objective.present.sum() == 41 * 3 + 41 * 3 + 37
+    found = likelihood_of(together(), None)
+    assert found.objective.present.sum() == 41 * 3 + 41 * 3 + 37
     beside = together().values + np.array([[1.0, 0, 0], [0, 1e-4, 0], [0, 0, 1e-4]])
-    values = problem.normal(np.concatenate([together().values[None], beside])).value
+    values = found.normal(np.concatenate([together().values[None], beside])).value
     assert values[0] == pytest.approx(together().objective_value, rel=1e-6)
     assert (values[1:] > values[0] + 0.5).all()
 

@@ -21,6 +21,7 @@ import numpy as np
 
 import fitting
 import pftwin
+from fitting.prediction.predicting import Fitted
 from fitting.prediction.variants import grid
 from pftwin.model.scene import Scene
 
@@ -34,7 +35,7 @@ NAMES = tuple(
 
 
 @dataclass(eq=False)
-class Spread:
+class Spread(Fitted):
     """Springs around a scene's own, as `predict` takes an estimate."""
 
     values: np.ndarray  # (4,)

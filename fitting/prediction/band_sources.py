@@ -1,0 +1,112 @@
+"""What makes a prediction's bands wide: by how much narrower each would be if one source of uncertainty were known.
+
+Outcomes of draws are regressed on the numbers of one source at a time: on what was asked for, on attachments, on
+friction. What such a regression leaves is what would be left if these numbers were known, with all that they tell of
+others: sources overlap, so that shares need not sum to one. All together leave what is bent.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.prediction.plots import PANELS
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from xarray import Dataset
+
+Floats = NDArray[np.float64]
+
+ALL = "all of them"
+_PER_NUMBER = 4  # draws, at least, for each number of a source
+_OUTCOMES = {name: label.partition(" [")[0] for name, _, label in PANELS}
+
+
+class BandSources(NamedTuple):
+    """By how much narrower bands would be, as a share of their width; NaN where draws are too few to tell."""
+
+    sources: tuple[str, ...]  # the last: `ALL`
+    outcomes: tuple[str, ...]  # by their names in the prediction
+    narrower: Floats  # (sources, outcomes), the root mean square over variants of what would be left, from one
+
+    def sheet(self) -> Sheet:
+        """As a table."""
+        rows = ((name, *(_percent(v) for v in row)) for name, row in zip(self.sources, self.narrower, strict=True))
+        heads = ("if it were known", *(_OUTCOMES.get(name, name) for name in self.outcomes))
+        return Sheet("bands would be narrower by [%]", heads, tuple(rows), words=(0,))
+
+    def facts(self) -> dict[str, dict[str, float | None]]:
+        """By source and outcome, for JSON."""
+        return {
+            source: {name: float(v) if np.isfinite(v) else None for name, v in zip(self.outcomes, row, strict=True)}
+            for source, row in zip(self.sources, self.narrower, strict=True)
+        }
+
+    def figure(self) -> Figure:
+        """Bars by source, a panel for each outcome."""
+        from matplotlib.figure import Figure
+
+        from pftwin.results.plots.style import COLOURS, PAGE, SMALL, house_style, title
+
+        with house_style():
+            figure = Figure(figsize=(PAGE, 1.1 + 0.3 * len(self.sources)))
+            panels = np.ravel(figure.subplots(1, len(self.outcomes), sharey=True))
+            for ax, name, column in zip(panels, self.outcomes, self.narrower.T, strict=True):
+                ax.barh(self.sources, 100 * column, color=COLOURS[0])
+                ax.set_title(_OUTCOMES.get(name, name), fontsize=SMALL)
+                ax.set_xlim(0, 100)
+            panels[0].invert_yaxis()
+            figure.supxlabel("bands narrower, if it were known [%]", fontsize="medium")
+            title(figure, "sources of the bands")
+        return figure
+
+
+def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(_OUTCOMES)) -> BandSources:
+    """The sources of a prediction's bands.
+
+    Args:
+        data: of `fitting.predict`, with draws.
+        outcomes: of `fitting.prediction.outcomes.MEASURES`.
+
+    Raises:
+        InputError: a prediction without draws, or of an estimate that does not say what its numbers are.
+    """
+    if "sample" not in data.dims or "parameter_source" not in data.coords:
+        raise InputError(
+            "a prediction without draws of known sources",
+            where="band_sources",
+            expected="one of an estimate, with samples",
+            remedy="fitting.predict(scene, treatment, estimate, samples=200)",
+        )
+    theta = data["parameters"].values[1:]
+    of = data["parameter_source"].values
+    groups = {str(name): theta[:, of == name] for name in dict.fromkeys(of)} | {ALL: theta}
+    found = np.full((len(groups), len(outcomes)), np.nan)
+    for column, name in enumerate(outcomes):
+        values = data[name].transpose("variant", "sample").values[:, 1:]
+        for row, numbers in enumerate(groups.values()):
+            left = [_left(y[good], numbers[good]) for y in values if (good := np.isfinite(y)).any()]
+            if known := [share for share in left if np.isfinite(share)]:
+                found[row, column] = 1 - np.sqrt(np.mean(known))
+    return BandSources(tuple(groups), outcomes, found)
+
+
+def _left(y: Floats, numbers: Floats) -> float:
+    """Share of the variance of y (n,) that a straight function of numbers (n, q) leaves; of all possible draws."""
+    spread = numbers.std(axis=0)
+    x = (numbers - numbers.mean(axis=0))[:, spread > 0] / spread[spread > 0]
+    off = y - y.mean()
+    n, q = x.shape
+    if n < _PER_NUMBER * (q + 1) or not off.any():
+        return np.nan
+    rest = off - x @ np.linalg.lstsq(x, off, rcond=None)[0]
+    return min(1.0, float((rest @ rest) / (n - 1 - q) / ((off @ off) / (n - 1))))
+
+
+def _percent(share: float) -> Any:
+    return f"{100 * share:.0f}" if np.isfinite(share) else "-"

@@ -1,0 +1,42 @@
+"""Two trials of a small knee, of unlike height and rate: tests of several files share what they compile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+
+from lifting_scene import lifting_scene
+
+from fitting.methods.problem import Problem
+from fitting.nuisance import EXACT
+from fitting.objective import SPRINGS
+from fitting.trials import free_in_trials, objective_of
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+
+POINT = "patellar_tendon.insertion.y"
+FREE = ("K1", "L2", POINT)
+BOUNDS = {"K1": 0.3, "L2": 0.3, POINT: (-0.02, 0.02)}
+MOVED = 0.003  # by how much the second trial has the insertion elsewhere, as after a treatment [m]
+COMPUTED = ("position", "quadriceps")
+
+
+@cache
+def nominal() -> tuple[Scene, Scene]:
+    """Their scenes."""
+    one = replace(lifting_scene(height=0.05), name="low")
+    other = replace(lifting_scene(height=0.07, interval=0.008), name="high")
+    return one, other.set(POINT, float(other.get(POINT)) + MOVED)
+
+
+def problem_of(
+    trials: Sequence[int],
+    data: Sequence[Measured],
+    noise: Mapping[str, float],
+    varies: Mapping[str, float] | None = None,
+) -> Problem:
+    """Of some of the trials, measured so, by the channels whose noise is given; one program serves them all."""
+    scenes, own = free_in_trials([nominal()[i] for i in trials], FREE, BOUNDS, None, EXACT, varies)
+    target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", tuple(noise), noise, "linear", SPRINGS)
+    return Problem.of(scenes, own, target, computed=COMPUTED)

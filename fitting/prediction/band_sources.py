@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 ALL = "all of them"
-_PER_NUMBER = 4  # draws, at least, for each number of a source
-_OUTCOMES = {name: label.partition(" [")[0] for name, _, label in PANELS}
+_FEWEST, _PER_NUMBER = 8, 4  # draws, at least, and for each number of a source
 
 
 class BandSources(NamedTuple):
@@ -33,12 +32,15 @@ class BandSources(NamedTuple):
     sources: tuple[str, ...]  # the last: `ALL`
     outcomes: tuple[str, ...]  # by their names in the prediction
     narrower: Floats  # (sources, outcomes), the root mean square over variants of what would be left, from one
+    title: str = ""  # of the prediction
+    note: str = ""
 
     def sheet(self) -> Sheet:
         """As a table."""
         rows = ((name, *(_percent(v) for v in row)) for name, row in zip(self.sources, self.narrower, strict=True))
-        heads = ("if it were known", *(_OUTCOMES.get(name, name) for name in self.outcomes))
-        return Sheet("bands would be narrower by [%]", heads, tuple(rows), words=(0,))
+        heads = ("if it were known", *(name.replace("_", " ") for name in self.outcomes))
+        few = (f"-: at least {_PER_NUMBER} draws for each number are needed",) if np.isnan(self.narrower).any() else ()
+        return Sheet("bands would be narrower by [%]", heads, tuple(rows), words=(0,), notes=few)
 
     def facts(self) -> dict[str, dict[str, float | None]]:
         """By source and outcome, for JSON."""
@@ -58,15 +60,15 @@ class BandSources(NamedTuple):
             panels = np.ravel(figure.subplots(1, len(self.outcomes), sharey=True))
             for ax, name, column in zip(panels, self.outcomes, self.narrower.T, strict=True):
                 ax.barh(self.sources, 100 * column, color=COLOURS[0])
-                ax.set_title(_OUTCOMES.get(name, name), fontsize=SMALL)
+                ax.set_title(name.replace("_", " "), fontsize=SMALL)
                 ax.set_xlim(0, 100)
             panels[0].invert_yaxis()
             figure.supxlabel("bands narrower, if it were known [%]", fontsize="medium")
-            title(figure, "sources of the bands")
+            title(figure, f"sources of the bands of {self.title}" if self.title else "sources of the bands", self.note)
         return figure
 
 
-def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(_OUTCOMES)) -> BandSources:
+def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(name for name, _, _ in PANELS)) -> BandSources:
     """The sources of a prediction's bands.
 
     Args:
@@ -93,7 +95,7 @@ def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(_OUTCOMES)) ->
             left = [_left(y[good], numbers[good]) for y in values if (good := np.isfinite(y)).any()]
             if known := [share for share in left if np.isfinite(share)]:
                 found[row, column] = 1 - np.sqrt(np.mean(known))
-    return BandSources(tuple(groups), outcomes, found)
+    return BandSources(tuple(groups), outcomes, found, *(data.attrs.get(key, "") for key in ("title", "note")))
 
 
 def _left(y: Floats, numbers: Floats) -> float:
@@ -102,7 +104,7 @@ def _left(y: Floats, numbers: Floats) -> float:
     x = (numbers - numbers.mean(axis=0))[:, spread > 0] / spread[spread > 0]
     off = y - y.mean()
     n, q = x.shape
-    if n < _PER_NUMBER * (q + 1) or not off.any():
+    if n < max(_FEWEST, _PER_NUMBER * q) or not off.any():
         return np.nan
     rest = off - x @ np.linalg.lstsq(x, off, rcond=None)[0]
     return min(1.0, float((rest @ rest) / (n - 1 - q) / ((off @ off) / (n - 1))))

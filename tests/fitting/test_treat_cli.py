@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 
 from fitting.cli.amounts import values
 from fitting.coverage import QUICK
+from fitting.parameters import ASKED
+from fitting.prediction.band_sources import band_sources
 from pftwin.base.errors import InputError
 from pftwin.cli import app
 from pftwin.files.result_files import load_dataset
@@ -23,13 +25,13 @@ RUNNER = CliRunner(env={"COLUMNS": "200"})
 def fit(tmp_path_factory):
     """An estimate of case 2's stiffness K1 and slack length L2, as `pftwin fit` writes it."""
     path = tmp_path_factory.mktemp("fit") / "fit.json"
-    return made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}).save(path)
+    return made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, sources=(ASKED, "friction")).save(path)
 
 
 @pytest.fixture(scope="module")
 def treated(fit, tmp_path_factory):
     folder = tmp_path_factory.mktemp("treated")
-    command = ["treat", "--case", "2", "--estimate", str(fit), "--medialise", "0:16:8", "--samples", "4"]
+    command = ["treat", "--case", "2", "--estimate", str(fit), "--medialise", "0:16:8", "--samples", "8"]
     outcome = RUNNER.invoke(
         app, [*command, "--dt", "0.001", "-o", str(folder / "v.nc"), "--json", str(folder / "v.json")]
     )
@@ -42,6 +44,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
     assert "without dislocation from 8 mm of tibial tuberosity transfer medialisation on" in outcome.stdout
     assert "medialisation [mm]" in outcome.stdout
     assert "100 % of draws" in outcome.stdout
+    assert "bands would be narrower by [%]" in outcome.stdout
     assert SYNTHETIC in outcome.stdout
     assert "estimated from synthetic measurements" in outcome.stdout
     assert f"in brackets: 95 % of the draws; {QUICK.bands}" in outcome.stdout
@@ -61,7 +64,7 @@ def test_files_hold_the_outcomes(treated):
     _, folder = treated
     data = load_dataset(folder / "v.nc")
     np.testing.assert_allclose(data["tibial_tuberosity_transfer_medialisation"], [0, 0.008, 0.016])
-    assert data.sizes["sample"] == 5
+    assert data.sizes["sample"] == 9
     np.testing.assert_array_equal(data["dislocations"].values[:, 0], [1, 0, 0])
     np.testing.assert_allclose(data["parameters"].values[0], [157.0, 0.0713])
     plain = json.loads((folder / "v.json").read_text())
@@ -77,7 +80,9 @@ def test_files_hold_the_outcomes(treated):
     assert (folder / "v.png").stat().st_size > 10_000
     svg = (folder / "v.svg").read_text()
     assert "synthetic" in svg
-    assert "95 % of 4 draws" in svg
+    assert "95 % of 8 draws" in svg
+    assert plain["bands_narrower_if_known"] == band_sources(data).facts()
+    assert plain["bands_narrower_if_known"]["friction"]["largest_offset"] is not None
 
 
 @pytest.mark.parametrize(

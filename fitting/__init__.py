@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fitting import treatments
     from fitting.calibration.calibrate import calibrate
+    from fitting.calibration.quick_fit import QuickFit
     from fitting.estimate import Estimate
     from fitting.fit import fit_tendons
     from fitting.identifiability import plan_experiment, profile_likelihood
@@ -37,6 +38,7 @@ _HOME = {
     "Parameter": "parameters",
     "Parameters": "parameters",
     "Posterior": "posterior.result",
+    "QuickFit": "calibration.quick_fit",
     "calibrate": "calibration.calibrate",
     "channels_of": "programs",
     "fit_tendons": "fit",
@@ -58,6 +60,7 @@ __all__ = [
     "Parameter",
     "Parameters",
     "Posterior",
+    "QuickFit",
     "TrainedPosterior",
     "calibrate",
     "channels_of",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -57,7 +58,14 @@ class Laboratory:
                 raise InputError(f"{name}: found {value!r}", where="laboratory", expected="a number, not negative")
 
     def recorded(
-        self, scene: Scene, seen: Seen, springs: dict[str, str], random: np.random.Generator
+        self,
+        scene: Scene,
+        seen: Seen,
+        springs: Mapping[str, str],
+        random: np.random.Generator,
+        constant: np.random.Generator | None = None,
+        *,
+        first: bool = True,
     ) -> tuple[KneeMotion, Measured]:
         """The motion and measurements of a plant, as poses of recorded markers tell them.
 
@@ -65,12 +73,16 @@ class Laboratory:
             scene: the plant's.
             seen: what it did.
             springs: names of the effects whose tensions the "femoral" and "tibial" spring forces are.
-            random: of the noise; what stays the same throughout has a stream of its own, spawned from it.
+            random: of the noise.
+            constant: of what stays the same throughout; by default a stream of its own, spawned from `random`. Copies
+                of one generator make trials of one laboratory.
+            first: whether it is the first of such trials; others have a shift in time and load cells' zeros of their
+                own.
 
         Raises:
             InputError: a recording that is too short for the filter.
         """
-        motion, constant = scene.motion, random.spawn(1)[0]
+        motion, constant = scene.motion, constant or random.spawn(1)[0]
         times = np.asarray(motion.frame_times())
         femur, tibia = (_poses(part, times) for part in (motion.femur, motion.tibia))
         patella = PoseSeries(times, seen.position, seen.quaternion)
@@ -84,6 +96,8 @@ class Laboratory:
         point = np.asarray(scene.tracked_point().array(), dtype=float)
         center = relative.positions + relative.matrices() @ point + constant.normal(0.0, self.placement, 3)
         late = constant.normal(0.0, self.time_shift)
+        if not first:
+            late = random.spawn(1)[0].normal(0.0, self.time_shift)
         behind = {name: np.interp(times - late, times, value) for name, value in seen.forces.items()}
         scaled = {name: value * (1 + constant.normal(0.0, self.force_scale)) for name, value in behind.items()}
         forces = {name: self._load_cell(value, random) for name, value in scaled.items()}

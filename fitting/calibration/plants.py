@@ -38,11 +38,12 @@ class Knee:
 
     scene: Scene  # the nominal one, with whatever is fitted in it
     parameters: Parameters  # what is free in it; the first are asked for
+    trials: tuple[Scene, ...] = ()  # it in every trial, this one among them; by default in one
 
     @cached_property
     def working(self) -> dict[str, Working]:
         """At what lengths its linear tendons work, by name: it is simulated once for all plants."""
-        return working_of([self.scene], linear_tendons(self.scene))
+        return working_of(self.trials or [self.scene], linear_tendons(self.scene))
 
     def drawn(self, random: np.random.Generator) -> Scene:
         """One whose parameters come from the priors."""

@@ -92,9 +92,14 @@ def check_truth(plant: Plant, parameters: Parameters) -> None:
             raise InputError(f"{item.name} has no true value in this plant", where="kinds", expected=expected)
 
 
-def truth_of(plant: Plant, seen: Seen, parameters: Parameters) -> Floats:
+def truth_of(plant: Plant, seen: Sequence[Seen], parameters: Parameters) -> Floats:
     """What a fit should find of a plant (d,): of a tendon that follows another law, the straight line nearest to its
-    spring, over the forces that occurred.
+    spring, over the forces that occurred in all trials.
+
+    Args:
+        plant: as it is in the first.
+        seen: what it did in each.
+        parameters: of the first.
 
     Raises:
         InputError: a tendon that is never stretched.
@@ -106,7 +111,7 @@ def truth_of(plant: Plant, seen: Seen, parameters: Parameters) -> Floats:
             found.append(float(item.place.read(plant.scene)))
             continue
         tendon: Any = plant.scene.effect(owner)
-        lengths = seen.lengths[owner]
+        lengths = np.concatenate([one.lengths[owner] for one in seen])
         line = straight_line(lengths, np.maximum(np.asarray(tendon.held_tension(jnp.asarray(lengths))), 0.0))
         found.append(line.stiffness if path == ("stiffness",) else line.slack_length)
     return np.array(found)

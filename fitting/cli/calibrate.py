@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
 from fitting.cli.amounts import Given, treatment_of, treatment_within, with_amounts
-from fitting.cli.fit import LimitOption, check_limits, names_in
+from fitting.cli.fit import (
+    BoundsOption,
+    FreeOption,
+    LimitOption,
+    NoiseOption,
+    NuisanceOption,
+    UseOption,
+    check_limits,
+    names_in,
+    noise_levels,
+)
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import exit_flagged
-from pftwin.cli.scenes import SceneOptions, on_scene
+from pftwin.cli.scenes import TrialsOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
 if TYPE_CHECKING:
@@ -25,8 +35,23 @@ if TYPE_CHECKING:
 def calibrate(
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="CALIBRATION.json", help="What was found.")],
-    knee: SceneOptions,
-    trained: Annotated[Path, Option(metavar="FILE.npz", help="A posterior that `pftwin train-posterior` trained.")],
+    knee: TrialsOptions,
+    trained: Annotated[
+        Path | None, Option(metavar="FILE.npz", help="A posterior that `pftwin train-posterior` trained.")
+    ] = None,
+    method: Annotated[
+        str | None,
+        Option(
+            metavar="NAME",
+            help="In its place a search, made anew for each plant, as `pftwin fit --method` has it; the options to"
+            " --nuisance are of it.",
+        ),
+    ] = None,
+    free: FreeOption = "K1,L1,K2,L2",
+    bounds: BoundsOption = 0.3,
+    use: UseOption = "position",
+    noise: NoiseOption = None,
+    nuisance: NuisanceOption = None,
     plants: Annotated[int, Option(min=1, help="Of each kind.")] = 100,
     kinds: Annotated[
         str | None, Option(metavar="NAMES", help="Some of: twin, misplaced, sliding, stiffening; by default all.")
@@ -54,20 +79,25 @@ def calibrate(
     figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
     json: JsonOption = None,
 ) -> None:
-    """Count how often a trained posterior's intervals hold the truth, on simulated knees that differ from the twin.
+    """Count how often intervals hold the truth, on simulated knees that differ from the twin.
 
     With the amount of a treatment also: how often 90 % bands hold what the treated knee does; with `--meet`, how
     many treatments that were planned for it do what they were to do.
 
-    Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 --medialise 10 -o calibration.json`
+    Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 --medialise 10 -o calibration.json`, or
+    `pftwin calibrate walk.toml stairs.toml --method least_squares --plants 20 -o quick.json`
     """
     check_suffix(output, [".json"], "calibrations are JSON")
     if widen is not None:
         check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
+    asked = {"free": names_in(free), "bounds": bounds, "noise": noise_levels(noise), "nuisance": nuisance}
+    asked["use"] = "all" if use.strip() == "all" else names_in(use)
+    _check_what(trained, method, asked, widen)
     check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run
     from fitting.calibration.laboratory import Laboratory
     from fitting.calibration.plants import PLANTS
+    from fitting.calibration.quick_fit import QuickFit
     from fitting.trained import TrainedPosterior
 
     chosen = names_in(kinds) if kinds is not None else tuple(PLANTS)
@@ -75,13 +105,14 @@ def calibrate(
         found = f"no plants {strange[0]!r}" if chosen else "none named"
         raise InputError(found, where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
     lab = Laboratory(marker_noise=marker_noise, force_noise=force_noise, cutoff=cutoff or None)
-    allowed, scene = check_limits(limit), knee.load().scene
+    allowed, scenes = check_limits(limit), [trial.scene for trial in knee.load()]
     operation = _operation(amounts, meet or [], samples, confidence)
-    posterior = TrainedPosterior.load(trained, scene)
+    posterior = None if trained is None else TrainedPosterior.load(trained, scenes)
+    answering = posterior or QuickFit.of(scenes, method=str(method), **asked)
     with progress("simulating plants") as shown:
         found = run(
-            posterior,
-            scene,
+            answering,
+            scenes,
             plants=plants,
             kinds={kind: PLANTS[kind] for kind in chosen},
             laboratory=lab,
@@ -91,15 +122,36 @@ def calibrate(
             progress=lambda kind, done, of: shown(done, of, f"{done}/{of}", f"plants {kind}"),
         )
     files = [str(found.save(output))]
-    if widen is not None:
+    if widen is not None and posterior is not None:
         files.append(str(found.widened(posterior).save(widen)))
     if figures:
         with spinner("drawing"):
             files += [str(p) for p in found.plot.save(output.with_suffix(""))]
-    parts = [*_sheets_of(found, scene.name), found.sentence(), found.trained, written_line(files)]
+    parts = [*_sheets_of(found, answering.set_up.scene_name), found.sentence(), found.trained, written_line(files)]
     present({**found.to_dict(), "files": files}, *parts, json=json)
     if not found.holds:
         exit_flagged(found.sentence())
+
+
+_OF_SEARCH: dict[str, Any] = {  # defaults
+    "free": ("K1", "L1", "K2", "L2"),
+    "bounds": 0.3,
+    "use": ("position",),
+    "noise": None,
+    "nuisance": None,
+}
+
+
+def _check_what(trained: Path | None, method: str | None, asked: dict[str, Any], widen: Path | None) -> None:
+    """Refuses both a posterior and a search, neither, and options of the other."""
+    if (trained is None) == (method is None):
+        found = "neither --trained nor --method" if trained is None else "both --trained and --method"
+        raise InputError(found, expected="a posterior that was trained, or a search")
+    if method is not None and widen is not None:
+        raise InputError("--widen with a search", expected="a trained posterior: searches keep no file to widen")
+    if method is None and (settled := [f"--{name}" for name, value in asked.items() if value != _OF_SEARCH[name]]):
+        found = f"a trained posterior beside {', '.join(settled)}"
+        raise InputError(found, where="--trained", expected="it alone: the rest is as it was in training")
 
 
 def _operation(amounts: Given, meet: list[str], samples: int, confidence: float) -> Operation | None:

@@ -77,9 +77,9 @@ def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():
         expected += [slope, -offset / slope]
         assert slope > k
     seen = Seen(np.zeros((30, 3)), np.zeros((30, 4)), {}, lengths)
-    np.testing.assert_allclose(truth_of(plant, seen, own.parameters), expected, rtol=1e-9)
+    np.testing.assert_allclose(truth_of(plant, [seen], own.parameters), expected, rtol=1e-9)
     straight = misplaced(own, random)
-    np.testing.assert_array_equal(truth_of(straight, seen, own.parameters), own.parameters.vector(straight.scene)[:4])
+    np.testing.assert_array_equal(truth_of(straight, [seen], own.parameters), own.parameters.vector(straight.scene)[:4])
 
 
 def test_a_curved_tendon_has_its_true_attachment_and_no_true_strain():
@@ -91,7 +91,7 @@ def test_a_curved_tendon_has_its_true_attachment_and_no_true_strain():
             check_truth(plant, own.parameters)
             seen = Seen(np.zeros((2, 3)), np.zeros((2, 4)), {}, {})
             expected = float(plant.scene.effect("quadriceps").origin.x)
-            assert truth_of(plant, seen, own.parameters) == pytest.approx(expected)
+            assert truth_of(plant, [seen], own.parameters) == pytest.approx(expected)
         else:
             with pytest.raises(InputError, match=r"L1\.strain has no true value"):
                 check_truth(plant, own.parameters)

@@ -193,6 +193,17 @@ def test_a_posterior_is_trained_once_and_answers(toy, tmp_path):
 
 @pytest.mark.parametrize("kinds", ["stiff", ","])
 def test_plants_that_are_none_are_refused(toy, tmp_path, kinds):
-    said = refused("calibrate", toy, "--trained", tmp_path / "no.npz", "-o", tmp_path / "c.json", "--kinds", kinds)
+    trained = ("calibrate", toy, "--trained", tmp_path / "no.npz", "-o", tmp_path / "c.json")
+    said = refused(*trained, "--kinds", kinds)
     assert "--kinds" in said
     assert "twin, misplaced, sliding, stiffening" in said
+
+
+def test_a_calibration_is_of_a_posterior_or_of_a_search(toy, tmp_path):
+    plain, trained = ("calibrate", toy, "-o", tmp_path / "c.json"), ("--trained", tmp_path / "no.npz")
+    assert "neither --trained nor --method" in refused(*plain)
+    assert "both --trained and --method" in refused(*plain, *trained, "--method", "least_squares")
+    assert "a trained posterior beside --free, --use" in refused(*plain, *trained, "--free", "K1", "--use", "all")
+    assert "searches keep no file" in refused(*plain, "--method", "gradient", "--widen", tmp_path / "w.npz")
+    assert "method: 'best'" in refused(*plain, "--method", "best")
+    assert not list(tmp_path.iterdir())

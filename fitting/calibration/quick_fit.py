@@ -1,0 +1,100 @@
+"""A search, as `calibrate` asks it: in the place of a posterior that is trained once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimate import Estimate
+from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
+from fitting.inference.infer import DRAWS
+from fitting.methods.problem import Problem
+from fitting.nuisance import Nuisance
+from fitting.objective import SPRINGS
+from fitting.parameters import Bounds
+from fitting.programs import POSITION
+from fitting.set_up import SetUp, listed
+from fitting.trials import free_in_trials, objective_of, trials_of
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
+
+
+class QuickFit(NamedTuple):
+    """`fit_tendons` of every recording of a set-up; made by `QuickFit.of`."""
+
+    set_up: SetUp
+    method: str
+
+    @staticmethod
+    def of(
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        method: str = "least_squares",
+        free: Sequence[str] = SPRING_PARAMETERS,
+        bounds: Bounds = 0.3,
+        priors: Mapping[str, tuple[float, float]] | None = None,
+        nuisance: str | Nuisance | None = None,
+        use: str | Sequence[str] = POSITION,
+        noise: Mapping[str, float] | None = None,
+        springs: Mapping[str, str] = SPRINGS,
+    ) -> QuickFit:
+        """Arguments are as `fit_tendons` has them; of a first recording, by which the set-up is told.
+
+        Raises:
+            InputError: a method that does not search; as `fit_tendons`.
+        """
+        if method not in METHODS:
+            found = "simulations would be learned from anew for each plant" if method == SIMULATIONS else repr(method)
+            remedy = "for simulations a posterior that is trained once: fitting.train_posterior"
+            raise InputError(found, where="method", expected=f"one of: {', '.join(METHODS)}", remedy=remedy)
+        besides = Nuisance.of(nuisance)
+        besides.refuse_sensors(f"method {method!r}")
+        trials = trials_of(scene, measured)
+        scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+        data = [data for _, data in trials]
+        target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", use, noise, "linear", springs)
+        return QuickFit(SetUp.of(Problem.of(scenes, parameters, target), besides, springs), method)
+
+    def estimate(
+        self,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> Estimate:
+        """As `fit_tendons`.
+
+        Raises:
+            PftwinError: as `fit_tendons`.
+        """
+        s = self.set_up
+        asked: dict[str, Any] = {"free": s.free, "bounds": s.bounds, "priors": s.priors, "nuisance": s.nuisance}
+        seen: dict[str, Any] = {"use": s.channels, "noise": s.noise, "springs": s.springs, "limits": limits}
+        return fit_tendons(scene, measured, method=self.method, **asked, **seen)
+
+    def draws(
+        self,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> tuple[Floats, list[str]]:
+        """Draws (N, d) of what is asked for, and what forbids to believe them.
+
+        Raises:
+            PftwinError: as `fit_tendons`.
+        """
+        found = self.estimate(scene, measured, limits=limits)
+        return found.samples(DRAWS)[:, : found.asked], found.doubts
+
+    def sentence(self) -> str:
+        """What it fits, and how."""
+        s = self.set_up
+        return f"{self.method} of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"

@@ -1,0 +1,120 @@
+"""Calibration of several trials of one plant, and of searches, on the two trials of a small knee."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from lifted_trials import BOUNDS, FREE, MOVED, POINT, nominal
+from small_scene import small_scene
+
+import fitting
+from fitting.calibration.calibrate import calibrate, plant_in_trials
+from fitting.calibration.laboratory import Laboratory
+from fitting.calibration.plants import PLANTS, Knee
+from fitting.calibration.quick_fit import QuickFit
+from fitting.calibration.runs import Seen, truth_of
+from fitting.nuisance import Nuisance
+from fitting.set_up import SetUp
+from fitting.trials import free_in_trials
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+
+NUISANCE = Nuisance(attachments=1e-3, friction=0.02)
+QUIET = Laboratory(marker_noise=1e-8, cutoff=None, force_noise=1e-8, force_bias=0.0)
+
+
+def knees() -> list[Knee]:
+    scenes, own = free_in_trials(nominal(), FREE, BOUNDS, None, NUISANCE)
+    return [Knee(scene, parameters, tuple(scenes)) for scene, parameters in zip(scenes, own, strict=True)]
+
+
+@pytest.mark.parametrize("kind", list(PLANTS))
+def test_a_plant_is_the_same_in_every_trial(kind):
+    """But for its insertion, elsewhere by as much as that of the nominal knee; the first is as of one trial."""
+    one, other = (plant.scene for plant in plant_in_trials(PLANTS[kind], knees(), np.random.default_rng(4)))
+    alone = PLANTS[kind](knees()[0], np.random.default_rng(4)).scene
+    assert float(other.get(POINT)) - float(one.get(POINT)) == pytest.approx(MOVED)
+    for name in ("K1", "L2", "quadriceps.origin.x", "contact.friction.coefficient", "quadriceps.damping"):
+        assert float(one.get(name)) == pytest.approx(float(other.get(name)), abs=1e-12)
+        assert float(one.get(name)) == float(alone.get(name))
+    assert float(one.get("K1")) != float(nominal()[0].get("K1"))
+
+
+def test_two_plants_are_two():
+    random = np.random.default_rng(4)
+    first, second = (plant_in_trials(PLANTS["misplaced"], knees(), random)[1].scene for _ in range(2))
+    assert float(first.get("K1")) != float(second.get("K1"))
+
+
+def test_the_line_is_nearest_over_all_trials():
+    plant = PLANTS["stiffening"](knees()[0], np.random.default_rng(4))
+    tendon = plant.scene.effect("quadriceps")
+    parts = [
+        float(tendon.rest_length) + stretch for stretch in (np.linspace(0.01, 0.02, 40), np.linspace(0.03, 0.06, 70))
+    ]
+    seen = [
+        Seen(np.zeros((len(p), 3)), np.zeros((len(p), 4)), {}, {"quadriceps": p, "patellar_tendon": p}) for p in parts
+    ]
+    own = free_in_trials([nominal()[0]], ("K1",), 0.3, None, Nuisance())[1][0]
+    k, more, s = float(tendon.law.stiffness), float(tendon.law.more), np.concatenate(parts) - float(tendon.rest_length)
+    assert truth_of(plant, seen, own)[0] == pytest.approx(np.polyfit(s, k * s * (1 + more * s), 1)[0])
+    assert truth_of(plant, seen[:1], own)[0] != pytest.approx(truth_of(plant, seen, own)[0], rel=1e-3)
+
+
+def test_trials_of_one_laboratory_share_what_stays_the_same():
+    """Placement and scale are those of the first; shift and zero are each trial's own."""
+    scene, n = small_scene(41), 41
+    ramp = np.linspace(5.0, 25.0, n)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    seen = Seen(np.zeros((n, 3)), upright, {"contact": ramp, "quadriceps": ramp}, {})
+
+    def off(**errors: float) -> list[Measured]:
+        lab = replace(QUIET, marker_noise=0.0, force_noise=0.0, **errors)
+        return [
+            lab.recorded(scene, seen, {}, random, np.random.default_rng(8), first=k == 0)[1]
+            for k, random in enumerate([np.random.default_rng(1), np.random.default_rng(2)])
+        ]
+
+    one, other = off(placement=2e-3)
+    np.testing.assert_array_equal(one.center, other.center)
+    assert np.abs(one.center - off()[0].center).max() > 1e-4
+    one, other = off(force_scale=0.05)
+    np.testing.assert_array_equal(one.contact_force, other.contact_force)
+    assert np.abs(one.contact_force / ramp - 1).min() > 1e-3
+    for errors in ({"time_shift": 0.02}, {"force_bias": 0.5}):
+        one, other = off(**errors)
+        assert np.abs(one.contact_force - other.contact_force).max() > 1e-3
+
+
+def told(scenes: Any) -> list[Measured]:
+    return [Measured(s.motion.times, np.zeros((s.motion.times.size, 3))) for s in scenes]
+
+
+def test_what_cannot_be_calibrated_is_refused():
+    both = QuickFit.of(nominal(), told(nominal()), free=FREE, bounds=BOUNDS)
+    assert both.sentence() == "least_squares of 41, 41 frames of low + high, by position"
+    with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was trained for"):
+        calibrate(both, nominal()[0])
+    with pytest.raises(InputError, match="trained: parameters that differ between trials"):
+        calibrate(both._replace(set_up=both.set_up._replace(varies={"L2": 1e-3})), nominal())
+    with pytest.raises(InputError, match="learned from anew for each plant"):
+        QuickFit.of(nominal(), told(nominal()), method="simulations")
+    with pytest.raises(InputError, match="method: 'best'; expected: one of: least_squares"):
+        QuickFit.of(nominal(), told(nominal()), method="best")
+    with pytest.raises(InputError, match="cannot allow for placement"):
+        QuickFit.of(nominal(), told(nominal()), nuisance=Nuisance(placement=1e-3))
+    assert isinstance(both.set_up, SetUp)
+
+
+@pytest.mark.slow
+def test_searches_find_plants_of_two_trials():
+    """Where nothing is off and noise is next to nothing: what the plants were made with, to 0.2 %."""
+    fit = fitting.QuickFit.of(nominal(), told(nominal()), free=("K1", "L2"), bounds=0.2)
+    found = calibrate(fit, nominal(), plants=3, kinds={"twin": PLANTS["twin"]}, laboratory=QUIET, seed=2)
+    assert (found.names, found.kinds["twin"].dropped, found.kinds["twin"].refused) == (("K1", "L2"), 0, 0)
+    assert len(found.kinds["twin"].rms) == 2
+    assert (found.kinds["twin"].rms < 2e-3).all()
+    assert found.trained == fit.sentence()

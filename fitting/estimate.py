@@ -17,7 +17,7 @@ from fitting.coverage import Coverage, coverage_of
 from fitting.nuisance import EXACT, REACH, Nuisance
 from fitting.parameters import Applied, weights_in
 from fitting.sensors import Sensors
-from fitting.uncertainty import NORMAL_95, SERIAL, in_words
+from fitting.uncertainty import NORMAL_95, SERIAL, in_words, undetermined
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.base.text_files import read_json
@@ -144,6 +144,13 @@ class Estimate:
         return tuple(n for n, there in zip(self.names, near, strict=True) if there)
 
     @property
+    def undetermined(self) -> tuple[tuple[str, ...], ...]:
+        """Combinations of what was asked for of which nothing is told but the bounds: the parameters in each, whose
+        share in it is largest first."""
+        asked = self.asked
+        return undetermined(self.names[:asked], (self.upper - self.lower)[:asked], self.covariance[:asked, :asked])
+
+    @property
     def nominal_scene(self) -> Scene | None:
         """The scene that was fitted, of several trials that of the first; None of an estimate from a file."""
         return self.trials[0].nominal if self.trials else None
@@ -255,6 +262,10 @@ class Estimate:
             of_each = {name: left[channel] for name, left in self.trial_rmse.items() if channel in left}
             parts = [f"{shown(channel, left, 3)} in {name}" for name, left in of_each.items()]
             out.append(f"left of {channel}: {', '.join(parts)}")
+        if open_ := self.undetermined:
+            told = f"{self.asked - len(open_)} of {self.asked} combinations of what was asked for"
+            apart = "; ".join(f"{' with '.join(names)}" for names in open_)
+            out.append(f"the measurements tell {told}; of the others no more than their bounds do: {apart}")
         if self.at_bounds:
             out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
         if self.serial_correlation > SERIAL:

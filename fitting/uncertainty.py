@@ -16,6 +16,8 @@ Floats = NDArray[np.float64]
 NORMAL_95 = 1.959963984540054  # quantile of the normal distribution for 95 % intervals
 SERIAL = 0.2  # correlation of neighbouring residuals above which they do not count as independent
 POORLY = 0.02  # relative standard deviation worth a remark
+_OPEN = 0.25  # of the bounds' span: a deviation whose 95 % interval is as wide; the bounds alone give 0.29
+_MINOR = 0.35  # share in a combination, of the largest, below which a parameter is not named
 
 
 class Uncertainty(NamedTuple):
@@ -101,6 +103,25 @@ def sizes(names: tuple[str, ...], span: Floats, values: Floats, coordinates: tup
 def relative(size: Floats, covariance: Floats) -> Floats:
     """The covariance of relative deviations."""
     return covariance / np.outer(size, size)
+
+
+def undetermined(names: tuple[str, ...], span: Floats, covariance: Floats) -> tuple[tuple[str, ...], ...]:
+    """Combinations whose 95 % interval is as wide as their bounds: the names in each, largest share first.
+
+    Args:
+        names: of the parameters.
+        span: between their bounds (p,).
+        covariance: (p, p).
+    """
+    relative_to_bounds = relative(span, covariance)
+    if not np.isfinite(relative_to_bounds).all():
+        return tuple((name,) for name, own in zip(names, np.diagonal(covariance), strict=True) if not np.isfinite(own))
+    values, vectors = np.linalg.eigh(relative_to_bounds)
+    found = []
+    for shares in np.abs(vectors[:, values > _OPEN**2]).T[::-1]:
+        order = np.argsort(-shares, kind="stable")
+        found.append(tuple(names[i] for i in order if shares[i] > _MINOR * shares.max()))
+    return tuple(found)
 
 
 def in_words(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from linear_problems import NOMINAL, design, objective, parameters, scaled
+from made_estimates import made_estimate
 from scipy.linalg import toeplitz
 from scipy.optimize import curve_fit
 
-from fitting.uncertainty import inverse_information, serial_correlation, uncertainty
+from fitting.uncertainty import inverse_information, serial_correlation, uncertainty, undetermined
 
 SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
 
@@ -124,3 +125,23 @@ def test_an_inverse_of_unlike_units():
     np.testing.assert_allclose(inverse_information(a), exact, rtol=1e-6, atol=1e-12)
     with np.errstate(over="ignore"):
         assert inverse_information(np.diag([1.0, 0.0]))[1, 1] > 1e200
+
+
+def test_what_measurements_do_not_tell_apart_is_named():
+    """Of four parameters with spans of 60, 0.04, 200 and 1, two combinations: K1 against K2, and the friction alone."""
+    names, span = ("K1", "L1", "K2", "mu"), np.array([60.0, 0.04, 200.0, 1.0])
+    against = np.array([0.6, 0.0, -0.8, 0.0])
+    covariance = np.diag([1e-4, 0.01, 1e-4, 0.3**2]) + 0.4**2 * np.outer(against, against)
+    assert undetermined(names, span, covariance * np.outer(span, span)) == (("K2", "K1"), ("mu",))
+    fixed = np.diag([1e-4, 0.01, 1e-4, 0.2**2]) + 0.2**2 * np.outer(against, against)
+    assert undetermined(names, span, fixed * np.outer(span, span)) == ()
+    infinite = np.diag([1.0, np.inf, 1.0, 0.01])
+    assert undetermined(names, span, infinite) == (("L1",),)
+
+
+def test_an_estimate_says_how_much_is_told():
+    found = made_estimate({"K1": (150.0, 2.0), "L1": (0.14, 0.001), "K2": (620.0, 200.0)})
+    assert found.undetermined == (("K2",),)
+    said = "the measurements tell 2 of 3 combinations of what was asked for; of the others no more than their bounds do"
+    assert f"{said}: K2" in found.remarks()
+    assert not made_estimate({"K1": (150.0, 2.0)}).undetermined

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage import drawn_plant, fitted, recorded, scene_in
+from coverage import How, drawn_plant, fitted, recorded, scene_in
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
@@ -65,8 +65,9 @@ def main() -> None:
     rows: dict[str, list[tuple[bool, float, float]]] = {name: [] for name in OUTCOMES}
     for seed in given.seeds:
         truth = truth_in(PREDICTED, seed, given.plants)
-        found = fitted([FITTED], seed, given.plants, given.contact, given.nuisance, given.use, given.method)
-        other = scene_in(PREDICTED, seed, given.plants, given.contact)[0]
+        how = How(given.contact, given.nuisance, tuple(given.use), given.method)
+        found = fitted([FITTED], seed, given.plants, how)
+        other = scene_in(PREDICTED, recorded(PREDICTED, seed, given.plants)[0], how)
         seen: Any = fitting.predict(other, None, found, samples=given.samples)
         texts = []
         for name, unit in OUTCOMES.items():

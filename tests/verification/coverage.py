@@ -25,10 +25,10 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -39,20 +39,20 @@ import pftwin
 from fitting.demo.straight_springs import straight_line, stretch_under
 from fitting.nuisance import SLIP_SPEED
 from pftwin.base.errors import PftwinError
+from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.effects.friction import Friction
-from pftwin.model.measured import Measured
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
-from pftwin.rig.cases import case as rig_case
 from pftwin.rig.cases import scene_of
 from pftwin.rig.contacts import contact_effect
 from pftwin.rig.laboratory import write_recording
 from pftwin.rig.plant import DRAG, MISPLACED, Plant, plant_of
 from pftwin.rig.plant_parts import Spring
-from pftwin.rig.recording import read_recording
+from pftwin.rig.recording import Recording, read_recording
 
 NAMES = ("K1", "L1", "K2", "L2")
+MEASURED = ("times", "center", "quaternion", "contact_force", "tibial_spring_force", "femoral_spring_force")
 BOUNDS = {"K1": 0.5, "L1": 0.3, "K2": 0.5, "L2": 0.3}
 FRICTION, STIFFENING, DRAG_OFF = (0.005, 0.04), 0.1, 0.2  # of plants: from least to most; at most; a share
 ORACLE = fitting.Nuisance(
@@ -107,47 +107,57 @@ def recorded(case: int, seed: int, folder: Path) -> tuple[Path, NDArray]:
     return place, np.array(json.loads((place / "truth.json").read_text()))
 
 
-def scene_in(case: int, seed: int, folder: Path, contact: str) -> tuple[Scene, Measured]:
-    """The twin of a plant's recorded motion, and what was measured of it."""
-    data = read_recording(case, recorded(case, seed, folder)[0])
-    motion = KneeMotion.from_poses(data.femur, data.tibia)
-    name = f"plant {seed}, {contact}"
-    return scene_of(case, data, motion, contact_effect(contact, chart="plane"), name), data.measured
+class How(NamedTuple):
+    """How plants are fitted."""
+
+    contact: str = "spline"
+    nuisance: str | None = None
+    use: tuple[str, ...] = ("position",)
+    method: str = "least_squares"
+    simulations: int | None = None  # of a posterior that is trained
+    until: float = np.inf  # what was recorded later is left out [s]
+
+    @property
+    def taken(self) -> str | fitting.Nuisance | None:
+        """The nuisance."""
+        return ORACLE if self.nuisance == "oracle" else self.nuisance
 
 
-def fitted(
-    cases: list[int],
-    seed: int,
-    folder: Path,
-    contact: str,
-    nuisance: str | None,
-    use: list[str],
-    method: str,
-    simulations: int | None = None,
-) -> fitting.Estimate:
+def scene_in(case: int, place: Path | None, how: How) -> Scene:
+    """The twin in the motion that was recorded in a folder, or by the package, with what was measured of it."""
+    data = read_recording(case, place)
+    n = int(np.searchsorted(data.measured.times, how.until, side="right"))
+    femur, tibia, patella = (
+        PoseSeries(p.times[:n], p.positions[:n], p.quaternions[:n]) for p in (data.femur, data.tibia, data.patella)
+    )
+    kept = {name: getattr(data.measured, name)[:n] for name in MEASURED}
+    whole = Recording(femur, tibia, patella, replace(data.measured, **kept))
+    name = f"case {case} of {'the package' if place is None else place.name}, {how.contact}"
+    motion = KneeMotion.from_poses(femur, tibia)
+    return scene_of(case, whole, motion, contact_effect(how.contact, chart="plane"), name)
+
+
+def fitted(cases: list[int], seed: int, folder: Path, how: How) -> fitting.Estimate:
     """The twin fitted to a plant's recordings of some cases together."""
-    scenes, measured = zip(*(scene_in(case, seed, folder, contact) for case in cases), strict=True)
-    scenes = prepared(scenes, nuisance)
-    if method == "trained":
-        return trained(tuple(cases), contact, nuisance, tuple(use), simulations).estimate(scenes, measured)
-    taken = ORACLE if nuisance == "oracle" else nuisance
-    return fitting.fit_tendons(scenes, measured, free=NAMES, bounds=BOUNDS, nuisance=taken, use=use, method=method)
+    scenes = prepared([scene_in(case, recorded(case, seed, folder)[0], how) for case in cases], how)
+    if how.method == "trained":
+        return trained(tuple(cases), how).estimate(scenes)
+    asked: dict[str, Any] = {"free": NAMES, "bounds": BOUNDS, "nuisance": how.taken, "use": how.use}
+    return fitting.fit_tendons(scenes, method=how.method, **asked)
 
 
 @cache
-def trained(
-    cases: tuple[int, ...], contact: str, nuisance: str | None, use: tuple[str, ...], simulations: int | None
-) -> fitting.TrainedPosterior:
+def trained(cases: tuple[int, ...], how: How) -> fitting.TrainedPosterior:
     """A posterior trained on the recordings that the package has of these cases."""
-    scenes = prepared([rig_case(case, contact) for case in cases], nuisance)
-    taken = ORACLE if nuisance == "oracle" else nuisance
-    return fitting.train_posterior(scenes, free=NAMES, bounds=BOUNDS, nuisance=taken, use=use, simulations=simulations)
+    scenes = prepared([scene_in(case, None, how) for case in cases], how)
+    asked: dict[str, Any] = {"free": NAMES, "bounds": BOUNDS, "nuisance": how.taken, "use": how.use}
+    return fitting.train_posterior(scenes, simulations=how.simulations, **asked)
 
 
-def prepared(scenes: Sequence[Scene], nuisance: str | None) -> list[Scene]:
+def prepared(scenes: list[Scene], how: How) -> list[Scene]:
     """For an oracle, with the mean of the plants' friction: a prior's mean is the scene's."""
-    if nuisance != "oracle":
-        return list(scenes)
+    if how.nuisance != "oracle":
+        return scenes
     rough = Friction(jnp.asarray(np.mean(FRICTION)), jnp.asarray(SLIP_SPEED))
     return [scene.with_effect(scene.contact.with_friction(rough)) for scene in scenes if scene.contact is not None]
 
@@ -163,6 +173,7 @@ def main() -> None:
     parser.add_argument("--use", nargs="+", default=["position"])
     parser.add_argument("--method", default="least_squares")
     parser.add_argument("--simulations", type=int, help="of each posterior that is trained; by default 30,000")
+    parser.add_argument("--until", type=float, default=np.inf, help="leave out what was recorded later [s]")
     parser.add_argument("--only-plants", action="store_true")
     given = parser.parse_args()
     pftwin.configure()
@@ -177,10 +188,10 @@ def main() -> None:
             continue
         for nuisance in given.nuisance:
             began = time.perf_counter()
-            wanted = None if nuisance == "none" else nuisance
-            how = (given.contact, wanted, given.use, given.method, given.simulations)
+            how = How(given.contact, nuisance, tuple(given.use), given.method, given.simulations, given.until)
+            how = how._replace(nuisance=None if nuisance == "none" else nuisance)
             try:
-                found = fitted(given.case, seed, given.plants, *how)
+                found = fitted(given.case, seed, given.plants, how)
             except PftwinError as error:
                 print(f"  {nuisance}: refused: {error}", flush=True)
                 continue

@@ -25,6 +25,7 @@ from pftwin.model.scene import Scene
 Floats = NDArray[np.float64]
 
 _ANY = (-1e12, 1e12)  # bounds where the first trial's hold
+_EQUAL = 1e-6  # share by which numbers of two scenes may differ that count as the same: rounding in files
 
 
 def trials_of(
@@ -139,19 +140,20 @@ def free_in_trials(
     So are the differences of trials.
 
     Raises:
-        InputError: as `with_nuisance` and `with_differences`; another number is free in one trial than in another.
+        InputError: as `with_nuisance` and `with_differences`; another number is free in one trial than in another, or
+            one that does not vary has another value there.
     """
     first, own = with_nuisance(scenes[0], names, bounds, priors, nuisance)
     found, free = [first], [own]
     for scene in scenes[1:]:
         prepared, there = with_nuisance(scene, names, dict.fromkeys(names, _ANY), None, nuisance)
         found.append(prepared)
-        free.append(_shared(own, there, len(found)))
+        free.append(_shared(own, there, len(found), varies or {}))
     free[0] = with_differences(first, own, varies or {}, trial_names(scenes))
     return found, free
 
 
-def _shared(first: Parameters, own: Parameters, number: int) -> Parameters:
+def _shared(first: Parameters, own: Parameters, number: int, varies: Mapping[str, float]) -> Parameters:
     """What is free in a trial of this number, with the first's values, bounds and priors; coordinates are moved."""
     here, there = ({p.place.name: p for p in both.items} for both in (first, own))
     if here.keys() != there.keys():
@@ -161,6 +163,12 @@ def _shared(first: Parameters, own: Parameters, number: int) -> Parameters:
     if odd := [name for name, p in here.items() if p.place.meaning != "value"]:
         expected = "the slack length itself: each trial begins at another length"
         raise InputError(f"{odd[0]} is no number that trials share", where="free", expected=expected)
+    for name, ours in here.items():
+        theirs = there[name].nominal
+        if not (ours.coordinate or ours.name in varies or np.isclose(theirs, ours.nominal, rtol=_EQUAL, atol=0)):
+            found = f"{ours.name} is {ours.nominal:g} in trial 1 and {theirs:g} in trial {number}"
+            remedy = f"varies={{{ours.name!r}: ...}}, by what deviation it differs; or scenes that have the same"
+            raise InputError(found, where="trials", expected="numbers that trials share", remedy=remedy)
     items = []
     for name, ours in here.items():
         by = there[name].nominal - ours.nominal if ours.coordinate else 0.0

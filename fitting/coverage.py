@@ -56,8 +56,10 @@ SIMULATIONS_WITH_NUISANCE = Coverage(
 )
 
 
-def coverage_of(simulated: bool, besides: bool) -> Coverage:
-    """Of fits by simulations or by least squares, with nuisance or without."""
+def coverage_of(simulated: bool, besides: bool, trials: bool = False) -> Coverage:
+    """Of fits by simulations or by least squares, with nuisance or without, of several trials or of one."""
     if simulated:
+        if trials:
+            return NOT_KNOWN
         return SIMULATIONS_WITH_NUISANCE if besides else SIMULATIONS
     return QUICK_WITH_NUISANCE if besides else QUICK

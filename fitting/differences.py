@@ -10,6 +10,7 @@ fitted besides. With a wide standard deviation each trial has a value of its own
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,8 @@ def with_differences(
         raise InputError("a single trial", where="varies", expected="several trials, which differ")
     names = parameters.names
     if strange := [name for name in varies if name not in names]:
-        raise InputError(f"{strange[0]!r} is not free", where="varies", expected=f"some of: {', '.join(names)}")
+        known = [name for name in names if name.startswith(f"{strange[0]}[")] or names
+        raise InputError(f"{strange[0]!r} is not free", where="varies", expected=f"some of: {', '.join(known)}")
     items = list(parameters.items)
     for p in parameters.items:
         if p.name in varies:
@@ -59,7 +61,7 @@ def with_differences(
                     (0.0, sd),
                     p.unit,
                     coordinate=True,
-                    source=BETWEEN_TRIALS,
+                    kind=BETWEEN_TRIALS,
                     trial=trial,
                 )
                 for trial, name in enumerate(trials)
@@ -73,15 +75,15 @@ def _deviation(scene: Scene, p: Parameter, sd: float) -> float:
     Raises:
         InputError: it is no positive number, or the least of the bounds less so many deviations is no such quantity.
     """
-    if not (isinstance(sd, int | float) and np.isfinite(sd) and sd > 0):
+    if not (isinstance(sd, Real) and np.isfinite(float(sd)) and float(sd) > 0):
         raise InputError(f"{p.name}: found {sd!r}", where="varies", expected="a positive standard deviation")
     declared = named_arrays(scene)[p.place.name.partition("[")[0]].quantity
     if declared is not None and not (declared.holds(p.lower - REACH * sd) and declared.holds(p.upper + REACH * sd)):
         raise InputError(
-            f"{p.name}: with bounds {p.lower:g} to {p.upper:g} and {REACH:g} deviations of {sd:g} in each trial"
-            " it may be what it cannot be",
+            f"{p.name}: bounds {p.lower:g} to {p.upper:g} and {REACH:g} deviations of {sd:g} leave room for values"
+            " that it cannot have",
             where="varies",
             expected=declared.expected,
-            remedy="narrower bounds, or a smaller deviation",
+            remedy="narrower bounds, or a smaller deviation; what may be zero, such as friction, cannot vary",
         )
     return float(sd)

@@ -17,7 +17,7 @@ from fitting.coverage import Coverage, coverage_of
 from fitting.nuisance import EXACT, REACH, Nuisance
 from fitting.parameters import Applied, weights_in
 from fitting.sensors import Sensors
-from fitting.uncertainty import NORMAL_95, SERIAL, in_words, undetermined
+from fitting.uncertainty import NORMAL_95, SERIAL, Undetermined, in_words
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.base.text_files import read_json
@@ -76,7 +76,7 @@ class Estimate:
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     nuisance: Nuisance = EXACT  # what was taken as not known, and fitted besides
     besides: tuple[str, ...] = ()  # names of its numbers, and of differences of trials, the last of `names`
-    sources: tuple[str, ...] = ()  # of each parameter: `fitting.parameters.ASKED`, or of what nuisance it is
+    kinds: tuple[str, ...] = ()  # of each parameter: `fitting.parameters.ASKED`, or of what nuisance it is
     varies: dict[str, float] = field(default_factory=dict)  # by what deviation a parameter differs between trials
     differences: tuple[tuple[int, int], ...] = ()  # of the last parameters: to which each is added, in which trial
     springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
@@ -122,19 +122,21 @@ class Estimate:
 
     @property
     def in_trials(self) -> dict[str, dict[str, tuple[float, float]]]:
-        """Of each parameter that differs between trials its value in each, by name, and that one's standard
-        deviation."""
+        """Of each parameter that differs between trials its value in each, by name, and that one's standard deviation.
+
+        A coordinate is told as in the first trial's scene: in others it is moved by as much.
+        """
         found: dict[str, dict[str, tuple[float, float]]] = {}
         for at, trial in self.differences:
             weights = weights_in(self.differences, self.shared, trial)[at]
-            told = float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
+            told = float(weights @ self.values), float(np.sqrt(max(weights @ self.covariance @ weights, 0.0)))
             found.setdefault(self.names[at], {})[list(self.trial_rmse)[trial]] = told
         return found
 
     @property
     def coverage(self) -> Coverage:
         """How often intervals, bands and plans of such fits held where the truth was known, in words."""
-        return coverage_of(self.draws is not None, len(self.besides) > len(self.differences))
+        return coverage_of(self.draws is not None, len(self.besides) > len(self.differences), len(self.trial_rmse) > 1)
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
@@ -144,11 +146,12 @@ class Estimate:
         return tuple(n for n, there in zip(self.names, near, strict=True) if there)
 
     @property
-    def undetermined(self) -> tuple[tuple[str, ...], ...]:
-        """Combinations of what was asked for of which nothing is told but the bounds: the parameters in each, whose
-        share in it is largest first."""
+    def undetermined(self) -> Undetermined:
+        """Combinations of what was asked for that are hardly told but by bounds and priors."""
         asked = self.asked
-        return undetermined(self.names[:asked], (self.upper - self.lower)[:asked], self.covariance[:asked, :asked])
+        prior = np.array([self.priors.get(name, (0.0, np.inf))[1] for name in self.names[:asked]])
+        known = np.minimum((self.upper - self.lower)[:asked] / np.sqrt(12), prior)
+        return Undetermined.of(self.names[:asked], known, self.covariance[:asked, :asked])
 
     @property
     def nominal_scene(self) -> Scene | None:
@@ -173,12 +176,16 @@ class Estimate:
     def scenes(self) -> tuple[Scene, ...]:
         """The fitted scenes of all trials.
 
+        Where a file was given fewer scenes than it was fitted to, with what trials share.
+
         Raises:
             InputError: as `scene`.
         """
         if not self.trials:
             raise InputError("an estimate from a file holds no scene", remedy="estimate.apply(scene)")
-        each = [weights_in(self.differences, self.shared, k) @ self.values for k in range(len(self.trials))]
+        whole = len(self.trials) == len(self.trial_rmse)  # else nobody knows which trials these are
+        differences = self.differences if whole else tuple((at, -1) for at, _ in self.differences)
+        each = [weights_in(differences, self.shared, k) @ self.values for k in range(len(self.trials))]
         return tuple(self.apply(trial.nominal, theta) for trial, theta in zip(self.trials, each, strict=True))
 
     def about(self, scene: Scene | Sequence[Scene]) -> Estimate:
@@ -200,7 +207,7 @@ class Estimate:
     def samples(self, count: int, seed: int = 0) -> Floats:
         """Parameters (count, p) as uncertain as the estimate: of its draws, or normal and kept within the bounds.
 
-        What differs between trials is that of further ones.
+        A parameter that differs between trials is drawn for a further trial.
         """
         random = np.random.default_rng(seed)
         if self.draws is not None:
@@ -262,10 +269,10 @@ class Estimate:
             of_each = {name: left[channel] for name, left in self.trial_rmse.items() if channel in left}
             parts = [f"{shown(channel, left, 3)} in {name}" for name, left in of_each.items()]
             out.append(f"left of {channel}: {', '.join(parts)}")
-        if open_ := self.undetermined:
-            told = f"{self.asked - len(open_)} of {self.asked} combinations of what was asked for"
-            apart = "; ".join(f"{' with '.join(names)}" for names in open_)
-            out.append(f"the measurements tell {told}; of the others no more than their bounds do: {apart}")
+        if (open_ := self.undetermined).count and not self.invalid:
+            told = f"{self.asked - open_.count} of {self.asked} combinations of what was asked for"
+            hardly = f"hardly more than bounds and priors do ({', '.join(open_.names)})"
+            out.append(f"the measurements tell {told}, and of the others {hardly}")
         if self.at_bounds:
             out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
         if self.serial_correlation > SERIAL:
@@ -338,13 +345,13 @@ class Estimate:
                 raise ValueError(f"its format is {content.get('format')!r}")
             since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
             since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": [], "draws": None}
-            since |= {"trial_rmse": {}, "varies": {}, "differences": [], "sources": []}
+            since |= {"trial_rmse": {}, "varies": {}, "differences": [], "kinds": []}
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k != "trials"}
             for key in _ARRAYS:
                 known[key] = np.asarray(known[key], dtype=float)
             known["draws"] = None if known["draws"] is None else np.asarray(known["draws"], dtype=float)
-            for key in ("names", "units", "channels", "coordinates", "besides", "sources"):
+            for key in ("names", "units", "channels", "coordinates", "besides", "kinds"):
                 known[key] = tuple(known[key])
             known["differences"] = tuple((int(at), int(trial)) for at, trial in known["differences"])
             known["nuisance"] = Nuisance(**known["nuisance"])

@@ -35,7 +35,7 @@ class NuisanceNumbers(NamedTuple):
     names: tuple[str, ...]
     bounds: dict[str, tuple[float, float]]
     priors: dict[str, tuple[float, float]]
-    sources: dict[str, str]  # "attachments", "friction", "damping", "stiffening"
+    kinds: dict[str, str]  # "attachments", "friction", "damping", "stiffening"
 
 
 @dataclass(frozen=True)
@@ -156,18 +156,18 @@ class Nuisance:
         arrays = named_arrays(scene)
         lines = {e.name for e in scene.effects if e.line_element() is not None}
         deviations: dict[str, float] = {}
-        sources: dict[str, str] = {}
+        kinds: dict[str, str] = {}
         declared = {name: number.quantity for name, number in arrays.items() if number.quantity is not None}
         for whole, quantity in declared.items():
             attached = bool(quantity.frame) and quantity.unit == "m" and arrays[whole].owner in lines
             for place in find(scene, whole) if len(arrays[whole].shape) < 2 else []:
                 if self.attachments and attached:
-                    deviations[place.name], sources[place.name] = self.attachments, "attachments"
+                    deviations[place.name], kinds[place.name] = self.attachments, "attachments"
                 elif self.damping and quantity.unit in _DAMPING:
                     deviations[place.name] = self.damping * float(place.read(scene))
-                    sources[place.name] = "damping"
+                    kinds[place.name] = "damping"
         if self.friction:
-            deviations[_friction_name(scene)], sources[_friction_name(scene)] = self.friction, "friction"
+            deviations[_friction_name(scene)], kinds[_friction_name(scene)] = self.friction, "friction"
         free = {name: sd for name, sd in deviations.items() if sd > 0 and name not in but}
         priors = {name: (float(find(scene, name)[0].read(scene)), sd) for name, sd in free.items()}
         bounds = {}
@@ -179,8 +179,8 @@ class Nuisance:
             if name in stiff and name not in but:
                 bounds[name] = (0.0, self.stiffening)
                 priors[name] = (0.5 * self.stiffening, self.stiffening / np.sqrt(12))  # cut off at the bounds
-                sources[name] = "stiffening"
-        return NuisanceNumbers(tuple(priors), bounds, priors, sources)
+                kinds[name] = "stiffening"
+        return NuisanceNumbers(tuple(priors), bounds, priors, kinds)
 
 
 def _friction_name(scene: Scene) -> str:

@@ -217,7 +217,7 @@ def estimate_of(
         springs=dict(springs),
         nuisance=nuisance,
         besides=parameters.names[parameters.asked :],
-        sources=tuple(p.source for p in parameters.items),
+        kinds=tuple(p.kind for p in parameters.items),
         varies=parameters.varies,
         differences=parameters.differences,
         doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse)],

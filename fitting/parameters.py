@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3
-ASKED, BETWEEN_TRIALS = "what was asked for", "differences between trials"  # sources of uncertainty
+ASKED, BETWEEN_TRIALS = "what was asked for", "differences between trials"  # kinds of parameters
 _EDGE = 1e-9  # share of the range by which iterates keep clear of the bounds
 
 
@@ -41,7 +41,7 @@ class Parameter:
         prior: mean and standard deviation of a normal prior; None: flat.
         unit: of all of them.
         coordinate: whether it is one of a point, which other scenes may have elsewhere.
-        source: `ASKED`; or what nuisance it is, or `BETWEEN_TRIALS`: then it is fitted besides, for what others would
+        kind: `ASKED`; or what nuisance it is, or `BETWEEN_TRIALS`: then it is fitted besides, for what others would
             make good otherwise.
         trial: None: the number is shared by all trials; k: it is by how much that of trial k, from 0, is more than the
             shared number at the same place (`fitting.differences`).
@@ -55,7 +55,7 @@ class Parameter:
     prior: tuple[float, float] | None = None
     unit: str = ""
     coordinate: bool = False
-    source: str = ASKED
+    kind: str = ASKED
     trial: int | None = None
 
 
@@ -71,7 +71,7 @@ class Parameters:
     @property
     def asked(self) -> int:
         """How many were asked for: the first; nuisance follows."""
-        return sum(p.source == ASKED for p in self.items)
+        return sum(p.kind == ASKED for p in self.items)
 
     @property
     def shared(self) -> Parameters:
@@ -245,7 +245,7 @@ def with_nuisance(
     if not more.names:
         return scene, asked
     besides = free_parameters(scene, more.names, more.bounds, more.priors).items
-    return scene, Parameters((*asked.items, *(replace(p, source=more.sources[p.name]) for p in besides)))
+    return scene, Parameters((*asked.items, *(replace(p, kind=more.kinds[p.name]) for p in besides)))
 
 
 def _parameter(

@@ -111,7 +111,7 @@ class EstimatePlots:
         """Tracking and contact force against knee flexion over draws from the estimate's uncertainty: mean and sd.
 
         Args:
-            scene: by default the one that was fitted.
+            scene: by default the one that was fitted; where parameters differ between trials, in a further trial.
             draws: simulations besides the estimate's own.
             seed: of the draws.
             more: for `pftwin.results.plots.against_flexion`.

@@ -16,8 +16,9 @@ Floats = NDArray[np.float64]
 NORMAL_95 = 1.959963984540054  # quantile of the normal distribution for 95 % intervals
 SERIAL = 0.2  # correlation of neighbouring residuals above which they do not count as independent
 POORLY = 0.02  # relative standard deviation worth a remark
-_OPEN = 0.25  # of the bounds' span: a deviation whose 95 % interval is as wide; the bounds alone give 0.29
-_MINOR = 0.35  # share in a combination, of the largest, below which a parameter is not named
+_OPEN = 0.87  # of the deviation that was known before: above it measurements tell hardly anything
+_MINOR = 0.1  # share of a parameter's square that lies in open combinations, below which it is not named
+_HUGE = 1e6  # times what was known before: in the place of infinite deviations
 
 
 class Uncertainty(NamedTuple):
@@ -105,23 +106,21 @@ def relative(size: Floats, covariance: Floats) -> Floats:
     return covariance / np.outer(size, size)
 
 
-def undetermined(names: tuple[str, ...], span: Floats, covariance: Floats) -> tuple[tuple[str, ...], ...]:
-    """Combinations whose 95 % interval is as wide as their bounds: the names in each, largest share first.
+class Undetermined(NamedTuple):
+    """Combinations of parameters that are hardly told but by what was known before."""
 
-    Args:
-        names: of the parameters.
-        span: between their bounds (p,).
-        covariance: (p, p).
-    """
-    relative_to_bounds = relative(span, covariance)
-    if not np.isfinite(relative_to_bounds).all():
-        return tuple((name,) for name, own in zip(names, np.diagonal(covariance), strict=True) if not np.isfinite(own))
-    values, vectors = np.linalg.eigh(relative_to_bounds)
-    found = []
-    for shares in np.abs(vectors[:, values > _OPEN**2]).T[::-1]:
-        order = np.argsort(-shares, kind="stable")
-        found.append(tuple(names[i] for i in order if shares[i] > _MINOR * shares.max()))
-    return tuple(found)
+    count: int
+    names: tuple[str, ...]  # of parameters in them, those that lie most in them first
+
+    @staticmethod
+    def of(names: tuple[str, ...], known: Floats, covariance: Floats) -> Undetermined:
+        """From the deviations of what was known before (p,), and the covariance (p, p) of what is known now."""
+        limited = np.where(np.isfinite(covariance), covariance, np.eye(len(names)) * (_HUGE * known) ** 2)
+        values, vectors = np.linalg.eigh(relative(known, limited))
+        inside = np.sum(vectors[:, values > _OPEN**2] ** 2, axis=1)
+        order = np.argsort(-inside, kind="stable")
+        count = int(np.sum(values > _OPEN**2))
+        return Undetermined(count, tuple(names[i] for i in order if inside[i] > _MINOR))
 
 
 def in_words(

@@ -20,6 +20,7 @@ from fitting.calibration.runs import Seen, check_truth, run, truth_of
 from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
 from fitting.inference.infer import DRAWS
+from fitting.nuisance import EXACT, Nuisance
 from fitting.set_up import SetUp, listed
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.measured import Measured
@@ -28,6 +29,7 @@ from pftwin.model.scene import Scene, check
 Floats = NDArray[np.float64]
 
 PER_KIND = 100  # plants
+MISPLACED = Nuisance(attachments=1e-3, damping=0.5)  # of which plants are made where twins are taken as exact
 _OWN_STREAM = 7  # of random numbers: not those of a training with the same seed
 
 
@@ -36,7 +38,7 @@ class Answering(Protocol):
 
     @property
     def set_up(self) -> SetUp:
-        """Of its recordings."""
+        """What it answers recordings of."""
         ...
 
     def estimate(
@@ -96,8 +98,8 @@ def calibrate(
             filter; an operation that this knee cannot have.
     """
     if trained.set_up.varies:
-        expected = "those that plants have: the same in all trials"
-        raise InputError("parameters that differ between trials", where="trained", expected=expected)
+        expected = "parameters that are the same in all trials, as those of plants are"
+        raise InputError("parameters that differ between trials", where="varies", expected=expected)
     if not isinstance(plants, int) or plants < 1:
         raise InputError(f"found {plants!r}", where="plants", expected="a whole number, at least 1")
     began, made = time.perf_counter(), PLANTS if kinds is None else kinds
@@ -108,12 +110,15 @@ def calibrate(
     for one in scenes:
         check(one)
     if (frames := tuple(one.motion.times.size for one in scenes)) != trained.set_up.frames:
-        expected = f"{listed(trained.set_up.frames)}, as it was trained for"
+        expected = f"{listed(trained.set_up.frames)}, as it was set up for"
         raise InputError(f"{listed(frames)} frames", where=scenes[0].name, expected=expected)
     if operation is not None:
         operation.check(scenes[0])
     prepared, parameters = trained.set_up.parameters(scenes)
     knees = [Knee(one, own, tuple(prepared)) for one, own in zip(prepared, parameters, strict=True)]
+    if trained.set_up.nuisance == EXACT:
+        wider = zip(*trained.set_up._replace(nuisance=MISPLACED).parameters(scenes), strict=True)
+        knees = [replace(knee, lacking=more) for knee, more in zip(knees, wider, strict=True)]
     asking = _Asking(trained, knees, laboratory or Laboratory(), scenes, operation, limits)
     found: dict[str, Answers] = {}
     told: dict[str, dict[str, Any]] = {"predictions": {}, "plans": {}}

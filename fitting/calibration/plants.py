@@ -34,11 +34,12 @@ _COEFFICIENTS = (0.0, 0.1)  # of friction
 
 @dataclass(frozen=True, eq=False)
 class Knee:
-    """The twin that a posterior was trained for."""
+    """The twin that is calibrated."""
 
     scene: Scene  # the nominal one, with whatever is fitted in it
     parameters: Parameters  # what is free in it; the first are asked for
     trials: tuple[Scene, ...] = ()  # it in every trial, this one among them; by default in one
+    lacking: tuple[Scene, Parameters] | None = None  # as above, with what a twin that is taken as exact may lack
 
     @cached_property
     def working(self) -> dict[str, Working]:
@@ -52,7 +53,7 @@ class Knee:
     def near(self, random: np.random.Generator) -> Scene:
         """One whose springs lie about the middle of their bounds, and whatever has a prior, such as nuisance, is spread
         less than that, and evenly."""
-        p = self.parameters
+        scene, p = self.lacking or (self.scene, self.parameters)
         middle, half = 0.5 * (p.lower + p.upper), 0.5 * (p.upper - p.lower)
         theta = middle + _NEAR * half * random.uniform(-1.0, 1.0, len(p))
         for i, item in enumerate(p.items):
@@ -60,7 +61,7 @@ class Knee:
                 mean, sd = item.prior
                 most = np.sqrt(3.0) * _SCATTER * sd
                 theta[i] = np.clip(mean + random.uniform(-most, most), item.lower, item.upper)
-        return p.apply(self.scene, theta)
+        return p.apply(scene, theta)
 
 
 class Plant(NamedTuple):

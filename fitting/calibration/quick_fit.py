@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
 from fitting.inference.infer import DRAWS
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
-from fitting.objective import SPRINGS
+from fitting.objective import SPRINGS, measured_channels
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
 from fitting.set_up import SetUp, listed
@@ -30,6 +31,7 @@ class QuickFit(NamedTuple):
 
     set_up: SetUp
     method: str
+    measured: tuple[tuple[str, ...], ...]  # channels that were measured in each trial of the first recording
 
     @staticmethod
     def of(
@@ -60,7 +62,9 @@ class QuickFit(NamedTuple):
         scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
         data = [data for _, data in trials]
         target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", use, noise, "linear", springs)
-        return QuickFit(SetUp.of(Problem.of(scenes, parameters, target), besides, springs), method)
+        there = [measured_channels(one, own, springs)[0] for one, own in zip(scenes, data, strict=True)]
+        channels = tuple(tuple(name for name in target.channels if name in each) for each in there)
+        return QuickFit(SetUp.of(Problem.of(scenes, parameters, target), besides, springs), method, channels)
 
     def estimate(
         self,
@@ -69,15 +73,18 @@ class QuickFit(NamedTuple):
         *,
         limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> Estimate:
-        """As `fit_tendons`.
+        """As `fit_tendons`, of the channels that were measured in each trial of the first recording.
 
         Raises:
             PftwinError: as `fit_tendons`.
         """
         s = self.set_up
+        trials = trials_of(scene, measured)
+        scenes = [one for one, _ in trials]
+        kept = [_only(own, one, data, s.springs) for own, (one, data) in zip(self.measured, trials, strict=True)]
         asked: dict[str, Any] = {"free": s.free, "bounds": s.bounds, "priors": s.priors, "nuisance": s.nuisance}
         seen: dict[str, Any] = {"use": s.channels, "noise": s.noise, "springs": s.springs, "limits": limits}
-        return fit_tendons(scene, measured, method=self.method, **asked, **seen)
+        return fit_tendons(scenes, kept, method=self.method, **asked, **seen)
 
     def draws(
         self,
@@ -92,9 +99,23 @@ class QuickFit(NamedTuple):
             PftwinError: as `fit_tendons`.
         """
         found = self.estimate(scene, measured, limits=limits)
-        return found.samples(DRAWS)[:, : found.asked], found.doubts
+        d, random = found.asked, np.random.default_rng(0)
+        # Not `samples`, which keep within the bounds: users see intervals that do not.
+        draws = random.multivariate_normal(found.values[:d], found.covariance[:d, :d], DRAWS, method="eigh")
+        return draws, found.doubts
 
     def sentence(self) -> str:
         """What it fits, and how."""
         s = self.set_up
-        return f"{self.method} of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"
+        return f"fits by {self.method} of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"
+
+
+def _only(channels: Sequence[str], scene: Scene, data: Measured, springs: Mapping[str, str]) -> Measured:
+    """The measurements without forces of other channels."""
+    contact = "" if scene.contact is None else scene.contact.name
+    forces = {
+        "contact_force": contact,
+        "femoral_spring_force": springs.get("femoral", ""),
+        "tibial_spring_force": springs.get("tibial", ""),
+    }
+    return replace(data, **{field: None for field, channel in forces.items() if channel not in channels})

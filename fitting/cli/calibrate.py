@@ -43,8 +43,8 @@ def calibrate(
         str | None,
         Option(
             metavar="NAME",
-            help="In its place a search, made anew for each plant, as `pftwin fit --method` has it; the options to"
-            " --nuisance are of it.",
+            help="In its place a search, made anew for each plant, as `pftwin fit --method` has it. --free, --bounds,"
+            " --use, --noise and --nuisance belong to it.",
         ),
     ] = None,
     free: FreeOption = "K1,L1,K2,L2",

@@ -252,9 +252,11 @@ def deviations_between(given: list[str] | None) -> dict[str, float] | None:
 def _deviations(given: list[str] | None, option: str, example: str) -> dict[str, float] | None:
     found = {}
     for text in given or []:
-        name, _, value = text.partition("=")
+        name, _, value = (part.strip() for part in text.partition("="))
+        if name in found:
+            raise InputError(f"{name!r} is given twice", where=option, expected="each once")
         try:
-            found[name.strip()] = float(value)
+            found[name] = float(value)
         except ValueError:
             raise InputError(f"found {text!r}", where=option, expected=f'such as "{example}"') from None
     return found or None

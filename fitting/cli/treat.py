@@ -86,7 +86,7 @@ def treat(
     told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
     doubt = invalid_variants(data)
     parts = (said, _sheet(data)) if doubt else (_sheet(data), said)
-    if "parameter_source" in data.coords and "sample" in data.dims:
+    if "parameter_kind" in data.coords and "sample" in data.dims:
         sources = band_sources(data)
         told["bands_narrower_if_known"] = sources.facts()
         parts += (sources.sheet(),)

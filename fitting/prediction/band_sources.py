@@ -2,7 +2,7 @@
 
 Outcomes of draws are regressed on the numbers of one source at a time: on what was asked for, on attachments, on
 friction. What such a regression leaves is what would be left if these numbers were known, with all that they tell of
-others: sources overlap, so that shares need not sum to one. All together leave what is bent.
+others: sources overlap, so that shares need not sum to one. What all together leave is no straight function of them.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.parameters import BETWEEN_TRIALS
 from fitting.prediction.plots import PANELS
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
@@ -31,7 +32,7 @@ class BandSources(NamedTuple):
 
     sources: tuple[str, ...]  # the last: `ALL`
     outcomes: tuple[str, ...]  # by their names in the prediction
-    narrower: Floats  # (sources, outcomes), the root mean square over variants of what would be left, from one
+    narrower: Floats  # (sources, outcomes): one less what would be left, root mean square over variants, all alike
     title: str = ""  # of the prediction
     note: str = ""
 
@@ -78,7 +79,7 @@ def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(name for name,
     Raises:
         InputError: a prediction without draws, or of an estimate that does not say what its numbers are.
     """
-    if "sample" not in data.dims or "parameter_source" not in data.coords:
+    if "sample" not in data.dims or "parameter_kind" not in data.coords:
         raise InputError(
             "a prediction without draws of known sources",
             where="band_sources",
@@ -86,15 +87,16 @@ def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(name for name,
             remedy="fitting.predict(scene, treatment, estimate, samples=200)",
         )
     theta = data["parameters"].values[1:]
-    of = data["parameter_source"].values
-    groups = {str(name): theta[:, of == name] for name in dict.fromkeys(of)} | {ALL: theta}
+    of = data["parameter_kind"].values
+    used = of != BETWEEN_TRIALS  # predictions are of a further trial: its difference is in what it is added to
+    groups = {str(name): theta[:, of == name] for name in dict.fromkeys(of[used])} | {ALL: theta[:, used]}
     found = np.full((len(groups), len(outcomes)), np.nan)
     for column, name in enumerate(outcomes):
         values = data[name].transpose("variant", "sample").values[:, 1:]
         for row, numbers in enumerate(groups.values()):
             left = [_left(y[good], numbers[good]) for y in values if (good := np.isfinite(y)).any()]
             if known := [share for share in left if np.isfinite(share)]:
-                found[row, column] = 1 - np.sqrt(np.mean(known))
+                found[row, column] = 1 - np.sqrt(min(1.0, np.mean(known)))
     return BandSources(tuple(groups), outcomes, found, *(data.attrs.get(key, "") for key in ("title", "note")))
 
 
@@ -107,7 +109,7 @@ def _left(y: Floats, numbers: Floats) -> float:
     if n < max(_FEWEST, _PER_NUMBER * q) or not off.any():
         return np.nan
     rest = off - x @ np.linalg.lstsq(x, off, rcond=None)[0]
-    return min(1.0, float((rest @ rest) / (n - 1 - q) / ((off @ off) / (n - 1))))
+    return float((rest @ rest) / (n - 1 - q) / ((off @ off) / (n - 1)))
 
 
 def _percent(share: float) -> Any:

@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 
 class Fitted(Protocol):
-    """The part of an estimate that a prediction needs; `fitting.Estimate` has it. Your own may inherit from it."""
+    """The part of an estimate that a prediction needs; `fitting.Estimate` has it. Your own inherits from it."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -49,8 +49,8 @@ class Fitted(Protocol):
         ...
 
     @property
-    def sources(self) -> tuple[str, ...]:
-        """What each parameter is, or nothing."""
+    def kinds(self) -> tuple[str, ...]:
+        """What each parameter was fitted as: `fitting.parameters.ASKED`, or what nuisance it is; or nothing."""
         return ()
 
     @property
@@ -228,9 +228,9 @@ def dataset(
         parameters = thetas if sampled else thetas[0]
         coordinates["parameter"] = (("parameter",), list(estimate.names), {"long_name": "estimated parameter"})
         coordinates["parameter_unit"] = (("parameter",), list(estimate.units), {"long_name": "its unit"})
-        if estimate.sources:
+        if estimate.kinds:
             about = {"long_name": "what it was fitted as"}
-            coordinates["parameter_source"] = (("parameter",), list(estimate.sources), about)
+            coordinates["parameter_kind"] = (("parameter",), list(estimate.kinds), about)
         about = {"units": "as parameter_unit", "long_name": "values that were used"}
         variables["parameters"] = ((*(("sample",) if sampled else ()), "parameter"), parameters, about)
     if sampled:

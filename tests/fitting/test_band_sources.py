@@ -29,7 +29,7 @@ def prediction(count: int, tilt: np.ndarray, force: np.ndarray, theta: np.ndarra
             "peak_contact_force": (("variant", "sample"), np.concatenate([[1e6], force])[None]),
             "parameters": (("sample", "parameter"), np.concatenate([first, theta])),
         },
-        {"parameter_source": ("parameter", SOURCES), "sample": np.arange(count + 1)},
+        {"parameter_kind": ("parameter", SOURCES), "sample": np.arange(count + 1)},
     )
 
 
@@ -98,7 +98,7 @@ def test_without_draws_or_sources_there_are_none():
     theta, noise = normal(40)
     data = prediction(40, noise, noise, theta)
     with pytest.raises(InputError, match="a prediction without draws of known sources"):
-        band_sources(data.drop_vars("parameter_source"))
+        band_sources(data.drop_vars("parameter_kind"))
     with pytest.raises(InputError, match="samples=200"):
         band_sources(data.isel(sample=0))
 
@@ -106,6 +106,6 @@ def test_without_draws_or_sources_there_are_none():
 def test_an_older_file_tells_no_sources(tmp_path):
     path = made_estimate({"K1": (150.0, 2.0), "L1": (0.14, 0.001)}).save(tmp_path / "fit.json")
     content = json.loads(path.read_text())
-    del content["sources"]
+    del content["kinds"]
     path.write_text(json.dumps(content))
-    assert Estimate.load(path).sources == ()
+    assert Estimate.load(path).kinds == ()

@@ -144,5 +144,5 @@ def test_what_cannot_be_calibrated_is_refused():
     with pytest.raises(InputError, match="31 frames"):
         fitting.calibrate(trained(), lifting_scene(31, height=HELD))
     several = replace(trained(), set_up=trained().set_up._replace(frames=(41, 41)))
-    with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was trained for"):
+    with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was set up for"):
         fitting.calibrate(several, scene(HELD))

@@ -11,9 +11,10 @@ from lifted_trials import BOUNDS, FREE, MOVED, POINT, nominal
 from small_scene import small_scene
 
 import fitting
+from fitting.calibration import quick_fit
 from fitting.calibration.calibrate import calibrate, plant_in_trials
 from fitting.calibration.laboratory import Laboratory
-from fitting.calibration.plants import PLANTS, Knee
+from fitting.calibration.plants import PLANTS, Knee, Plant
 from fitting.calibration.quick_fit import QuickFit
 from fitting.calibration.runs import Seen, truth_of
 from fitting.nuisance import Nuisance
@@ -95,10 +96,10 @@ def told(scenes: Any) -> list[Measured]:
 
 def test_what_cannot_be_calibrated_is_refused():
     both = QuickFit.of(nominal(), told(nominal()), free=FREE, bounds=BOUNDS)
-    assert both.sentence() == "least_squares of 41, 41 frames of low + high, by position"
-    with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was trained for"):
+    assert both.sentence() == "fits by least_squares of 41, 41 frames of low + high, by position"
+    with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was set up for"):
         calibrate(both, nominal()[0])
-    with pytest.raises(InputError, match="trained: parameters that differ between trials"):
+    with pytest.raises(InputError, match="varies: parameters that differ between trials"):
         calibrate(both._replace(set_up=both.set_up._replace(varies={"L2": 1e-3})), nominal())
     with pytest.raises(InputError, match="learned from anew for each plant"):
         QuickFit.of(nominal(), told(nominal()), method="simulations")
@@ -107,6 +108,36 @@ def test_what_cannot_be_calibrated_is_refused():
     with pytest.raises(InputError, match="cannot allow for placement"):
         QuickFit.of(nominal(), told(nominal()), nuisance=Nuisance(placement=1e-3))
     assert isinstance(both.set_up, SetUp)
+
+
+def test_a_search_uses_what_was_measured_in_each_trial_of_the_first_recording(monkeypatch):
+    """The force in the second trial alone; plants have it in both."""
+    ramp = np.linspace(5.0, 25.0, 41)
+    first = [told(nominal())[0], replace(told(nominal())[1], femoral_spring_force=ramp)]
+    fit = QuickFit.of(nominal(), first, free=FREE, bounds=BOUNDS, use=("position", "quadriceps"))
+    assert fit.measured == (("position",), ("position", "quadriceps"))
+    everything = [replace(m, femoral_spring_force=ramp, tibial_spring_force=ramp, contact_force=ramp) for m in first]
+    seen = {}
+    monkeypatch.setattr(quick_fit, "fit_tendons", lambda scene, measured, **asked: seen.update(data=measured, **asked))
+    fit.estimate(nominal(), everything)
+    assert [m.femoral_spring_force is None for m in seen["data"]] == [True, False]
+    assert all(m.contact_force is None and m.tibial_spring_force is None for m in seen["data"])
+    assert seen["use"] == ("position", "quadriceps")
+
+
+def test_plants_of_an_exact_twin_are_misplaced_too():
+    """By up to 1 mm times sqrt(3) times 0.6; the twin itself is not."""
+    seen = []
+
+    def kind(knee: Knee, random: np.random.Generator) -> Plant:
+        seen.append([PLANTS[name](knee, random).scene for name in ("twin", "misplaced")])
+        raise InputError("enough")
+
+    with pytest.raises(InputError, match="enough"):
+        calibrate(QuickFit.of(nominal(), told(nominal()), free=FREE, bounds=BOUNDS), nominal(), kinds={"mine": kind})
+    by = [abs(float(s.get("quadriceps.origin.x")) - float(nominal()[1].get("quadriceps.origin.x"))) for s in seen[0]]
+    assert by[0] == 0
+    assert 1e-5 < by[1] < 1e-3 * np.sqrt(3) * 0.6
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, nominal, problem
 import fitting
 import pftwin
 from fitting.cli.fit import deviations_between
+from fitting.cli.report import tables
+from fitting.cli.report.material import Material
+from fitting.coverage import NOT_KNOWN, QUICK
 from fitting.estimate import Estimate
 from fitting.fit import likelihood_of
 from fitting.methods.problem import Problem, Request
@@ -142,7 +146,11 @@ def test_numbers_of_many_trials_are_weighed_as_stated():
         ({"L2": 1e-3}, (0,), "varies: a single trial"),
         ({"L1": 1e-3}, (0, 1), "'L1' is not free"),
         ({"L2": 0.0}, (0, 1), "L2: found 0.0"),
-        ({"K1": 40.0}, (0, 1), "K1: with bounds 109.2 to 202.8 and 4 deviations of 40 in each trial"),
+        (
+            {"K1": 40.0},
+            (0, 1),
+            "K1: bounds 109.2 to 202.8 and 4 deviations of 40 leave room for",
+        ),
     ],
 )
 def test_what_cannot_vary_is_refused(varies, trials, said):
@@ -162,6 +170,8 @@ def test_the_command_line_takes_them():
     }
     with pytest.raises(InputError, match="--varies: found 'L2'"):
         deviations_between(["L2"])
+    with pytest.raises(InputError, match="--varies: 'L2' is given twice"):
+        deviations_between(["L2=1e-3", "L2=2e-3"])
 
 
 @pytest.mark.slow
@@ -177,3 +187,35 @@ def test_simulations_find_what_least_squares_find():
     wider = learned.standard_deviations / quick.standard_deviations
     assert (wider > 0.9).all()
     assert (wider < 1.4).all()
+
+
+def test_fewer_scenes_than_were_fitted_get_what_trials_share(tmp_path):
+    again = Estimate.load(found().save(tmp_path / "fit.json"), nominal()[1])
+    assert float(again.scene.get("L2")) == pytest.approx(0.5 * sum(LENGTHS), rel=1e-4)
+
+
+def test_a_report_tells_what_trials_share_and_each_trials_own():
+    rows = {row[0]: row for row in tables.fitted(found(), nominal()[0]).rows}
+    assert list(rows) == [*FREE, "L2 in low", "L2 in high"]
+    assert rows["L2 in high"][2] == "73.5"  # [mm]
+    assert Material(Path("fit.json"), "two trials").changed_since(found()) == []
+
+
+def test_how_often_they_hold_is_not_known_of_simulations():
+    assert found().coverage == QUICK
+    assert replace(found(), draws=np.tile(found().values, (50, 1))).coverage == NOT_KNOWN
+
+
+@pytest.mark.slow
+def test_a_trained_posterior_knows_them(tmp_path):
+    given: Any = {"free": ("K1", "L2"), "bounds": 0.2, "noise": {"position": 1e-4}, "varies": VARIES}
+    random = np.random.default_rng(8)
+    data = [replace(m, center=m.center + 1e-4 * random.normal(size=(41, 3))) for m in measured()]
+    trained = fitting.train_posterior(nominal(), data, simulations=4000, **given)
+    again = fitting.TrainedPosterior.load(trained.save(tmp_path / "t.npz"), nominal())
+    assert again.set_up.varies == VARIES
+    told = again.estimate(nominal(), data)
+    assert told.varies == VARIES
+    for length, (value, sd) in zip(LENGTHS, told.in_trials["L2"].values(), strict=True):
+        assert abs(value - length) < 3 * sd
+        assert sd < 0.5 * VARIES["L2"]

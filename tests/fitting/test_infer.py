@@ -49,7 +49,7 @@ def measured(seed: int, off: float = 0.0) -> np.ndarray:
 
 def known() -> Parameters:
     items = parameters((None, None, PRIOR), HALF_WIDTH).items
-    return Parameters((*items[:2], replace(items[2], source="friction")))
+    return Parameters((*items[:2], replace(items[2], kind="friction")))
 
 
 def linear(seed: int, stated: bool = True, off: float = 0.0) -> Problem:
@@ -202,7 +202,7 @@ def test_what_cannot_be_learned_is_refused():
     items = tuple(replace(known().items[0], name=f"a{i}") for i in range(13))
     with pytest.raises(InputError, match="at most 12"):
         check_size(Parameters(items), 1000, 800)
-    check_size(Parameters((*items[:12], *(replace(i, source="friction") for i in items))), 1000, 800)
+    check_size(Parameters((*items[:12], *(replace(i, kind="friction") for i in items))), 1000, 800)
     with pytest.raises(InputError, match="at most 1,000 simulations"):
         check_size(known(), 8000, 100_000)
 

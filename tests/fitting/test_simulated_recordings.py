@@ -59,7 +59,7 @@ def test_priors_hold_within_the_region():
 def test_nuisance_is_drawn_from_its_prior_where_the_posterior_lies():
     """A normal prior cut off where a narrower posterior, off its mean, is as good as nothing."""
     items = parameters((None, None, (0.4, 0.5)), half_width=2.0).items
-    whole = Region(Parameters((*items[:2], replace(items[2], source="friction"))))
+    whole = Region(Parameters((*items[:2], replace(items[2], kind="friction"))))
     random = np.random.default_rng(9)
     posterior = random.normal(size=(20_000, 3)) * [0.1, 0.2, 0.05] + NOMINAL + [0.0, 0.0, 0.3]
     region = whole.around(posterior)

@@ -25,7 +25,7 @@ RUNNER = CliRunner(env={"COLUMNS": "200"})
 def fit(tmp_path_factory):
     """An estimate of case 2's stiffness K1 and slack length L2, as `pftwin fit` writes it."""
     path = tmp_path_factory.mktemp("fit") / "fit.json"
-    return made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, sources=(ASKED, "friction")).save(path)
+    return made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, kinds=(ASKED, "friction")).save(path)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from made_estimates import made_estimate
 from scipy.linalg import toeplitz
 from scipy.optimize import curve_fit
 
-from fitting.uncertainty import inverse_information, serial_correlation, uncertainty, undetermined
+from fitting.uncertainty import Undetermined, inverse_information, serial_correlation, uncertainty
 
 SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
 
@@ -127,21 +127,32 @@ def test_an_inverse_of_unlike_units():
         assert inverse_information(np.diag([1.0, 0.0]))[1, 1] > 1e200
 
 
-def test_what_measurements_do_not_tell_apart_is_named():
-    """Of four parameters with spans of 60, 0.04, 200 and 1, two combinations: K1 against K2, and the friction alone."""
-    names, span = ("K1", "L1", "K2", "mu"), np.array([60.0, 0.04, 200.0, 1.0])
+def test_what_measurements_do_not_tell_is_counted_and_named():
+    """Of four parameters, in deviations of what was known: K1 against K2 is open, and friction alone."""
+    names, known = ("K1", "L1", "K2", "mu"), np.array([17.0, 0.011, 58.0, 0.3])
     against = np.array([0.6, 0.0, -0.8, 0.0])
-    covariance = np.diag([1e-4, 0.01, 1e-4, 0.3**2]) + 0.4**2 * np.outer(against, against)
-    assert undetermined(names, span, covariance * np.outer(span, span)) == (("K2", "K1"), ("mu",))
-    fixed = np.diag([1e-4, 0.01, 1e-4, 0.2**2]) + 0.2**2 * np.outer(against, against)
-    assert undetermined(names, span, fixed * np.outer(span, span)) == ()
-    infinite = np.diag([1.0, np.inf, 1.0, 0.01])
-    assert undetermined(names, span, infinite) == (("L1",),)
+    covariance = np.diag([1e-4, 0.04, 1e-4, 1.0]) + 0.95**2 * np.outer(against, against)
+    assert Undetermined.of(names, known, covariance * np.outer(known, known)) == (2, ("mu", "K2", "K1"))
+    told = np.diag([1e-4, 0.04, 1e-4, 0.64]) + 0.8**2 * np.outer(against, against)
+    assert Undetermined.of(names, known, told * np.outer(known, known)) == (0, ())
+    infinite = np.diag([0.01, np.inf, 0.01, 0.9]) * np.outer(known, known)
+    assert Undetermined.of(names, known, infinite) == (2, ("L1", "mu"))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_parameters_that_are_open_are_the_same_whatever_rounding_makes_of_them(seed):
+    """Draws of three parameters from their bounds, and of a fourth that is told."""
+    drawn = np.random.default_rng(seed).uniform(-1, 1, (2000, 4)) * [1.0, 1.0, 1.0, 0.1]
+    found = Undetermined.of(("a", "b", "c", "d"), np.full(4, 1 / np.sqrt(3)), np.cov(drawn.T))
+    assert found.count == 3
+    assert set(found.names) == {"a", "b", "c"}
 
 
 def test_an_estimate_says_how_much_is_told():
-    found = made_estimate({"K1": (150.0, 2.0), "L1": (0.14, 0.001), "K2": (620.0, 200.0)})
-    assert found.undetermined == (("K2",),)
-    said = "the measurements tell 2 of 3 combinations of what was asked for; of the others no more than their bounds do"
-    assert f"{said}: K2" in found.remarks()
-    assert not made_estimate({"K1": (150.0, 2.0)}).undetermined
+    numbers = {"K1": (150.0, 2.0), "L1": (0.14, 0.001), "K2": (620.0, 200.0)}
+    assert made_estimate(numbers).undetermined == (1, ("K2",))
+    said = "the measurements tell 2 of 3 combinations of what was asked for, and of the others hardly more than bounds"
+    assert f"{said} and priors do (K2)" in made_estimate(numbers).remarks()
+    assert not any(said in remark for remark in made_estimate(numbers, doubts=["late"]).remarks())
+    assert made_estimate(numbers, priors={"K1": (150.0, 2.1)}).undetermined == (2, ("K1", "K2"))
+    assert made_estimate({"K1": (150.0, 2.0)}).undetermined == (0, ())

@@ -159,7 +159,11 @@ def prepared(scenes: list[Scene], how: How) -> list[Scene]:
     if how.nuisance != "oracle":
         return scenes
     rough = Friction(jnp.asarray(np.mean(FRICTION)), jnp.asarray(SLIP_SPEED))
-    return [scene.with_effect(scene.contact.with_friction(rough)) for scene in scenes if scene.contact is not None]
+    found = []
+    for scene in scenes:
+        assert scene.contact is not None, scene.name
+        found.append(scene.with_effect(scene.contact.with_friction(rough)))
+    return found
 
 
 def main() -> None:

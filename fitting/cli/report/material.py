@@ -64,8 +64,8 @@ class Material:
         """Parameters whose values in the scene differ from the fit's nominal ones: the scene may be another one."""
         if e.nominal_scene is None:
             return []
-        here = [e.nominal_scene.get(name) for name in e.names]
-        return [n for n, x, began in zip(e.names, here, e.nominal, strict=True) if abs(x - began) > 1e-6 * abs(began)]
+        here = [(n, e.nominal_scene.get(n), began) for n, began in zip(e.names[: e.shared], e.nominal, strict=False)]
+        return [name for name, value, began in here if abs(value - began) > 1e-6 * abs(began)]
 
     def doubts(self) -> list[str]:
         """Signs that the prediction belongs to another knee than the rest of the report."""

@@ -163,12 +163,17 @@ def fitted(e: Estimate, scene: Scene | None) -> Sheet:
     from pftwin.results.plots.quantities import as_read
 
     rows = []
-    for i, name in enumerate(e.names):
+    for i, name in enumerate(e.names[: e.shared]):
         scale, unit = as_read(e.units[i])
         value, sd, nominal = (scale * float(a[i]) for a in (e.values, e.standard_deviations, e.nominal))
         low, high = scale * e.intervals[i]
         interval = f"{number(low)} to {number(high)}"
         rows.append((name, meaning(scene, name), number(value), interval, number(sd, 3), number(nominal), unit))
+    for name, trials in e.in_trials.items():
+        scale, unit = as_read(e.units[e.names.index(name)])
+        for trial, (value, sd) in trials.items():
+            cells = (number(scale * value), "", number(scale * sd, 3), "", unit)
+            rows.append((f"{name} in {trial}", meaning(scene, name), *cells))
     against = "synthetic measurements" if e.synthetic else "measurements"
     headings = ("parameter", "what it is", "estimate", "95 % interval", "standard deviation", "nominal", "unit")
     return Sheet(f"Fitted to {against}", headings, tuple(rows))

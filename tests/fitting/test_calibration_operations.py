@@ -178,7 +178,7 @@ class Knowing(NamedTuple):
     )
 
     def estimate(self, scene, measured, limits=None):
-        assert scene.motion.times.size == measured.times.size == 5
+        assert [s.motion.times.size for s in scene] == [m.times.size for m in measured] == [5]
         return Estimated(np.array([160.0]))
 
     def sentence(self):

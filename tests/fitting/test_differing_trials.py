@@ -181,7 +181,7 @@ def test_simulations_find_what_least_squares_find():
     data = [replace(m, center=m.center + 1e-4 * random.normal(size=(41, 3))) for m in measured()]
     given: Any = {"free": ("K1", "L2"), "bounds": 0.2, "noise": {"position": 1e-4}, "varies": VARIES}
     quick = fitting.fit_tendons(nominal(), data, **given)
-    learned = fitting.fit_tendons(nominal(), data, method="simulations", simulations=4000, rounds=4, **given)
+    learned = fitting.fit_tendons(nominal(), data, method="simulations", simulations=8000, rounds=4, **given)
     assert learned.names == quick.names
     assert (np.abs(learned.values - quick.values) / quick.standard_deviations).max() < 0.4
     wider = learned.standard_deviations / quick.standard_deviations

@@ -61,6 +61,7 @@ def test_friction_begins_at_the_scenes_or_at_what_is_published():
         (COEFFICIENT,),
         {COEFFICIENT: (0.0, pytest.approx(0.06))},
         {COEFFICIENT: (0.02, 0.01)},
+        {COEFFICIENT: "friction"},
     )
 
 

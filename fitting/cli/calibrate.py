@@ -15,9 +15,11 @@ from fitting.cli.fit import (
     NoiseOption,
     NuisanceOption,
     UseOption,
+    channels_in,
     check_limits,
     names_in,
     noise_levels,
+    refuse_settled,
 )
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
@@ -91,7 +93,7 @@ def calibrate(
     if widen is not None:
         check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
     asked = {"free": names_in(free), "bounds": bounds, "noise": noise_levels(noise), "nuisance": nuisance}
-    asked["use"] = "all" if use.strip() == "all" else names_in(use)
+    asked["use"] = channels_in(use)
     _check_what(trained, method, asked, widen)
     check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run
@@ -133,15 +135,6 @@ def calibrate(
         exit_flagged(found.sentence())
 
 
-_OF_SEARCH: dict[str, Any] = {  # defaults
-    "free": ("K1", "L1", "K2", "L2"),
-    "bounds": 0.3,
-    "use": ("position",),
-    "noise": None,
-    "nuisance": None,
-}
-
-
 def _check_what(trained: Path | None, method: str | None, asked: dict[str, Any], widen: Path | None) -> None:
     """Refuses both a posterior and a search, neither, and options of the other."""
     if (trained is None) == (method is None):
@@ -149,9 +142,8 @@ def _check_what(trained: Path | None, method: str | None, asked: dict[str, Any],
         raise InputError(found, expected="a posterior that was trained, or a search")
     if method is not None and widen is not None:
         raise InputError("--widen with a search", expected="a trained posterior: searches keep no file to widen")
-    if method is None and (settled := [f"--{name}" for name, value in asked.items() if value != _OF_SEARCH[name]]):
-        found = f"a trained posterior beside {', '.join(settled)}"
-        raise InputError(found, where="--trained", expected="it alone: the rest is as it was in training")
+    if method is None:
+        refuse_settled(asked)
 
 
 def _operation(amounts: Given, meet: list[str], samples: int, confidence: float) -> Operation | None:

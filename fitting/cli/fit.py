@@ -126,7 +126,7 @@ def fit(
         "objective": objective,
         "free": names_in(free),
         "bounds": bounds,
-        "use": "all" if use.strip() == "all" else names_in(use),
+        "use": channels_in(use),
         "noise": levels,
         "loss": loss,
         "nuisance": nuisance,
@@ -167,9 +167,7 @@ def _answered(
     """What a trained posterior says; refuses options that were settled when it was trained."""
     from fitting.trained import TrainedPosterior
 
-    if settled := [f"--{name}" for name, value in asked.items() if value != _AS_TRAINED.get(name)]:
-        found = f"a trained posterior beside {', '.join(settled)}"
-        raise InputError(found, where="--trained", expected="it alone: the rest is as it was in training")
+    refuse_settled(asked)
     with spinner("answering"):
         return TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
 
@@ -232,6 +230,18 @@ def _sample_posterior(estimate: Estimate, draws: int, output: Path) -> Posterior
         found = sample_posterior(estimate, draws=draws, seed=estimate.seed, progress=shown)
     write_text(output, json.dumps({**estimate.to_dict(), "posterior": found.to_dict()}, indent=2) + "\n")
     return found
+
+
+def refuse_settled(asked: dict[str, Any]) -> None:
+    """Refuses options, by their names, that a trained posterior has settled; InputError for any but their defaults."""
+    if settled := [f"--{name}" for name, value in asked.items() if value != _AS_TRAINED.get(name)]:
+        found = f"a trained posterior beside {', '.join(settled)}"
+        raise InputError(found, where="--trained", expected="it alone: the rest is as it was in training")
+
+
+def channels_in(text: str) -> str | tuple[str, ...]:
+    """Names between commas, or "all"."""
+    return "all" if text.strip() == "all" else names_in(text)
 
 
 def names_in(text: str) -> tuple[str, ...]:

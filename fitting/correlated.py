@@ -57,14 +57,12 @@ def reweighed(search: Method, state: State, run: Callable[[Method], State]) -> t
     """
     problem = search.problem
     theta = state["best_theta"]
-    if problem.objective.kind == "paper" or not any(p.prior for p in problem.parameters.items) or theta is None:
+    if not problem.weighs_priors or theta is None:
         return search, state
-    share = _share(problem, np.asarray(theta))
-    if share > _WHOLE:
-        return search, state
-    objective = replace(problem.objective, share=share)
+    objective = replace(problem.objective, share=_share(problem, np.asarray(theta)))
     from_there = tuple(replace(p, nominal=float(t)) for p, t in zip(problem.parameters.items, theta, strict=True))
-    again = run(LeastSquares(replace(problem, objective=objective, parameters=Parameters(from_there)), search.seed, 1))
+    anew = replace(problem, objective=objective, parameters=Parameters(from_there))
+    again = run(LeastSquares(anew, search.seed, 1, last=True))
     if again["best_theta"] is None:
         return search, state
     search.problem = replace(problem, objective=objective)
@@ -83,4 +81,5 @@ def _share(problem: Problem, theta: Floats) -> float:
         return 1.0
     r = target.residuals(seen.values)[0]
     j = target.slopes(seen.slopes, seen.values)[0]
-    return share_of_independent(target.known(target.noise or target.noise_of(r, len(theta))), r, j)
+    share = share_of_independent(target.known(target.noise or target.noise_of(r, len(theta))), r, j)
+    return 1.0 if share > _WHOLE else share

@@ -27,11 +27,12 @@ from pftwin.model.scene import Scene
 Floats = NDArray[np.float64]
 
 CHUNK = 32  # variants evaluated at once by default
-_WITH_SLOPES = 16  # the same, with derivatives
+_WITH_SLOPES = 16  # the same, with derivatives, at most
 _WIDEST = 512  # variants in one call
 _ACCELERATED = 2048  # variants in every call of an accelerator: lanes that have nothing to do cost nothing
 _PARTS, _FEWEST = 2, 20  # calls that a batch is split into, for two cores; the least variants of each
-COLUMNS = 256  # variants times parameters in one call with derivatives
+_COLUMNS = 32  # variants times parameters in one call with derivatives: enough for the processor's vectors
+_ACCELERATED_COLUMNS = 256  # the same on an accelerator, where a call takes its time whatever its size
 _ROUGH = 5e-4  # largest error of a search's motion with long steps, rms [m]
 _REMEMBERED = 4  # batches with derivatives that are remembered
 _CLOUD = 96  # equilibria in the cloud
@@ -205,8 +206,9 @@ class Evaluator:
 
     @property
     def slope_chunk(self) -> int:
-        """Variants in one call with derivatives; it depends on the number of parameters alone."""
-        return max(1, min(_WITH_SLOPES, COLUMNS // len(self.parameters)))
+        """Variants in one call with derivatives."""
+        columns = _ACCELERATED_COLUMNS if self._accelerated else _COLUMNS
+        return max(1, min(_WITH_SLOPES, columns // len(self.parameters)))
 
     def _wide(self, chunk: int) -> int:
         """Variants of a call, the same number on every device."""

@@ -136,9 +136,9 @@ class Objective:
         """Of the objective's value."""
         return "m" if self.kind == "paper" else "nats"
 
-    def tolerance(self, value: float) -> float:
-        """The smallest decrease worth another iteration."""
-        return 1e-7 * abs(value) if self.kind == "paper" else 1e-3
+    def tolerance(self, value: Floats | float) -> Floats:
+        """The smallest decrease worth another iteration, from these values."""
+        return 1e-7 * np.abs(value) if self.kind == "paper" else np.full(np.shape(value), 1e-3)
 
     def residuals(self, values: Floats) -> Floats:
         """Predicted less measured (N, n, m), 0 where nothing was measured; turns as 2 sin(angle / 2) times the axis."""

@@ -5,8 +5,8 @@ residuals and their Jacobian with it. Mapped over starts it takes the Jacobian o
 needs, in the slower order of loops, with the number of time steps fixed; and nothing of it can be seen, saved or
 interrupted on the way. Here the host asks for a batch with derivatives and does the small algebra itself.
 
-The batch of the compiled program never changes its size, so there is one program. Where fewer starts are left than it
-has lanes, each tries several dampings at once.
+A point costs the same alone as in a batch: its derivatives fill the processor's vectors. Where few starts are left,
+each tries several dampings at once, for as many cores.
 """
 
 from __future__ import annotations
@@ -27,10 +27,18 @@ class Phase(NamedTuple):
     keep: int  # how many of the best go on
     fine: bool
     iterations: int  # at most
-    worth: float  # a gain of the best start not worth another iteration, in tolerances of the objective
+    worth: float  # a start's gain that is not worth another iteration, in tolerances of the objective
 
 
-PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 6, 1e3), Phase(4, True, 40, 1.0))
+# Long steps cost a sixth of short ones, and valleys are as bent by them: short ones are for the end.
+PHASES = (
+    Phase(10**9, False, 4, 1e3),
+    Phase(8, False, 6, 1e3),
+    Phase(4, False, 30, 1.0),
+    Phase(2, True, 40, 1.0),
+)
+_ROUGH = 1e3  # what the last phases count as worth it where another search follows
+_POINTS = 4  # evaluated at once, where fewer starts are left
 _DAMPING = 1e-2  # to start with, of a diagonal's share
 _STUCK = 1e7  # damping at which steps vanish
 _LONGEST = 2.0  # step of an unbounded parameter: from the middle to 88 % of the range
@@ -44,14 +52,16 @@ class LeastSquares(Method):
     name = "least_squares"
     options = ("starts",)
 
-    def __init__(self, problem: Problem, seed: int, starts: int = 32) -> None:
+    def __init__(self, problem: Problem, seed: int, starts: int = 32, *, last: bool = False) -> None:
+        """`last`: no search with the measurements counted anew follows (`fitting.correlated`)."""
         super().__init__(problem, seed)
         self.starts = starts
+        self.least_worth = 0.0 if last or not problem.weighs_priors else _ROUGH
         self.most_iterations = sum(p.iterations for p in PHASES)
 
     def settings(self) -> tuple[Any, ...]:
         """What decides its course."""
-        return (self.starts, PHASES)
+        return (self.starts, PHASES, self.least_worth)
 
     def begin(self) -> State:
         """All starts, not yet evaluated."""
@@ -95,7 +105,7 @@ class LeastSquares(Method):
         self._note_best(state)
         if len(state["u"]) == 0:
             state["stopped"] = "all starts failed"
-        elif self._best_done(state) or state["in_phase"] >= PHASES[state["phase"]].iterations:
+        elif self._phase_done(state) or state["in_phase"] >= PHASES[state["phase"]].iterations:
             self._next_phase(state)
 
     def spread(self, state: State) -> float:
@@ -105,7 +115,7 @@ class LeastSquares(Method):
     def _trials(self, state: State) -> tuple[Floats, Floats, Floats]:
         """Points (P, L, p), their dampings (P, L), and the decrease that the quadratic model promises (P, L)."""
         u, g, h = state["u"], state["gradient"], state["hessian"]
-        lanes = max(1, self.problem.evaluator.slope_chunk // len(u))
+        lanes = max(1, _POINTS // len(u))
         ladder = 10.0 ** (np.arange(lanes) - lanes // 2)
         damping = state["damping"][:, None] * ladder
         diagonal = np.diagonal(h, axis1=1, axis2=2)
@@ -127,7 +137,8 @@ class LeastSquares(Method):
         rows = np.arange(parents)
         which, new = rows * lanes + lane, table[rows, lane]
         better = (new < state["value"]) & ~state["done"]
-        tolerance = self.problem.objective.tolerance(float(np.min(state["value"]))) * PHASES[state["phase"]].worth
+        worth = max(PHASES[state["phase"]].worth, self.least_worth)
+        tolerance = self.problem.objective.tolerance(state["value"]) * worth
         gained = np.where(better, state["value"] - np.where(better, new, 0.0), 0.0)
         state["u"] = np.where(better[:, None], at[rows, lane], state["u"])
         state["gradient"] = np.where(better[:, None], gradient[which], state["gradient"])
@@ -146,6 +157,10 @@ class LeastSquares(Method):
     @staticmethod
     def _best_done(state: State) -> bool:
         return bool(state["done"][int(np.argmin(state["value"]))])
+
+    def _phase_done(self, state: State) -> bool:
+        """Of the last phase with its best start; of others with all, for the one that comes first may end too high."""
+        return self._best_done(state) if state["phase"] == len(PHASES) - 1 else bool(state["done"].all())
 
     def _note_best(self, state: State) -> None:
         if len(state["value"]) and np.isfinite(state["value"].min()):

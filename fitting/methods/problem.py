@@ -80,6 +80,11 @@ class Problem:
         evaluator = own[0] if len(own) == 1 else TrialsEvaluator(tuple(own), parameters[0].differences)
         return Problem(scenes[0], parameters[0], objective, evaluator)
 
+    @property
+    def weighs_priors(self) -> bool:
+        """Whether it matters beside priors how much measurements count."""
+        return self.objective.kind != "paper" and any(p.prior for p in self.parameters.items)
+
     def answer(self, request: Request) -> ProblemAnswer:
         """The objective with the priors."""
         theta = np.atleast_2d(request.theta)

@@ -1,7 +1,6 @@
 """Many fits of one motion in step with each other: what all of them ask for is evaluated in common batches.
 
-Each fit is `fitting.methods.least_squares` as it stands. Alone it would fill its batch with trial steps of its few
-starts; here it tries a few, and the other fits fill the rest.
+Each fit is `fitting.methods.least_squares` as it stands: alone it asks for few points at once, together for many.
 """
 
 from __future__ import annotations
@@ -16,8 +15,6 @@ from fitting.evaluation import Evaluator, Prediction
 from fitting.methods.least_squares import LeastSquares
 from fitting.methods.problem import Problem, ProblemAnswer, Request
 from fitting.objective import Objective
-
-LANES = 8  # points that one fit asks for at once, all its starts together
 
 
 @dataclass(eq=False)
@@ -34,15 +31,10 @@ class WideEvaluator(Evaluator):
 
 @dataclass(eq=False)
 class Seat(Evaluator):
-    """What one of many fits sees of their common evaluator: how many lanes it has, and which time steps."""
+    """What one of many fits sees of their common evaluator: which time steps it has."""
 
     few: int = 2
     many: int = 6
-
-    @property
-    def slope_chunk(self) -> int:
-        """Lanes of this fit."""
-        return LANES
 
     @property
     def coarse(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -132,6 +132,10 @@ class Parameters:
         """Where values (..., p) stand between the bounds: 0 at the lower, 1 at the upper."""
         return (np.asarray(theta, dtype=float) - self.lower) / (self.upper - self.lower)
 
+    def at_share(self, share: ArrayLike) -> NDArray[np.float64]:
+        """The inverse of `share`."""
+        return self.lower + (self.upper - self.lower) * np.asarray(share, dtype=float)
+
     def to_bounded(self, u: ArrayLike) -> NDArray[np.float64]:
         """From any real numbers (..., p) to values within the bounds: lower + range / (1 + exp(-u))."""
         share = 0.5 * (1 + np.tanh(0.5 * np.asarray(u, dtype=float)))

@@ -44,7 +44,7 @@ class Gradient(Method):
 
     def begin(self) -> State:
         """The nominal point and others all over the box."""
-        u = self.scattered_starts()
+        u = self.problem.parameters.to_unbounded(self.scattered_starts())
         return {
             **self.blank(),
             "u": u,

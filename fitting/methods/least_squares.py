@@ -5,6 +5,9 @@ residuals and their Jacobian with it. Mapped over starts it takes the Jacobian o
 needs, in the slower order of loops, with the number of time steps fixed; and nothing of it can be seen, saved or
 interrupted on the way. Here the host asks for a batch with derivatives and does the small algebra itself.
 
+Parameters are shares of their ranges, and bounds are bounds: steps end there (`_within`). Mapped to all real numbers,
+valleys bend, and a best point at a bound is approached for ever.
+
 A point costs the same alone as in a batch: its derivatives fill the processor's vectors. Where few starts are left,
 each tries several dampings at once, for as many cores.
 """
@@ -41,9 +44,9 @@ _ROUGH = 1e3  # what the last phases count as worth it where another search foll
 _POINTS = 4  # evaluated at once, where fewer starts are left
 _DAMPING = 1e-2  # to start with, of a diagonal's share
 _STUCK = 1e7  # damping at which steps vanish
-_LONGEST = 2.0  # step of an unbounded parameter: from the middle to 88 % of the range
-_FARTHEST = 16.0  # of an unbounded parameter: 1e-7 of the range from a bound
-_SAME = 1e-2  # share of the range within which two starts count as one
+_LONGEST = 0.4  # step of a parameter
+_EDGE = 1e-7  # how near to a bound steps lead
+_SAME = 1e-2  # distance within which two starts count as one
 
 
 class LeastSquares(Method):
@@ -65,7 +68,7 @@ class LeastSquares(Method):
 
     def begin(self) -> State:
         """All starts, not yet evaluated."""
-        u = self.scattered_starts()
+        u = np.clip(self.problem.parameters.share(self.scattered_starts()), _EDGE, 1 - _EDGE)
         n, k = u.shape
         return {
             **self.blank(),
@@ -85,14 +88,14 @@ class LeastSquares(Method):
         fine = PHASES[state["phase"]].fine
         substeps = self.problem.evaluator.fine if fine else self.problem.evaluator.coarse
         u = state["u"][:, None] if state["looking"] else self._trials(state)[0]
-        return Request(self.problem.parameters.to_bounded(u.reshape(-1, u.shape[-1])), substeps, "normal")
+        return Request(self.problem.parameters.at_share(u.reshape(-1, u.shape[-1])), substeps, "normal")
 
     def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
         """Accepts what is better."""
         assert answer.gradient is not None
         assert answer.hessian is not None
-        slope = self.problem.parameters.slope(request.theta)  # by the unbounded parameters
-        gradient, hessian = answer.gradient * slope, answer.hessian * slope[:, :, None] * slope[:, None, :]
+        span = self.problem.parameters.upper - self.problem.parameters.lower
+        gradient, hessian = answer.gradient * span, answer.hessian * span[:, None] * span
         if state["looking"]:
             state.update(value=answer.value.copy(), gradient=gradient, hessian=hessian, looking=False)
             if state["phase"] == 0:
@@ -121,11 +124,10 @@ class LeastSquares(Method):
         diagonal = np.diagonal(h, axis1=1, axis2=2)
         diagonal = diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
         matrix = h[:, None] + damping[..., None, None] * (diagonal[:, None, :, None] * np.eye(u.shape[1]))
-        step = -np.linalg.solve(matrix, np.broadcast_to(g[:, None, :, None], (*damping.shape, u.shape[1], 1)))[..., 0]
+        step = _within(matrix, g[:, None], _EDGE - u[:, None], 1 - _EDGE - u[:, None])
         step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=-1, keepdims=True), 1e-300))
         step = np.where(state["done"][:, None, None], 0.0, step)
-        at = np.clip(u[:, None] + step, -_FARTHEST, _FARTHEST)
-        step = at - u[:, None]
+        at = u[:, None] + step
         promised = -np.einsum("plk,pk->pl", step, g) - 0.5 * np.einsum("plk,pkj,plj->pl", step, h, step)
         return at, damping, promised
 
@@ -166,7 +168,7 @@ class LeastSquares(Method):
         if len(state["value"]) and np.isfinite(state["value"].min()):
             i = int(np.argmin(state["value"]))
             state["best_value"] = float(state["value"][i])
-            state["best_theta"] = self.problem.parameters.to_bounded(state["u"][i])
+            state["best_theta"] = self.problem.parameters.at_share(state["u"][i])
 
     def _next_phase(self, state: State) -> None:
         if state["phase"] == len(PHASES) - 1:
@@ -176,12 +178,40 @@ class LeastSquares(Method):
         before = PHASES[state["phase"]]
         state["phase"] += 1
         phase = PHASES[state["phase"]]
-        share = self.problem.parameters.share(self.problem.parameters.to_bounded(state["u"]))
+        u = state["u"]
         chosen: list[int] = []
         for i in np.argsort(state["value"], kind="stable"):
-            if len(chosen) < phase.keep and all(np.abs(share[i] - share[j]).max() > _SAME for j in chosen):
+            if len(chosen) < phase.keep and all(np.abs(u[i] - u[j]).max() > _SAME for j in chosen):
                 chosen.append(int(i))
         self._keep(state, np.array(chosen))
         state["in_phase"], state["looking"] = 0, phase.fine != before.fine
         state["done"] = np.zeros(len(chosen), bool)
         state["damping"] = np.minimum(state["damping"], _DAMPING)
+
+
+def _within(matrix: Floats, gradient: Floats, lowest: Floats, highest: Floats) -> Floats:
+    """The steps that lead to the minima of quadratics within bounds, or near them.
+
+    Goes towards the minimum over what is free, stops at its bound what meets one first, and goes on with the others,
+    lower all the way. What was stopped is not let go again, so that steps may fall short where several are.
+
+    Args:
+        matrix: Hessians (..., p, p), positive definite.
+        gradient: at the beginning (..., p).
+        lowest: the steps to the bounds (..., p), and `highest`.
+    """
+    count = matrix.shape[-1]
+    step, stopped = np.zeros(matrix.shape[:-1]), np.zeros(matrix.shape[:-1], bool)
+    for _ in range(count + 1):
+        free = ~stopped
+        pull = np.where(free, -gradient - np.einsum("...ij,...j->...i", matrix, step), 0.0)
+        among = np.where(free[..., :, None] & free[..., None, :], matrix, np.eye(count))
+        ahead = np.linalg.solve(among, pull[..., None])[..., 0]
+        room = np.where(ahead > 0, highest - step, step - lowest)
+        share = np.where(np.abs(ahead) > room, room / np.maximum(np.abs(ahead), 1e-300), np.inf)
+        least = share.min(axis=-1, keepdims=True)
+        step = np.clip(step + np.minimum(least, 1.0) * ahead, lowest, highest)
+        stopped |= np.isfinite(share) & (share <= least)
+        if not np.isfinite(least).any():
+            break
+    return step

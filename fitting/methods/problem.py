@@ -164,10 +164,10 @@ class Method(ABC):
         """The range of the objective's values: a measure of progress."""
 
     def scattered_starts(self) -> Floats:
-        """The nominal point and others throughout the bounds, as unbounded parameters (starts, p)."""
+        """The nominal point and others throughout the bounds (starts, p)."""
         p = self.problem.parameters
         others = p.scattered(max(self.starts - 1, 1), np.random.default_rng(self.seed))[: self.starts - 1]
-        return p.to_unbounded(np.concatenate([p.nominal[None], others]))
+        return np.concatenate([p.nominal[None], others])
 
     @staticmethod
     def blank() -> State:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from linear_problems import NOMINAL, design, parameters, problem, scaled
+from scipy.optimize import lsq_linear
 
-from fitting.methods.least_squares import LeastSquares
+from fitting.methods.least_squares import LeastSquares, _within
 from fitting.methods.problem import ProblemAnswer
 
 
 def searched(ours, seed=0, starts=6):
     search = LeastSquares(ours, seed, starts)
-    state = search.begin()
+    state = {**search.begin(), "asked": 0}
     while state["stopped"] is None:
         request = search.ask(state)
         search.tell(state, request, ours.answer(request))
+        state["asked"] += 1
     return state
 
 
@@ -24,8 +28,8 @@ def test_the_decrease_it_promises_is_a_quadratics_own():
     random = np.random.default_rng(0)
     search = LeastSquares(problem(design(), np.zeros((40, 4)), parameters()), 0, 2)
     root = random.normal(size=(2, 3, 3))
-    hessian, gradient = root @ np.swapaxes(root, 1, 2), random.normal(size=(2, 3))
-    u = random.normal(size=(2, 3))
+    hessian, gradient = root @ np.swapaxes(root, 1, 2), 0.1 * random.normal(size=(2, 3))
+    u = random.uniform(0.45, 0.55, size=(2, 3))
     state = {**search.begin(), "u": u, "gradient": gradient, "hessian": hessian}
     at, damping, promised = search._trials(state)
     step = at - u[:, None]
@@ -34,13 +38,13 @@ def test_the_decrease_it_promises_is_a_quadratics_own():
     assert (promised > 0).all()
     assert promised.shape == (2, 2)
     assert (np.diff(damping, axis=1) > 0).all()
-    free = np.abs(step).max(axis=-1) < 1.99  # those that were not shortened
+    free = np.abs(step).max(axis=-1) < 0.39  # those that were not shortened
     for i, k in zip(*np.nonzero(free), strict=True):
         matrix = hessian[i] + damping[i, k] * np.diag(np.diagonal(hessian[i]))
         np.testing.assert_allclose(matrix @ step[i, k], -gradient[i], rtol=1e-6, atol=1e-9)
 
 
-def test_derivatives_are_taken_over_to_the_unbounded_parameters():
+def test_derivatives_are_taken_over_to_shares_of_the_range():
     """By the chain rule with theta(u): g_u = D g, H_u = D H D, with D by differences of theta."""
     ours = problem(design(), np.zeros((40, 4)), parameters(half_width=3.0))
     search = LeastSquares(ours, 0, 2)
@@ -50,7 +54,7 @@ def test_derivatives_are_taken_over_to_the_unbounded_parameters():
     root = random.normal(size=(2, 3, 3))
     gradient, hessian = random.normal(size=(2, 3)), root @ np.swapaxes(root, 1, 2)
     search.tell(state, request, ProblemAnswer(np.array([2.0, 1.0]), gradient, hessian))
-    slope = (ours.parameters.to_bounded(u + 1e-6) - ours.parameters.to_bounded(u - 1e-6)) / 2e-6
+    slope = (ours.parameters.at_share(u + 1e-6) - ours.parameters.at_share(u - 1e-6)) / 2e-6
     order = [int(np.argmin(np.abs(u - row).sum(axis=1))) for row in state["u"]]
     d = np.stack([np.diag(row) for row in slope])
     np.testing.assert_allclose(state["gradient"], np.einsum("pij,pj->pi", d, gradient)[order], rtol=1e-6)
@@ -105,23 +109,61 @@ def test_a_phase_ends_where_a_step_gains_less_than_it_is_worth(phase, gain, goes
     assert ((state["phase"], state["stopped"]) == (phase, None)) is goes_on
 
 
-def test_a_phase_ends_where_the_best_starts_own_steps_promise_nothing():
-    """One start at the least squares themselves; what the other, far from them, may still gain does not matter."""
+@pytest.mark.parametrize(("phase", "ends"), [(2, False), (3, True)])
+def test_the_last_phase_ends_where_the_best_starts_own_steps_promise_nothing(phase, ends):
+    """One start at the least squares themselves; what another, far from them, may still gain counts before."""
     truth = NOMINAL + np.array([0.2, -5.0, 0.1])
     ours = problem(design(), design() @ truth, parameters(half_width=50.0))
     search = LeastSquares(ours, 0, 2)
-    state = search.begin()
-    state["u"] = ours.parameters.to_unbounded(np.stack([truth, truth + np.array([4.0, 30.0, -6.0])]))
-    for phase in (0, 1):
+    state = {**search.begin(), "phase": phase}
+    state["u"] = ours.parameters.share(np.stack([truth, truth + np.array([4.0, 30.0, -6.0])]))
+    for _ in range(2):
         request = search.ask(state)
         search.tell(state, request, ours.answer(request))
-        assert state["phase"] == phase
+    assert ((state["phase"], state["stopped"]) != (phase, None)) is ends
+
+
+def test_a_best_point_at_bounds_is_that_of_a_solver_with_bounds():
+    """Two of three numbers end at their bounds, and the third where `scipy.optimize.lsq_linear` has it."""
+    truth = NOMINAL + np.array([1.3, 1.0, -1.2])
+    known = parameters(half_width=1.0)
+    size = np.array([0.02, 0.02, 0.02, 0.5])
+    measured = design() @ truth + np.random.default_rng(3).normal(size=(40, 4)) * size
+    rows = scaled(design())
+    exact = lsq_linear(rows, (measured / size).ravel(), (known.lower, known.upper), tol=1e-12).x
+    assert (np.minimum(exact - known.lower, known.upper - exact) < 1e-5).sum() == 2
+    state = searched(problem(design(), measured, known))
+    np.testing.assert_allclose(state["best_theta"], exact, atol=2e-5)
+    assert state["stopped"] == "converged"
+    assert state["asked"] <= 12
+
+
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6))
+def test_steps_within_bounds_end_at_them_or_where_nothing_pulls(seed, count):
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(4, count, count))
+    matrix = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(count)
+    gradient = random.normal(size=(4, count))
+    lowest, highest = -random.uniform(0, 0.5, size=(2, 4, count)) * np.array([1, -1])[:, None, None]
+    step = _within(matrix, gradient, lowest, highest)
+    assert ((step >= lowest) & (step <= highest)).all()
+    pull = gradient + np.einsum("nij,nj->ni", matrix, step)
+    inside = (step > lowest + 1e-12) & (step < highest - 1e-12)
+    assert (np.einsum("ni,ni->n", step, gradient) + 0.5 * np.einsum("ni,nij,nj->n", step, matrix, step) <= 0).all()
+    np.testing.assert_allclose(pull[inside], 0, atol=1e-9)
+    alone = np.einsum("i,nij->nij", np.ones(count), np.eye(count) * matrix)
+    np.testing.assert_allclose(
+        _within(alone, gradient, lowest, highest),
+        np.clip(-gradient / np.diagonal(matrix, axis1=1, axis2=2), lowest, highest),
+        rtol=1e-9,
+        atol=1e-12,
+    )
 
 
 @pytest.mark.parametrize("starts", [1, 2, 5])
 def test_starts_are_the_nominal_point_and_others_that_fill_the_bounds(starts):
     ours = problem(design(), np.zeros((40, 4)), parameters())
-    at = ours.parameters.to_bounded(LeastSquares(ours, 4, starts).scattered_starts())
+    at = LeastSquares(ours, 4, starts).scattered_starts()
     np.testing.assert_allclose(at[0], NOMINAL)
     share = (at[1:] - ours.parameters.lower) / (ours.parameters.upper - ours.parameters.lower)
     assert len(at) == starts

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fitting.posterior.result import Posterior
     from fitting.posterior.sampling import sample_posterior
     from fitting.prediction import outcomes
+    from fitting.prediction.derived import derived
     from fitting.prediction.predicting import predict
     from fitting.programs import channels_of
     from fitting.trained import TrainedPosterior
@@ -41,6 +42,7 @@ _HOME = {
     "QuickFit": "calibration.quick_fit",
     "calibrate": "calibration.calibrate",
     "channels_of": "programs",
+    "derived": "prediction.derived",
     "fit_tendons": "fit",
     "free_parameters": "parameters",
     "optimise_treatment": "treatments.optimise",
@@ -64,6 +66,7 @@ __all__ = [
     "TrainedPosterior",
     "calibrate",
     "channels_of",
+    "derived",
     "fit_tendons",
     "free_parameters",
     "optimise_treatment",

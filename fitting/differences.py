@@ -77,7 +77,7 @@ def _deviation(scene: Scene, p: Parameter, sd: float) -> float:
     """
     if not (isinstance(sd, Real) and np.isfinite(float(sd)) and float(sd) > 0):
         raise InputError(f"{p.name}: found {sd!r}", where="varies", expected="a positive standard deviation")
-    declared = named_arrays(scene)[p.place.name.partition("[")[0]].quantity
+    declared = named_arrays(scene)[p.place.names[0].partition("[")[0]].quantity
     if declared is not None and not (declared.holds(p.lower - REACH * sd) and declared.holds(p.upper + REACH * sd)):
         raise InputError(
             f"{p.name}: bounds {p.lower:g} to {p.upper:g} and {REACH:g} deviations of {sd:g} leave room for values"

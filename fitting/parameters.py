@@ -206,7 +206,8 @@ def free_parameters(
         names: "K1", "L1", "K2", "L2": stiffness and slack length of the first and the second tendon; "L2.strain",
             "L2.force": the slack length as strain or force at the scene's start pose; "quadriceps.stiffness",
             "patellar_tendon.origin.y", "contact.radius", "contact.surface.coefficients[3]", or all coefficients at
-            once without the index.
+            once without the index; "quadriceps.damping~patellar_tendon.damping": two that keep their proportion
+            (coordinates: their distance), of which the first is told.
         bounds: to either side as a share of the nominal value; or by name such a share or (lower, upper), the others
             +-30 %.
         priors: by name mean and standard deviation of a normal prior.
@@ -225,7 +226,7 @@ def free_parameters(
         places = find(scene, name)
         for place in places:
             own = name if len(places) == 1 else f"{name}[{place.index}]"
-            if any(p.place == place or p.place[:3] == place[:3] for p in items):
+            if any(p.place.numbers & place.numbers for p in items):
                 raise InputError(f"{own!r} is named twice", where="free", expected="every number once")
             items.append(_parameter(scene, own, name, place, bounds, priors or {}))
     return Parameters(tuple(items))
@@ -245,7 +246,7 @@ def with_nuisance(
     """
     scene = nuisance.prepared(scene)
     asked = free_parameters(scene, names, bounds, priors)
-    more = nuisance.numbers(scene, but=[p.place.name for p in asked.items])
+    more = nuisance.numbers(scene, but=[name for p in asked.items for name in p.place.names])
     if not more.names:
         return scene, asked
     besides = free_parameters(scene, more.names, more.bounds, more.priors).items
@@ -259,6 +260,10 @@ def _parameter(
     given: Any = bounds
     if isinstance(bounds, Mapping):
         given = bounds.get(own, bounds.get(name, DEFAULT_BOUNDS))
+    if place.tied and nominal == 0 and not place.is_coordinate(scene):
+        raise InputError(
+            f"{own}: the first is 0", where="free", expected="a number that others can be in proportion to"
+        )
     lower, upper = _limits(own, nominal, given)
     if not (np.isfinite([lower, upper]).all() and lower < upper):
         raise InputError(f"{own}: bounds {lower:g} to {upper:g} are empty", where="bounds", expected="lower < upper")

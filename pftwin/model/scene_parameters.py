@@ -23,6 +23,7 @@ _SHORT = re.compile(r"^([A-Z])(\d+)(?:\.(strain|force))?$")
 _INDEXED = re.compile(r"^(.*)\[(\d+)\]$")
 _UNITS = {"strain": "", "force": "N"}  # ways to express a slack length
 _OWN = ("patella", "start", "motion")  # parts of a scene that are no effects
+_TIED = "~"  # between numbers that go together
 
 
 class NumberPlace(NamedTuple):
@@ -31,19 +32,32 @@ class NumberPlace(NamedTuple):
     `meaning` is "value" for the number itself. The slack length L0 of a line element may be expressed otherwise,
     with L its length at the scene's start pose in the first frame: "strain" is (L - L0) / L0, "force" the tension of
     the line when held at that length.
+
+    What is `tied` goes with it: in proportion to what the scene has, or, of coordinates, by the same offset.
     """
 
     owner: str  # name of an effect; "patella", "start" or "motion" for the scene's own parts
     path: tuple[str, ...]
     index: int | None
     meaning: str
+    tied: tuple[NumberPlace, ...] = ()
 
     @property
     def name(self) -> str:
         """The name as a user may write it."""
+        return _TIED.join(self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its own name, and those of what is tied to it."""
         index = "" if self.index is None else f"[{self.index}]"
         ending = "" if self.meaning == "value" else f".{self.meaning}"
-        return ".".join([self.owner, *self.path]) + index + ending
+        return (".".join([self.owner, *self.path]) + index + ending, *(name for t in self.tied for name in t.names))
+
+    @property
+    def numbers(self) -> frozenset[tuple[str, tuple[str, ...], int | None]]:
+        """The scene's numbers that it changes, whatever they mean."""
+        return frozenset({(self.owner, self.path, self.index)}.union(*(t.numbers for t in self.tied)))
 
     def unit(self, scene: Scene) -> str:
         """Its unit; empty for a pure number."""
@@ -69,6 +83,11 @@ class NumberPlace(NamedTuple):
 
     def written(self, scene: Scene, value: Scalar) -> Scene:
         """The scene with this value there. Pure."""
+        if self.tied:
+            own, moved = self.read(scene), self.is_coordinate(scene)
+            for other in self.tied:
+                old = other.read(scene)
+                scene = other.written(scene, old + (value - own) if moved else old * (value / own))
         owner = _owner(scene, self.owner)
         if self.meaning == "strain":
             value = start_length(scene, owner) / (1 + value)
@@ -104,11 +123,14 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
 
     "K1", "L1", "K2" ... are what the scene's elastic line elements (tendons, strands), in their order, declare with
     these letters: stiffness and slack length. Otherwise "effect.field.field", "patella.field", with an index for an
-    element ("contact.surface.coefficients[3]"). "L1.strain" and "L1.force": see `NumberPlace`.
+    element ("contact.surface.coefficients[3]"). "L1.strain" and "L1.force": see `NumberPlace`. Names with "~" between
+    them are of numbers that are tied ("quadriceps.damping~patellar_tendon.damping"): the first is told.
 
     Raises:
-        InputError: no such number in this scene, with the nearest name that there is.
+        InputError: no such number in this scene, with the nearest name that there is; a tie of unlike numbers.
     """
+    if _TIED in name:
+        return [_tie(scene, name)]
     full, meaning = _long_name(scene, name)
     index = None
     if match := _INDEXED.match(full):
@@ -130,6 +152,19 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
             expected=full if not shape else f"{full}[0] to {full}[{shape[0] - 1}], or {full} for all of them",
         )
     return [NumberPlace(owner, path, i, meaning) for i in (range(shape[0]) if index is None else [index])]
+
+
+def _tie(scene: Scene, name: str) -> NumberPlace:
+    """The place of the first of several numbers, with the others tied to it."""
+    places = [place for part in name.split(_TIED) for place in find(scene, part.strip())]
+    if len(places) != name.count(_TIED) + 1 or any(p.meaning != "value" for p in places):
+        raise InputError(f"{name!r}: a vector, or a strain or force", where="free", expected="single numbers")
+    if len({p.name for p in places}) < len(places):
+        raise InputError(f"{name!r} ties a number to itself", where="free", expected="different numbers")
+    if len({(p.unit(scene), p.is_coordinate(scene)) for p in places}) > 1:
+        units = ", ".join(p.unit(scene) or "a pure number" for p in places)
+        raise InputError(f"{name!r} ties unlike numbers: {units}", where="free", expected="numbers of one unit")
+    return places[0]._replace(tied=tuple(places[1:]))
 
 
 def named_arrays(scene: Scene) -> dict[str, Field]:

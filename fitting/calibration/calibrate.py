@@ -84,7 +84,7 @@ def calibrate(
         trained: a posterior that was trained, or a `fitting.QuickFit`, which searches anew for each plant.
         scene: of its set-up, or those of its trials; plants move in their motions.
         plants: of each kind.
-        kinds: functions that make a plant, by name; by default those of `fitting.calibration.plants`.
+        kinds: functions that make a plant, by name; by default `fitting.calibration.plants.PLANTS`.
         laboratory: how plants are recorded; by default as on the virtual rig.
         operation: what is predicted of each plant from its answer, beside what the plant does that is treated in the
             first trial. Answers are then looked at as `TrainedPosterior.estimate` does.

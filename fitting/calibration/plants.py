@@ -22,6 +22,7 @@ import numpy as np
 from fitting.parameters import Parameters
 from fitting.stiffening import Working, linear_tendons, stiffened, stiffening_tendons, working_of
 from pftwin.base.errors import InputError
+from pftwin.geometry.patch.polynomial import RectanglePatch
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
 
@@ -30,6 +31,8 @@ _SCATTER = 0.6  # of the priors' deviations: by as much plants' nuisance is off,
 _STIFFENING = (0.0, 0.1)  # share by which springs are stiffer when stretched by a quarter of their length
 _SLIP_SPEEDS = (2e-4, 5e-3)  # [m/s]
 _COEFFICIENTS = (0.0, 0.1)  # of friction
+_RESHAPED = (0.0, 1e-4)  # waves of a trochlea, rms over the whole patch [m]
+_WAVES = 4  # their degree at most, two waves from edge to edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +117,28 @@ def stiffening(knee: Knee, random: np.random.Generator) -> Plant:
     return Plant.of(scene)
 
 
+def reshaped(knee: Knee, random: np.random.Generator) -> Plant:
+    """As `misplaced`, on another trochlea: the twin's with smooth waves, off by at most a tenth of a millimetre (rms).
+
+    Raises:
+        InputError: the button touches no fitted patch.
+    """
+    scene = knee.near(random)
+    contact = scene.contact
+    surface = None if contact is None else contact.fitted_surface()
+    if contact is None or not isinstance(surface, RectanglePatch):
+        raise InputError("no patch to reshape", where="plants", expected="others than 'reshaped', or a fitted surface")
+    order = np.arange(_WAVES + 1)
+    series = random.standard_normal((_WAVES + 1, _WAVES + 1)) * (np.add.outer(order, order) <= _WAVES)
+    mean_square = np.sum(series**2 / np.multiply.outer(2 * order + 1, 2 * order + 1))  # of Legendre polynomials
+    waves = random.uniform(*_RESHAPED) / np.sqrt(mean_square) * series
+    return Plant.of(scene.with_effect(contact.with_fitted_surface(surface.with_waves(waves))))
+
+
 PLANTS: dict[str, Maker] = {
     "twin": twin,
     "misplaced": misplaced,
     "sliding": sliding,
     "stiffening": stiffening,
 }
+MORE = {"reshaped": reshaped}  # by name alone: they need a contact with a fitted patch

@@ -56,7 +56,8 @@ def calibrate(
     nuisance: NuisanceOption = None,
     plants: Annotated[int, Option(min=1, help="Of each kind.")] = 100,
     kinds: Annotated[
-        str | None, Option(metavar="NAMES", help="Some of: twin, misplaced, sliding, stiffening; by default all.")
+        str | None,
+        Option(metavar="NAMES", help="Some of: twin, misplaced, sliding, stiffening (by default these), reshaped."),
     ] = None,
     marker_noise: Annotated[float, Option(metavar="METRES", help="Of each coordinate of a recorded marker.")] = 2e-4,
     force_noise: Annotated[float, Option(metavar="NEWTONS", help="Of a load cell.")] = 0.15,
@@ -98,14 +99,14 @@ def calibrate(
     check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run
     from fitting.calibration.laboratory import Laboratory
-    from fitting.calibration.plants import PLANTS
+    from fitting.calibration.plants import MORE, PLANTS
     from fitting.calibration.quick_fit import QuickFit
     from fitting.trained import TrainedPosterior
 
-    chosen = names_in(kinds) if kinds is not None else tuple(PLANTS)
-    if not chosen or (strange := [kind for kind in chosen if kind not in PLANTS]):
+    known, chosen = PLANTS | MORE, names_in(kinds) if kinds is not None else tuple(PLANTS)
+    if not chosen or (strange := [kind for kind in chosen if kind not in known]):
         found = f"no plants {strange[0]!r}" if chosen else "none named"
-        raise InputError(found, where="--kinds", expected=f"some of: {', '.join(PLANTS)}")
+        raise InputError(found, where="--kinds", expected=f"some of: {', '.join(known)}")
     lab = Laboratory(marker_noise=marker_noise, force_noise=force_noise, cutoff=cutoff or None)
     allowed, scenes = check_limits(limit), [trial.scene for trial in knee.load()]
     operation = _operation(amounts, meet or [], samples, confidence)
@@ -116,7 +117,7 @@ def calibrate(
             answering,
             scenes,
             plants=plants,
-            kinds={kind: PLANTS[kind] for kind in chosen},
+            kinds={kind: known[kind] for kind in chosen},
             laboratory=lab,
             operation=operation,
             seed=seed,

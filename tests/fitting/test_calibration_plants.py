@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_scene import small_scene
 
-from fitting.calibration.plants import Knee, misplaced, sliding, stiffening, twin
+from fitting.calibration.plants import Knee, misplaced, reshaped, sliding, stiffening, twin
 from fitting.calibration.runs import Seen, check_truth, truth_of
 from fitting.nuisance import Nuisance
 from fitting.parameters import with_nuisance
@@ -60,6 +62,25 @@ def test_plants_slide_otherwise_than_the_twin():
     bare = Knee(*with_nuisance(small_scene().without("contact"), FREE, 0.3, None, Nuisance()))
     with pytest.raises(InputError, match="friction without a contact"):
         sliding(bare, random)
+
+
+def test_another_trochlea_is_the_twins_with_waves_of_a_tenth_of_a_millimetre_at_most():
+    """Root mean squares over the patch, by Gauss's quadrature; anew for each plant."""
+    own, random = knee(), np.random.default_rng(4)
+    flat = own.scene.contact.fitted_surface()
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    u, v = (c + h * nodes for c, h in zip(flat.center, flat.half_size, strict=True))
+    height = jax.jit(
+        lambda patch: jax.vmap(jax.vmap(patch.height, (None, 0)), (0, None))(jnp.asarray(u), jnp.asarray(v))
+    )
+    waves = [height(reshaped(own, random).scene.contact.fitted_surface()) - height(flat) for _ in range(60)]
+    sizes = np.sqrt([np.einsum("ij,i,j->", w**2, weights, weights) / 4 for w in waves])
+    assert sizes.min() < 8e-6
+    assert 9e-5 < sizes.max() <= 1e-4
+    assert np.corrcoef(np.reshape(waves, (60, -1)))[0, 1:].max() < 0.999
+    bare = Knee(*with_nuisance(small_scene().without("contact"), FREE, 0.3, None, Nuisance()))
+    with pytest.raises(InputError, match="no patch to reshape"):
+        reshaped(bare, random)
 
 
 def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():

@@ -103,3 +103,13 @@ def test_unstacked_coefficients_say_the_same():
     assert patch.unstacked().unstacked() == patch.unstacked()
     u, v = (J(x) for x in points(1.5))
     np.testing.assert_array_equal(height_of(patch, u, v), height_of(patch.unstacked(), u, v))
+
+
+@pytest.mark.parametrize("degree", [2, 5])
+def test_waves_are_a_legendre_series_over_the_rectangle(degree):
+    """Added to the patch, of a lower degree or a higher: as `numpy.polynomial.legendre` has it."""
+    patch, series = random_patch(degree), np.random.default_rng(6).normal(size=(4, 4)) * np.tri(4)[::-1]
+    a, b = np.random.default_rng(7).uniform(-1, 1, (2, N))
+    u, v = J(CENTER[0] + HALF[0] * a), J(CENTER[1] + HALF[1] * b)
+    added = height_of(patch.with_waves(series), u, v) - height_of(patch, u, v)
+    np.testing.assert_allclose(added, np.polynomial.legendre.legval2d(a, b, series), rtol=1e-9, atol=1e-12)

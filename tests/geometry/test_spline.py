@@ -311,3 +311,16 @@ def test_a_batch_of_surfaces_loads_the_cells_numbers_one_by_one():
     found = list(gathers(jax.make_jaxpr(jax.vmap(curved))(stacked).jaxpr))
     assert len(found) == 16
     assert all(sizes == (1,) and not joined for sizes, joined in found)
+
+
+def test_waves_are_a_legendre_series_over_the_rectangle():
+    """Exactly to degree three; cubics through four places h apart leave 9/16 h^4 of x^4, and P_4 has 35/8 of it."""
+    patch = random_spline()
+    a, b = np.random.default_rng(7).uniform(-1, 1, (2, N))
+    u, v = J(CENTER[0] + HALF[0] * a), J(CENTER[1] + HALF[1] * b)
+    for degree in (3, 4):
+        series = np.random.default_rng(6).normal(size=(degree + 1, degree + 1)) * np.tri(degree + 1)[::-1]
+        added = height_of(patch.with_waves(series), u, v) - height_of(patch, u, v)
+        ends = [abs(series[4, 0]), abs(series[0, 4])] if degree == 4 else [0.0, 0.0]
+        atol = 1e-12 + 9 / 16 * 35 / 8 * np.dot((2 / np.array(CELLS)) ** 4, ends)
+        np.testing.assert_allclose(added, np.polynomial.legendre.legval2d(a, b, series), rtol=1e-9, atol=atol)

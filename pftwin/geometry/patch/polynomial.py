@@ -7,10 +7,15 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Self
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
+from numpy.typing import NDArray
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
@@ -21,6 +26,16 @@ from pftwin.geometry.patch.closest import SurfaceProfile
 def exponents(degree: int) -> list[tuple[int, int]]:
     """Exponents (i, j) of the monomials a^i b^j, in the order of a patch's coefficients."""
     return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+
+
+@lru_cache(maxsize=16)
+def legendre_to_powers(degree: int) -> NDArray[np.float64]:
+    """(degree + 1, degree + 1): row i holds the powers' coefficients of the i-th Legendre polynomial."""
+    out = np.zeros((degree + 1, degree + 1))
+    for i in range(degree + 1):
+        out[i, : i + 1] = np.polynomial.legendre.leg2poly(np.eye(degree + 1)[i])[: i + 1]
+    out.flags.writeable = False
+    return out
 
 
 class RectanglePatch(eqx.Module):
@@ -39,6 +54,16 @@ class RectanglePatch(eqx.Module):
     @abstractmethod
     def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
         """Height and derivatives by a and b, both within +-1; the mixed third ones, aab and abb."""
+
+    @abstractmethod
+    def with_waves(self, series: NDArray[np.float64]) -> Self:
+        """The patch with sum of s_ij P_i(a) P_j(b) added to its height [m], P Legendre's polynomials; on the host.
+
+        A polynomial patch is of a higher degree then, if the waves are.
+
+        Args:
+            series: (n, n), zero where i + j is n or more.
+        """
 
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
         """How far beyond the fitted rectangle a point lies [m]; zero inside."""
@@ -96,6 +121,16 @@ class PolynomialPatch(RectanglePatch):
         n = len(exponents(self.degree))
         coefficients = tuple(self.coefficients[..., i] for i in range(n))
         return eqx.tree_at(lambda p: p.coefficients, self, coefficients)
+
+    def with_waves(self, series: NDArray[np.float64]) -> Self:  # noqa: D102
+        powers = legendre_to_powers(len(series) - 1)
+        degree = max(self.degree, len(series) - 1)
+        square = np.zeros((degree + 1, degree + 1))
+        square[: len(series), : len(series)] = powers.T @ series @ powers
+        for (i, j), own in zip(exponents(self.degree), np.asarray(self.coefficients), strict=True):
+            square[i, j] += own
+        coefficients = jnp.asarray([square[e] for e in exponents(degree)], dtype=float)
+        return replace(self, coefficients=coefficients, degree=degree)
 
     def profile(self, u: Scalar) -> SurfaceProfile:
         """The patch along v at one u, at a fifth of a jet's price for each v.

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -29,7 +29,7 @@ from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
 from pftwin.geometry.patch.charts import Jet
 from pftwin.geometry.patch.closest import SurfaceProfile
-from pftwin.geometry.patch.polynomial import PolynomialPatch, RectanglePatch, exponents
+from pftwin.geometry.patch.polynomial import PolynomialPatch, RectanglePatch, exponents, legendre_to_powers
 
 # The four basis functions of a cell by powers of its own coordinate, 0 to 1: row p holds x^p.
 CELL_POWERS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
@@ -86,6 +86,11 @@ class SplinePatch(RectanglePatch):
         square = powers.T @ series @ powers
         c = tuple(square[i, j] for i, j in exponents(degree))
         return PolynomialPatch(self.chart, c, self.center, self.half_size, degree)
+
+    def with_waves(self, series: NDArray[np.float64]) -> Self:  # noqa: D102
+        along, across = (interpolation(n, len(series) - 1) for n in self.cells)
+        added = jnp.asarray(along @ series @ across.T, dtype=float)
+        return eqx.tree_at(lambda s: s.coefficients, self, self.coefficients + added)
 
     def profile(self, u: Scalar) -> SurfaceProfile:
         """The patch along v at one u, near enough to start a search; only for v on the fitted rectangle."""
@@ -202,10 +207,14 @@ def polynomial_projection(n: int, degree: int) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=16)
-def legendre_to_powers(degree: int) -> NDArray[np.float64]:
-    """(degree + 1, degree + 1): row i holds the powers' coefficients of the i-th Legendre polynomial."""
-    out = np.zeros((degree + 1, degree + 1))
-    for i in range(degree + 1):
-        out[i, : i + 1] = np.polynomial.legendre.leg2poly(np.eye(degree + 1)[i])[: i + 1]
+def interpolation(n: int, degree: int) -> NDArray[np.float64]:
+    """(n + 3, degree + 1): from a Legendre series to the coefficients of the spline of n cells with its values at the
+    knots, and at one more beyond either end."""
+    a = 2 * (np.arange(n + 3) - 1) / n - 1
+    k, x = cell_of(a, n)
+    basis = np.zeros((n + 3, n + 3))
+    for j, values in enumerate(cubic_basis(x).values):
+        np.add.at(basis, (np.arange(n + 3), k + j), values)
+    out = np.asarray(np.linalg.solve(basis, np.polynomial.legendre.legvander(a, degree)), dtype=np.float64)
     out.flags.writeable = False
     return out

@@ -8,8 +8,8 @@ interrupted on the way. Here the host asks for a batch with derivatives and does
 Parameters are shares of their ranges, and bounds are bounds: steps end there (`_within`). Mapped to all real numbers,
 valleys bend, and a best point at a bound is approached for ever.
 
-A point costs the same alone as in a batch: its derivatives fill the processor's vectors. Where few starts are left,
-each tries several dampings at once, for as many cores.
+A point with many derivatives costs the same alone as in a batch: they fill the processor's vectors. Where few starts
+are left, each tries several dampings at once: where the patella jumps into the groove, one in many is better.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PHASES = (
     Phase(2, True, 40, 1.0),
 )
 _ROUGH = 1e3  # what the last phases count as worth it where another search follows
-_POINTS = 4  # evaluated at once, where fewer starts are left
+_POINTS, _COLUMNS = 4, 64  # points evaluated at once, at least, and times parameters: where fewer starts are left
 _DAMPING = 1e-2  # to start with, of a diagonal's share
 _STUCK = 1e7  # damping at which steps vanish
 _LONGEST = 0.4  # step of a parameter
@@ -118,7 +118,8 @@ class LeastSquares(Method):
     def _trials(self, state: State) -> tuple[Floats, Floats, Floats]:
         """Points (P, L, p), their dampings (P, L), and the decrease that the quadratic model promises (P, L)."""
         u, g, h = state["u"], state["gradient"], state["hessian"]
-        lanes = max(1, _POINTS // len(u))
+        points = max(_POINTS, _COLUMNS // u.shape[1])
+        lanes = max(1, points // len(u))
         ladder = 10.0 ** (np.arange(lanes) - lanes // 2)
         damping = state["damping"][:, None] * ladder
         diagonal = np.diagonal(h, axis1=1, axis2=2)

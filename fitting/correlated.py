@@ -59,12 +59,18 @@ def reweighed(search: Method, state: State, run: Callable[[Method], State]) -> t
     theta = state["best_theta"]
     if not problem.weighs_priors or theta is None:
         return search, state
-    objective = replace(problem.objective, share=_share(problem, np.asarray(theta)))
+    share = _share(problem, np.asarray(theta))
+    if share == 1.0 and not search.rough:
+        return search, state
+    objective = replace(problem.objective, share=share)
     from_there = tuple(replace(p, nominal=float(t)) for p, t in zip(problem.parameters.items, theta, strict=True))
     anew = replace(problem, objective=objective, parameters=Parameters(from_there))
-    again = run(LeastSquares(anew, search.seed, 1, last=True))
+    try:
+        again = run(LeastSquares(anew, search.seed, 1))
+    except KeyboardInterrupt:  # before it had an answer
+        return search, {**state, "interrupted": True}
     if again["best_theta"] is None:
-        return search, state
+        return search, {**state, "stopped": "with measurements counted anew no motion could be simulated"}
     search.problem = replace(problem, objective=objective)
     before = {key: state[key] for key in ("iteration", "evaluations")}
     later = [{**entry, **{key: entry[key] + count for key, count in before.items()}} for entry in again["history"]]

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 _UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measured, in metres or newtons
 _FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]
 _SMALL = 0.02  # share of a parameter's range by which it is moved to see what reacts
-_TRIALS = 16  # motions that measurements are held against
+_TRIALS, _COLUMNS = 16, 256  # motions that measurements are held against, at most; the same times parameters
 _SEED = 20240418  # of trial motions that measurements are held against: the same for every fit
 
 
@@ -32,8 +32,9 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
             is compared reacts; measured positions in another frame.
     """
     evaluator, at = problem.evaluator, problem.parameters.nominal
-    if first is None or first.want != "normal" or len(first.theta) < _TRIALS:
-        others = problem.parameters.scattered(_TRIALS, np.random.default_rng(_SEED))
+    count = max(1, min(_TRIALS, _COLUMNS // len(at)))
+    if first is None or first.want != "normal" or len(first.theta) < count:
+        others = problem.parameters.scattered(count, np.random.default_rng(_SEED))
         first = Request(np.concatenate([at[None], others[1:]]), evaluator.coarse, "normal")
     trials = evaluator.with_slopes(first.theta, first.substeps)
     seen = problem.prediction(at, evaluator.coarse)

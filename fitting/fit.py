@@ -174,6 +174,7 @@ def fit_tendons(
         outcome = Outcome.of_simulations(problem, found, seed, allowed)
     else:
         search = _method(method, problem, seed, options)
+        search.rough = problem.weighs_priors
         problem.evaluator.prepare(search.widest)
         compiled = compiled_aside(knee.unnamed())  # for the fitted motion, which is simulated last
         state = None

@@ -162,7 +162,7 @@ class Parameters:
         found = self.latin_hypercube(count, random)
         for i, p in enumerate(self.items):
             if p.prior is not None:
-                # Within the bounds, not at them: there a search of unbounded parameters stands still.
+                # Within the bounds, not at them: there a search by gradients, of unbounded parameters, stands still.
                 ends = [(bound - p.prior[0]) / p.prior[1] for bound in (p.lower, p.upper)]
                 found[:, i] = truncnorm.rvs(*ends, *p.prior, size=count, random_state=random)
         return found
@@ -260,10 +260,6 @@ def _parameter(
     given: Any = bounds
     if isinstance(bounds, Mapping):
         given = bounds.get(own, bounds.get(name, DEFAULT_BOUNDS))
-    if place.tied and nominal == 0 and not place.is_coordinate(scene):
-        raise InputError(
-            f"{own}: the first is 0", where="free", expected="a number that others can be in proportion to"
-        )
     lower, upper = _limits(own, nominal, given)
     if not (np.isfinite([lower, upper]).all() and lower < upper):
         raise InputError(f"{own}: bounds {lower:g} to {upper:g} are empty", where="bounds", expected="lower < upper")

@@ -148,9 +148,24 @@ def free_in_trials(
     for scene in scenes[1:]:
         prepared, there = with_nuisance(scene, names, dict.fromkeys(names, _ANY), None, nuisance)
         found.append(prepared)
+        _check_ties(own, first, prepared)
         free.append(_shared(own, there, len(found), varies or {}))
     free[0] = with_differences(first, own, varies or {}, trial_names(scenes))
     return found, free
+
+
+def _check_ties(own: Parameters, first: Scene, scene: Scene) -> None:
+    """Refuses a trial in which what is tied has another proportion than in the first.
+
+    Raises:
+        InputError: it has.
+    """
+    for p in own.items:
+        ties = [] if p.coordinate else p.place.tied
+        ratios = [[float(t.read(s)) / float(p.place.read(s)) for t in ties] for s in (first, scene)]
+        if not np.allclose(*ratios, rtol=_EQUAL, atol=0):
+            found = f"{p.name} has other proportions in {scene.name} than in {first.name}"
+            raise InputError(found, where="trials", expected="numbers that trials share")
 
 
 def _shared(first: Parameters, own: Parameters, number: int, varies: Mapping[str, float]) -> Parameters:

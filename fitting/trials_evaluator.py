@@ -69,6 +69,11 @@ class TrialsEvaluator:
         return max(self._of_the_first(each, each.fine) for each in self.evaluators)
 
     @property
+    def slope_chunk(self) -> int:
+        """As `Evaluator.slope_chunk`."""
+        return self.evaluators[0].slope_chunk
+
+    @property
     def pull_chunk(self) -> int:
         """As `Evaluator.pull_chunk`."""
         return self.evaluators[0].pull_chunk

@@ -120,6 +120,8 @@ def stiffening(knee: Knee, random: np.random.Generator) -> Plant:
 def reshaped(knee: Knee, random: np.random.Generator) -> Plant:
     """As `misplaced`, on another trochlea: the twin's with smooth waves, off by at most a tenth of a millimetre (rms).
 
+    A trochlea that is placed or turned otherwise is no other trochlea: waves alone count.
+
     Raises:
         InputError: the button touches no fitted patch.
     """
@@ -129,7 +131,8 @@ def reshaped(knee: Knee, random: np.random.Generator) -> Plant:
     if contact is None or not isinstance(surface, RectanglePatch):
         raise InputError("no patch to reshape", where="plants", expected="others than 'reshaped', or a fitted surface")
     order = np.arange(_WAVES + 1)
-    series = random.standard_normal((_WAVES + 1, _WAVES + 1)) * (np.add.outer(order, order) <= _WAVES)
+    together = np.add.outer(order, order)
+    series = random.standard_normal(together.shape) * ((together >= 2) & (together <= _WAVES))
     mean_square = np.sum(series**2 / np.multiply.outer(2 * order + 1, 2 * order + 1))  # of Legendre polynomials
     waves = random.uniform(*_RESHAPED) / np.sqrt(mean_square) * series
     return Plant.of(scene.with_effect(contact.with_fitted_surface(surface.with_waves(waves))))
@@ -141,4 +144,4 @@ PLANTS: dict[str, Maker] = {
     "sliding": sliding,
     "stiffening": stiffening,
 }
-MORE = {"reshaped": reshaped}  # by name alone: they need a contact with a fitted patch
+BY_NAME = {"reshaped": reshaped}  # not by default: they need a contact with a fitted patch

@@ -90,6 +90,9 @@ def check_truth(plant: Plant, parameters: Parameters) -> None:
         if item.place.owner in plant.curved and item.place.meaning != "value":
             expected = "stiffness and slack length themselves of a tendon that follows another law"
             raise InputError(f"{item.name} has no true value in this plant", where="kinds", expected=expected)
+        if {t.owner for t in item.place.tied} & {*plant.curved}:
+            expected = "no tied numbers of tendons that follow another law"
+            raise InputError(f"{item.name} has no true value in this plant", where="kinds", expected=expected)
 
 
 def truth_of(plant: Plant, seen: Sequence[Seen], parameters: Parameters) -> Floats:

@@ -99,11 +99,11 @@ def calibrate(
     check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run
     from fitting.calibration.laboratory import Laboratory
-    from fitting.calibration.plants import MORE, PLANTS
+    from fitting.calibration.plants import BY_NAME, PLANTS
     from fitting.calibration.quick_fit import QuickFit
     from fitting.trained import TrainedPosterior
 
-    known, chosen = PLANTS | MORE, names_in(kinds) if kinds is not None else tuple(PLANTS)
+    known, chosen = PLANTS | BY_NAME, names_in(kinds) if kinds is not None else tuple(PLANTS)
     if not chosen or (strange := [kind for kind in chosen if kind not in known]):
         found = f"no plants {strange[0]!r}" if chosen else "none named"
         raise InputError(found, where="--kinds", expected=f"some of: {', '.join(known)}")

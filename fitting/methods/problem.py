@@ -138,6 +138,7 @@ class Method(ABC):
     options: ClassVar[tuple[str, ...]]  # what a user may choose
     most_iterations: int
     starts: int  # number of points from which it begins
+    rough: bool = False  # whether another search follows from its answer, which need not be exact then
     widest: int | None = None  # the largest batch of plain values that it asks for; None: it asks for derivatives only
 
     def __init__(self, problem: Problem, seed: int) -> None:

@@ -13,24 +13,27 @@ from numpy.typing import NDArray
 
 from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draws
 from pftwin.base.errors import InputError
-from pftwin.model.scene import Scene
+from pftwin.model.scene import Scene, check
 
 Floats = NDArray[np.float64]
 
 _AT_ONCE = 256  # draws whose values are computed together
+_FAILED = 0.05  # share of draws that may give no finite number
 
 
 class Derived(NamedTuple):
     """A number, or an array of them, that follows from fitted parameters.
 
     value: at the estimate's values (...).
-    draws: at parameters as uncertain as the estimate (N, ...).
+    draws: at parameters as uncertain as the estimate, of those that gave finite numbers (N, ...).
+    failed: how many did not.
     doubts: what forbids to believe the estimate, and so this.
     coverage: how often intervals of such estimates hold, in words.
     """
 
     value: Floats
     draws: Floats
+    failed: int
     doubts: tuple[str, ...]
     coverage: str
 
@@ -57,24 +60,32 @@ def derived(
 
     Args:
         estimate: `fitting.Estimate`, or another that `predict` takes.
-        function: of a scene, pure, that gives an array: a ratio, a tension, something of `pftwin.trajectory(scene)`.
+        function: of a scene, pure, that gives an array: a ratio, a tension, something of `pftwin.trajectory(scene)`
+            (whose status is yours to look at).
         scene: that is given the fitted values.
         samples: how many draws, at least 2.
         seed: of the draws.
 
     Raises:
-        InputError: too few samples; a function that gives numbers that are not finite.
+        InputError: too few samples; a scene that cannot have these values; a function that gives no finite numbers for
+            the estimate's values, or for more than a twentieth of the draws.
     """
     check_draws(samples, estimate)
     if samples < 2:
         raise InputError(f"found {samples}", where="samples", expected="at least 2")
     apply = estimate.apply
+    check(apply(scene))
 
     @eqx.filter_jit
     def computed(thetas: jax.Array) -> jax.Array:
         return jax.lax.map(lambda t: jnp.asarray(function(apply(scene, t))), thetas, batch_size=_AT_ONCE)
 
-    found = np.asarray(computed(jnp.asarray(estimate_and_draws(estimate, samples, seed))))
-    if bad := int((~np.isfinite(found).reshape(len(found), -1).all(axis=1)).sum()):
-        raise InputError(f"not finite in {bad} of {len(found)} draws", where="function", expected="finite numbers")
-    return Derived(found[0], found[1:], tuple(estimate.doubts), estimate.coverage.intervals)
+    thetas = estimate_and_draws(estimate, samples, seed)
+    padded = np.resize(thetas, (-(-len(thetas) // _AT_ONCE) * _AT_ONCE, thetas.shape[1]))  # a rest is compiled anew
+    found = np.asarray(computed(jnp.asarray(padded)))[: len(thetas)]
+    finite = np.asarray(np.isfinite(found).reshape(len(found), -1).all(axis=1))
+    failed = int((~finite[1:]).sum())
+    if not finite[0] or failed > _FAILED * samples:
+        what = f"not finite in {failed} of {samples} draws" if finite[0] else "not finite at the estimate's values"
+        raise InputError(what, where="function", expected="finite numbers")
+    return Derived(found[0], found[1:][finite[1:]], failed, tuple(estimate.doubts), estimate.coverage.intervals)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import Quantity, declarations
@@ -164,6 +165,10 @@ def _tie(scene: Scene, name: str) -> NumberPlace:
     if len({(p.unit(scene), p.is_coordinate(scene)) for p in places}) > 1:
         units = ", ".join(p.unit(scene) or "a pure number" for p in places)
         raise InputError(f"{name!r} ties unlike numbers: {units}", where="free", expected="numbers of one unit")
+    if not places[0].is_coordinate(scene):
+        values = [p.read(scene) for p in places]
+        if any(not isinstance(v, Tracer) and np.any(np.asarray(v) == 0) for v in values):
+            raise InputError(f"{name!r}: one of them is 0", where="free", expected="numbers that have a proportion")
     return places[0]._replace(tied=tuple(places[1:]))
 
 

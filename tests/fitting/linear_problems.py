@@ -74,6 +74,7 @@ def problem(
         first=1,
         fine=1,
         coarse=1,
+        slope_chunk=1,
         scenes=(SimpleNamespace(motion=SimpleNamespace(frame_interval=0.01)),),
         step_errors=lambda theta, substeps, slopes: {},
     )

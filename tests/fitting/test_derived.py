@@ -10,6 +10,7 @@ import pytest
 from small_scene import small_scene
 
 import fitting
+import pftwin
 from fitting.prediction.predicting import Fitted
 from pftwin.base.errors import InputError
 
@@ -64,14 +65,34 @@ def test_several_numbers_are_those_of_every_draw():
     assert found.interval().shape == (2, 2)
 
 
-def test_what_is_not_finite_is_counted():
-    """The logarithm of what is less than nothing in every draw below the middle."""
+def test_what_is_not_finite_is_counted_and_left_out():
+    """The root of what is less than nothing in the two least draws of a hundred; in twenty it is refused."""
     scene = small_scene()
     estimate = Normal(scene)
-    middle = estimate.values[0]
-    below = int((estimate.samples(100, 4)[:, 0] <= middle).sum()) + 1  # and the estimate's own value
-    with pytest.raises(InputError, match=f"function: not finite in {below} of 101 draws"):
-        fitting.derived(estimate, lambda s: jnp.log(s.get("K1") - middle), scene, samples=100, seed=4)
+    drawn = np.sort(estimate.samples(100, 4)[:, 0])
+    least, many = drawn[1:3].mean(), drawn[19:21].mean()
+    found = fitting.derived(estimate, lambda s: jnp.sqrt(s.get("K1") - least), scene, samples=100, seed=4)
+    assert found.failed == 2
+    np.testing.assert_allclose(np.sort(found.draws), np.sqrt(drawn[2:] - least), rtol=1e-9)
+    with pytest.raises(InputError, match="function: not finite in 20 of 100 draws"):
+        fitting.derived(estimate, lambda s: jnp.sqrt(s.get("K1") - many), scene, samples=100, seed=4)
+    with pytest.raises(InputError, match="function: not finite at the estimate's values"):
+        fitting.derived(estimate, lambda s: jnp.log(s.get("K1") - 1e6), scene, samples=100)
+
+
+@pytest.mark.slow
+def test_a_motion_follows_from_parameters():
+    """The largest contact force of every draw is that of `pftwin.simulate` with its values."""
+    scene = small_scene()
+    estimate = Normal(scene)
+
+    def most(s):
+        return pftwin.trajectory(s, dt=1e-3).contact_force.norm().max()
+
+    found = fitting.derived(estimate, most, scene, samples=3, seed=1)
+    for value, theta in zip(found.draws, estimate.samples(3, 1), strict=True):
+        result = pftwin.simulate(estimate.apply(scene, theta), dt=1e-3)
+        assert value == pytest.approx(float(np.linalg.norm(result.contact_force, axis=-1).max()), rel=1e-9)
 
 
 def test_nothing_follows_from_one_draw_or_at_a_level_of_one():

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from linear_problems import NOMINAL, design, parameters, problem, scaled
 from scipy.optimize import lsq_linear
 
-from fitting.methods.least_squares import LeastSquares, _within
+from fitting.methods.bounded_steps import bounded_steps
+from fitting.methods.least_squares import LeastSquares
 from fitting.methods.problem import ProblemAnswer
+from fitting.parameters import Parameters
 
 
 def searched(ours, seed=0, starts=6):
@@ -31,12 +33,12 @@ def test_the_decrease_it_promises_is_a_quadratics_own():
     hessian, gradient = root @ np.swapaxes(root, 1, 2), 0.1 * random.normal(size=(2, 3))
     u = random.uniform(0.45, 0.55, size=(2, 3))
     state = {**search.begin(), "u": u, "gradient": gradient, "hessian": hessian}
-    at, damping, promised = search._trials(state)
+    _, at, damping, promised = search._trials(state)
     step = at - u[:, None]
     after = np.einsum("plk,pk->pl", step, gradient) + 0.5 * np.einsum("plk,pkj,plj->pl", step, hessian, step)
     np.testing.assert_allclose(promised, -after, rtol=1e-9)
     assert (promised > 0).all()
-    assert promised.shape == (2, 10)
+    assert promised.shape == (2, 8)
     assert (np.diff(damping, axis=1) > 0).all()
     free = np.abs(step).max(axis=-1) < 0.39  # those that were not shortened
     for i, k in zip(*np.nonzero(free), strict=True):
@@ -138,26 +140,45 @@ def test_a_best_point_at_bounds_is_that_of_a_solver_with_bounds():
     assert state["asked"] <= 12
 
 
-@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6))
-def test_steps_within_bounds_end_at_them_or_where_nothing_pulls(seed, count):
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 8))
+def test_steps_within_bounds_are_those_of_a_solver_with_bounds(seed, count):
+    """`scipy.optimize.lsq_linear` (BVLS); some begin at bounds, from which the others' steps push or pull them."""
     random = np.random.default_rng(seed)
-    root = random.normal(size=(4, count, count))
-    matrix = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(count)
-    gradient = random.normal(size=(4, count))
-    lowest, highest = -random.uniform(0, 0.5, size=(2, 4, count)) * np.array([1, -1])[:, None, None]
-    step = _within(matrix, gradient, lowest, highest)
+    root = random.normal(size=(4, count + 2, count))
+    matrix = np.swapaxes(root, 1, 2) @ root
+    gradient = random.normal(size=(4, count)) * np.diagonal(matrix, axis1=1, axis2=2)
+    lowest, highest = random.uniform(0, 0.5, size=(2, 4, count)) * np.array([-1, 1])[:, None, None]
+    lowest *= random.uniform(size=lowest.shape) < 0.7
+    highest *= random.uniform(size=highest.shape) < 0.7
+    highest += (highest - lowest == 0) * 0.1
+    step = bounded_steps(matrix, gradient, lowest, highest)
     assert ((step >= lowest) & (step <= highest)).all()
-    pull = gradient + np.einsum("nij,nj->ni", matrix, step)
-    inside = (step > lowest + 1e-12) & (step < highest - 1e-12)
-    assert (np.einsum("ni,ni->n", step, gradient) + 0.5 * np.einsum("ni,nij,nj->n", step, matrix, step) <= 0).all()
-    np.testing.assert_allclose(pull[inside], 0, atol=1e-9)
-    alone = np.einsum("i,nij->nij", np.ones(count), np.eye(count) * matrix)
-    np.testing.assert_allclose(
-        _within(alone, gradient, lowest, highest),
-        np.clip(-gradient / np.diagonal(matrix, axis1=1, axis2=2), lowest, highest),
-        rtol=1e-9,
-        atol=1e-12,
-    )
+    for h, g, low, high, found in zip(matrix, gradient, lowest, highest, step, strict=True):
+        factor = np.linalg.cholesky(h)
+        exact = lsq_linear(factor.T, -np.linalg.solve(factor, g), (low, high), method="bvls", tol=1e-14).x
+        values = [g @ x + 0.5 * x @ h @ x for x in (found, exact)]
+        assert values[0] <= values[1] + 1e-7 * abs(values[1])
+
+
+def test_starts_that_no_short_step_can_follow_are_left_out():
+    """Good with long steps, and not to be simulated with short ones: nothing has converged."""
+    ours = problem(design(), design() @ NOMINAL, parameters())
+    search = LeastSquares(ours, 0, 2)
+    state = {**search.begin(), "phase": 3}
+    request = search.ask(state)
+    search.tell(state, request, ProblemAnswer(np.full(2, np.inf), np.zeros((2, 3)), np.zeros((2, 3, 3))))
+    assert (state["stopped"], state["dropped"]) == ("all starts failed", 2)
+
+
+def test_what_nothing_depends_on_has_no_step():
+    """A number without slope or curvature, alone, with the smallest damping: no singular matrix."""
+    one = Parameters(parameters().items[:1])
+    search = LeastSquares(problem(design()[..., :1], np.zeros((40, 4)), one), 0, 1)
+    state = {**search.begin(), "damping": np.array([1e-9])}
+    state["hessian"] = state["hessian"] * 0
+    _, at, _, promised = search._trials(state)
+    np.testing.assert_array_equal(at, np.broadcast_to(state["u"][:, None], at.shape))
+    assert promised.shape == (1, 16)
 
 
 @pytest.mark.parametrize("starts", [1, 2, 5])

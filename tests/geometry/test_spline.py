@@ -320,7 +320,7 @@ def test_waves_are_a_legendre_series_over_the_rectangle():
     u, v = J(CENTER[0] + HALF[0] * a), J(CENTER[1] + HALF[1] * b)
     for degree in (3, 4):
         series = np.random.default_rng(6).normal(size=(degree + 1, degree + 1)) * np.tri(degree + 1)[::-1]
-        added = height_of(patch.with_waves(series), u, v) - height_of(patch, u, v)
+        added = height_of(patch.unstacked().with_waves(series), u, v) - height_of(patch, u, v)
         ends = [abs(series[4, 0]), abs(series[0, 4])] if degree == 4 else [0.0, 0.0]
         atol = 1e-12 + 9 / 16 * 35 / 8 * np.dot((2 / np.array(CELLS)) ** 4, ends)
         np.testing.assert_allclose(added, np.polynomial.legendre.legval2d(a, b, series), rtol=1e-9, atol=atol)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from small_scene import small_scene
 
-from fitting.nuisance import Nuisance
-from fitting.parameters import applied, free_parameters, with_nuisance
+from fitting.nuisance import EXACT, Nuisance
+from fitting.parameters import Applied, applied, free_parameters, with_nuisance
+from fitting.trials import free_in_trials
 from pftwin.base.errors import InputError
 
 DAMPING = "quadriceps.damping~patellar_tendon.damping"
@@ -77,5 +78,20 @@ def test_ties_that_cannot_be_are_refused(scene, names, said):
 
 
 def test_nothing_is_in_proportion_to_nothing(scene):
-    with pytest.raises(InputError, match="the first is 0"):
+    with pytest.raises(InputError, match="one of them is 0"):
         free_parameters(scene.set("quadriceps.damping", 0.0), (DAMPING,), {DAMPING: (0.0, 1.0)})
+
+
+def test_an_estimate_carries_what_is_tied(scene):
+    """By its names, as a file holds them; to a knee whose proportion is another."""
+    estimate = Applied((DAMPING, HEIGHT), [3.0, 0.004], origins=((HEIGHT, 0.002),))
+    there = estimate(scene.set("patellar_tendon.damping", 12.0))
+    found = [float(there.get(name)) for name in (*DAMPING.split("~"), *HEIGHT.split("~"))]
+    np.testing.assert_allclose(found, [3.0, 24.0, 0.004, 0.001], rtol=1e-6)
+
+
+def test_trials_share_proportions(scene):
+    """6 to 1.5 in one trial, 9 to 1.5 in the other."""
+    both = [scene, scene.set("patellar_tendon.damping", 9.0)]
+    with pytest.raises(InputError, match="has other proportions in small knee than in small knee"):
+        free_in_trials(both, ("K1", DAMPING), 0.3, None, EXACT)

@@ -185,7 +185,7 @@ def meaning(scene: Scene | None, name: str) -> str:
         return name
     from pftwin.model.scene_parameters import find
 
-    return find(scene, name)[0].name.replace("_", " ").replace(".", ", ", 1)
+    return " and ".join(n.replace("_", " ").replace(".", ", ", 1) for n in find(scene, name)[0].names)
 
 
 def predicted(data: Dataset) -> Sheet:

@@ -14,6 +14,7 @@ fetched for every sample would double the price of a batch.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -90,7 +91,7 @@ class SplinePatch(RectanglePatch):
     def with_waves(self, series: NDArray[np.float64]) -> Self:  # noqa: D102
         along, across = (interpolation(n, len(series) - 1) for n in self.cells)
         added = jnp.asarray(along @ series @ across.T, dtype=float)
-        return eqx.tree_at(lambda s: s.coefficients, self, self.coefficients + added)
+        return replace(self, coefficients=self.coefficients + added, loop=None)
 
     def profile(self, u: Scalar) -> SurfaceProfile:
         """The patch along v at one u, near enough to start a search; only for v on the fitted rectangle."""

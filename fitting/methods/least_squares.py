@@ -35,17 +35,12 @@ class Phase(NamedTuple):
     worth: float  # a start's gain that is not worth another iteration, in tolerances of the objective
 
 
-# Long steps cost much less than short ones, and their valleys are bent alike: short ones are for the end.
-PHASES = (
-    Phase(10**9, False, 4, 1e3),
-    Phase(8, False, 6, 1e3),
-    Phase(4, False, 30, 1.0),
-    Phase(2, True, 40, 1.0),
-)
+# Eight to the end: where the patella falls into the groove the objective has many lowest places near one another.
+PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 10, 1e3), Phase(8, True, 40, 1.0))
 _ROUGH = 1e3  # least worth of every phase where another search follows
 _FEWEST, _MOST, _COLUMNS = 4, 16, 64  # points at once where fewer starts are left; the same times parameters
 _DAMPING = 1e-2  # to start with, of a diagonal's share
-_FLAT = 1e-200  # least diagonal: damping is never lost in rounding
+_LEAST, _FLAT = 1e-10, 1e-200  # damping, and diagonal, at least: no matrix is singular
 _STUCK = 1e7  # damping at which steps vanish
 _LONGEST = 0.4  # step of a parameter
 _EDGE = 1e-7  # how near to a bound steps lead
@@ -108,7 +103,7 @@ class LeastSquares(Method):
         self._note_best(state)
         if len(state["u"]) == 0:
             state["stopped"] = "all starts failed"
-        elif self._phase_done(state) or state["in_phase"] >= PHASES[state["phase"]].iterations:
+        elif state["done"].all() or state["in_phase"] >= PHASES[state["phase"]].iterations:
             self._next_phase(state)
 
     def spread(self, state: State) -> float:
@@ -123,7 +118,7 @@ class LeastSquares(Method):
         points = max(_FEWEST, min(_MOST, _COLUMNS // u.shape[1]), self.problem.evaluator.slope_chunk)
         count = max(1, points // len(u))
         ladder = 10.0 ** (np.arange(count) - count // 2)
-        damping = state["damping"][which, None] * ladder
+        damping = np.maximum(state["damping"][which, None] * ladder, _LEAST)
         diagonal = np.diagonal(h, axis1=1, axis2=2)
         diagonal = diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + _FLAT
         matrix = h[:, None] + damping[..., None, None] * (diagonal[:, None, :, None] * np.eye(u.shape[1]))
@@ -161,10 +156,6 @@ class LeastSquares(Method):
     @staticmethod
     def _best_done(state: State) -> bool:
         return bool(state["done"][int(np.argmin(state["value"]))])
-
-    def _phase_done(self, state: State) -> bool:
-        """The last: when its best start is done; others: when all are, since the one that leads may end higher."""
-        return self._best_done(state) if state["phase"] == len(PHASES) - 1 else bool(state["done"].all())
 
     def _note_best(self, state: State) -> None:
         if len(state["value"]) and np.isfinite(state["value"].min()):

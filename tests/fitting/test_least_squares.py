@@ -111,18 +111,22 @@ def test_a_phase_ends_where_a_step_gains_less_than_it_is_worth(phase, gain, goes
     assert ((state["phase"], state["stopped"]) == (phase, None)) is goes_on
 
 
-@pytest.mark.parametrize(("phase", "ends"), [(2, False), (3, True)])
-def test_the_last_phase_ends_where_the_best_starts_own_steps_promise_nothing(phase, ends):
-    """One start at the least squares themselves; what another, far from them, may still gain counts before."""
+def test_a_phase_ends_where_no_starts_steps_promise_anything():
+    """One start at the least squares themselves, another far from them: the search goes on until that is there too."""
     truth = NOMINAL + np.array([0.2, -5.0, 0.1])
     ours = problem(design(), design() @ truth, parameters(half_width=50.0))
     search = LeastSquares(ours, 0, 2)
-    state = {**search.begin(), "phase": phase}
+    state = {**search.begin(), "phase": 2}
     state["u"] = ours.parameters.share(np.stack([truth, truth + np.array([4.0, 30.0, -6.0])]))
-    for _ in range(2):
+    done = []
+    while state["stopped"] is None:
         request = search.ask(state)
         search.tell(state, request, ours.answer(request))
-    assert ((state["phase"], state["stopped"]) != (phase, None)) is ends
+        done.append(state["done"].copy())
+    assert done[1].tolist() == [True, False]
+    assert done[-1].all()
+    far = ours.parameters.at_share(state["u"][1])
+    assert ours.normal(far[None]).value[0] < 1e-3
 
 
 def test_a_best_point_at_bounds_is_that_of_a_solver_with_bounds():
@@ -157,14 +161,14 @@ def test_steps_within_bounds_are_those_of_a_solver_with_bounds(seed, count):
         factor = np.linalg.cholesky(h)
         exact = lsq_linear(factor.T, -np.linalg.solve(factor, g), (low, high), method="bvls", tol=1e-14).x
         values = [g @ x + 0.5 * x @ h @ x for x in (found, exact)]
-        assert values[0] <= values[1] + 1e-7 * abs(values[1])
+        assert values[0] <= values[1] + 1e-7 * abs(values[1]) + 1e-12
 
 
 def test_starts_that_no_short_step_can_follow_are_left_out():
     """Good with long steps, and not to be simulated with short ones: nothing has converged."""
     ours = problem(design(), design() @ NOMINAL, parameters())
     search = LeastSquares(ours, 0, 2)
-    state = {**search.begin(), "phase": 3}
+    state = {**search.begin(), "phase": 2}
     request = search.ask(state)
     search.tell(state, request, ProblemAnswer(np.full(2, np.inf), np.zeros((2, 3)), np.zeros((2, 3, 3))))
     assert (state["stopped"], state["dropped"]) == ("all starts failed", 2)

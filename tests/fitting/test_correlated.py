@@ -95,3 +95,19 @@ def test_white_residuals_count_whole():
     measured = slopes @ NOMINAL + np.random.default_rng(6).normal(size=(FRAMES, 4)) * SIGMA
     known = parameters(tuple(zip(NOMINAL, PRIOR_SD, strict=True)), half_width=60.0)
     assert solved(True, slopes, measured, known)[1] == 1.0
+
+
+@pytest.mark.parametrize("rough", [True, False])
+def test_an_interrupt_before_the_second_searchs_answer_keeps_the_firsts(rough):
+    """A first search that need not be exact goes on even if all measurements count; else there is no second one."""
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    random = np.random.default_rng(2)
+    measured = design() @ NOMINAL + SIGMA * random.normal(size=(40, 4))  # white
+    known = parameters(tuple(zip(NOMINAL, PRIOR_SD, strict=True)), half_width=60.0)
+    search = LeastSquares(problem(design(), measured, known), 0, 1)
+    search.rough = rough
+    first = {"best_theta": NOMINAL + 0.1 * PRIOR_SD, "stopped": "converged", "interrupted": False}
+    assert reweighed(search, first, interrupted) == (search, {**first, "interrupted": rough})

@@ -115,7 +115,8 @@ class LeastSquares(Method):
         that the quadratic model promises (P, L)."""
         which = np.flatnonzero(~state["done"])
         u, g, h = state["u"][which], state["gradient"][which], state["hessian"][which]
-        points = max(_FEWEST, min(_MOST, _COLUMNS // u.shape[1]), self.problem.evaluator.slope_chunk)
+        points = max(_FEWEST, min(_MOST, _COLUMNS // u.shape[1]))
+        points = max(points, self.problem.evaluator.slope_chunk)  # an accelerator's call costs the same half empty
         count = max(1, points // len(u))
         ladder = 10.0 ** (np.arange(count) - count // 2)
         damping = np.maximum(state["damping"][which, None] * ladder, _LEAST)
@@ -139,15 +140,11 @@ class LeastSquares(Method):
         chosen = rows * damping.shape[1] + best
         found = {"u": at[rows, best], "gradient": gradient[chosen], "hessian": hessian[chosen], "value": new}
         for key, values in found.items():
-            state[key] = state[key].copy()
             state[key][which[better]] = values[better]
-        state["damping"] = state["damping"].copy()
-        state["damping"][which] = np.where(better, damping[rows, best] / 5, damping[:, -1] * 10.0)
-        state["damping"] = np.clip(state["damping"], 1e-9, 10 * _STUCK)
+        further = np.where(better, damping[rows, best] / 5, damping[:, -1] * 10.0)
+        state["damping"][which] = np.clip(further, 1e-9, 10 * _STUCK)
         gained = np.where(better, old - np.where(better, new, 0.0), np.inf)
-        small = np.max(promised, axis=1) < tolerance
-        state["done"] = state["done"].copy()
-        state["done"][which] = (gained < tolerance) | small | (state["damping"][which] > _STUCK)
+        state["done"][which] = (gained < tolerance) | (promised.max(axis=1) < tolerance) | (further > _STUCK)
 
     def _keep(self, state: State, which: NDArray[np.intp]) -> None:
         for key in ("u", "value", "gradient", "hessian", "damping", "done"):

@@ -5,7 +5,7 @@
 | reading | how many times nearer to the twin a channel is in other units, signs or axes, or swapped | 1.5 | 2 |
 | position | what a fit leaves of positions, rms [m] | 0.01 | 0.03 |
 | orientation | what it leaves of orientations, rms [rad] | 0.26 | 0.7 |
-| force | what it leaves of a force, as a share of the force, rms | 0.15 | 0.5 |
+| force | what it leaves of a force or another reading, as a share of it, rms | 0.15 | 0.5 |
 | noise | what it leaves of a channel, rms, in units of the noise that was stated | 30 | 300 |
 | shift | by how much a channel is late or early [s] (`fitting.time_shift`) | 0.02 | 0.1 |
 | simulated | how far it lies outside of what a posterior was learned from, in standard deviations | 5 | 15 |
@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from fitting.evaluation import StepError
 from fitting.objective import Objective
-from fitting.programs import ORIENTATION, POSITION
+from fitting.programs import ORIENTATION, POSITION, unit_of
 from pftwin.base.errors import InputError
-from pftwin.results.plots.quantities import as_read
+from pftwin.base.quantities import as_read
 
 Floats = NDArray[np.float64]
 Limits = Mapping[str, tuple[float, float]]
@@ -46,14 +46,14 @@ LIMITS: dict[str, tuple[float, float]] = {
     "trained_noise": (3.0, 10.0),
     "set_up": (1.0, 3.0),
 }
-_UNITS = {  # by what a number must be multiplied, and what it then was
-    POSITION: {
+_UNITS: dict[str, dict[float, str]] = {  # by what a number must be multiplied, and what it then was
+    "m": {
         1e-3: "1000 times too large: in millimetres",
         1e-2: "100 times too large: in centimetres",
         0.0254: "39 times too large: in inches",
         1e3: "1000 times too small: turned from millimetres to metres twice",
     },
-    "force": {
+    "N": {
         1e-3: "1000 times too large: newtons written as millinewtons",
         1e3: "1000 times too small: in kilonewtons",
         4.4482216: "4.45 times too small: in pounds-force",
@@ -113,7 +113,7 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
             raise InputError(
                 f"{said}? So read, the numbers lie {r.times:.3g} times nearer to what the scene can do",
                 where=objective.source,
-                expected=_expected(r.channels),
+                expected=_expected(r.channels, objective.readings),
                 remedy=f"correct the file; or, if it is right, {raised('reading', limits, r.times)}",
             )
         if r.times >= named:
@@ -130,7 +130,8 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         data, seen = objective.measured[keep, at], trials[:, keep, at]
         if channel not in _FLOOR:
             seen = seen[_rms(seen) >= _SLACK * min(float(_rms(seen).max()), float(_rms(data)))]
-        tried = _poses(channel, data) if channel in _FLOOR else _forces(data)
+        unit = unit_of(channel, objective.readings)
+        tried = _poses(channel, data) if channel in _FLOOR else _readings(data, unit)
         size = 1.0 if channel in _FLOOR else max(float(_rms(seen).mean()), 1e-300)
         floor = _FLOOR.get(channel, _FORCE_FLOOR)
         if channel == POSITION:
@@ -140,8 +141,10 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # from simple to odd
         if words:
             yield Reading((channel,), words, off[""], off[words], off[""] / off[words])
-    forces = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
-    for (one, i, j), (other, k, m) in itertools.combinations(forces, 2):
+    single = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
+    for (one, i, j), (other, k, m) in itertools.combinations(single, 2):
+        if unit_of(one, objective.readings) != unit_of(other, objective.readings):
+            continue
         keep = _some(objective.present[:, j] & objective.present[:, m])
         if not keep.size:
             continue
@@ -165,9 +168,10 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
         left = float(_rms(residuals[there, rows]))
         kind = channel if channel in _FLOOR else "force"
         size = 1.0 if kind != "force" else max(float(_rms(objective.measured[there, columns])), 1e-300)
-        cases = [(kind, left / size, f"of {channel} the fit leaves {shown(channel, left, 3)} rms")]
+        unit = unit_of(channel, objective.readings)
+        cases = [(kind, left / size, f"of {channel} the fit leaves {shown(left, unit, 3)} rms")]
         if kind == "force":
-            cases = [(kind, cases[0][1], f"{cases[0][2]} of {size:.3g} N that were measured")]
+            cases = [(kind, cases[0][1], f"{cases[0][2]} of {shown(size, unit, 3)} that were measured")]
         if stated is not None:
             times = left / (stated[channel] * np.sqrt(rows.stop - rows.start))
             cases.append(("noise", times, f"{cases[0][2]}, {times:.0f} times the stated noise"))
@@ -193,27 +197,28 @@ def bounded(
     return [said] if value >= named else []
 
 
-def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float]) -> list[str]:
+def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float], readings: Mapping[str, str]) -> list[str]:
     """Channels in which the fit's steps are off, in words: too much, and by half of what the fit leaves or more.
 
     Args:
         errors: of the steps at the estimate; none where a run in half the step is not usable.
         left: what the fit leaves of each channel, rms.
+        readings: units of channels that are no poses and forces.
     """
     if not errors:
         return ["in half of the fit's time step no motion comes out, so the error of its steps is not known"]
     found = []
     for channel, error in errors.items():
         if error.large and error.rms > 0.5 * left[channel]:
-            off, rest = (shown(channel, x, 2) for x in (error.rms, left[channel]))
+            off, rest = (shown(x, unit_of(channel, readings), 2) for x in (error.rms, left[channel]))
             found.append(f"the fit's time steps are off by {off} rms of {channel}, beside {rest} that it leaves")
     return found
 
 
-def shown(channel: str, value: float, digits: int) -> str:
-    """A number of a channel [m], [rad] or [N] in the unit that people read, with so many digits."""
-    scale, unit = as_read({POSITION: "m", ORIENTATION: "rad"}.get(channel, "N"))
-    return f"{scale * value:.{digits}g} {unit}"
+def shown(value: float, unit: str, digits: int) -> str:
+    """A number in the unit that people read, with so many digits."""
+    scale, told = as_read(unit)
+    return f"{scale * value:.{digits}g} {told}".removesuffix(" 1")
 
 
 def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
@@ -223,7 +228,7 @@ def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
         yield "turned the other way: the femur in the patella's frame", data * [1.0, -1.0, -1.0, -1.0]
         yield "written with the scalar last", np.roll(data, 1, axis=1)
         return
-    units = {1.0: "", **_UNITS[POSITION]}
+    units = {1.0: "", **_UNITS["m"]}
     turns = itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3))
     every = [(unit, order, signs) for order, signs in turns for unit in units]
 
@@ -241,13 +246,14 @@ def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
         yield " and ".join(said), unit * data[:, order] * np.array(signs)
 
 
-def _forces(data: Floats) -> Iterator[tuple[str, Floats]]:
-    """A force as it is, in other units, and with the other sign."""
+def _readings(data: Floats, unit: str) -> Iterator[tuple[str, Floats]]:
+    """A force or another single number as it is, in other units, and with the other sign."""
+    units = _UNITS.get(unit, {})
     yield "", data
     yield "negated", -data
-    for factor, words in _UNITS["force"].items():
+    for factor, words in units.items():
         yield words, factor * data
-    for factor, words in _UNITS["force"].items():
+    for factor, words in units.items():
         yield f"negated and {words}", -factor * data
 
 
@@ -289,12 +295,14 @@ def _up_to_scale(data: Floats, seen: Floats) -> float:
     return float(np.sqrt(np.mean((scale[:, None] * a - b) ** 2, axis=1)).min())
 
 
-def _expected(channels: tuple[str, ...]) -> str:
+def _expected(channels: tuple[str, ...], readings: Mapping[str, str]) -> str:
     if channels == (POSITION,):
         return "the button's centre in the femur frame (x, y, z), in metres"
     if channels == (ORIENTATION,):
         return "unit quaternions (w, x, y, z) of the patella in the femur"
-    return "tensions and contact forces in newtons, none negative, each under its own name"
+    if all(unit_of(channel, readings) == "N" for channel in channels):
+        return "tensions and contact forces in newtons, none negative, each under its own name"
+    return "readings as the effects report them, each under its own name"
 
 
 def _listed(channels: tuple[str, ...]) -> str:

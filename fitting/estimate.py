@@ -16,6 +16,7 @@ from fitting.channel_checks import shown
 from fitting.coverage import Coverage, coverage_of
 from fitting.nuisance import EXACT, REACH, Nuisance
 from fitting.parameters import Applied, weights_in
+from fitting.programs import unit_of
 from fitting.sensors import Sensors
 from fitting.uncertainty import NORMAL_95, SERIAL, Undetermined, in_words
 from pftwin.base.errors import InputError
@@ -90,6 +91,8 @@ class Estimate:
     coordinates: tuple[str, ...] = ()  # names of parameters that are coordinates of points
     step_error: dict[str, float] = field(default_factory=dict)  # of the fit's time steps, rms, units as of `rmse`
     trial_rmse: dict[str, dict[str, float]] = field(default_factory=dict)  # as `rmse`, of each of several trials
+    readings: dict[str, str] = field(default_factory=dict)  # units of channels that are no poses and forces
+    covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise that was stated so
     trials: tuple[FittedTrial, ...] = field(default=(), repr=False)  # what was fitted; none of a file
 
     @property
@@ -267,7 +270,8 @@ class Estimate:
             out.append("the measurements are synthetic")
         for channel in self.channels if self.trial_rmse else ():
             of_each = {name: left[channel] for name, left in self.trial_rmse.items() if channel in left}
-            parts = [f"{shown(channel, left, 3)} in {name}" for name, left in of_each.items()]
+            unit = unit_of(channel, self.readings)
+            parts = [f"{shown(left, unit, 3)} in {name}" for name, left in of_each.items()]
             out.append(f"left of {channel}: {', '.join(parts)}")
         if (open_ := self.undetermined).count and not self.invalid:
             told = f"{self.asked - open_.count} of {self.asked} combinations of what was asked for"
@@ -345,7 +349,7 @@ class Estimate:
                 raise ValueError(f"its format is {content.get('format')!r}")
             since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
             since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": [], "draws": None}
-            since |= {"trial_rmse": {}, "varies": {}, "differences": [], "kinds": []}
+            since |= {"trial_rmse": {}, "varies": {}, "differences": [], "kinds": [], "readings": {}, "covariances": {}}
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k != "trials"}
             for key in _ARRAYS:

@@ -16,11 +16,12 @@ from fitting.first_look import first_look, plain_look
 from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
 from fitting.inference.own_lengths import at_own_lengths
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
+from fitting.metric import StatedNoise
 from fitting.nuisance import EXACT, Nuisance
 from fitting.objective import SPRINGS, Objective
 from fitting.outcome import Outcome, estimate_of, judge
 from fitting.parameters import Bounds
-from fitting.programs import POSITION, channels_of
+from fitting.programs import POSITION, with_readings
 from fitting.sensors import Sensors
 from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.errors import InputError
@@ -68,7 +69,7 @@ def fit_tendons(
     varies: Mapping[str, float] | None = None,
     seed: int = 0,
     use: str | Sequence[str] = POSITION,
-    noise: Mapping[str, float] | None = None,
+    noise: StatedNoise | None = None,
     loss: str = "linear",
     springs: Mapping[str, str] = SPRINGS,
     progress: Callable[[Progress], None] | None = None,
@@ -102,9 +103,11 @@ def fit_tendons(
             fitted besides. By default nothing differs.
         seed: of all random choices: the same seed gives the same result; by simulations only where rounding is the same
             too, which the number of threads may change.
-        use: channels to compare: "position", "orientation", effects' names for their forces, or "all" that were
-            measured; see `Objective.of`. Of several trials each gives what was measured there.
-        noise: standard deviations of the measurements by channel; by default estimated from the residuals.
+        use: channels to compare: "position", "orientation", effects' names for their forces, whatever else effects
+            report ("contact.force_medial"), or "all" that were measured; see `Objective.of`. Of several trials each
+            gives what was measured there.
+        noise: standard deviations of the measurements by channel, or covariances of positions and turns; by default
+            estimated from the residuals.
         loss: "linear", "huber" or "soft_l1".
         springs: names of the effects whose tensions the "femoral" and the "tibial" spring forces are.
         progress: called after every iteration.
@@ -269,7 +272,9 @@ def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | N
     limits = {n: (lower, upper) for n, lower, upper in zip(shared, e.lower, e.upper, strict=False)}
     priors = {name: prior for name, prior in e.priors.items() if name in shared}
     trials = trials_of(scenes, [trial.measured for trial in e.trials] if measured is None else measured)
-    target = objective_of(trials, "likelihood", e.channels, e.noise, "linear", e.springs or SPRINGS)
+    target = objective_of(
+        trials, "likelihood", e.channels, {**e.noise, **e.covariances}, "linear", e.springs or SPRINGS
+    )
     target = replace(target, share=e.share)
     problem = Problem.of(scenes, free_in_trials(scenes, shared, limits, priors, EXACT, e.varies)[1], target)
     problem.evaluator.prepare(None)
@@ -280,7 +285,7 @@ def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> 
     """Channels in the scene's order, so that equal sets share one program; None for those compared alone."""
     if wanted is None:
         return None
-    known = channels_of(scene)
+    known = with_readings(scene)
     names = {wanted} if isinstance(wanted, str) else set(wanted)
     if strange := names - set(known):
         found = f"no channel {min(strange)!r}"

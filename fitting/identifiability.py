@@ -17,7 +17,7 @@ from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters
-from fitting.programs import ORIENTATION, POSITION, channels_of
+from fitting.programs import ORIENTATION, POSITION, channels_of, reading_units
 from fitting.trials import check_channels, free_in_trials, trial_names
 from fitting.uncertainty import in_words, inverse_information, percent, sizes
 from pftwin.base.errors import InputError
@@ -62,7 +62,8 @@ class ExperimentPlan:
             best = next(iter(self.additions))
             before, after = float(self.relative.max()), float(self.additions[best].max())
             if after < 0.8 * before:
-                what = best if best in (POSITION, ORIENTATION, *self.trials) else f"the force of {best}"
+                named = best in (POSITION, ORIENTATION, *self.trials) or "." in best
+                what = best if named else f"the force of {best}"
                 done = "recorded" if best in self.trials else "measured"
                 falls = f"falls from {percent(before)} to {percent(after)}"
                 text += f"; {what} {done} as well helps most: the worst standard deviation {falls}"
@@ -99,8 +100,10 @@ def plan_experiment(
     Args:
         scene: with the motion that is to be recorded.
         free: parameters that are to be found.
-        use: channels to be measured: "position", "orientation", effects' names for their forces.
-        noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white.
+        use: channels to be measured: "position", "orientation", effects' names for their forces, and whatever else
+            effects report ("contact.force_medial").
+        noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white. That of
+            other readings has to be stated.
         candidates: channels that might be measured besides; by default every other one that the scene has.
         further: scenes of trials of the same knee that might be recorded besides, by the same channels.
         priors: by name, mean and standard deviation of a normal prior.
@@ -120,13 +123,15 @@ def plan_experiment(
     asked = parameters.asked
     all_channels = channels_of(scene)
     more = [c for c in all_channels if c not in use] if candidates is None else list(candidates)
-    for channel in (*use, *more):
-        if channel not in all_channels:
-            raise InputError(f"no channel {channel!r}", where="use", expected=f"one of: {', '.join(all_channels)}")
+    units = _readings(scene, (*use, *more), all_channels)
+    all_channels = (*all_channels, *units)
     if not use:
         raise InputError("nothing is measured", where="use", expected=f"some of: {', '.join(all_channels)}")
     wanted = tuple(c for c in all_channels if c in use or c in more)
     sigma = {c: NOISE.get(c, FORCE_NOISE) for c in wanted} | dict(noise or {})
+    if unknown := [c for c in wanted if units.get(c, "N") != "N" and c not in (noise or {})]:
+        expected = f"its standard deviation [{units[unknown[0]]}]"
+        raise InputError(f"no noise of {unknown[0]!r}", where="noise", expected=expected)
     if bad := [c for c in wanted if not (np.isfinite(sigma[c]) and sigma[c] > 0)]:
         raise InputError(f"{bad[0]}: found {sigma[bad[0]]!r}", where="noise", expected="a positive number")
     measured = tuple(c for c in wanted if c in use)
@@ -159,6 +164,19 @@ def plan_experiment(
         scale,
         tuple(names_of_trials),
     )
+
+
+def _readings(scene: Scene, channels: Sequence[str], plain: tuple[str, ...]) -> dict[str, str]:
+    """Units of those channels that are no poses and forces.
+
+    Raises:
+        InputError: no such channel.
+    """
+    for channel in channels:
+        if channel not in plain and "." not in channel:
+            expected = f"one of: {', '.join(plain)}; or what an effect reports, EFFECT.OBSERVABLE"
+            raise InputError(f"no channel {channel!r}", where="use", expected=expected)
+    return reading_units(scene, channels)
 
 
 def _of_the_first(information: Floats, asked: int) -> Floats:

@@ -17,6 +17,7 @@ import numpy as np
 
 from fitting.stiffening import Working, linear_tendons, stiffened, stiffening_tendons, working_of
 from pftwin.base.errors import InputError
+from pftwin.base.quantities import Quantity
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import find, named_arrays
@@ -26,6 +27,8 @@ SLIP_SPEED = 1e-3  # [m/s]
 OF_SENSORS = ("force_scale", "force_bias", "time_shift", "placement")
 DEVIATIONS = ("attachments", "friction", "damping", "stiffening", *OF_SENSORS)  # what a text can set
 REACH = 4.0  # standard deviations from the prior's mean to the bounds
+_ANY = Quantity("")  # of a number of which nothing is declared
+_SMALLEST_SHARE = 1e-3  # of its mean that a number which must be positive is at least
 _DAMPING = ("N s/m", "N m s/rad")  # units of coefficients of damping
 
 
@@ -35,7 +38,7 @@ class NuisanceNumbers(NamedTuple):
     names: tuple[str, ...]
     bounds: dict[str, tuple[float, float]]
     priors: dict[str, tuple[float, float]]
-    kinds: dict[str, str]  # "attachments", "friction", "damping", "stiffening"
+    kinds: dict[str, str]  # "attachments", "friction", "damping", "stiffening", "others"
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,8 @@ class Nuisance:
         force_bias: of the zero of each force's sensor, in each trial [N].
         time_shift: by which the forces of a trial are late or early against the markers [s].
         placement: of the tracked point in the femur's frame, each coordinate: bones registered to markers [m].
+        others: of any other numbers of the scene, by name: a tendon's toe strain, a coefficient of the fitted surface,
+            a contact's stiffness. A name of several numbers stands for all of them.
         working: at what lengths tendons work, by name, over which lines are nearest: `at_work` finds them for the
             nominal knee. Others stay linear.
     """
@@ -68,27 +73,30 @@ class Nuisance:
     force_bias: float = 0.0
     time_shift: float = 0.0
     placement: float = 0.0
+    others: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
     working: tuple[tuple[str, Working], ...] = ()
 
     def __post_init__(self) -> None:
         known = tuple((name, Working(*(float(x) for x in numbers))) for name, numbers in self.working)
         object.__setattr__(self, "working", known)  # lists, where it comes from a file
-        for name in DEVIATIONS:
-            value = getattr(self, name)
+        others = tuple((str(name), sd) for name, sd in dict(self.others).items())
+        object.__setattr__(self, "others", others)
+        for name, value in [*((name, getattr(self, name)) for name in DEVIATIONS), *others]:
             if not (isinstance(value, int | float) and np.isfinite(value) and value >= 0):
                 raise InputError(f"{name}: found {value!r}", where="nuisance", expected="a standard deviation, or 0")
 
     @staticmethod
     def of(given: str | Nuisance | None) -> Nuisance:
-        """Of a preset's name, "attachments=0.001,friction=0.05", "rig,force_scale=0.02" or itself; None: a twin that is
-        taken as exact.
+        """Of a preset's name, "attachments=0.001,friction=0.05", "rig,force_scale=0.02,graft.toe_strain=0.01" or
+        itself; None: a twin that is taken as exact.
 
         Raises:
             InputError: no such preset; a text that names something else, or no numbers.
         """
         if given is None or isinstance(given, Nuisance):
             return given or EXACT
-        expected = f"one of: {', '.join(PRESETS)}; or some of {', '.join(DEVIATIONS)}, as in attachments=0.001; or both"
+        some = f"some of {', '.join(DEVIATIONS)}, as in attachments=0.001, or numbers of the scene by their names"
+        expected = f"one of: {', '.join(PRESETS)}; or {some}; or both"
         first, *others = given.split(",")
         preset = PRESETS.get(first.strip())
         found: dict[str, Any] = {}
@@ -98,10 +106,11 @@ class Nuisance:
                 number = float(value)
             except ValueError:
                 raise InputError(f"found {part.strip()!r}", where="nuisance", expected=expected) from None
-            if name not in DEVIATIONS or name in found:
+            if (name not in DEVIATIONS and "." not in name) or name in found:
                 raise InputError(f"found {name!r}", where="nuisance", expected=f"{expected}; each once")
             found[name] = number
-        return replace(preset or EXACT, **found)
+        others = {name: found.pop(name) for name in [*found] if name not in DEVIATIONS}
+        return replace(preset or EXACT, **found, others=others)
 
     def refuse_sensors(self, by: str) -> None:
         """Refuses errors of sensors, where there is nothing that allows for them.
@@ -166,14 +175,19 @@ class Nuisance:
                 elif self.damping and quantity.unit in _DAMPING:
                     deviations[place.name] = self.damping * float(place.read(scene))
                     kinds[place.name] = "damping"
+        for name, sd in dict(self.others).items():
+            places = [place.name for place in find(scene, name)]
+            deviations |= dict.fromkeys(places, sd)
+            kinds |= dict.fromkeys(places, "others")
         if self.friction:
             deviations[_friction_name(scene)], kinds[_friction_name(scene)] = self.friction, "friction"
         free = {name: sd for name, sd in deviations.items() if sd > 0 and name not in but}
         priors = {name: (float(find(scene, name)[0].read(scene)), sd) for name, sd in free.items()}
         bounds = {}
         for name, (mean, sd) in priors.items():
-            least = declared[name.partition("[")[0]].lower
-            bounds[name] = (max(mean - REACH * sd, least), mean + REACH * sd)
+            known = declared.get(name.partition("[")[0], _ANY)
+            least = _SMALLEST_SHARE * mean if known.positive else known.lower
+            bounds[name] = (max(mean - REACH * sd, least), min(mean + REACH * sd, known.upper))
         stiff = {f"{tendon}.stiffening" for tendon in stiffening_tendons(scene)}
         for name in (f"{tendon}.stiffening" for tendon, _ in self.working):
             if name in stiff and name not in but:

@@ -17,14 +17,15 @@ Missing measurements (NaN) are left out. All of this runs on the host, in numpy.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import Prediction
-from fitting.programs import ORIENTATION, POSITION, channel_widths
+from fitting.metric import Metric, StatedNoise, check_noise, covariances, level
+from fitting.programs import ORIENTATION, POSITION, channel_widths, reading_units
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
@@ -35,7 +36,9 @@ OBJECTIVES = ("likelihood", "paper")
 LOSSES = ("linear", "huber", "soft_l1")
 SPRINGS = {"femoral": "quadriceps", "tibial": "patellar_tendon"}  # effects by measured spring force
 _AXES = ("X", "Y", "Z")
-_SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below these are rounding [m], [rad]; for forces 1e-5 [N]
+_SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below these are rounding [m], [rad]
+_SMALLEST_FORCE = 1e-5  # the same of a force [N]
+_SMALLEST_SHARE = 1e-6  # the same of another reading, as a share of its root mean square
 _SAME_TIME = 0.1  # of a frame's interval: allows for the rounding of printed times
 _ONE: dict[str, Any] = {"frames": (slice(None),), "sources": ()}  # of one trial
 _HUBER = 1.345  # residual from which the loss is linear, in units of the noise
@@ -66,6 +69,9 @@ class Objective:
     share: float = 1.0  # of the likelihood that counts beside priors: see `fitting.correlated`
     frames: tuple[slice, ...] = (slice(None),)  # those of each trial: see `fitting.trials`
     sources: tuple[str, ...] = ()  # of the measurements of each of several trials
+    metric: Metric | None = None  # where frames or columns do not count alike
+    covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise, as stated
+    readings: dict[str, str] = field(default_factory=dict)  # units of channels that are no poses and forces
 
     @staticmethod
     def of(
@@ -74,7 +80,7 @@ class Objective:
         kind: str = "likelihood",
         *,
         use: str | Sequence[str] = POSITION,
-        noise: Mapping[str, float] | None = None,
+        noise: StatedNoise | None = None,
         loss: str = "linear",
         springs: Mapping[str, str] = SPRINGS,
     ) -> Objective:
@@ -84,10 +90,11 @@ class Objective:
             scene: the nominal one.
             measured: at the frames of its motion.
             kind: "likelihood" or "paper".
-            use: channels: "position", "orientation", or effects' names for their forces ("contact", "quadriceps");
-                "all": all that were measured. By default positions, the only channel of the paper's objective.
-            noise: standard deviation of each channel's measurements [m], [rad], [N]; by default unknown, and estimated
-                from the residuals.
+            use: channels: "position", "orientation", effects' names for their forces ("contact", "quadriceps"), or
+                whatever else effects report ("contact.force_medial"); "all": all that were measured. By default
+                positions, the only channel of the paper's objective.
+            noise: standard deviation of each channel's measurements [m], [rad], [N], or the covariance (3, 3) of a
+                position or a turn about the femur's axes; by default unknown, and estimated from the residuals.
             loss: "linear", or for outliers "huber" or "soft_l1", which need the noise.
             springs: names of the effects whose tensions the "femoral" and "tibial" spring forces are.
 
@@ -103,12 +110,17 @@ class Objective:
         data = _chosen_channels(scene, measured, kind, use, springs)
         channels = tuple(data)
         if noise is not None:
-            _check_noise(noise, channels)
+            check_noise(noise, channels, [3 if c in (POSITION, ORIENTATION) else 1 for c in channels])
         if loss != "linear" and (noise is None or kind == "paper"):
             problem = f"the loss {loss!r} tells outliers by the measurements' noise, which is not known here"
             expected = 'a likelihood with noise, such as noise={"position": 2e-4}'
             raise InputError(problem, where="loss", expected=expected)
         there = np.stack([np.isfinite(values).all(axis=1) for values in data.values()], axis=1)
+        if measured.weights is not None:
+            there &= measured.weights[:, None] > 0
+            if not there.any():
+                raise InputError("no frame counts", where=measured.source, expected="a weight that is not 0")
+        own = None if noise is None or kind == "paper" else {c: noise[c] for c in channels}
         column_channel = channel_of_columns(channels)
         return Objective(
             kind,
@@ -117,19 +129,39 @@ class Objective:
             there[:, column_channel],
             _AXES if kind == "paper" else channels,
             np.arange(3) if kind == "paper" else column_channel,
-            None if noise is None or kind == "paper" else {c: float(noise[c]) for c in channels},
+            None if own is None else {c: level(value) for c, value in own.items()},
             loss,
             measured.synthetic,
             measured.source,
+            metric=Metric.of(measured.weights, len(there), own),
+            covariances=covariances(own),
+            readings=reading_units(scene, channels),
         )
 
     @property
     def trials(self) -> tuple[Objective, ...]:
         """The measurements of each trial."""
         return tuple(
-            replace(self, measured=self.measured[rows], present=self.present[rows], source=source, **_ONE)
+            replace(
+                self,
+                measured=self.measured[rows],
+                present=self.present[rows],
+                source=source,
+                metric=None if self.metric is None else self.metric.at(rows),
+                **_ONE,
+            )
             for rows, source in zip(self.frames, self.sources or (self.source,), strict=True)
         )
+
+    @property
+    def plain(self) -> Objective:
+        """With all frames and columns alike, to tell how far off a fit is."""
+        return replace(self, metric=None)
+
+    @property
+    def stated_noise(self) -> StatedNoise | None:
+        """As it was stated: standard deviations and covariances by channel."""
+        return None if self.noise is None else {**self.noise, **self.covariances}
 
     @property
     def unit(self) -> str:
@@ -177,6 +209,8 @@ class Objective:
         """Derivatives of the objective by the predictions (N, n, c), for reverse mode."""
         r = self.residuals(values)
         weighted = self._weights(r) * r
+        if self.metric is not None:
+            weighted = self.metric.times(weighted[..., None], self._rows, transposed=True)[..., 0]
         out = np.zeros(values.shape)
         for channel, columns, rows in self.columns():
             part = weighted[..., rows]
@@ -211,7 +245,13 @@ class Objective:
     @property
     def floor(self) -> Floats:
         """Mean squares of each group below which residuals are rounding."""
-        return np.array([_SMALLEST.get(POSITION if g in _AXES else g, 1e-5) ** 2 for g in self.groups])
+        sizes = {
+            c: _SMALLEST_SHARE * float(np.sqrt(np.mean(self.measured[self.present[:, rows.start], columns] ** 2)))
+            for c, columns, rows in self.columns()
+            if c in self.readings
+        }
+        known = _SMALLEST | {c: max(size, 1e-300) for c, size in sizes.items()}
+        return np.array([known.get(POSITION if g in _AXES else g, _SMALLEST_FORCE) ** 2 for g in self.groups])
 
     def _value(self, r: Floats) -> Floats:
         s = self.mean_squares(r)
@@ -254,7 +294,12 @@ class Objective:
             elif offset:
                 part = part - self.measured[:, columns, None]
             out.append(part)
-        return np.where(self.present[:, :, None], np.concatenate(out, axis=2), 0.0)
+        found = np.where(self.present[:, :, None], np.concatenate(out, axis=2), 0.0)
+        return found if self.metric is None else self.metric.times(found, self._rows)
+
+    @property
+    def _rows(self) -> list[tuple[str, slice]]:
+        return [(channel, rows) for channel, _, rows in self.columns()]
 
     def columns(self) -> Iterator[tuple[str, slice, slice]]:
         """Every channel with its columns among the predictions' and among the residuals."""
@@ -295,6 +340,7 @@ def measured_channels(
     for spring, force in (("femoral", measured.femoral_spring_force), ("tibial", measured.tibial_spring_force)):
         if springs.get(spring) in names:
             available[springs[spring]] = force
+    available |= {name: values for name, values in measured.readings.items() if scene.reported(name)}
     data = {
         c: np.asarray(v, dtype=float).reshape(len(measured.times), -1) for c, v in available.items() if v is not None
     }
@@ -338,12 +384,3 @@ def _check_times(scene: Scene, measured: Measured) -> None:
         )
         remedy = "measurements with the clock and rate of the scene's motion"
         raise InputError(found, where=measured.source, expected=expected, remedy=remedy)
-
-
-def _check_noise(noise: Mapping[str, float], channels: tuple[str, ...]) -> None:
-    for channel in channels:
-        if channel not in noise:
-            expected = f"a standard deviation of: {', '.join(channels)}"
-            raise InputError(f"no noise of {channel!r}", where="noise", expected=expected)
-        if not (np.isfinite(noise[channel]) and noise[channel] > 0):
-            raise InputError(f"{channel}: found {noise[channel]!r}", where="noise", expected="a positive number")

@@ -168,7 +168,7 @@ def estimate_of(
         InputError: more is left of the measurements than the limits allow, or they are too late.
     """
     parameters, target, seen = problem.parameters, problem.objective, found.seen
-    r = target.residuals(seen.values)[0]
+    r = target.plain.residuals(seen.values)[0]
     rmse = _rmse(target, r)
     assert seen.slopes is not None
     scenes, names = problem.evaluator.scenes, trial_names(problem.evaluator.scenes)
@@ -220,9 +220,11 @@ def estimate_of(
         kinds=tuple(p.kind for p in parameters.items),
         varies=parameters.varies,
         differences=parameters.differences,
-        doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse)],
+        doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse, target.readings)],
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
         coordinates=parameters.coordinates,
+        readings=target.readings,
+        covariances=target.covariances,
         step_error={channel: e.rms for channel, e in found.steps.items()},
         trial_rmse={
             name: _rmse(own, r[rows]) for name, rows, own in zip(names, target.frames, target.trials, strict=True)

@@ -7,7 +7,7 @@ variable of the program, not part of it. Variants are sharded over several devic
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,6 +19,7 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from fitting.parameters import applied
+from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.batch.sharding import AXIS, SPLIT, shard_over
@@ -33,10 +34,31 @@ POSITION, ORIENTATION = "position", "orientation"
 
 
 def channels_of(scene: Scene) -> tuple[str, ...]:
-    """All channels of a scene: poses, and the forces of contact, tendons and ligaments."""
+    """A scene's poses, and the forces of contact, tendons and ligaments. Whatever else its effects report is a channel
+    too: "EFFECT.OBSERVABLE"."""
     contact = scene.contact
     tensions = [element.name for element in numbered_elements(scene)]
     return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *tensions)
+
+
+def with_readings(scene: Scene) -> tuple[str, ...]:
+    """All channels of a scene, whatever its effects report among them."""
+    return (*channels_of(scene), *(f"{e.name}.{key}" for e in scene.effects for key in type(e).observables))
+
+
+def unit_of(channel: str, readings: Mapping[str, str]) -> str:
+    """Of a channel; `readings` are those that are no poses and forces, with their units."""
+    return readings.get(channel) or {POSITION: "m", ORIENTATION: "rad"}.get(channel, "N")
+
+
+def reading_units(scene: Scene, channels: Iterable[str]) -> dict[str, str]:
+    """Units of those channels that are readings, "EFFECT.OBSERVABLE".
+
+    Raises:
+        InputError: one that no effect of the scene reports.
+    """
+    known = channels_of(scene)
+    return {channel: scene.reported(channel).unit for channel in channels if channel not in known}
 
 
 def channel_widths(channels: tuple[str, ...]) -> tuple[int, ...]:
@@ -67,6 +89,8 @@ def _predicted(
     """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
     start = starting_equilibrium(scene, guess)
     motion, effects = scene.motion, System.of(scene).effects
+    forces = channels_of(scene)
+    wanted = {c: (c, "") if c in forces else scene.reported(c)[:2] for c in channels}
     guides = Guide.sample(motion, motion.frame_times())
 
     def columns(state: State, _: Ledger | None, index: Scalar) -> Array:
@@ -79,14 +103,27 @@ def _predicted(
             elif channel == ORIENTATION:
                 found += [turn.w, turn.x, turn.y, turn.z]
             else:
-                k = next(i for i, e in enumerate(effects) if e.name == channel)
+                owner, key = wanted[channel]
+                k = next(i for i, e in enumerate(effects) if e.name == owner)
                 report = effects[k].report(now, state.memories[k])[0]
-                found.append(report["force" if "force" in report else "tension"])
+                found.append(_number(report[key or ("force" if "force" in report else "tension")], channel))
         return jnp.stack(found)
 
     values = scan_observations(scene, columns, substeps=substeps, start=start)[0]
     pose = Pose(start.pose.apply(-scene.patella.center_of_mass), start.pose.orientation)
     return values, pose, start.converged()
+
+
+def _number(value: Array, channel: str) -> Scalar:
+    """What is reported, if it is one number a frame.
+
+    Raises:
+        InputError: there are several.
+    """
+    if jnp.ndim(value):
+        expected = "one number a frame, as a measurement has"
+        raise InputError(f"{channel} has {jnp.size(value)} numbers a frame", where="use", expected=expected)
+    return value
 
 
 class FitProgram(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.nuisance import OF_SENSORS, Nuisance
-from fitting.programs import ORIENTATION, POSITION
+from fitting.programs import POSITION, unit_of
 
 if TYPE_CHECKING:
     from fitting.methods.problem import Problem
@@ -41,7 +41,7 @@ class Sensors(NamedTuple):
         for channel, columns, _ in objective.columns():
             if channel == POSITION:
                 out[..., columns] += self.placement * random.standard_normal((count, 1, 3))
-            elif channel != ORIENTATION:
+            elif unit_of(channel, objective.readings) == "N":
                 scale = 1 + self.force_scale * random.standard_normal((count, 1, 1))
                 for rows, behind in zip(objective.frames, late, strict=True):
                     bias = self.force_bias * random.standard_normal((count, 1, 1))
@@ -55,7 +55,7 @@ class Sensors(NamedTuple):
             own = 0.0
             if channel == POSITION:
                 own = self.placement
-            elif channel != ORIENTATION:
+            elif unit_of(channel, objective.readings) == "N":
                 force = objective.measured[objective.present[:, rows.start], columns]
                 own = np.hypot(self.force_bias, self.force_scale * np.sqrt(np.mean(force**2)))
             found[channel] = float(np.hypot(noise[channel], own))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ class SetUp(NamedTuple):
     priors: dict[str, tuple[float, float]]  # without those of nuisance
     nuisance: Nuisance
     channels: tuple[str, ...]
-    noise: dict[str, float] | None  # by channel, if it was stated
+    noise: dict[str, Any] | None  # by channel, if it was stated: standard deviations and covariances
     springs: dict[str, str]
     frames: tuple[int, ...]  # of each trial
     varies: dict[str, float]  # between trials, by name
@@ -50,7 +50,7 @@ class SetUp(NamedTuple):
             {p.name: p.prior for p in asked if p.prior is not None},
             nuisance,
             problem.objective.channels,
-            problem.objective.noise,
+            None if (noise := problem.objective.stated_noise) is None else dict(noise),
             dict(springs),
             tuple(scene.motion.times.size for scene in scenes),
             problem.parameters.varies,
@@ -111,6 +111,18 @@ def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Row
                 raise InputError(found, where=target.source, expected=f"at most {_MISSING:.0%}: gaps are bridged")
             out[rows, column] = np.interp(at, at[known], measured[rows, column][known])
     return out
+
+
+def refuse_weights(measured: Sequence[Measured]) -> None:
+    """Refuses weights of frames: a posterior is trained for all recordings.
+
+    Raises:
+        InputError: there are some.
+    """
+    for data in measured:
+        if data.weights is not None:
+            remedy = 'measurements without, or fit_tendons(method="simulations"), which learns anew for each recording'
+            raise InputError("weights of frames", where=data.source, expected="frames that all count", remedy=remedy)
 
 
 def listed(numbers: Sequence[int]) -> str:

@@ -28,7 +28,7 @@ from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.outcome import Outcome, estimate_of, judge
 from fitting.sensors import Sensors
-from fitting.set_up import SetUp, bridged, from_nominal, listed
+from fitting.set_up import SetUp, bridged, from_nominal, listed, refuse_weights
 from fitting.trials import trials_of
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
@@ -86,8 +86,8 @@ class TrainedPosterior:
             measured: as `fit_tendons` has it; `limits` too.
 
         Raises:
-            InputError: another number of frames; channels that were not measured; another set-up, or a recording unlike
-                all that was simulated, by more than the limits allow; as `fit_tendons`.
+            InputError: another number of frames, or weights of them; channels that were not measured; another set-up,
+                or a recording unlike all that was simulated, by more than the limits allow; as `fit_tendons`.
             PftwinError: the posterior lies beyond the bounds.
         """
         began, allowed = time.perf_counter(), limits_of(limits)
@@ -135,6 +135,7 @@ class TrainedPosterior:
             check(one)
         scenes, parameters = set_up.parameters([one for one, _ in trials])
         given = [data for _, data in trials]
+        refuse_weights(given)
         problem = Problem.of(scenes, parameters, set_up.objective(list(zip(scenes, given, strict=True))))
         problem.evaluator.prepare(TOGETHER)
         return problem, given

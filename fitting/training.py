@@ -24,12 +24,13 @@ from fitting.inference.learning import learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem
+from fitting.metric import StatedNoise
 from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
 from fitting.sensors import Sensors
-from fitting.set_up import SetUp, bridged, from_nominal
+from fitting.set_up import SetUp, bridged, from_nominal, refuse_weights
 from fitting.trained import Probes, TrainedPosterior
 from fitting.trials import free_in_trials, objective_of, trials_of
 from fitting.trials_evaluator import TrialsEvaluator
@@ -56,7 +57,7 @@ def train_posterior(
     varies: Mapping[str, float] | None = None,
     seed: int = 0,
     use: str | Sequence[str] = POSITION,
-    noise: Mapping[str, float] | None = None,
+    noise: StatedNoise | None = None,
     springs: Mapping[str, str] = SPRINGS,
     simulations: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -74,12 +75,14 @@ def train_posterior(
         progress: told how many simulations have run, of how many.
 
     Raises:
-        InputError: as `fit_tendons(method="simulations")`; a channel of which too many frames are missing.
+        InputError: as `fit_tendons(method="simulations")`; a channel of which too many frames are missing; weights of
+            frames, which every recording would need to share.
     """
     began, allowed, besides = time.perf_counter(), limits_of(limits), Nuisance.of(nuisance)
     trials = trials_of(scene, measured)
     for one, _ in trials:
         check(one)
+    refuse_weights([data for _, data in trials])
     besides = besides.at_work([one for one, _ in trials])
     scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
     target = objective_of(

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.differences import with_differences
+from fitting.metric import Metric, StatedNoise
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective, channel_of_columns, measured_channels
 from fitting.parameters import Bounds, Parameters, with_nuisance
-from fitting.programs import ORIENTATION, POSITION, channel_widths, channels_of, columns_of
+from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of, with_readings
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
@@ -84,7 +85,7 @@ def objective_of(
     trials: Sequence[tuple[Scene, Measured]],
     kind: str,
     use: str | Sequence[str],
-    noise: Mapping[str, float] | None,
+    noise: StatedNoise | None,
     loss: str,
     springs: Mapping[str, str],
 ) -> Objective:
@@ -116,7 +117,7 @@ def objective_of(
 def check_channels(scenes: Sequence[Scene], channels: Sequence[str]) -> None:
     """Refuses a trial that has not all channels that are predicted, of every trial."""
     for scene in scenes:
-        known = channels_of(scene)
+        known = with_readings(scene)
         if missing := [c for c in channels if c not in known]:
             found = f"{scene.name} has no {missing[0]!r}, which another trial has"
             raise InputError(found, where="trials", expected=f"effects of the same names; here {', '.join(known)}")
@@ -210,6 +211,7 @@ def joined_objective(trials: Sequence[Objective]) -> Objective:
         present.append(np.stack(rows, axis=1))
     first, sources = trials[0], dict.fromkeys(t.source for t in trials)
     noise = None if first.noise is None else {c: v for t in trials for c, v in (t.noise or {}).items()}
+    stated = {c: v for t in trials for c, v in t.covariances.items()}
     whole = replace(
         first,
         channels=channels,
@@ -218,6 +220,9 @@ def joined_objective(trials: Sequence[Objective]) -> Objective:
         source="; ".join(sources),
         frames=frames_of([len(t.measured) for t in trials]),
         sources=tuple(t.source for t in trials),
+        metric=Metric.joined([t.metric for t in trials], [len(t.measured) for t in trials]),
+        covariances=stated,
+        readings={c: unit for t in trials for c, unit in t.readings.items()},
     )
     column_channel = channel_of_columns(channels)
     whole = replace(whole, present=np.concatenate(present)[:-1][:, column_channel])

@@ -21,6 +21,7 @@ from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
 from fitting.inference.infer import DRAWS
 from fitting.nuisance import EXACT, Nuisance
+from fitting.programs import reading_units
 from fitting.set_up import SetUp, listed
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.measured import Measured
@@ -95,7 +96,8 @@ def calibrate(
     Raises:
         InputError: parameters that differ between trials; no plants, or no kind of them; a kind that this scene cannot
             have; another number of trials or frames than it was trained for; a recording too short for the laboratory's
-            filter; an operation that this knee cannot have.
+            filter; a reading that the laboratory does not record, or no effect reports; an operation that this knee
+            cannot have.
     """
     if trained.set_up.varies:
         expected = "parameters that are the same in all trials, as those of plants are"
@@ -114,12 +116,17 @@ def calibrate(
         raise InputError(f"{listed(frames)} frames", where=scenes[0].name, expected=expected)
     if operation is not None:
         operation.check(scenes[0])
+    lab = laboratory or Laboratory()
+    recorded = reading_units(scenes[0], [*trained.set_up.channels, *lab.readings])
+    if missing := [name for name in recorded if name not in lab.readings]:
+        remedy = f"Laboratory(readings={{{missing[0]!r}: ...}}), the standard deviation of its noise"
+        raise InputError(f"{missing[0]} is not recorded", where="laboratory", remedy=remedy)
     prepared, parameters = trained.set_up.parameters(scenes)
     knees = [Knee(one, own, tuple(prepared)) for one, own in zip(prepared, parameters, strict=True)]
     if trained.set_up.nuisance == EXACT:
         wider = zip(*trained.set_up._replace(nuisance=MISPLACED).parameters(scenes), strict=True)
         knees = [replace(knee, lacking=more) for knee, more in zip(knees, wider, strict=True)]
-    asking = _Asking(trained, knees, laboratory or Laboratory(), scenes, operation, limits)
+    asking = _Asking(trained, knees, lab, scenes, operation, limits)
     found: dict[str, Answers] = {}
     told: dict[str, dict[str, Any]] = {"predictions": {}, "plans": {}}
     for index, (kind, make) in enumerate(made.items()):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +40,8 @@ class Laboratory:
         time_shift: standard deviation of how late all forces are against the markers [s].
         placement: standard deviation of how far off the femur is registered to its markers: each coordinate of the
             tracked point in its frame [m].
+        readings: standard deviation of the noise of whatever else effects report and is recorded, by
+            "EFFECT.OBSERVABLE".
     """
 
     marker_noise: float = 2e-4
@@ -50,11 +52,15 @@ class Laboratory:
     force_scale: float = 0.0
     time_shift: float = 0.0
     placement: float = 0.0
+    readings: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("marker_noise", "cluster", "force_noise", *OF_SENSORS):
             value = getattr(self, name)
             if not (np.isfinite(value) and (value > 0 if name == "cluster" else value >= 0)):
+                raise InputError(f"{name}: found {value!r}", where="laboratory", expected="a number, not negative")
+        for name, value in self.readings.items():
+            if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"{name}: found {value!r}", where="laboratory", expected="a number, not negative")
 
     def recorded(
@@ -111,6 +117,7 @@ class Laboratory:
             tibial_spring_force=forces.get(springs.get("tibial", "")),
             synthetic=True,
             source="a plant",
+            readings={name: self._read(seen, name, random) for name in self.readings},
         )
         if motion.femur is None:
             return KneeMotion.from_poses(None, tibia.relative_to(femur)), measured
@@ -123,6 +130,11 @@ class Laboratory:
         if self.cutoff is not None:
             markers = butterworth_lowpass(markers, poses.rate, self.cutoff)
         return cluster_poses(markers, places, poses.times)
+
+    def _read(self, seen: Seen, name: str, random: np.random.Generator) -> Floats:
+        owner, _, key = name.rpartition(".")
+        value = seen.reported[owner][key]
+        return value + random.normal(0.0, self.readings[name], value.shape)
 
     def _load_cell(self, force: Floats, random: np.random.Generator) -> Floats:
         return force + random.normal(0.0, self.force_bias) + random.normal(0.0, self.force_noise, force.shape)

@@ -13,6 +13,7 @@ from fitting.estimate import Estimate
 from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
 from fitting.inference.infer import DRAWS
 from fitting.methods.problem import Problem
+from fitting.metric import StatedNoise
 from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, measured_channels
 from fitting.parameters import Bounds
@@ -44,7 +45,7 @@ class QuickFit(NamedTuple):
         priors: Mapping[str, tuple[float, float]] | None = None,
         nuisance: str | Nuisance | None = None,
         use: str | Sequence[str] = POSITION,
-        noise: Mapping[str, float] | None = None,
+        noise: StatedNoise | None = None,
         springs: Mapping[str, str] = SPRINGS,
     ) -> QuickFit:
         """Arguments are as `fit_tendons` has them; of a first recording, by which the set-up is told.
@@ -111,11 +112,12 @@ class QuickFit(NamedTuple):
 
 
 def _only(channels: Sequence[str], scene: Scene, data: Measured, springs: Mapping[str, str]) -> Measured:
-    """The measurements without forces of other channels."""
+    """The measurements without forces and readings of other channels."""
     contact = "" if scene.contact is None else scene.contact.name
     forces = {
         "contact_force": contact,
         "femoral_spring_force": springs.get("femoral", ""),
         "tibial_spring_force": springs.get("tibial", ""),
     }
-    return replace(data, **{field: None for field, channel in forces.items() if channel not in channels})
+    absent: dict[str, Any] = {field: None for field, channel in forces.items() if channel not in channels}
+    return replace(data, **absent, readings={name: v for name, v in data.readings.items() if name in channels})

@@ -15,8 +15,8 @@ from scipy.stats import binomtest
 
 from fitting.calibration.operations import OUTCOMES, Operated
 from fitting.prediction.outcomes import MEASURES
+from pftwin.base.quantities import as_read
 from pftwin.base.text_files import write_text
-from pftwin.results.plots.quantities import as_read
 
 if TYPE_CHECKING:
     from fitting.calibration.plots import CalibrationPlots

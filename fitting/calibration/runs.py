@@ -30,8 +30,13 @@ class Seen(NamedTuple):
 
     position: Floats  # (n, 3) of the patella in the femur [m]
     quaternion: Floats  # (n, 4)
-    forces: dict[str, Floats]  # (n,) of contact and tendons by their names [N]
-    lengths: dict[str, Floats]  # (n,) of the tendons [m]
+    reported: dict[str, dict[str, Floats]]  # (n,) each: the single numbers that effects report, by effect
+
+    @property
+    def forces(self) -> dict[str, Floats]:
+        """(n,) of contact and tendons by their names [N]."""
+        told = {name: seen.get("force", seen.get("tension")) for name, seen in self.reported.items()}
+        return {name: force for name, force in told.items() if force is not None}
 
 
 def run(plants: Sequence[Plant]) -> list[Seen | None]:
@@ -55,9 +60,12 @@ def run(plants: Sequence[Plant]) -> list[Seen | None]:
 
     def of(i: int) -> Seen:
         mine = {name.removeprefix(_OWN): value[i] for name, value in kept.items()}
-        forces = {n.removeprefix("force "): v for n, v in mine.items() if n.startswith("force ")}
-        lengths = {n.removeprefix("length "): v for n, v in mine.items() if n.startswith("length ")}
-        return Seen(mine["position"], mine["quaternion"], forces, lengths)
+        reported: dict[str, dict[str, Floats]] = {}
+        for name, value in mine.items():
+            owner, _, key = name.rpartition(".")
+            if owner:
+                reported.setdefault(owner, {})[key] = value
+        return Seen(mine["position"], mine["quaternion"], reported)
 
     return [None if failed[i] else of(i) for i in range(len(plants))]
 
@@ -72,11 +80,7 @@ def _kept(scene: Scene, seen: Observation) -> dict[str, Array]:
         "quaternion": jnp.stack([turn.w, turn.x, turn.y, turn.z], axis=-1),
     }
     for name, report in seen.effects.items():
-        force = report.get("force", report.get("tension"))
-        if force is not None and jnp.ndim(force) == 1:
-            found[f"force {name}"] = force
-        if "length" in report and jnp.ndim(report["length"]) == 1:
-            found[f"length {name}"] = report["length"]
+        found |= {f"{name}.{key}": value for key, value in report.items() if jnp.ndim(value) == 1}
     return {f"{_OWN}{name}": value for name, value in found.items()}
 
 
@@ -114,7 +118,7 @@ def truth_of(plant: Plant, seen: Sequence[Seen], parameters: Parameters) -> Floa
             found.append(float(item.place.read(plant.scene)))
             continue
         tendon: Any = plant.scene.effect(owner)
-        lengths = np.concatenate([one.lengths[owner] for one in seen])
+        lengths = np.concatenate([one.reported[owner]["length"] for one in seen])
         line = straight_line(lengths, np.maximum(np.asarray(tendon.held_tension(jnp.asarray(lengths))), 0.0))
         found.append(line.stiffness if path == ("stiffness",) else line.slack_length)
     return np.array(found)

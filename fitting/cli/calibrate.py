@@ -61,6 +61,10 @@ def calibrate(
     ] = None,
     marker_noise: Annotated[float, Option(metavar="METRES", help="Of each coordinate of a recorded marker.")] = 2e-4,
     force_noise: Annotated[float, Option(metavar="NEWTONS", help="Of a load cell.")] = 0.15,
+    reading_noise: Annotated[
+        list[str] | None,
+        Option(metavar="READING=SD", help="Of another reading, such as contact.force_medial=0.2; may be repeated."),
+    ] = None,
     cutoff: Annotated[float, Option(metavar="HERTZ", help="Of the markers' low-pass; 0: none.")] = 12.0,
     limit: LimitOption = None,
     amounts: Given,
@@ -107,7 +111,12 @@ def calibrate(
     if not chosen or (strange := [kind for kind in chosen if kind not in known]):
         found = f"no plants {strange[0]!r}" if chosen else "none named"
         raise InputError(found, where="--kinds", expected=f"some of: {', '.join(known)}")
-    lab = Laboratory(marker_noise=marker_noise, force_noise=force_noise, cutoff=cutoff or None)
+    lab = Laboratory(
+        marker_noise=marker_noise,
+        force_noise=force_noise,
+        cutoff=cutoff or None,
+        readings=noise_levels(reading_noise) or {},
+    )
     allowed, scenes = check_limits(limit), [trial.scene for trial in knee.load()]
     operation = _operation(amounts, meet or [], samples, confidence)
     posterior = None if trained is None else TrainedPosterior.load(trained, scenes)

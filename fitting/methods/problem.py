@@ -118,9 +118,10 @@ class Problem:
         arrays, fixed = eqx.partition([scene.unnamed() for scene in self.evaluator.scenes], eqx.is_array)
         texts = [jax.tree.structure(arrays), jax.tree.leaves(fixed), jax.tree.structure(fixed)]
         o = self.objective
-        texts += [self.parameters, o.kind, o.channels, o.noise, o.loss, settings, self.evaluator.computed]
+        texts += [self.parameters, o.kind, o.channels, o.stated_noise, o.loss, settings, self.evaluator.computed]
         total.update(repr(texts).encode())
-        for array in (*jax.tree.leaves(arrays), o.measured, o.present):
+        weights = () if o.metric is None else (o.metric.frames,)
+        for array in (*jax.tree.leaves(arrays), o.measured, o.present, *weights):
             total.update(np.ascontiguousarray(array).tobytes())
         return total.hexdigest()
 

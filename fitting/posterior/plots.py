@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.results.plots.quantities import as_read
+from pftwin.base.quantities import as_read
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fitting.coverage import NOT_KNOWN
 from pftwin.base.errors import InputError
-from pftwin.results.plots.quantities import as_read
+from pftwin.base.quantities import as_read
 from pftwin.results.verdict import INVALID
 
 if TYPE_CHECKING:

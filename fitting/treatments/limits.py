@@ -14,7 +14,7 @@ from fitting.coverage import NOT_KNOWN
 from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import Treatment
 from pftwin.base.errors import InputError
-from pftwin.results.plots.quantities import as_read
+from pftwin.base.quantities import as_read
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset

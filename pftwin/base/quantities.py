@@ -127,3 +127,11 @@ def bounded_leaves(structure: Any) -> tuple[tuple[Quantity, tuple[int, ...]], ..
         if found is not None and found.bounded:
             groups.setdefault(found, []).append(number)
     return tuple((declared, tuple(numbers)) for declared, numbers in groups.items())
+
+
+_READ = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
+
+
+def as_read(unit: str) -> tuple[float, str]:
+    """What a number of a unit is multiplied by for people, and the unit then: millimetres and degrees."""
+    return _READ.get(unit, (1.0, unit))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,10 +32,14 @@ class Measured:
         femoral_spring_force: (n,) of the quadriceps [N].
         synthetic: whether these are simulated measurements; figures and tables say so.
         source: where they come from, for messages and legends.
+        readings: (n,) each, whatever else effects report, by "EFFECT.OBSERVABLE" ("contact.force_medial", a marker's
+            "m1.x"), in the unit in which the effect reports it.
+        weights: (n,) how much each frame counts in a fit, in all channels: its noise has 1/weight times the variance
+            of a frame of weight 1, and a frame of weight 0 is left out. None: all count alike.
 
     Raises:
         InputError: repeated or unsorted times, shapes that do not match, a quaternion that is no unit quaternion,
-            infinite values; the message names the field, and the row from 1.
+            infinite values, negative weights; the message names the field, and the row from 1.
     """
 
     times: NDArray[np.float64]
@@ -44,23 +50,27 @@ class Measured:
     femoral_spring_force: NDArray[np.float64] | None = None
     synthetic: bool = False
     source: str = "measurements"
+    readings: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    weights: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         times = increasing_times(self.times, where=self.source)
         shapes = {"center": (times.size, 3), "quaternion": (times.size, 4), **dict.fromkeys(_FORCES, (times.size,))}
         object.__setattr__(self, "times", times)
         for name, shape in shapes.items():
-            given = getattr(self, name)
+            given: Any = getattr(self, name)
             if given is None and name != "center":
                 continue
-            values = np.array(given, dtype=np.float64)
-            if values.shape != shape:
-                raise InputError(f"{name} of shape {values.shape}", where=self.source, expected=f"{shape}")
-            if (bad := np.flatnonzero(np.isinf(values).reshape(times.size, -1).any(axis=1))).size:
-                raise InputError(
-                    f"row {bad[0] + 1} of {name} is infinite", where=self.source, expected="a number or NaN"
-                )
+            values = _finite(given, shape, name, self.source)
             object.__setattr__(self, name, _unit(values, self.source) if name == "quaternion" else values)
+        read = {name: _finite(given, (times.size,), name, self.source) for name, given in self.readings.items()}
+        object.__setattr__(self, "readings", read)
+        if self.weights is not None:
+            weights = _finite(self.weights, (times.size,), "weights", self.source)
+            if (bad := np.flatnonzero(~(weights >= 0))).size:
+                found = f"row {bad[0] + 1} of weights is {weights[bad[0]]:g}"
+                raise InputError(found, where=self.source, expected="0 or more: 0 leaves the frame out")
+            object.__setattr__(self, "weights", weights)
 
     @staticmethod
     def from_angles(
@@ -98,8 +108,10 @@ class Measured:
         return hash((self.source, self.synthetic, self.times.size))
 
     def _content(self) -> tuple[object, ...]:
-        values = (getattr(self, field.name) for field in fields(self))
-        return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in values)
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        read = {name: given.tobytes() for name, given in self.readings.items()}
+        values |= {name: v.tobytes() for name, v in values.items() if isinstance(v, np.ndarray)}
+        return tuple({**values, "readings": read}.values())
 
     @property
     def angles(self) -> PatellarAngles | None:
@@ -110,6 +122,16 @@ class Measured:
     def label(self) -> str:
         """The label of these data in figures."""
         return "synthetic measurements" if self.synthetic else "measured"
+
+
+def _finite(given: ArrayLike, shape: tuple[int, ...], name: str, source: str) -> NDArray[np.float64]:
+    """Numbers of this shape, none of them infinite."""
+    values = np.array(given, dtype=np.float64)
+    if values.shape != shape:
+        raise InputError(f"{name} of shape {values.shape}", where=source, expected=f"{shape}")
+    if (bad := np.flatnonzero(np.isinf(values).reshape(len(values), -1).any(axis=1))).size:
+        raise InputError(f"row {bad[0] + 1} of {name} is infinite", where=source, expected="a number or NaN")
+    return values
 
 
 def _unit(q: NDArray[np.float64], source: str) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.quantities import bounded_leaves, declarations, quantity
 from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.patch.closest import Surface
-from pftwin.model.effects.base import Effect
+from pftwin.model.effects.base import Effect, Reported
 from pftwin.model.limits import Limits, check_limits
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene_parameters import get_value, with_value
@@ -64,6 +64,14 @@ class Scene(eqx.Module):
     def index(self, name: str) -> int:
         """The place of an effect in `effects`."""
         return self.effects.index(self.effect(name))
+
+    def reported(self, name: str) -> Reported:
+        """What an effect reports, by "EFFECT.OBSERVABLE": "contact.force_medial".
+
+        Raises:
+            InputError: no such effect, or one that does not report this.
+        """
+        return Reported.of(name, {e.name: type(e).observables for e in self.effects}, self.name)
 
     def with_effect(self, effect: Effect) -> Scene:
         """The scene with this effect in place of the one of the same name, or added at the end."""

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.base.quantities import as_read
+from pftwin.model.effects.base import Reported
 from pftwin.model.measured import Measured
 
 if TYPE_CHECKING:
@@ -81,6 +83,7 @@ class Validation:
     frames_compared: int  # with a measured position
     scene: str = ""
     synthetic: bool = False  # whether the measurements are
+    readings: tuple[ValidationRow, ...] = ()  # of what else effects report
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -97,7 +100,8 @@ class Validation:
                 f"no column {paper!r} in the paper's Table 1", expected=f"one of: {', '.join(PAPER_TABLE_1)}"
             )
         column = PAPER_TABLE_1[paper] if paper else {}
-        return [ValidationRow(key, label, unit, getattr(self, key), column.get(key)) for key, label, unit in _ROWS]
+        rows = [ValidationRow(key, label, unit, getattr(self, key), column.get(key)) for key, label, unit in _ROWS]
+        return [*rows, *self.readings]
 
 
 def validate(
@@ -117,7 +121,7 @@ def validate(
 
     Raises:
         InputError: other times than the simulation's (number, rate or start); no frame with a measured position; a
-            force was measured of an effect that the scene does not have.
+            force or a reading was measured of an effect that the scene does not have.
     """
     _check_times(result, measured)
     offsets = 1e3 * (result.center - measured.center)
@@ -139,7 +143,38 @@ def validate(
         frames_compared=int(np.count_nonzero(present)),
         scene=result.scene_name,
         synthetic=measured.synthetic,
+        readings=tuple(_reading_error(result, name, values) for name, values in measured.readings.items()),
     )
+
+
+def _reading_error(result: Result, name: str, measured: NDArray[np.float64]) -> ValidationRow:
+    seen, there = reading(result, name), np.isfinite(measured)
+    error = _rms(seen.values - seen.times * measured, there) if there.any() else None
+    return ValidationRow(name, f"{name} RMSE", seen.unit, error, None)
+
+
+class Reading(NamedTuple):
+    """What an effect reports (n,), in the unit in which people read it: that of the effect times so much."""
+
+    values: NDArray[np.float64]
+    times: float
+    unit: str
+    long_name: str
+
+
+def reading(result: Result, name: str) -> Reading:
+    """By "EFFECT.OBSERVABLE".
+
+    Raises:
+        InputError: no such effect or observable, or one of several numbers a frame.
+    """
+    told = Reported.of(name, result.observables, result.scene_name)
+    values = np.asarray(result.effects[told.effect][told.key], dtype=np.float64)
+    if values.ndim != 1:
+        expected = "one number a frame, as a measurement has"
+        raise InputError(f"{name} has {values[0].size} numbers a frame", where=result.scene_name, expected=expected)
+    times, unit = as_read(told.unit)
+    return Reading(times * values, times, unit, told.long_name)
 
 
 def mean_of(validations: Sequence[Validation]) -> Validation:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -70,11 +70,37 @@ def test_what_is_asked_for_by_name_is_not_asked_for_twice():
     assert sorted(found.names) == sorted(set(ENDS) - {ENDS[3]})
 
 
+def test_any_other_number_has_a_deviation_of_its_own_and_stays_what_it_can_be():
+    scene = small_scene()
+    others = {
+        "patella.mass": 0.05,
+        "contact.surface.coefficients[3]": 2e-4,
+        "K2": 30.0,
+        "patellar_tendon.origin.x": 4e-3,
+    }
+    found = Nuisance(attachments=1e-3, others=others).numbers(scene, but=(ENDS[-2],))
+    mass, third = (float(scene.get(name)) for name in ("patella.mass", "contact.surface.coefficients[3]"))
+    origin = float(scene.get("patellar_tendon.origin.x"))
+    assert sorted(found.names) == sorted({*ENDS, *others, "patellar_tendon.stiffness"} - {"K2", ENDS[-2]})
+    assert found.priors["patella.mass"] == (pytest.approx(mass), 0.05)
+    assert found.bounds["patella.mass"] == pytest.approx((1e-3 * mass, mass + 0.2))
+    assert found.bounds["contact.surface.coefficients[3]"] == pytest.approx((third - 8e-4, third + 8e-4))
+    assert found.priors["patellar_tendon.stiffness"] == (pytest.approx(629.0), 30.0)
+    assert found.priors["patellar_tendon.origin.x"] == (pytest.approx(origin), 4e-3)
+    assert found.kinds["patellar_tendon.origin.x"] == found.kinds["patella.mass"] == "others"
+    assert found.kinds["quadriceps.origin.x"] == "attachments"
+    with pytest.raises(InputError, match=r"no parameter .graft"):
+        Nuisance(others={"graft.toe_strain": 0.01}).numbers(scene)
+
+
 def test_texts_of_the_command_line():
     assert Nuisance.of("rig") == Nuisance(attachments=1e-3, friction=0.05, damping=0.5, stiffening=0.1)
     assert [Nuisance.of(name).attachments for name in ("mocap", "mri")] == [5e-3, 2e-3]
     assert Nuisance.of("friction=0.03, attachments=1e-3") == Nuisance(friction=0.03, attachments=1e-3)
     assert Nuisance.of(None) == Nuisance()
+    more = Nuisance.of("mri,graft.toe_strain=0.01,damping=0.2,patella.mass=0.005")
+    assert more == replace(Nuisance.of("mri"), damping=0.2, others={"graft.toe_strain": 0.01, "patella.mass": 0.005})
+    assert Nuisance(**asdict(more)) == more
 
 
 @pytest.mark.parametrize(
@@ -87,6 +113,8 @@ def test_texts_of_the_command_line():
         ("friction=much", "found 'friction=much'"),
         ("friction=-0.1", "friction: found -0.1; expected: a standard deviation, or 0"),
         ("damping=nan", "damping: found nan"),
+        ("graft.toe_strain=-1", "graft.toe_strain: found -1.0"),
+        ("graft.toe_strain=1,graft.toe_strain=2", "found 'graft.toe_strain'; .*; each once"),
     ],
 )
 def test_what_is_no_nuisance_is_refused(given, words):

@@ -13,6 +13,7 @@ import numpy as np
 
 from fitting.cli.pages import number
 from pftwin.base.errors import InputError
+from pftwin.base.quantities import as_read
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import csv_cells, read_lines
 
@@ -117,8 +118,8 @@ def forces(run: ReportedRun) -> Sheet:
 def measurements(measured: Measured) -> Sheet:
     """Frames without a value, and the longest gap, of every channel."""
     rows = []
-    for words, name in _CHANNELS.items():
-        values = getattr(measured, name)
+    given = {**{words: getattr(measured, name) for words, name in _CHANNELS.items()}, **measured.readings}
+    for words, values in given.items():
         if values is None:
             rows.append((words, "not measured", "–", "–"))
             continue
@@ -133,7 +134,7 @@ def residuals(name: str, e: Estimate) -> Sheet:
     """Residuals of a fit, by channel."""
     rows = []
     for channel in dict.fromkeys([*e.rmse, *e.noise]):
-        scale, unit = _RESIDUALS.get(channel, (1.0, "N"))
+        scale, unit = _RESIDUALS.get(channel, as_read(e.readings.get(channel, "N")))
         cells = [number(scale * values[channel]) if channel in values else "–" for values in (e.rmse, e.noise)]
         rows.append((channel, *cells, unit))
     where = "given" if e.noise_known else "estimated from the residuals"
@@ -160,8 +161,6 @@ def checks(run: ReportedRun) -> Sheet:
 
 def fitted(e: Estimate, scene: Scene | None) -> Sheet:
     """Estimates with their intervals."""
-    from pftwin.results.plots.quantities import as_read
-
     rows = []
     for i, name in enumerate(e.names[: e.shared]):
         scale, unit = as_read(e.units[i])

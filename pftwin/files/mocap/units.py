@@ -28,6 +28,7 @@ _OF_SI: dict[str, dict[str, float]] = {
     "V": {"V": 1.0, "mV": 1e-3},
     "1": {"1": 1.0, "-": 1.0},
 }
+SI_UNITS = frozenset(_OF_SI)  # that files can have
 _UNITS = {unit: (si, factor) for si, units in _OF_SI.items() for unit, factor in units.items()}
 _WORDS = {
     "m": ("meter", "metre"),

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap import PoseSeries, read_csv, singular_spectrum_filter
+from pftwin.files.mocap import PoseSeries, Table, read_csv, singular_spectrum_filter
+from pftwin.files.mocap.units import SI_UNITS, split_unit
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.section import FileName, Section
 from pftwin.files.scene_file.segments import SegmentRecording, SegmentSection
 from pftwin.files.scene_file.side import HostPose, Side
-from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
@@ -27,10 +27,18 @@ class MeasuredSection(Section):
     """Measurements of the same motion: the patella's poses, and forces if there are any."""
 
     patella: SegmentSection = Field(description="table: how the patella was recorded (body, cluster_m, three_points)")
-    forces: FileName | None = Field(default=None, description="CSV file of forces, units in its header")
+    forces: FileName | None = Field(
+        default=None, description="CSV file of forces and other readings, units in its header"
+    )
     contact_force: str | None = Field(default=None, description="its column of the normal contact force")
     tibial_spring_force: str | None = Field(default=None, description="its column of the patellar tendon's force")
     femoral_spring_force: str | None = Field(default=None, description="its column of the quadriceps' force")
+    readings: dict[str, str] = Field(
+        default_factory=dict,
+        description='table: its columns of whatever else effects report, such as "contact.force_medial" = "medial_N"; '
+        "they are not smoothed",
+    )
+    weights: str | None = Field(default=None, description="its column of how much each frame counts in a fit; 0: not")
     smoothing_window: Annotated[int, Field(ge=2)] | None = Field(
         default=None,
         description="window of the singular spectrum analysis that smooths the forces [samples]; none by default",
@@ -67,19 +75,20 @@ class MeasuredSection(Section):
             poses.times,
             poses.positions + poses.matrices() @ point,
             poses.quaternions,
-            **self._forces(document, scene.motion),
+            **self._columns(document, scene),
             synthetic=self.synthetic,
             source=self.forces or poses.source,
         )
 
-    def _forces(self, document: Document, motion: KneeMotion) -> dict[str, NDArray[np.float64] | None]:
-        """The named columns, smoothed, at the frames of the motion."""
+    def _columns(self, document: Document, scene: Scene) -> dict[str, Any]:
+        """Forces and readings, at the frames of the motion."""
         wanted = {name: column for name in _FORCES if (column := getattr(self, name)) is not None}
         if self.forces is None:
-            if wanted:
-                where = document.where("measured", next(iter(wanted)))
+            if others := [name for name in ("readings", "weights") if getattr(self, name)] + list(wanted):
+                where = document.where("measured", others[-1])
                 raise InputError("a column of no file", where=where, remedy='forces = "FILE.csv"')
-            return dict.fromkeys(_FORCES)
+            return {}
+        motion = scene.motion
         with document.naming("measured", "forces"):
             table = read_csv(document.file(self.forces), units="1")
             slack = 0.1 * motion.frame_interval
@@ -89,15 +98,33 @@ class MeasuredSection(Section):
                     where=table.source,
                     expected=f"forces for the whole motion, {motion.start_time:g} s to {motion.end_time:g} s",
                 )
-        out: dict[str, NDArray[np.float64] | None] = dict.fromkeys(_FORCES)
+        out: dict[str, Any] = {}
         for name, column in wanted.items():
             with document.naming("measured", name):
-                label = next((c for c in (column, column.removesuffix("_N")) if c in table.names), column)
-                values = table.column(label)
-                if table.units[label] != "N":
-                    raise InputError("no unit of force", where=f"{table.source}, column {label!r}", expected="newtons")
+                values = _column(table, column, "N")
                 if self.smoothing_window is not None:
                     # Cables and contacts do not push and pull both ways; smoothing overshoots where they let go.
                     values = np.maximum(singular_spectrum_filter(values, self.smoothing_window), 0.0)
                 out[name] = np.interp(motion.times, table.times, values)
+        with document.naming("measured", "readings"):
+            units = {name: scene.reported(name).unit for name in self.readings}
+            read = {name: _column(table, column, units[name]) for name, column in self.readings.items()}
+        out["readings"] = {name: np.interp(motion.times, table.times, each) for name, each in read.items()}
+        if self.weights is not None:
+            with document.naming("measured", "weights"):
+                out["weights"] = np.interp(motion.times, table.times, _column(table, self.weights, "1"))
         return out
+
+
+def _column(table: Table, column: str, unit: str) -> NDArray[np.float64]:
+    """A column by its name, with or without its unit.
+
+    Raises:
+        InputError: no such column, or one in another unit than this.
+    """
+    label = column if column in table.names else split_unit(column)[0]
+    values = table.column(label if label in table.names else column)
+    if table.units[label] != (unit if unit in SI_UNITS else "1"):
+        found = f"its unit is {table.units[label]}"
+        raise InputError(found, where=f"{table.source}, column {label!r}", expected=f"a unit of {unit}, such as {unit}")
+    return values

@@ -25,6 +25,7 @@ from pftwin.files.scene_file.line_tables import (
 from pftwin.files.scene_file.mesh_contact_table import ElasticFoundationSection, MeshContactSection
 from pftwin.files.scene_file.tension_table import PrescribedTensionSection
 from pftwin.model.effects.base import Effect
+from pftwin.model.effects.marker import Marker
 
 EFFECTS: tuple[type[EffectSection], ...] = (
     GravitySection,
@@ -37,6 +38,7 @@ EFFECTS: tuple[type[EffectSection], ...] = (
     MeshContactSection,
     ElasticFoundationSection,
     DampingSection,
+    declared_table(Marker, words={"point": "place on the patella [m]"}),
 )
 ENTRY_POINTS = "pftwin.effects"
 _registered: dict[str, type[EffectSection]] = {}

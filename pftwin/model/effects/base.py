@@ -7,7 +7,7 @@ all an implicit step needs to know. Integrators know loads, never effects.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -15,6 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.errors import InputError
 from pftwin.base.quantities import Quantity, declarations
 from pftwin.base.spatial import Quaternion, Rotation, Scalar, Twist, Vec3, Wrench
 from pftwin.model.motion import Frame, SegmentMotion
@@ -193,6 +194,29 @@ class Observable(NamedTuple):
 
     unit: str
     long_name: str
+
+
+class Reported(NamedTuple):
+    """What one effect reports: a number a frame that may be measured too."""
+
+    effect: str
+    key: str
+    unit: str
+    long_name: str
+
+    @staticmethod
+    def of(name: str, known: Mapping[str, Mapping[str, Observable]], where: str) -> Reported:
+        """By "EFFECT.OBSERVABLE", among all observables of a scene's effects.
+
+        Raises:
+            InputError: no such effect, or one that does not report this.
+        """
+        owner, _, key = name.rpartition(".")
+        if key in known.get(owner, {}):
+            return Reported(owner, key, *known[owner][key])
+        those = {owner: known[owner]} if owner in known else known
+        listed = ", ".join(f"{effect}.{each}" for effect, all_ in those.items() for each in all_)
+        raise InputError(f"no observable {name!r}", where=where, expected=f"one of: {listed or 'none there'}")
 
 
 class Change(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.results.metrics import Validation, validate
-from pftwin.results.plots.quantities import FEMORAL, QUANTITIES, TIBIAL, PlottedQuantity, provenance, tension
+from pftwin.results.plots.quantities import FEMORAL, QUANTITIES, TIBIAL, PlottedQuantity, provenance, read, tension
 from pftwin.results.plots.style import (
     MEASURED,
     SMALL,
@@ -130,6 +130,7 @@ def compared(
         raise InputError(f"found {against!r}", where="against", expected=f"one of: {', '.join(_AXES)}")
     errors = {name: validate(r, measured, tibial=tibial, femoral=femoral) for name, r in named.items()}
     panels = _panels(measured, list(errors.values()), tibial, femoral)
+    panels += [read(next(iter(named.values())), name) for name in measured.readings]
     own = given_axes(axes, len(panels), f"one for each of {', '.join(q.words for q in panels)}")
     with house_style():
         if own is None:
@@ -160,7 +161,8 @@ def _panels(
 
 
 def _error(errors: Validation, quantity: PlottedQuantity) -> float | None:
-    return getattr(errors, quantity.error)
+    own = {row.key: row.value for row in errors.readings}
+    return own[quantity.error] if quantity.error in own else getattr(errors, quantity.error)
 
 
 def _panel(

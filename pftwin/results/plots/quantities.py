@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.model.measured import SYNTHETIC
+from pftwin.results.metrics import reading
 
 if TYPE_CHECKING:
     from pftwin.model.measured import Measured
@@ -17,14 +18,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 TIBIAL, FEMORAL = "patellar_tendon", "quadriceps"  # effects whose tensions the springs' forces are, on the rig
-
-
-_READ = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
-
-
-def as_read(unit: str) -> tuple[float, str]:
-    """What a number of a unit is multiplied by for people, and the unit then: millimetres and degrees."""
-    return _READ.get(unit, (1.0, unit))
 
 
 class PlottedQuantity(NamedTuple):
@@ -65,6 +58,15 @@ def tension(effect: str, words: str, attribute: str, error: str) -> PlottedQuant
     """The tension of a tendon or a group of strands, beside a measured spring force."""
     return PlottedQuantity(
         words, "N", lambda r: _sum_over_elements(r, effect, "tension"), lambda m: getattr(m, attribute), error
+    )
+
+
+def read(result: Result, name: str) -> PlottedQuantity:
+    """What an effect reports, "EFFECT.OBSERVABLE", beside what was measured of it."""
+    told = reading(result, name)
+    words = f"{name.rpartition('.')[0].replace('_', ' ')}: {told.long_name}"
+    return PlottedQuantity(
+        words, told.unit, lambda r: reading(r, name).values, lambda m: told.times * m.readings[name], name
     )
 
 

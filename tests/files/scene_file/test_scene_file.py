@@ -223,6 +223,38 @@ def test_measurements_are_in_the_femur_at_the_frames(toy: Path) -> None:
     assert "[measured] forces: forces.csv: forces from 0 s to 0.195 s" in refused(toy, LIGHT + MEASURED)
 
 
+READINGS = """
+[[marker]]
+name = "m1"
+point_mm = [21, 13, 9]
+"""
+
+
+def test_readings_and_weights_are_at_the_frames_in_the_effects_units(toy: Path) -> None:
+    t = np.arange(81) * 0.005
+    rows = [f"{x:.4f},{30 + 100 * x},{0.002 * x},{float(x > 0.1)}" for x in t]
+    (toy / "forces.csv").write_text("\n".join(["time_s,out_mm,medial_kN,counts", *rows]) + "\n")
+    measured = '\n[measured]\npatella = { body = "patella" }\nforces = "forces.csv"\nweights = "counts"\n'
+    wanted = 'readings = { "m1.x" = "out_mm", "contact.force_medial" = "medial" }\n'
+    text = LIGHT + READINGS + measured + wanted
+    scene = load(toy, text)
+    seen = scene.measured
+    assert seen is not None
+    np.testing.assert_allclose(np.asarray(scene.effect("m1").point.array()), [0.021, 0.013, 0.009])  # type: ignore[attr-defined]
+    np.testing.assert_allclose(seen.readings["m1.x"][10], 0.04, atol=1e-9)
+    np.testing.assert_allclose(seen.readings["contact.force_medial"][10], 0.2, atol=1e-9)
+    assert seen.weights is not None
+    np.testing.assert_array_equal(seen.weights[[0, 5, 20]], [0, 0, 1])
+    told = refused(toy, text.replace('"out_mm"', '"medial"'))
+    assert "[measured] readings" in told
+    assert "its unit is N" in told
+    assert "expected: a unit of m" in told
+    assert "no observable 'm1.w'" in refused(toy, text.replace('"m1.x"', '"m1.w"'))
+    assert "no column called 'far'" in refused(toy, text.replace('"out_mm"', '"far"'))
+    bare = LIGHT + READINGS + measured.replace('forces = "forces.csv"\n', "")
+    assert "[measured] weights: a column of no file" in refused(toy, bare)
+
+
 def test_a_knee_from_the_literature_in_its_own_axes(dm_knee: Path, tmp_path: Path) -> None:
     (tmp_path / "dm.toml").write_text(DM_SCENE.replace("FOLDER", str(dm_knee)))
     loaded = load_scene_file(tmp_path / "dm.toml", allow_outside=True)

@@ -1,0 +1,102 @@
+"""How residuals count beside one another: weights of frames, and covariances of a channel's noise.
+
+Residuals are multiplied by a matrix of each channel and by a number of each frame, after which their noise is white and
+of one size: r' = sqrt(w) s C^(-1/2) r for a frame of weight w and noise of covariance C, where s^2 is the mean of C's
+diagonal. Whatever compares residuals goes by r', and whatever tells how far off a fit is, by r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+from pftwin.base.errors import InputError
+
+Floats = NDArray[np.float64]
+StatedNoise = Mapping[str, ArrayLike]  # by channel: a standard deviation, or a covariance of its columns
+
+_SYMMETRIC = 1e-9  # largest difference of a covariance's halves, as a share of its largest number
+
+
+class Metric(NamedTuple):
+    """By what residuals are multiplied."""
+
+    frames: Floats  # (n,) roots of weights
+    channels: dict[str, Floats]  # (k, k) of those whose noise has a covariance
+
+    @staticmethod
+    def of(weights: Floats | None, frames: int, noise: StatedNoise | None) -> Metric | None:
+        """None where all frames and columns count alike."""
+        stated = {c: np.asarray(value, dtype=float) for c, value in (noise or {}).items()}
+        made = {c: _whitening(value) for c, value in stated.items() if value.ndim == 2}
+        if weights is None and not made:
+            return None
+        return Metric(np.ones(frames) if weights is None else np.sqrt(weights), made)
+
+    def times(self, rows: Floats, channels: Iterable[tuple[str, slice]], *, transposed: bool = False) -> Floats:
+        """Residuals or their derivatives (N, n, m, k), of these channels in these columns."""
+        out = rows * self.frames[:, None, None]
+        for channel, columns in channels:
+            if channel in self.channels:
+                matrix = self.channels[channel]
+                out[..., columns, :] = (matrix.T if transposed else matrix) @ out[..., columns, :]
+        return out
+
+    def at(self, frames: slice) -> Metric:
+        """Of these frames alone."""
+        return self._replace(frames=self.frames[frames])
+
+    @staticmethod
+    def joined(each: Sequence[Metric | None], lengths: Sequence[int]) -> Metric | None:
+        """Of trials one after another, with a frame between two."""
+        if not any(each):
+            return None
+        parts = [np.ones(n) if one is None else one.frames for one, n in zip(each, lengths, strict=True)]
+        frames = np.concatenate([np.append(part, 0.0) for part in parts])[:-1]
+        return Metric(frames, {c: matrix for one in each if one is not None for c, matrix in one.channels.items()})
+
+
+def covariances(noise: StatedNoise | None) -> dict[str, list[list[float]]]:
+    """Those that were stated, as plain numbers."""
+    stated = {c: np.asarray(value, dtype=float) for c, value in (noise or {}).items()}
+    return {c: value.tolist() for c, value in stated.items() if value.ndim == 2}
+
+
+def level(value: ArrayLike) -> float:
+    """The standard deviation: of a covariance the root mean square over its columns."""
+    given = np.asarray(value, dtype=float)
+    return float(given if given.ndim == 0 else np.sqrt(np.trace(given) / len(given)))
+
+
+def check_noise(noise: StatedNoise, channels: Sequence[str], widths: Sequence[int]) -> None:
+    """Refuses noise of a channel that is missing, not positive, or no covariance of its columns.
+
+    Raises:
+        InputError: it is.
+    """
+    for channel, width in zip(channels, widths, strict=True):
+        if channel not in noise:
+            expected = f"a standard deviation of: {', '.join(channels)}"
+            raise InputError(f"no noise of {channel!r}", where="noise", expected=expected)
+        value = np.asarray(noise[channel], dtype=float)
+        expected = "a positive number" + (f", or a covariance ({width}, {width})" if width > 1 else "")
+        if value.ndim == 0:
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{channel}: found {noise[channel]!r}", where="noise", expected=expected)
+            continue
+        if value.shape != (width, width) or width == 1:
+            raise InputError(f"{channel}: found numbers of shape {value.shape}", where="noise", expected=expected)
+        whole = np.isfinite(value).all() and np.abs(value - value.T).max() <= _SYMMETRIC * np.abs(value).max()
+        if not whole or np.linalg.eigvalsh(value)[0] <= 0:
+            found = f"{channel}: a matrix that is no covariance"
+            raise InputError(found, where="noise", expected="a symmetric one with positive eigenvalues")
+
+
+def _whitening(covariance: Floats) -> Floats:
+    """s C^(-1/2), by Cholesky's factor."""
+    root = np.linalg.cholesky(covariance)
+    return level(covariance) * solve_triangular(root, np.eye(len(root)), lower=True)

@@ -1,0 +1,37 @@
+"""A point of the patella whose place is measured. It pulls at nothing."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.model.effects.base import Effect, Instant, Load, Observable
+
+
+class Marker(Effect):
+    """A marker fixed to the patella. It reports where it is in the femur's frame: x proximal, y lateral, z anterior.
+
+    So single markers can be compared with a simulation, where too few are seen for a pose.
+    """
+
+    point: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+    observables: ClassVar[dict[str, Observable]] = {
+        axis: Observable("m", f"{axis} in the femur frame, {sense}")
+        for axis, sense in {"x": "proximal", "y": "lateral", "z": "anterior"}.items()
+    }
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """None."""
+        return Load(), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """Where it is."""
+        there = now.femur.to_local(now.patella.position + now.patella.arm(self.point))
+        return {"x": there.x, "y": there.y, "z": there.z}
+
+    def recentred(self, center_of_mass: Vec3) -> Self:
+        """See `Effect`."""
+        return eqx.tree_at(lambda e: e.point, self, self.point - center_of_mass)

@@ -1,0 +1,187 @@
+"""What effects report is a channel: single markers, and a gauge written here; weights of frames with them."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, ClassVar
+
+import equinox as eqx
+import numpy as np
+import pytest
+from small_scene import small_scene, vec
+
+import fitting
+import pftwin
+from fitting.calibration.laboratory import Laboratory
+from fitting.calibration.plants import Knee, Plant
+from fitting.fit import likelihood_of
+from fitting.programs import channels_of
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.model.effects.base import Effect, Instant, Load, Observable
+from pftwin.model.effects.marker import Marker
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+
+STEPS = {"dt": 1 / 2400, "integrator": pftwin.LinearImplicit()}
+TRUTH = {"K1": 1.12 * 156.0, "L2": 1.015 * 0.0714}
+POINTS = {"m1": (0.021, 0.013, 0.009), "m2": (-0.017, -0.011, 0.012)}
+MARKERS = tuple(f"{name}.{axis}" for name in POINTS for axis in "xyz")
+GAUGE = "gauge.strain"
+
+
+class Gauge(Effect):
+    """A gauge across the patellar tendon: what its length is more than a gauge length, as a share."""
+
+    length: Scalar = eqx.field(metadata=quantity("m", positive=True))
+    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="tibia"))
+    observables: ClassVar[dict[str, Observable]] = {"strain": Observable("1", "strain")}
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """None."""
+        return Load(), memory
+
+    def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
+        """The strain."""
+        end = now.patella.position + now.patella.arm(self.insertion)
+        return {"strain": (end - now.tibia.point(self.origin)).norm() / self.length - 1}
+
+
+def scene(frames: int = 21) -> Scene:
+    plain = small_scene(frames)
+    for name, point in POINTS.items():
+        plain = plain.with_effect(Marker(vec(*point), name=name))
+    tendon: Any = plain.effect("patellar_tendon")
+    return plain.with_effect(Gauge(number(0.07), tendon.insertion, tendon.origin, name="gauge"))
+
+
+def true(knee: Scene) -> Scene:
+    for name, value in TRUTH.items():
+        knee = knee.set(name, value)
+    return knee
+
+
+@cache
+def result() -> pftwin.Result:
+    return pftwin.simulate(true(scene()), **STEPS)
+
+
+@cache
+def measured() -> Measured:
+    """Markers and gauge without noise; nothing is known of the pose."""
+    seen = result()
+    read = {f"{name}.{axis}": seen.effects[name][axis] for name in POINTS for axis in "xyz"}
+    return Measured(
+        seen.times,
+        np.full(seen.center.shape, np.nan),
+        readings={**read, GAUGE: seen.effects["gauge"]["strain"]},
+        source="cameras",
+    )
+
+
+@cache
+def fitted() -> fitting.Estimate:
+    return fitting.fit_tendons(
+        scene(),
+        measured(),
+        free=tuple(TRUTH),
+        use=(*MARKERS, GAUGE),
+        starts=2,
+        computed=(*channels_of(scene()), *MARKERS, GAUGE),
+    )
+
+
+def test_springs_are_found_by_markers_and_a_gauge_alone() -> None:
+    found = fitted()
+    assert found.channels == (*MARKERS, GAUGE)
+    np.testing.assert_allclose(found.values, list(TRUTH.values()), rtol=1e-3)
+    assert not found.doubts
+    assert found.readings == {**dict.fromkeys(MARKERS, "m"), GAUGE: "1"}
+
+
+def test_the_estimate_keeps_its_channels_units_in_its_file(tmp_path: Any) -> None:
+    loaded = fitting.Estimate.load(fitted().save(tmp_path / "e.json"), scene())
+    assert loaded.readings == fitted().readings
+    problem = likelihood_of(loaded, measured())
+    assert problem.objective.channels == fitted().channels
+    assert problem.objective.noise == pytest.approx(fitted().noise)
+
+
+def test_a_frame_without_weight_is_as_if_it_had_not_been_measured() -> None:
+    spoilt, weights = np.array(measured().readings["m1.x"]), np.ones(21)
+    spoilt[8:11] += 0.02
+    weights[8:11] = 0.0
+    data = Measured(
+        measured().times, measured().center, readings={**measured().readings, "m1.x": spoilt}, weights=weights
+    )
+    computed = (*channels_of(scene()), *MARKERS, GAUGE)
+    found = fitting.fit_tendons(scene(), data, free=tuple(TRUTH), use=(*MARKERS, GAUGE), starts=2, computed=computed)
+    np.testing.assert_allclose(found.values, list(TRUTH.values()), rtol=1e-3)
+
+
+def test_a_plan_counts_what_markers_tell() -> None:
+    """The bound of one parameter by one coordinate, from finite differences of simulations."""
+    noise = {"m1.x": 3e-4, "position": 2e-4}
+    plan = fitting.plan_experiment(scene(), free=("K1",), use=("m1.x",), candidates=("position",), noise=noise)
+    step = 0.02 * 156.0
+    ends = [pftwin.simulate(scene().set("K1", 156.0 + by), **STEPS).effects["m1"]["x"] for by in (step, -step)]
+    slope = (ends[0] - ends[1]) / (2 * step)
+    assert plan.covariance[0, 0] == pytest.approx((3e-4) ** 2 / np.sum(slope**2), rel=2e-2)
+    assert plan.additions["position"][0] < plan.relative[0]
+    with pytest.raises(InputError, match=r"no noise of 'm2.y'.*\[m\]"):
+        fitting.plan_experiment(scene(), free=("K1",), use=("m2.y",))
+
+
+@pytest.mark.parametrize(
+    ("use", "said"),
+    [
+        (("m3.x",), "no channel 'm3.x'.*one of: m1.x"),
+        (("contact.force_medial",), "no channel 'contact.force_medial'"),
+    ],
+)
+def test_what_was_not_measured_is_refused(use: Any, said: str) -> None:
+    with pytest.raises(InputError, match=f"(?s){said}"):
+        fitting.fit_tendons(scene(), measured(), use=use)
+
+
+def test_a_reading_of_nothing_is_refused() -> None:
+    seen = result()
+    data = Measured(seen.times, seen.center, readings={"gauge.stress": np.zeros(21)})
+    with pytest.raises(InputError, match=r"(?s)no observable 'gauge.stress'.*one of: gauge.strain"):
+        fitting.fit_tendons(scene(), data)
+
+
+def test_a_laboratory_records_readings_with_their_noise() -> None:
+    from fitting.calibration.runs import run
+
+    knee = scene(41)
+    (seen,) = run([Plant(knee)])
+    assert seen is not None
+    lab = Laboratory(readings={"m1.x": 5e-4, GAUGE: 1e-3})
+    random = np.random.default_rng(3)
+    both = [lab.recorded(knee, seen, {"femoral": "quadriceps"}, random)[1] for _ in range(12)]
+    for name, deviation in lab.readings.items():
+        owner, _, key = name.rpartition(".")
+        off = np.stack([data.readings[name] for data in both]) - seen.reported[owner][key]
+        assert off.std() == pytest.approx(deviation, rel=0.15)
+
+
+def test_calibrations_refuse_readings_that_nobody_records() -> None:
+    trained = fitting.QuickFit.of(scene(), measured(), free=("K1",), use=("m1.x",), noise={"m1.x": 1e-3})
+    with pytest.raises(InputError, match=r"m1.x is not recorded.*Laboratory"):
+        fitting.calibrate(trained, scene(), plants=1, kinds={"same": lambda knee, random: Plant(_of(knee))})
+
+
+def _of(knee: Knee) -> Scene:
+    return knee.scene
+
+
+def test_swapped_coordinates_are_noticed() -> None:
+    read = dict(measured().readings)
+    read["m1.x"], read["m1.y"] = read["m1.y"], read["m1.x"]
+    data = Measured(measured().times, measured().center, readings=read)
+    with pytest.raises(InputError, match=r"measured m1.x and m1.y look swapped"):
+        fitting.fit_tendons(scene(), data, free=tuple(TRUTH), use=MARKERS, starts=2)

@@ -23,7 +23,11 @@ def seen(frames: int) -> Seen:
     t = np.linspace(0, 1, frames)[:, None]
     turns = Rotation.from_rotvec(np.hstack([0.3 * t, 0.1 - 0.2 * t, 0.05 + 0 * t])).as_quat(scalar_first=True)
     forces = {"contact": 20 + 5 * t[:, 0], "quadriceps": 30 - 3 * t[:, 0], "patellar_tendon": 11 + t[:, 0]}
-    return Seen(np.hstack([0.03 * t, 0.01 - 0.02 * t, 0.05 + 0.01 * t]), turns, forces, {})
+    return Seen(
+        np.hstack([0.03 * t, 0.01 - 0.02 * t, 0.05 + 0.01 * t]),
+        turns,
+        {name: {"force": force} for name, force in forces.items()},
+    )
 
 
 def test_without_noise_everything_is_as_it_was():

@@ -97,7 +97,7 @@ def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():
         slope, offset = np.polyfit(lengths[name], k * s * (1 + more * s), 1)
         expected += [slope, -offset / slope]
         assert slope > k
-    seen = Seen(np.zeros((30, 3)), np.zeros((30, 4)), {}, lengths)
+    seen = Seen(np.zeros((30, 3)), np.zeros((30, 4)), {name: {"length": x} for name, x in lengths.items()})
     np.testing.assert_allclose(truth_of(plant, [seen], own.parameters), expected, rtol=1e-9)
     straight = misplaced(own, random)
     np.testing.assert_array_equal(truth_of(straight, [seen], own.parameters), own.parameters.vector(straight.scene)[:4])
@@ -110,7 +110,7 @@ def test_a_curved_tendon_has_its_true_attachment_and_no_true_strain():
         plant = stiffening(own, random)
         if told:
             check_truth(plant, own.parameters)
-            seen = Seen(np.zeros((2, 3)), np.zeros((2, 4)), {}, {})
+            seen = Seen(np.zeros((2, 3)), np.zeros((2, 4)), {})
             expected = float(plant.scene.effect("quadriceps").origin.x)
             assert truth_of(plant, [seen], own.parameters) == pytest.approx(expected)
         else:

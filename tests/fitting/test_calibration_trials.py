@@ -57,7 +57,12 @@ def test_the_line_is_nearest_over_all_trials():
         float(tendon.rest_length) + stretch for stretch in (np.linspace(0.01, 0.02, 40), np.linspace(0.03, 0.06, 70))
     ]
     seen = [
-        Seen(np.zeros((len(p), 3)), np.zeros((len(p), 4)), {}, {"quadriceps": p, "patellar_tendon": p}) for p in parts
+        Seen(
+            np.zeros((len(p), 3)),
+            np.zeros((len(p), 4)),
+            {name: {"length": p} for name in ("quadriceps", "patellar_tendon")},
+        )
+        for p in parts
     ]
     own = free_in_trials([nominal()[0]], ("K1",), 0.3, None, Nuisance())[1][0]
     k, more, s = float(tendon.law.stiffness), float(tendon.law.more), np.concatenate(parts) - float(tendon.rest_length)
@@ -70,7 +75,7 @@ def test_trials_of_one_laboratory_share_what_stays_the_same():
     scene, n = small_scene(41), 41
     ramp = np.linspace(5.0, 25.0, n)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    seen = Seen(np.zeros((n, 3)), upright, {"contact": ramp, "quadriceps": ramp}, {})
+    seen = Seen(np.zeros((n, 3)), upright, {"contact": {"force": ramp}, "quadriceps": {"tension": ramp}})
 
     def off(**errors: float) -> list[Measured]:
         lab = replace(QUIET, marker_noise=0.0, force_noise=0.0, **errors)

@@ -133,10 +133,10 @@ def test_steps_whose_error_is_large_or_not_known_are_named():
     left = {"position": 5e-4, "orientation": 0.02}
     errors = {"position": StepError(4e-4, True), "orientation": StepError(0.005, True)}
     said = "the fit's time steps are off by 0.4 mm rms of position, beside 0.5 mm that it leaves"
-    assert unresolved(errors, left) == [said]
-    assert unresolved({"position": StepError(4e-4, False)}, left) == []
-    assert "not known" in unresolved({}, left)[0]
-    turned = unresolved({"orientation": StepError(np.radians(1.5), True)}, {"orientation": np.radians(2.0)})
+    assert unresolved(errors, left, {}) == [said]
+    assert unresolved({"position": StepError(4e-4, False)}, left, {}) == []
+    assert "not known" in unresolved({}, left, {})[0]
+    turned = unresolved({"orientation": StepError(np.radians(1.5), True)}, {"orientation": np.radians(2.0)}, {})
     assert turned == ["the fit's time steps are off by 1.5 deg rms of orientation, beside 2 deg that it leaves"]
-    pulled = unresolved({"quadriceps": StepError(0.4, True)}, {"quadriceps": 0.5})
+    pulled = unresolved({"quadriceps": StepError(0.4, True)}, {"quadriceps": 0.5}, {})
     assert pulled == ["the fit's time steps are off by 0.4 N rms of quadriceps, beside 0.5 N that it leaves"]

@@ -14,8 +14,8 @@ import fitting
 import pftwin
 from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.plants import Knee, Plant
+from fitting.calibration.runs import Seen
 from fitting.fit import likelihood_of
-from fitting.programs import channels_of
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number
 from pftwin.base.quantities import quantity
@@ -30,6 +30,7 @@ TRUTH = {"K1": 1.12 * 156.0, "L2": 1.015 * 0.0714}
 POINTS = {"m1": (0.021, 0.013, 0.009), "m2": (-0.017, -0.011, 0.012)}
 MARKERS = tuple(f"{name}.{axis}" for name in POINTS for axis in "xyz")
 GAUGE = "gauge.strain"
+COMPUTED = ("position", *MARKERS, GAUGE)  # by one program of all fits
 
 
 class Gauge(Effect):
@@ -90,7 +91,7 @@ def fitted() -> fitting.Estimate:
         free=tuple(TRUTH),
         use=(*MARKERS, GAUGE),
         starts=2,
-        computed=(*channels_of(scene()), *MARKERS, GAUGE),
+        computed=COMPUTED,
     )
 
 
@@ -117,11 +118,11 @@ def test_a_frame_without_weight_is_as_if_it_had_not_been_measured() -> None:
     data = Measured(
         measured().times, measured().center, readings={**measured().readings, "m1.x": spoilt}, weights=weights
     )
-    computed = (*channels_of(scene()), *MARKERS, GAUGE)
-    found = fitting.fit_tendons(scene(), data, free=tuple(TRUTH), use=(*MARKERS, GAUGE), starts=2, computed=computed)
+    found = fitting.fit_tendons(scene(), data, free=tuple(TRUTH), use=(*MARKERS, GAUGE), starts=2, computed=COMPUTED)
     np.testing.assert_allclose(found.values, list(TRUTH.values()), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_plan_counts_what_markers_tell() -> None:
     """The bound of one parameter by one coordinate, from finite differences of simulations."""
     noise = {"m1.x": 3e-4, "position": 2e-4}
@@ -131,6 +132,9 @@ def test_a_plan_counts_what_markers_tell() -> None:
     slope = (ends[0] - ends[1]) / (2 * step)
     assert plan.covariance[0, 0] == pytest.approx((3e-4) ** 2 / np.sum(slope**2), rel=2e-2)
     assert plan.additions["position"][0] < plan.relative[0]
+
+
+def test_a_plan_asks_for_the_noise_of_a_reading() -> None:
     with pytest.raises(InputError, match=r"no noise of 'm2.y'.*\[m\]"):
         fitting.plan_experiment(scene(), free=("K1",), use=("m2.y",))
 
@@ -155,12 +159,10 @@ def test_a_reading_of_nothing_is_refused() -> None:
 
 
 def test_a_laboratory_records_readings_with_their_noise() -> None:
-    from fitting.calibration.runs import run
-
-    knee = scene(41)
-    (seen,) = run([Plant(knee)])
-    assert seen is not None
-    lab = Laboratory(readings={"m1.x": 5e-4, GAUGE: 1e-3})
+    knee, told = scene(), result()
+    reported = {name: {key: np.asarray(v) for key, v in each.items()} for name, each in told.effects.items()}
+    seen = Seen(np.asarray(told.position), np.asarray(told.quaternion), reported)
+    lab = Laboratory(readings={"m1.x": 5e-4, GAUGE: 1e-3}, cutoff=None)
     random = np.random.default_rng(3)
     both = [lab.recorded(knee, seen, {"femoral": "quadriceps"}, random)[1] for _ in range(12)]
     for name, deviation in lab.readings.items():
@@ -184,4 +186,4 @@ def test_swapped_coordinates_are_noticed() -> None:
     read["m1.x"], read["m1.y"] = read["m1.y"], read["m1.x"]
     data = Measured(measured().times, measured().center, readings=read)
     with pytest.raises(InputError, match=r"measured m1.x and m1.y look swapped"):
-        fitting.fit_tendons(scene(), data, free=tuple(TRUTH), use=MARKERS, starts=2)
+        fitting.fit_tendons(scene(), data, free=tuple(TRUTH), use=MARKERS, starts=2, computed=COMPUTED)

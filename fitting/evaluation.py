@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fitting import programs
 from fitting.parameters import Parameters
 from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of
+from pftwin.base.runtime import warn_of_accelerator
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.frame_states import substeps_for
@@ -93,6 +94,8 @@ class Evaluator:
         found = chosen_devices(self.devices)
         self._count, self._threads = len(found), feeding_threads(self.devices)
         self._accelerated = found[0].platform != "cpu"
+        if self._accelerated:
+            warn_of_accelerator()
         mesh = programs.mesh_of(found)
         self._program = programs.FitProgram(self.parameters.places, self.computed or self.channels, mesh)
         self._plain_scene = self.scene.unnamed()

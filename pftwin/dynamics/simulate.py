@@ -17,6 +17,7 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import Program, Timed
 from pftwin.base.program_cache import settings as jax_settings
+from pftwin.base.runtime import warn_of_accelerator
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.equilibrium import Solution, place_unknown, tolerance_on_host
 from pftwin.dynamics.error_estimate import Course
@@ -142,8 +143,12 @@ def simulate(
     Raises:
         InputError: a parameter of the scene, the step or the integrator that cannot give a right answer; a scene that
             is traced, by jit, grad or vmap.
+
+    Warns:
+        PftwinWarning: JAX's default is an accelerator, which is slow at this; once.
     """
     refuse_traced(scene, "simulate", "trajectory")
+    warn_of_accelerator()
     check(scene)
     if tolerance is not None and dt is not None:
         raise InputError("found both dt and tolerance", where="simulate", expected="one of them")

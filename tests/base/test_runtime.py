@@ -7,13 +7,15 @@ import os
 import subprocess
 import sys
 import tomllib
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import pytest
 
 from pftwin.base import runtime
-from pftwin.base.errors import InputError
+from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.runtime import FAST_CPU, VECTOR_WIDTH, fast_cpu_flags
 from pftwin.cli import terminal
 
@@ -157,6 +159,17 @@ class TestDefaults:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
         started = bool(use)
         assert done.stdout.split() == [str(started), str(started), "True", "-1"]
+
+
+def test_that_an_accelerator_is_slow_at_single_motions_is_said_once(monkeypatch):
+    monkeypatch.setattr(runtime._Process, "warned_of_accelerator", False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        runtime.warn_of_accelerator()  # on a CPU
+        monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+        with pytest.raises(PftwinWarning, match=r"on a GPU here.*JAX_PLATFORMS=cpu,cuda"):
+            runtime.warn_of_accelerator()
+        runtime.warn_of_accelerator()
 
 
 @pytest.mark.parametrize(("given", "devices"), [(None, "all"), ("all", "all"), ("3", 3)])

@@ -91,6 +91,7 @@ class Estimate:
     coordinates: tuple[str, ...] = ()  # names of parameters that are coordinates of points
     step_error: dict[str, float] = field(default_factory=dict)  # of the fit's time steps, rms, units as of `rmse`
     trial_rmse: dict[str, dict[str, float]] = field(default_factory=dict)  # as `rmse`, of each of several trials
+    substeps: int = 0  # between two frames, of the answer; 0: not known
     readings: dict[str, str] = field(default_factory=dict)  # units of channels that are no poses and forces
     covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise that was stated so
     trials: tuple[FittedTrial, ...] = field(default=(), repr=False)  # what was fitted; none of a file
@@ -349,7 +350,15 @@ class Estimate:
                 raise ValueError(f"its format is {content.get('format')!r}")
             since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
             since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": [], "draws": None}
-            since |= {"trial_rmse": {}, "varies": {}, "differences": [], "kinds": [], "readings": {}, "covariances": {}}
+            since |= {
+                "trial_rmse": {},
+                "varies": {},
+                "differences": [],
+                "kinds": [],
+                "readings": {},
+                "covariances": {},
+                "substeps": 0,
+            }
             content = since | content  # older files have none of these
             known = {k: content[k] for k in Estimate.__dataclass_fields__ if k != "trials"}
             for key in _ARRAYS:

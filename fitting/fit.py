@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fitting.channel_checks import limits_of
-from fitting.correlated import reweighed
 from fitting.estimate import Estimate
+from fitting.finish import finished
 from fitting.first_look import first_look, plain_look
 from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
 from fitting.inference.own_lengths import at_own_lengths
@@ -177,7 +177,6 @@ def fit_tendons(
         outcome = Outcome.of_simulations(problem, found, seed, allowed)
     else:
         search = _method(method, problem, seed, options)
-        search.rough = problem.weighs_priors
         problem.evaluator.prepare(search.widest)
         compiled = compiled_aside(knee.unnamed())  # for the fitted motion, which is simulated last
         state = None
@@ -216,7 +215,7 @@ def _searched(
         )
     if state["interrupted"]:
         return search, state
-    return reweighed(search, state, lambda again: _run(again, None, "", progress, None))
+    return finished(search, state, lambda again: _run(again, None, "", progress, None))
 
 
 def _check_simulations(
@@ -278,6 +277,8 @@ def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | N
     target = replace(target, share=e.share)
     problem = Problem.of(scenes, free_in_trials(scenes, shared, limits, priors, EXACT, e.varies)[1], target)
     problem.evaluator.prepare(None)
+    if e.substeps:
+        problem.evaluator.fine = e.substeps
     return problem
 
 

@@ -49,6 +49,7 @@ class Outcome(NamedTuple):
     doubts: list[str]
     reason: str
     interrupted: bool
+    substeps: int  # between two frames
     facts: dict[str, Any]  # seed, evaluations, iterations, starts, dropped, history
 
     @staticmethod
@@ -73,6 +74,7 @@ class Outcome(NamedTuple):
             [],
             "interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
             state["interrupted"],
+            problem.evaluator.fine,
             {
                 **{key: int(state[key]) for key in ("iteration", "evaluations", "starts", "dropped")},
                 "seed": search.seed,
@@ -118,6 +120,7 @@ class Outcome(NamedTuple):
             doubts,
             found.reason,
             found.interrupted,
+            found.substeps,
             {
                 "iteration": len(found.history),
                 "evaluations": found.simulations,
@@ -223,6 +226,7 @@ def estimate_of(
         doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse, target.readings)],
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
         coordinates=parameters.coordinates,
+        substeps=found.substeps,
         readings=target.readings,
         covariances=target.covariances,
         step_error={channel: e.rms for channel, e in found.steps.items()},

@@ -35,11 +35,11 @@ class Phase(NamedTuple):
     worth: float  # a start's gain that is not worth another iteration, in tolerances of the objective
 
 
-# Eight to the end: where the patella falls into the groove the objective has many lowest places near one another.
-PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 10, 1e3), Phase(8, True, 40, 1.0))
-_ROUGH = 1e3  # least worth of every phase where another search follows
+# Several to the end: where the patella falls into the groove the objective has many lowest places near one another.
+PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 10, 1e3), Phase(8, True, 40, 1e3))
+NEAR = (Phase(1, True, 40, 1.0),)  # from where a search ended
 _FEWEST, _MOST, _COLUMNS = 4, 16, 64  # points at once where fewer starts are left; the same times parameters
-_DAMPING = 1e-2  # to start with, of a diagonal's share
+_DAMPING, _NEAR_DAMPING = 1e-2, 1e-5  # to start with, of a diagonal's share
 _LEAST, _FLAT = 1e-10, 1e-200  # damping, and diagonal, at least: no matrix is singular
 _STUCK = 1e7  # damping at which steps vanish
 _LONGEST = 0.4  # step of a parameter
@@ -52,15 +52,17 @@ class LeastSquares(Method):
 
     name = "least_squares"
     options = ("starts",)
+    rough = True
 
-    def __init__(self, problem: Problem, seed: int, starts: int = 32) -> None:
+    def __init__(self, problem: Problem, seed: int, starts: int = 32, *, near: bool = False) -> None:
+        """`near`: the nominal point is nearly the answer, and the only start."""
         super().__init__(problem, seed)
-        self.starts = starts
-        self.most_iterations = sum(p.iterations for p in PHASES)
+        self.starts, self.phases = (1, NEAR) if near else (starts, PHASES)
+        self.most_iterations = sum(p.iterations for p in self.phases)
 
     def settings(self) -> tuple[Any, ...]:
         """What decides its course."""
-        return (self.starts, self.rough, PHASES, _FEWEST, _MOST, _COLUMNS, _LONGEST, _EDGE)
+        return (self.starts, self.phases, _FEWEST, _MOST, _COLUMNS, _LONGEST, _EDGE)
 
     def begin(self) -> State:
         """All starts, not yet evaluated."""
@@ -75,13 +77,13 @@ class LeastSquares(Method):
             "value": np.full(n, np.inf),
             "gradient": np.zeros((n, k)),
             "hessian": np.zeros((n, k, k)),
-            "damping": np.full(n, _DAMPING),
+            "damping": np.full(n, _NEAR_DAMPING if self.phases is NEAR else _DAMPING),
             "done": np.zeros(n, bool),
         }
 
     def ask(self, state: State) -> Request:
         """The points themselves, or steps from them with several dampings."""
-        fine = PHASES[state["phase"]].fine
+        fine = self.phases[state["phase"]].fine
         substeps = self.problem.evaluator.fine if fine else self.problem.evaluator.coarse
         u = state["u"] if state["looking"] else self._trials(state)[1]
         return Request(self.problem.parameters.at_share(u.reshape(-1, u.shape[-1])), substeps, "normal")
@@ -103,7 +105,7 @@ class LeastSquares(Method):
         self._note_best(state)
         if len(state["u"]) == 0:
             state["stopped"] = "all starts failed"
-        elif state["done"].all() or state["in_phase"] >= PHASES[state["phase"]].iterations:
+        elif state["done"].all() or state["in_phase"] >= self.phases[state["phase"]].iterations:
             self._next_phase(state)
 
     def spread(self, state: State) -> float:
@@ -135,8 +137,7 @@ class LeastSquares(Method):
         rows = np.arange(len(which))
         new, old = table[rows, best], state["value"][which]
         better = new < old
-        worth = max(PHASES[state["phase"]].worth, _ROUGH if self.rough else 0.0)
-        tolerance = self.problem.objective.tolerance(old) * worth
+        tolerance = self.problem.objective.tolerance(old) * self.phases[state["phase"]].worth
         chosen = rows * damping.shape[1] + best
         found = {"u": at[rows, best], "gradient": gradient[chosen], "hessian": hessian[chosen], "value": new}
         for key, values in found.items():
@@ -161,13 +162,13 @@ class LeastSquares(Method):
             state["best_theta"] = self.problem.parameters.at_share(state["u"][i])
 
     def _next_phase(self, state: State) -> None:
-        if state["phase"] == len(PHASES) - 1:
+        if state["phase"] == len(self.phases) - 1:
             converged = self._best_done(state)
             state["stopped"] = "converged" if converged else "iterations ran out before the best start converged"
             return
-        before = PHASES[state["phase"]]
+        before = self.phases[state["phase"]]
         state["phase"] += 1
-        phase = PHASES[state["phase"]]
+        phase = self.phases[state["phase"]]
         u = state["u"]
         chosen: list[int] = []
         for i in np.argsort(state["value"], kind="stable"):

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator, Prediction
+from fitting.methods.bounded_steps import bounded_steps
 from fitting.objective import Normal, Objective
 from fitting.parameters import Parameters
 from fitting.trials_evaluator import TrialsEvaluator
@@ -108,6 +109,14 @@ class Problem:
         value, gradient, hessian = self.objective.normal(seen)
         return Normal(value + prior, gradient + pull, hessian + np.diag(precision))
 
+    def ahead(self, theta: Floats, substeps: int) -> Floats:
+        """From parameters (p,) to the least of the quadratic model there, within the bounds."""
+        normal, p = self.normal(theta[None], substeps), self.parameters
+        span, u = p.upper - p.lower, p.share(theta)
+        hessian = normal.hessian[0] * np.outer(span, span)
+        hessian = hessian + 1e-12 * np.trace(hessian) * np.eye(len(u))
+        return bounded_steps(hessian, normal.gradient[0] * span, -u, 1 - u) * span
+
     def prediction(self, theta: Floats, substeps: int) -> Prediction:
         """With derivatives, at one point (p,)."""
         return self.evaluator.with_slopes(theta[None], substeps)
@@ -139,7 +148,7 @@ class Method(ABC):
     options: ClassVar[tuple[str, ...]]  # what a user may choose
     most_iterations: int
     starts: int  # number of points from which it begins
-    rough: bool = False  # whether another search follows from its answer, which need not be exact then
+    rough: ClassVar[bool] = False  # whether its answer is to be made exact by another search from there
     widest: int | None = None  # the largest batch of plain values that it asks for; None: it asks for derivatives only
 
     def __init__(self, problem: Problem, seed: int) -> None:

@@ -33,7 +33,7 @@ def scene(height: float = FALLING) -> Scene:
 def truth(height: float = FALLING) -> pftwin.Result:
     """The motion with the true springs, at the steps that fits end with."""
     knee = fitting.free_parameters(scene(height), SPRINGS).apply(scene(height), TRUTH)
-    return pftwin.simulate(knee, dt=1 / 2400, integrator=pftwin.LinearImplicit())
+    return pftwin.simulate(knee, dt=1 / 4800, integrator=pftwin.LinearImplicit())
 
 
 @cache

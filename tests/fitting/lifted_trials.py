@@ -20,6 +20,7 @@ FREE = ("K1", "L2", POINT)
 BOUNDS = {"K1": 0.3, "L2": 0.3, POINT: (-0.02, 0.02)}
 MOVED = 0.003  # by how much the second trial has the insertion elsewhere, as after a treatment [m]
 COMPUTED = ("position", "quadriceps")
+STEPS = (48, 40)  # between two frames of each, at which fits of motions without noise end
 
 
 @cache

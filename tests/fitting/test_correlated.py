@@ -7,7 +7,8 @@ import pytest
 from linear_problems import NOMINAL, design, parameters, problem
 from scipy.linalg import toeplitz
 
-from fitting.correlated import reweighed, share_of_independent
+from fitting.correlated import share_of_independent
+from fitting.finish import finished
 from fitting.methods.least_squares import LeastSquares
 
 SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
@@ -27,7 +28,7 @@ CORRELATION = toeplitz(RHO ** np.arange(FRAMES))
 ROOT = np.linalg.cholesky(CORRELATION)
 
 
-def solved(run_reweighed: bool, slopes: np.ndarray, measured: np.ndarray, known) -> tuple[np.ndarray, float]:
+def solved(weighed: bool, slopes: np.ndarray, measured: np.ndarray, known) -> tuple[np.ndarray, float]:
     """Where the search ends, and what the measurements count there."""
 
     def run(search):
@@ -41,8 +42,8 @@ def solved(run_reweighed: bool, slopes: np.ndarray, measured: np.ndarray, known)
 
     search = LeastSquares(problem(slopes, measured, known), 0, 1)
     state = run(search)
-    if run_reweighed:
-        search, state = reweighed(search, state, run)
+    if weighed:
+        search, state = finished(search, state, run)
     return np.asarray(state["best_theta"]), search.problem.objective.share
 
 
@@ -97,17 +98,13 @@ def test_white_residuals_count_whole():
     assert solved(True, slopes, measured, known)[1] == 1.0
 
 
-@pytest.mark.parametrize("rough", [True, False])
-def test_an_interrupt_before_the_second_searchs_answer_keeps_the_firsts(rough):
-    """A first search that need not be exact goes on even if all measurements count; else there is no second one."""
-
+def test_an_interrupt_before_the_second_searchs_answer_keeps_the_firsts():
     def interrupted(_):
         raise KeyboardInterrupt
 
     random = np.random.default_rng(2)
-    measured = design() @ NOMINAL + SIGMA * random.normal(size=(40, 4))  # white
+    measured = design() @ NOMINAL + SIGMA * random.normal(size=(40, 4))
     known = parameters(tuple(zip(NOMINAL, PRIOR_SD, strict=True)), half_width=60.0)
     search = LeastSquares(problem(design(), measured, known), 0, 1)
-    search.rough = rough
     first = {"best_theta": NOMINAL + 0.1 * PRIOR_SD, "stopped": "converged", "interrupted": False}
-    assert reweighed(search, first, interrupted) == (search, {**first, "interrupted": rough})
+    assert finished(search, first, interrupted) == (search, {**first, "interrupted": True})

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, nominal, problem_of
+from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, STEPS, nominal, problem_of
 
 import fitting
 import pftwin
@@ -37,9 +37,10 @@ POINTS = tuple(float(scene.get(POINT)) for scene in nominal())
 def measured() -> tuple[Measured, Measured]:
     """Without noise, of one stiffness and two lengths."""
     found = []
-    for scene, length in zip(nominal(), LENGTHS, strict=True):
+    for scene, length, steps in zip(nominal(), LENGTHS, STEPS, strict=True):
         true = scene.set("K1", STIFFNESS).set("L2", length)
-        result = pftwin.simulate(true, dt=1 / 2400, integrator=pftwin.LinearImplicit())
+        step = scene.motion.frame_interval / steps
+        result = pftwin.simulate(true, dt=step, integrator=pftwin.LinearImplicit())
         found.append(Measured(result.times, result.center))
     return found[0], found[1]
 

@@ -121,6 +121,7 @@ def test_the_error_of_the_steps_is_what_far_shorter_steps_show():
 def test_a_fit_whose_steps_are_too_long_says_so_first(monkeypatch):
     """Without more than six steps a frame, which are half a millimetre off here, beyond the noise of 0.1 mm."""
     monkeypatch.setattr("fitting.evaluation.HALVINGS", 0)
+    monkeypatch.setattr("fitting.finish._MOST", 1)
     found = fitting.fit_tendons(scene(), noisy(0), noise={"position": NOISE}, **FEW)
     long, short = (
         pftwin.simulate(found.scene, dt=1e-2 / n, integrator=pftwin.LinearImplicit()).center for n in (6, 192)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, nominal, problem_of
+from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, STEPS, nominal, problem_of
 from small_scene import small_scene
 
 import fitting
@@ -40,8 +40,9 @@ def true(scene: Scene) -> Scene:
 def measured() -> tuple[Measured, Measured]:
     """Positions of both, without noise; the quadriceps' force of the second alone, without some frames."""
     seen = []
-    for scene in nominal():
-        result = pftwin.simulate(true(scene), dt=1 / 2400, integrator=pftwin.LinearImplicit())
+    for scene, steps in zip(nominal(), STEPS, strict=True):
+        step = scene.motion.frame_interval / steps
+        result = pftwin.simulate(true(scene), dt=step, integrator=pftwin.LinearImplicit())
         seen.append((result.times, result.center, np.array(result.tensions["quadriceps"])))
     (times, center, _), (later, elsewhere, force) = seen
     force[7:11] = np.nan

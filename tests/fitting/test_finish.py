@@ -1,0 +1,116 @@
+"""Steps are halved until an estimate no longer changes: by made-up errors of steps, whose effects have closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from linear_problems import NOMINAL, design, parameters, problem, scaled
+
+from fitting.evaluation import Prediction
+from fitting.finish import finished, settled
+from fitting.methods.least_squares import LeastSquares
+from fitting.methods.problem import Method, Problem, State
+
+SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
+DEVIATIONS = np.sqrt(np.diagonal(np.linalg.inv(scaled(design()).T @ scaled(design()))))
+
+
+def with_steps(shift: float = 0.0, stretch: float = 0.0, first: int = 4, unusable: int = 10**9) -> Problem:
+    """A linear model whose best parameters are off by `shift` deviations in one step a frame, in n by 1/n of that, and
+    whose slopes are so much too large.
+
+    Args:
+        unusable: steps a frame from which on no motion comes out.
+    """
+    random = np.random.default_rng(1)
+    measured = design() @ NOMINAL + SIGMA * random.normal(size=(40, 4))
+    ours = problem(design(), measured, parameters(half_width=50.0))
+    direction = DEVIATIONS * np.array([1.0, 0.0, 0.0])
+
+    def with_slopes(theta: np.ndarray, substeps: int) -> Prediction:
+        own = design() * (1 + stretch / substeps)
+        values = own @ NOMINAL + np.einsum("tmp,np->ntm", own, theta - NOMINAL + shift / substeps * direction)
+        values = values + (design() - own) @ NOMINAL
+        there = np.full(len(theta), substeps < unusable)
+        return Prediction(values, np.broadcast_to(own, (len(theta), *own.shape)), there)
+
+    evaluator: Any = ours.evaluator
+    evaluator.with_slopes = evaluator.values = with_slopes
+    evaluator.first = evaluator.fine = evaluator.coarse = first
+    return ours
+
+
+def run(search: Method) -> State:
+    state = {**search.begin(), "iteration": 0, "evaluations": 0, "history": [], "interrupted": False}
+    while state["stopped"] is None:
+        request = search.ask(state)
+        search.tell(state, request, search.problem.answer(request))
+        state["iteration"] += 1
+        state["evaluations"] += len(request.theta)
+    return state
+
+
+@pytest.mark.parametrize(
+    ("off", "same"),
+    [
+        ({}, True),
+        ({"shift": 4 * 2 * 0.25}, True),  # moves by a quarter of a deviation: 0.03 nats
+        ({"shift": 4 * 2 * 0.40}, False),  # 0.08 nats
+        ({"stretch": 4 * 2 * 0.05}, True),  # slopes 10 and 5 % too large: variances of three numbers by as much twice
+        ({"stretch": 4 * 2 * 0.25}, False),
+        ({"shift": 100.0, "unusable": 8}, True),  # nothing to be told by
+    ],
+)
+def test_an_estimate_is_settled_where_half_the_steps_tell_the_same(off: dict[str, Any], same: bool) -> None:
+    ours = with_steps(**off)
+    state = run(LeastSquares(ours, 0, 2))
+    assert settled(ours, np.asarray(state["best_theta"])) is same
+
+
+def test_steps_are_halved_until_then_and_the_answer_is_that_of_short_ones() -> None:
+    """Off by d / n deviations in n steps: two runs differ by d / 2n, which is 0.3 of one at n = 20 where d is 12."""
+    ours = with_steps(shift=12.0)
+    search = LeastSquares(ours, 0, 2)
+    before = run(search)
+    search, state = finished(search, before, run)
+    assert ours.evaluator.fine == 32
+    exact = np.linalg.lstsq(scaled(design()), (ours.objective.measured / SIGMA).ravel(), rcond=None)[0]
+    off = (np.asarray(state["best_theta"]) - exact) / DEVIATIONS
+    np.testing.assert_allclose(off, [-12.0 / 32, 0.0, 0.0], atol=0.01)
+    assert state["iteration"] > before["iteration"]
+    assert state["evaluations"] == state["history"][-1]["evaluations"] if state["history"] else True
+
+
+def test_there_are_at_most_eight_times_as_many() -> None:
+    ours = with_steps(shift=1000.0)
+    search = LeastSquares(ours, 0, 2)
+    finished(search, run(search), run)
+    assert ours.evaluator.fine == 32
+
+
+def test_derivatives_that_have_no_meaning_settle_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where errors grow from step to step, sums of correlated scores are no covariance."""
+    import fitting.finish
+
+    ours = with_steps()
+    theta = np.asarray(run(LeastSquares(ours, 0, 2))["best_theta"])
+    real = fitting.finish.uncertainty
+
+    def negative(*args: Any) -> Any:
+        found = real(*args)
+        return found._replace(covariance=-found.covariance)
+
+    monkeypatch.setattr(fitting.finish, "uncertainty", negative)
+    assert not settled(ours, theta)
+
+
+def test_methods_that_are_exact_end_where_they_were() -> None:
+    ours = with_steps(shift=100.0)
+    search = LeastSquares(ours, 0, 2)
+    state = run(search)
+    other: Any = replace(ours)
+    exact = type("Exact", (LeastSquares,), {"rough": False})(other, 0, 2)
+    assert finished(exact, state, run) == (exact, state)

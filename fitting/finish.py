@@ -51,7 +51,7 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
     if problem.weighs_priors:
         problem = replace(problem, objective=replace(problem.objective, share=share_at(problem, theta)))
     try:
-        again = run(LeastSquares(_from(problem, theta), search.seed, near=True))
+        again = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
     except KeyboardInterrupt:  # before it had an answer
         return search, {**state, "interrupted": True}
     if again["best_theta"] is None:
@@ -100,7 +100,7 @@ def _divergence(a: _Told, b: _Told) -> float:
     return float(0.5 * (np.trace(spread) - len(off) + off @ b.precision @ off + determinants))
 
 
-def _from(problem: Problem, theta: Floats) -> Problem:
+def started_at(problem: Problem, theta: Floats) -> Problem:
     """The problem whose nominal parameters are these (p,)."""
     there = tuple(replace(p, nominal=float(t)) for p, t in zip(problem.parameters.items, theta, strict=True))
     return replace(problem, parameters=Parameters(there))

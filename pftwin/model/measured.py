@@ -124,7 +124,7 @@ class Measured:
         return "synthetic measurements" if self.synthetic else "measured"
 
 
-def _finite(given: ArrayLike, shape: tuple[int, ...], name: str, source: str) -> NDArray[np.float64]:
+def _finite(given: Any, shape: tuple[int, ...], name: str, source: str) -> NDArray[np.float64]:
     """Numbers of this shape, none of them infinite."""
     values = np.array(given, dtype=np.float64)
     if values.shape != shape:

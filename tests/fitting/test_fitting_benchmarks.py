@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 
 import fitting
 import pftwin
-from fitting.methods.least_squares import LeastSquares
 from fitting.methods.problem import Problem, ProblemAnswer, Request
 from fitting.objective import Objective
 from pftwin.base.errors import InputError
@@ -29,7 +28,6 @@ from tests.benchmarks.fitting.methods.figure import best_so_far, comparison_figu
 from tests.benchmarks.fitting.methods.mapped_starts import Residuals
 from tests.benchmarks.fitting.methods.meter import FAILED, Best, Budget, Course, Meter, OneStepEvaluator, SpentError
 from tests.benchmarks.fitting.methods.table import COLUMNS, comma_separated, courses_of, markdown, rows_of
-from tests.benchmarks.fitting.side_by_side import Seat, WideEvaluator, fitted
 from tests.benchmarks.report import from_json, to_json
 from tests.benchmarks.row import Row
 
@@ -238,26 +236,6 @@ def test_the_best_at_a_budget_is_the_last_within_it():
     assert grid[0] == 12
     assert grid[-1] == 20
     np.testing.assert_allclose(excess[:, [0, -1]], [[2000.0, 1000.0], [1e-4, 1e-4]])
-
-
-def test_fits_side_by_side_are_fits(scene, parameters, measured):
-    common = WideEvaluator(scene, parameters, ("position",), width=16)
-    common.prepare(None)
-    random = np.random.default_rng(0)
-    noisy = [Measured(measured.times, measured.center + random.normal(0, 1e-4, measured.center.shape)) for _ in "ab"]
-    objectives = [Objective.of(scene, m) for m in noisy]
-    together = fitted(common, objectives, 2, 0)
-    seat = Seat(scene, parameters, common.channels, few=common.coarse, many=common.fine)
-    for objective, state in zip(objectives, together, strict=True):
-        problem = Problem(scene, parameters, objective, seat)
-        search = LeastSquares(problem, 0, 2)
-        alone = search.begin()
-        while alone["stopped"] is None:
-            request = search.ask(alone)
-            seen = common.with_slopes(request.theta, request.substeps)
-            search.tell(alone, request, ProblemAnswer(*objective.normal(seen)))
-        np.testing.assert_allclose(state["best_theta"], alone["best_theta"], rtol=1e-9)
-        assert state["stopped"] == "converged"
 
 
 def test_efficiency_has_a_row_for_every_target():

@@ -23,7 +23,7 @@ def main(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write all figures as JSON to this file.", metavar="FILE")] = None,
     seeds: Annotated[
-        int | None, typer.Option(min=1, help="Of efficiency and methods; by default 50 and 10.", show_default=False)
+        int | None, typer.Option(min=1, help="Of efficiency and methods; by default 25 and 10.", show_default=False)
     ] = None,
     page: Annotated[
         Path | None, typer.Option(help="Put tables and figure into this page (docs/fitting_benchmarks.md).")

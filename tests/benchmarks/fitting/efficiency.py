@@ -8,21 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.evaluation import Prediction
-from fitting.fit import SPRING_PARAMETERS
+from fitting.evaluation import Evaluator, Prediction
+from fitting.fit import SPRING_PARAMETERS, fit_tendons
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import free_parameters
 from fitting.programs import POSITION
-from fitting.uncertainty import NORMAL_95, inverse_information, uncertainty
+from fitting.uncertainty import NORMAL_95, inverse_information
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 from pftwin.rig.laboratory import FORCE_NOISE, MARKER_NOISE
-from tests.benchmarks.fitting.side_by_side import WideEvaluator, fitted, seen_by
 from tests.benchmarks.row import Row
 
 Floats = NDArray[np.float64]
@@ -32,7 +31,7 @@ MOTIONS = {"case 2, which dislocates": 2, "case 1, which tracks": 1}
 OVER_BOUND = 1.25
 PERCENT = 1.0
 SPRING = SPRINGS["femoral"]  # whose force is measured as well
-_STARTS = 2
+_SHORT = 8  # times as many steps as a fit begins its answer with: the motion that is measured
 
 
 class Kind(NamedTuple):
@@ -92,22 +91,21 @@ def rows(seeds: int) -> list[Row]:
 
 
 def repeated(scene: Scene, seeds: int, kinds: Sequence[Kind] = KINDS) -> dict[str, Found]:
-    """Fits of every kind to so many noisy copies of the twin's motion, all in step with each other."""
+    """Fits of every kind to so many noisy copies of the twin's motion, as users make them: by `fit_tendons`."""
     parameters = free_parameters(scene, SPRING_PARAMETERS)
-    common = WideEvaluator(scene, parameters, (POSITION, SPRING))
+    common = Evaluator(scene, parameters, (POSITION, SPRING))
     common.prepare(None)
     true = TRUE * parameters.nominal
-    clean = common.with_slopes(true[None], common.fine)
+    clean = common.with_slopes(true[None], _SHORT * common.first)
     data = [_noisy(scene, clean, seed) for seed in range(seeds)]
-    objectives = [Objective.of(scene, m, k.objective, use=k.use) for k in kinds for m in data]
-    states = fitted(common, objectives, _STARTS, 0)
-    values = np.stack([np.asarray(s["best_theta"], dtype=float) for s in states])
-    seen = common.with_slopes(values, common.fine)
     out = {}
-    for n, kind in enumerate(kinds):
-        rows = range(n * seeds, (n + 1) * seeds)
-        deviations = np.stack([_deviations(objectives[i], common, seen, values, i) for i in rows])
-        out[kind.name] = Found(values[list(rows)], deviations, true, bound(objectives[n * seeds], clean))
+    for kind in kinds:
+        asked: dict[str, Any] = {"objective": kind.objective, "use": kind.use, "computed": (POSITION, SPRING)}
+        estimates = [fit_tendons(scene, m, **asked) for m in data]
+        values = np.stack([e.values for e in estimates])
+        deviations = np.stack([e.standard_deviations for e in estimates])
+        known = bound(Objective.of(scene, data[0], kind.objective, use=kind.use), clean)
+        out[kind.name] = Found(values, deviations, true, known)
     return out
 
 
@@ -126,22 +124,11 @@ def _noisy(scene: Scene, clean: Prediction, seed: int) -> Measured:
 
 def bound(objective: Objective, clean: Prediction) -> Floats:
     """Cramer and Rao's (p, p), with white noise of the channels that are compared."""
-    slopes = seen_by(objective, clean).slopes
-    assert slopes is not None
-    noise = np.array([MARKER_NOISE] * 3 + [FORCE_NOISE])[: slopes.shape[2]]
-    flat = (slopes[0] / noise[:, None]).reshape(-1, slopes.shape[-1])
+    assert clean.slopes is not None
+    width = objective.measured.shape[1]
+    noise = np.array([MARKER_NOISE] * 3 + [FORCE_NOISE])[:width]
+    flat = (clean.slopes[0, :, :width] / noise[:, None]).reshape(-1, clean.slopes.shape[-1])
     return inverse_information(flat.T @ flat)
-
-
-def _deviations(objective: Objective, common: WideEvaluator, seen: Prediction, values: Floats, i: int) -> Floats:
-    """Standard deviations (p,) as an estimate reports them."""
-    assert seen.slopes is not None
-    own = seen_by(objective, Prediction(seen.values[i : i + 1], seen.slopes[i : i + 1], seen.usable[i : i + 1]))
-    assert own.slopes is not None
-    r, j = objective.residuals(own.values)[0], objective.slopes(own.slopes, own.values)[0]
-    known = objective.known(objective.noise_of(r, len(common.parameters)))
-    sure = uncertainty(known, common.parameters, r, j, values[i])
-    return np.sqrt(np.maximum(np.diagonal(sure.covariance), 0.0))
 
 
 def rows_of(motion: str, found: dict[str, Found], seeds: int) -> list[Row]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tests.benchmarks.row import Row
 
-SEEDS = {"efficiency": 50, "methods": 10}
+SEEDS = {"efficiency": 25, "methods": 10}
 _QUICK_SEEDS = 2
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from fitting.finish import started_at
 from fitting.methods.genetic import Genetic
 from fitting.methods.gradient import Gradient
 from fitting.methods.least_squares import LeastSquares
 from fitting.methods.matlab_ga import MatlabGa
-from fitting.methods.problem import Method, Problem
+from fitting.methods.problem import Method, Problem, State
 from fitting.methods.strategies import CmaEs, DifferentialEvolution
 from tests.benchmarks.fitting.methods.meter import Meter
 
@@ -29,14 +32,22 @@ def widest(name: str, problem: Problem) -> int | None:
 
 
 def run(name: str, meter: Meter, seed: int) -> str:
-    """Runs a method to its end; returns why it stopped.
+    """Runs a method to its end, as `fit_tendons` does; returns why it stopped.
 
     Raises:
         SpentError: the budget was spent first.
     """
     search = OURS[name](meter.problem, seed)
+    state = _ended(search, meter)
+    if search.rough and state["best_theta"] is not None:
+        from_there = started_at(meter.problem, np.asarray(state["best_theta"]))
+        state = _ended(LeastSquares(from_there, seed, near=True), meter)
+    return str(state["stopped"])
+
+
+def _ended(search: Method, meter: Meter) -> State:
     state: dict[str, Any] = search.begin()
     while state["stopped"] is None:
         request = search.ask(state)
         search.tell(state, request, meter.answer(request))
-    return str(state["stopped"])
+    return state

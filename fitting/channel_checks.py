@@ -167,14 +167,18 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
             continue
         left = float(_rms(residuals[there, rows]))
         kind = channel if channel in _FLOOR else "force"
-        size = 1.0 if kind != "force" else max(float(_rms(objective.measured[there, columns])), 1e-300)
-        unit = unit_of(channel, objective.readings)
-        cases = [(kind, left / size, f"of {channel} the fit leaves {shown(left, unit, 3)} rms")]
-        if kind == "force":
-            cases = [(kind, cases[0][1], f"{cases[0][2]} of {shown(size, unit, 3)} that were measured")]
+        size, unit = float(_rms(objective.measured[there, columns])), unit_of(channel, objective.readings)
+        said = f"of {channel} the fit leaves {shown(left, unit, 3)} rms"
+        if kind != "force":
+            cases = [(kind, left, said)]
+        elif size > 0 or channel not in objective.readings:
+            cases = [(kind, left / max(size, 1e-300), f"{said} of {shown(size, unit, 3)} that were measured")]
+        else:  # what should read nothing has no share of it
+            cases = []
         if stated is not None:
             times = left / (stated[channel] * np.sqrt(rows.stop - rows.start))
-            cases.append(("noise", times, f"{cases[0][2]}, {times:.0f} times the stated noise"))
+            told = cases[0][2] if cases else said
+            cases.append(("noise", times, f"{told}, {times:.0f} times the stated noise"))
         why = ": within the bounds the twin does not move or pull like this"
         for limit, value, said in cases:
             remedy = f"check unit, sign and channel of {channel}; or "

@@ -38,7 +38,7 @@ _ROUGH = 5e-4  # largest error of a search's motion with long steps, rms [m]
 _REMEMBERED = 4  # batches with derivatives that are remembered
 _CLOUD = 96  # equilibria in the cloud
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # steps of searches and answers [s]: errors of 0.03 mm and 0.01 mm on the rig
-HALVINGS = 2  # of an answer's step, at most
+HALVINGS = 2  # of an answer's step by the nominal motion, at most; `fitting.finish` goes on
 _EXACT = 1e-4  # largest error of the steps of an answer, rms: of positions [m]
 _EXACT_SHARE = 0.02  # of other channels, as a share of the range that they go through
 _SEED = 20240418  # of the cloud: the same for every fit
@@ -94,8 +94,7 @@ class Evaluator:
         found = chosen_devices(self.devices)
         self._count, self._threads = len(found), feeding_threads(self.devices)
         self._accelerated = found[0].platform != "cpu"
-        if self._accelerated:
-            warn_of_accelerator()
+        warn_of_accelerator(found[0].platform)
         mesh = programs.mesh_of(found)
         self._program = programs.FitProgram(self.parameters.places, self.computed or self.channels, mesh)
         self._plain_scene = self.scene.unnamed()

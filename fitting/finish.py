@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_MOST = 8  # times as many steps as before anything is known of their errors, at most
+_HALVINGS = 3  # of the steps with which a search ends, at most
 _SETTLED = 0.05  # divergence [nats] of two estimates that are taken for one: a shift by 0.3 deviations, or 22 % of one
 _BY_BOUNDS = 12.0  # information of an even distribution between bounds, by shares of the range
 
@@ -45,29 +45,54 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
     problem = search.problem
     if state["best_theta"] is None or not (search.rough or problem.weighs_priors):
         return search, state
-    theta, most = np.asarray(state["best_theta"]), _MOST * problem.evaluator.first
-    while search.rough and problem.evaluator.fine < most and not settled(problem, theta):
-        problem.evaluator.fine *= 2
-    if problem.weighs_priors:
-        problem = replace(problem, objective=replace(problem.objective, share=share_at(problem, theta)))
+    theta = np.asarray(state["best_theta"])
     try:
+        problem = _weighed(problem, theta)
+        left = settle(problem, theta) if search.rough else 0.0
+        problem = _weighed(problem, theta)
         again = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
     except KeyboardInterrupt:  # before it had an answer
         return search, {**state, "interrupted": True}
     if again["best_theta"] is None:
         return search, {**state, "stopped": "with shorter steps, or measurements counted anew, nothing could be run"}
     search.problem = replace(search.problem, objective=problem.objective)
-    return search, _joined(state, again)
+    state = _joined(state, again)
+    if left > _SETTLED:
+        state["stopped"] = f"{state['stopped']}; steps half as long would still change the estimate"
+    return search, state
 
 
-def settled(problem: Problem, theta: Floats) -> bool:
-    """Whether the estimate near these parameters (p,) is the same in half the steps; or no motion comes out there."""
+def settle(problem: Problem, theta: Floats) -> float:
+    """Halves the steps of a problem's answers until the estimate near these parameters (p,) changes no more.
+
+    Returns:
+        By how much it would still change [nats]: from the last halving, for the error of steps is of first order.
+    """
+    left = change(problem, theta)
+    for halvings in range(1, _HALVINGS + 1):
+        if left <= _SETTLED:
+            break
+        problem.evaluator.fine *= 2
+        left = change(problem, theta) if halvings < _HALVINGS else left / 4
+    return left
+
+
+def change(problem: Problem, theta: Floats) -> float:
+    """By how much the estimate near these parameters (p,) is another one in half the steps [nats]; 0 where no motion
+    comes out there, infinite where one of the two is none."""
     fine = problem.evaluator.fine
     ours, theirs = (_told(problem, theta, substeps) for substeps in (fine, 2 * fine))
     if ours is None or theirs is None:
-        return True
+        return 0.0
     told = np.isfinite(ours.precision).all() and np.isfinite(theirs.precision).all()
-    return bool(told) and _divergence(ours, theirs) <= _SETTLED
+    return _divergence(ours, theirs) if told else np.inf
+
+
+def _weighed(problem: Problem, theta: Floats) -> Problem:
+    """With what its measurements count beside priors, if there are any."""
+    if not problem.weighs_priors:
+        return problem
+    return replace(problem, objective=replace(problem.objective, share=share_at(problem, theta)))
 
 
 class _Told(NamedTuple):
@@ -87,7 +112,7 @@ def _told(problem: Problem, theta: Floats, substeps: int) -> _Told | None:
     asked, span = slice(p.asked), p.upper - p.lower
     mean = p.share(theta + problem.ahead(theta, substeps))
     covariance = (uncertainty(known, p, r, j, theta).covariance / np.outer(span, span))[asked, asked]
-    if not np.linalg.eigvalsh(covariance)[0] > 0:  # derivatives that grew from step to step
+    if not np.linalg.eigvalsh(covariance)[0] > 0:  # derivatives that grew from step to step, or an open combination
         return _Told(mean[asked], np.full(covariance.shape, np.nan))
     return _Told(mean[asked], inverse_information(covariance) + _BY_BOUNDS * np.eye(p.asked))
 

@@ -103,7 +103,7 @@ def plan_experiment(
         use: channels to be measured: "position", "orientation", effects' names for their forces, and whatever else
             effects report ("contact.force_medial").
         noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white. That of
-            other readings has to be stated.
+            a reading that is no force has to be stated.
         candidates: channels that might be measured besides; by default every other one that the scene has.
         further: scenes of trials of the same knee that might be recorded besides, by the same channels.
         priors: by name, mean and standard deviation of a normal prior.
@@ -132,6 +132,8 @@ def plan_experiment(
     if unknown := [c for c in wanted if units.get(c, "N") != "N" and c not in (noise or {})]:
         expected = f"its standard deviation [{units[unknown[0]]}]"
         raise InputError(f"no noise of {unknown[0]!r}", where="noise", expected=expected)
+    if odd := [c for c in wanted if np.ndim(sigma[c])]:
+        raise InputError(f"{odd[0]}: a covariance", where="noise", expected="a standard deviation, in plans")
     if bad := [c for c in wanted if not (np.isfinite(sigma[c]) and sigma[c] > 0)]:
         raise InputError(f"{bad[0]}: found {sigma[bad[0]]!r}", where="noise", expected="a positive number")
     measured = tuple(c for c in wanted if c in use)

@@ -1,8 +1,8 @@
 """How residuals count beside one another: weights of frames, and covariances of a channel's noise.
 
 Residuals are multiplied by a matrix of each channel and by a number of each frame, after which their noise is white and
-of one size: r' = sqrt(w) s C^(-1/2) r for a frame of weight w and noise of covariance C, where s^2 is the mean of C's
-diagonal. Whatever compares residuals goes by r', and whatever tells how far off a fit is, by r.
+of one size: r' = sqrt(w) s C^(-1/2) r for a frame of weight w (1 on average) and noise of covariance C, where s^2 is
+the mean of C's diagonal. Whatever compares residuals goes by r'; how far off a fit is, is told with the weights alone.
 """
 
 from __future__ import annotations

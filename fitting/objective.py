@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.evaluation import Prediction
+from fitting.measured_channels import check_times, chosen_channels
 from fitting.metric import Metric, StatedNoise, check_noise, covariances, level
 from fitting.programs import ORIENTATION, POSITION, channel_widths, reading_units
 from pftwin.base.errors import InputError
@@ -39,7 +40,6 @@ _AXES = ("X", "Y", "Z")
 _SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below these are rounding [m], [rad]
 _SMALLEST_FORCE = 1e-5  # the same of a force [N]
 _SMALLEST_SHARE = 1e-6  # the same of another reading, as a share of its root mean square
-_SAME_TIME = 0.1  # of a frame's interval: allows for the rounding of printed times
 _ONE: dict[str, Any] = {"frames": (slice(None),), "sources": ()}  # of one trial
 _HUBER = 1.345  # residual from which the loss is linear, in units of the noise
 
@@ -106,20 +106,23 @@ class Objective:
             raise InputError(f"no objective {kind!r}", where="objective", expected=f"one of: {', '.join(OBJECTIVES)}")
         if loss not in LOSSES:
             raise InputError(f"no loss {loss!r}", where="loss", expected=f"one of: {', '.join(LOSSES)}")
-        _check_times(scene, measured)
-        data = _chosen_channels(scene, measured, kind, use, springs)
+        check_times(scene, measured)
+        data = chosen_channels(scene, measured, kind, use, springs)
         channels = tuple(data)
         if noise is not None:
-            check_noise(noise, channels, [3 if c in (POSITION, ORIENTATION) else 1 for c in channels])
+            check_noise(noise, channels, _residuals_of(channels))
         if loss != "linear" and (noise is None or kind == "paper"):
             problem = f"the loss {loss!r} tells outliers by the measurements' noise, which is not known here"
             expected = 'a likelihood with noise, such as noise={"position": 2e-4}'
             raise InputError(problem, where="loss", expected=expected)
         there = np.stack([np.isfinite(values).all(axis=1) for values in data.values()], axis=1)
-        if measured.weights is not None:
-            there &= measured.weights[:, None] > 0
-            if not there.any():
-                raise InputError("no frame counts", where=measured.source, expected="a weight that is not 0")
+        weights = measured.weights
+        if weights is not None:
+            there &= weights[:, None] > 0
+            if unseen := [c for c, some in zip(channels, there.any(axis=0).tolist(), strict=True) if not some]:
+                found = f"no frame in which {unseen[0]} was measured counts"
+                raise InputError(found, where=measured.source, expected="a weight that is not 0")
+            weights = weights / weights[weights > 0].mean()
         own = None if noise is None or kind == "paper" else {c: noise[c] for c in channels}
         column_channel = channel_of_columns(channels)
         return Objective(
@@ -133,7 +136,7 @@ class Objective:
             loss,
             measured.synthetic,
             measured.source,
-            metric=Metric.of(measured.weights, len(there), own),
+            metric=Metric.of(weights, len(there), own),
             covariances=covariances(own),
             readings=reading_units(scene, channels),
         )
@@ -155,8 +158,8 @@ class Objective:
 
     @property
     def plain(self) -> Objective:
-        """With all frames and columns alike, to tell how far off a fit is."""
-        return replace(self, metric=None)
+        """With all columns alike, to tell how far off a fit is: frames count by their weights still."""
+        return self if self.metric is None else replace(self, metric=self.metric._replace(channels={}))
 
     @property
     def stated_noise(self) -> StatedNoise | None:
@@ -250,7 +253,7 @@ class Objective:
             for c, columns, rows in self.columns()
             if c in self.readings
         }
-        known = _SMALLEST | {c: max(size, 1e-300) for c, size in sizes.items()}
+        known = _SMALLEST | {c: max(size, 1e-150) for c, size in sizes.items()}
         return np.array([known.get(POSITION if g in _AXES else g, _SMALLEST_FORCE) ** 2 for g in self.groups])
 
     def _value(self, r: Floats) -> Floats:
@@ -312,7 +315,12 @@ class Objective:
 
 def channel_of_columns(channels: tuple[str, ...]) -> NDArray[np.intp]:
     """The channel of each residual column (m,)."""
-    return np.repeat(np.arange(len(channels)), [3 if c in (POSITION, ORIENTATION) else 1 for c in channels])
+    return np.repeat(np.arange(len(channels)), _residuals_of(channels))
+
+
+def _residuals_of(channels: Sequence[str]) -> list[int]:
+    """How many residuals a frame each has."""
+    return [3 if c in (POSITION, ORIENTATION) else 1 for c in channels]
 
 
 def _rho(z: Floats, loss: str) -> Floats:
@@ -326,61 +334,3 @@ def _rho_slope(z: Floats, loss: str) -> Floats:
     if loss == "huber":
         return np.where(z <= _HUBER**2, 1.0, _HUBER / np.sqrt(np.maximum(z, _HUBER**2)))
     return 1 / np.sqrt(1 + z) if loss == "soft_l1" else np.ones_like(z)
-
-
-def measured_channels(
-    scene: Scene, measured: Measured, springs: Mapping[str, str]
-) -> tuple[dict[str, Floats], tuple[str, ...]]:
-    """What was measured of a scene's channels, (n, columns) each, and all channels that could be."""
-    available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}
-    contact = scene.contact
-    names = {e.name for e in scene.effects}
-    if contact is not None:
-        available[contact.name] = measured.contact_force
-    for spring, force in (("femoral", measured.femoral_spring_force), ("tibial", measured.tibial_spring_force)):
-        if springs.get(spring) in names:
-            available[springs[spring]] = force
-    available |= {name: values for name, values in measured.readings.items() if scene.reported(name)}
-    data = {
-        c: np.asarray(v, dtype=float).reshape(len(measured.times), -1) for c, v in available.items() if v is not None
-    }
-    return {c: v for c, v in data.items() if np.isfinite(v).all(axis=1).any()}, tuple(available)
-
-
-def _chosen_channels(
-    scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
-) -> dict[str, Floats]:
-    """The measured channels that are compared, (n, columns) each."""
-    data, available = measured_channels(scene, measured, springs)
-    wanted = tuple(data) if use == "all" else (use,) if isinstance(use, str) else tuple(use)
-    if kind == "paper" and wanted != (POSITION,):
-        expected = "position alone: the paper's objective has no other"
-        raise InputError(f"found {', '.join(wanted)}", where="use", expected=expected)
-    if missing := [c for c in wanted if c not in data]:
-        raise InputError(
-            f"no {missing[0]!r} was measured" if missing[0] in available else f"no channel {missing[0]!r}",
-            where=measured.source,
-            expected=f"one of: {', '.join(data)}" if data else "at least one measured frame",
-        )
-    if not wanted:
-        problem = f"no measured variable for the objective {kind!r}"
-        raise InputError(problem, where=measured.source, expected="positions or forces")
-    return {c: data[c] for c in data if c in wanted}
-
-
-def _check_times(scene: Scene, measured: Measured) -> None:
-    ours, theirs, interval = scene.motion.times, measured.times, scene.motion.frame_interval
-    if theirs.size != ours.size:
-        rate = (theirs.size - 1) / (theirs[-1] - theirs[0]) if theirs.size > 1 else 0.0
-        expected = f"the scene's {ours.size} frames at {1 / interval:.4g} Hz"
-        remedy = "the measurements of the scene's motion, resampled at its frames"
-        found = f"{theirs.size} frames at {rate:.4g} Hz"
-        raise InputError(found, where=measured.source, expected=expected, remedy=remedy)
-    if (bad := np.flatnonzero(np.abs(theirs - ours) > _SAME_TIME * interval)).size:
-        i = int(bad[0])
-        found, expected = (
-            f"frame {i + 1} was measured at {theirs[i]:.6g} s",
-            f"{ours[i]:.6g} s as in the scene's motion",
-        )
-        remedy = "measurements with the clock and rate of the scene's motion"
-        raise InputError(found, where=measured.source, expected=expected, remedy=remedy)

@@ -114,14 +114,14 @@ def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Row
 
 
 def refuse_weights(measured: Sequence[Measured]) -> None:
-    """Refuses weights of frames: a posterior is trained for all recordings.
+    """Refuses weights of frames: a set-up is one for all its recordings.
 
     Raises:
         InputError: there are some.
     """
     for data in measured:
         if data.weights is not None:
-            remedy = 'measurements without, or fit_tendons(method="simulations"), which learns anew for each recording'
+            remedy = "measurements without them, or fit_tendons, which answers one recording"
             raise InputError("weights of frames", where=data.source, expected="frames that all count", remedy=remedy)
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.differences import with_differences
+from fitting.measured_channels import measured_channels
 from fitting.metric import Metric, StatedNoise
 from fitting.nuisance import Nuisance
-from fitting.objective import Objective, channel_of_columns, measured_channels
+from fitting.objective import Objective, channel_of_columns
 from fitting.parameters import Bounds, Parameters, with_nuisance
 from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of, with_readings
 from pftwin.base.errors import InputError

@@ -41,7 +41,7 @@ class Laboratory:
         placement: standard deviation of how far off the femur is registered to its markers: each coordinate of the
             tracked point in its frame [m].
         readings: standard deviation of the noise of whatever else effects report and is recorded, by
-            "EFFECT.OBSERVABLE".
+            "EFFECT.OBSERVABLE". Load cells' zeros, scales and delays are those of forces by their effects' names alone.
     """
 
     marker_noise: float = 2e-4
@@ -133,7 +133,9 @@ class Laboratory:
 
     def _read(self, seen: Seen, name: str, random: np.random.Generator) -> Floats:
         owner, _, key = name.rpartition(".")
-        value = seen.reported[owner][key]
+        value = seen.reported.get(owner, {}).get(key)
+        if value is None:
+            raise InputError(f"{name} is no single number a frame", where="laboratory", expected="another reading")
         return value + random.normal(0.0, self.readings[name], value.shape)
 
     def _load_cell(self, force: Floats, random: np.random.Generator) -> Floats:

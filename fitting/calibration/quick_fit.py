@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from fitting.estimate import Estimate
 from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
 from fitting.inference.infer import DRAWS
+from fitting.measured_channels import measured_channels
 from fitting.methods.problem import Problem
 from fitting.metric import StatedNoise
 from fitting.nuisance import Nuisance
-from fitting.objective import SPRINGS, measured_channels
+from fitting.objective import SPRINGS
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
-from fitting.set_up import SetUp, listed
+from fitting.set_up import SetUp, listed, refuse_weights
 from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -51,7 +52,7 @@ class QuickFit(NamedTuple):
         """Arguments are as `fit_tendons` has them; of a first recording, by which the set-up is told.
 
         Raises:
-            InputError: a method that does not search; as `fit_tendons`.
+            InputError: a method that does not search; weights of frames; as `fit_tendons`.
         """
         if method not in METHODS:
             found = "simulations would be learned from anew for each plant" if method == SIMULATIONS else repr(method)
@@ -60,6 +61,7 @@ class QuickFit(NamedTuple):
         besides = Nuisance.of(nuisance)
         besides.refuse_sensors(f"method {method!r}")
         trials = trials_of(scene, measured)
+        refuse_weights([data for _, data in trials])
         scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
         data = [data for _, data in trials]
         target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", use, noise, "linear", springs)

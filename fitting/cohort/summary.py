@@ -18,6 +18,7 @@ import numpy as np
 
 from fitting.cohort.description import Cohort
 from fitting.cohort.manifest import SUMMARY, Announced, Failure, Manifest, Unit, file_digest, versions
+from fitting.programs import unit_of
 from pftwin.base.errors import MissingExtraError
 from pftwin.base.output import written_whole
 
@@ -73,8 +74,10 @@ def fit_dataset(estimate: Estimate) -> Dataset:
         "parameter_unit": (("parameter",), list(estimate.units)),
     }
     attributes: dict[str, Any] = {n: getattr(estimate, n) for n in (*_TEXTS, *_NUMBERS)}
-    for name in ("rmse", "noise"):
-        attributes[name] = json.dumps(getattr(estimate, name))  # m, rad and N, by channel
+    for name in ("rmse", "noise", "readings"):
+        attributes[name] = json.dumps(
+            getattr(estimate, name)
+        )  # by channel; units of those that are no poses and forces
     attributes |= {
         "synthetic": int(estimate.synthetic),
         "at_bounds": " ".join(estimate.at_bounds),
@@ -184,7 +187,7 @@ def _fitted(fit: Dataset, units: Units) -> Row:
     for channel, value in json.loads(fit.attrs["rmse"]).items():
         column = f"rmse_{channel}".replace(".", "_")
         row[column] = float(value)
-        units[column] = {"position": "m", "X": "m", "Y": "m", "Z": "m", "orientation": "rad"}.get(channel, "N")
+        units[column] = "m" if channel in ("X", "Y", "Z") else unit_of(channel, json.loads(fit.attrs["readings"]))
     return row
 
 

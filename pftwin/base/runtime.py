@@ -105,15 +105,12 @@ def use_defaults() -> None:
         warnings.warn(text, PftwinWarning, stacklevel=3)
 
 
-def warn_of_accelerator() -> None:
-    """Says once, where JAX computes on an accelerator, that what is done step by step is slow there.
+def warn_of_accelerator(platform: str) -> None:
+    """Says once, where it is computed on an accelerator, that what is done step by step is slow there.
 
     Warns:
-        PftwinWarning: it does.
+        PftwinWarning: it is.
     """
-    import jax
-
-    platform = jax.default_backend()
     if platform != "cpu" and not _Process.warned_of_accelerator:
         _Process.warned_of_accelerator = True
         warnings.warn(_ON_GPU.format(platform=platform.upper()), PftwinWarning, stacklevel=3)

@@ -148,7 +148,7 @@ def simulate(
         PftwinWarning: JAX's default is an accelerator, which is slow at this; once.
     """
     refuse_traced(scene, "simulate", "trajectory")
-    warn_of_accelerator()
+    warn_of_accelerator(jax.default_backend())
     check(scene)
     if tolerance is not None and dt is not None:
         raise InputError("found both dt and tolerance", where="simulate", expected="one of them")

@@ -34,8 +34,8 @@ class Measured:
         source: where they come from, for messages and legends.
         readings: (n,) each, whatever else effects report, by "EFFECT.OBSERVABLE" ("contact.force_medial", a marker's
             "m1.x"), in the unit in which the effect reports it.
-        weights: (n,) how much each frame counts in a fit, in all channels: its noise has 1/weight times the variance
-            of a frame of weight 1, and a frame of weight 0 is left out. None: all count alike.
+        weights: (n,) how much each frame counts in a fit beside the others, in all channels: its noise has a variance
+            in proportion to 1/weight, and a frame of weight 0 is left out. None: all count alike.
 
     Raises:
         InputError: repeated or unsorted times, shapes that do not match, a quaternion that is no unit quaternion,

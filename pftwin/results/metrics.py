@@ -87,7 +87,7 @@ class Validation:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        return asdict(self)
+        return {**asdict(self), "readings": {row.key: {"rmse": row.value, "unit": row.unit} for row in self.readings}}
 
     def to_rows(self, paper: str | None = None) -> list[ValidationRow]:
         """The table, beside the paper's column ("CM", "FM", "P2", "P4", "P5") where one is named.
@@ -178,7 +178,7 @@ def reading(result: Result, name: str) -> Reading:
 
 
 def mean_of(validations: Sequence[Validation]) -> Validation:
-    """Means over several cases, as in the paper's table; None in a row that a case lacks.
+    """Means over several cases, as in the paper's table; None in a row that a case lacks. Readings are left out.
 
     Raises:
         InputError: no cases.

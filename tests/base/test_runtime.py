@@ -11,7 +11,6 @@ import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax
 import pytest
 
 from pftwin.base import runtime
@@ -165,11 +164,10 @@ def test_that_an_accelerator_is_slow_at_single_motions_is_said_once(monkeypatch)
     monkeypatch.setattr(runtime._Process, "warned_of_accelerator", False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        runtime.warn_of_accelerator()  # on a CPU
-        monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+        runtime.warn_of_accelerator("cpu")
         with pytest.raises(PftwinWarning, match=r"on a GPU here.*JAX_PLATFORMS=cpu,cuda"):
-            runtime.warn_of_accelerator()
-        runtime.warn_of_accelerator()
+            runtime.warn_of_accelerator("gpu")
+        runtime.warn_of_accelerator("gpu")
 
 
 @pytest.mark.parametrize(("given", "devices"), [(None, "all"), ("all", "all"), ("3", 3)])

@@ -103,6 +103,58 @@ def test_springs_are_found_by_markers_and_a_gauge_alone() -> None:
     assert found.readings == {**dict.fromkeys(MARKERS, "m"), GAUGE: "1"}
 
 
+def test_an_objective_of_ones_own_is_what_should_read_nothing() -> None:
+    """The strain should be zero to within so much that it decides nothing beside the markers."""
+    nothing = {**measured().readings, GAUGE: np.zeros(21)}
+    data = Measured(measured().times, measured().center, readings=nothing)
+    noise = {**dict.fromkeys(MARKERS, 1e-3), GAUGE: 1.0}
+    asked: dict[str, Any] = {"free": tuple(TRUTH), "use": (*MARKERS, GAUGE), "noise": noise, "computed": COMPUTED}
+    found = fitting.fit_tendons(scene(), data, starts=2, **asked)
+    np.testing.assert_allclose(found.values, list(TRUTH.values()), rtol=1e-3)
+    strain = np.asarray(result().effects["gauge"]["strain"])
+    assert found.objective_value == pytest.approx(0.5 * np.sum(strain**2), rel=0.05)
+    assert not found.doubts
+
+
+def test_a_force_is_not_measured_twice() -> None:
+    force = result().effects["contact"]["force"]
+    data = Measured(result().times, result().center, contact_force=force, readings={"contact.force": force})
+    with pytest.raises(InputError, match=r"contact.force and the force of contact"):
+        fitting.fit_tendons(scene(), data, use="all")
+
+
+def test_weights_and_covariances_reach_the_fit_and_its_file(tmp_path: Any) -> None:
+    """Both end where the fit of the same problem, written out by hand, ends: at the least of the weighted squares."""
+    random = np.random.default_rng(4)
+    covariance = np.array([[4.0, 1.0, 0.0], [1.0, 1.0, 0.3], [0.0, 0.3, 2.0]]) * 1e-8
+    center = result().center + random.multivariate_normal(np.zeros(3), covariance, 21)
+    data = Measured(result().times, center, weights=np.where(np.arange(21) < 10, 1.0, 3.0))
+    asked: dict[str, Any] = {"free": ("K1",), "noise": {"position": covariance}, "computed": COMPUTED, "starts": 1}
+    found = fitting.fit_tendons(scene(), data, **asked)
+    problem = likelihood_of(fitting.Estimate.load(found.save(tmp_path / "e.json"), scene()), data)
+    assert problem.evaluator.fine == found.substeps >= 6
+    off = problem.evaluator.values(found.values[None], found.substeps).values[0, :, :3] - center
+    weights = data.weights / np.mean(data.weights)  # type: ignore[operator]
+    expected = 0.5 * np.sum(weights * np.einsum("ti,ij,tj->t", off, np.linalg.inv(covariance), off))
+    assert problem.objective.value(problem.evaluator.values(found.values[None], found.substeps))[0] == pytest.approx(
+        expected, rel=1e-9
+    )
+    assert found.objective_value == pytest.approx(expected, rel=1e-6)
+    for refusing in (fitting.train_posterior, fitting.QuickFit.of):
+        with pytest.raises(InputError, match="weights of frames"):
+            refusing(scene(), data)
+
+
+def test_a_channel_of_which_no_frame_counts_is_refused() -> None:
+    read = np.full(21, np.nan)
+    read[3] = 0.02
+    data = Measured(
+        result().times, result().center, readings={"m1.x": read}, weights=(np.arange(21) != 3).astype(float)
+    )
+    with pytest.raises(InputError, match=r"no frame in which m1.x was measured counts"):
+        fitting.fit_tendons(scene(), data, use=("position", "m1.x"))
+
+
 def test_the_estimate_keeps_its_channels_units_in_its_file(tmp_path: Any) -> None:
     loaded = fitting.Estimate.load(fitted().save(tmp_path / "e.json"), scene())
     assert loaded.readings == fitted().readings

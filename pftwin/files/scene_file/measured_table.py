@@ -112,7 +112,9 @@ class MeasuredSection(Section):
         out["readings"] = {name: np.interp(motion.times, table.times, each) for name, each in read.items()}
         if self.weights is not None:
             with document.naming("measured", "weights"):
-                out["weights"] = np.interp(motion.times, table.times, _column(table, self.weights, "1"))
+                weights = _column(table, self.weights, "1")
+                whole = np.interp(motion.times, table.times, (weights > 0).astype(float)) == 1
+                out["weights"] = np.where(whole, np.interp(motion.times, table.times, weights), 0.0)
         return out
 
 
@@ -124,7 +126,10 @@ def _column(table: Table, column: str, unit: str) -> NDArray[np.float64]:
     """
     label = column if column in table.names else split_unit(column)[0]
     values = table.column(label if label in table.names else column)
-    if table.units[label] != (unit if unit in SI_UNITS else "1"):
+    if unit not in SI_UNITS:
+        found, expected = f"a reading in {unit}", f"one of: {', '.join(sorted(SI_UNITS))}"
+        raise InputError(found, where=f"{table.source}, column {label!r}", expected=expected)
+    if table.units[label] != unit:
         found = f"its unit is {table.units[label]}"
         raise InputError(found, where=f"{table.source}, column {label!r}", expected=f"a unit of {unit}, such as {unit}")
     return values

@@ -244,7 +244,7 @@ def test_readings_and_weights_are_at_the_frames_in_the_effects_units(toy: Path) 
     np.testing.assert_allclose(seen.readings["m1.x"][10], 0.04, atol=1e-9)
     np.testing.assert_allclose(seen.readings["contact.force_medial"][10], 0.2, atol=1e-9)
     assert seen.weights is not None
-    np.testing.assert_array_equal(seen.weights[[0, 5, 20]], [0, 0, 1])
+    np.testing.assert_array_equal(seen.weights[[0, 5, 10, 11, 20]], [0, 0, 0, 1, 1])
     told = refused(toy, text.replace('"out_mm"', '"medial"'))
     assert "[measured] readings" in told
     assert "its unit is N" in told

@@ -1,0 +1,95 @@
+"""What was measured of a scene, as the channels of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.programs import ORIENTATION, POSITION
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
+
+Floats = NDArray[np.float64]
+
+_SAME_TIME = 0.1  # of a frame's interval: allows for the rounding of printed times
+_OF_FORCES = ("force", "tension")  # what the channel is that has an effect's name
+
+
+def measured_channels(
+    scene: Scene, measured: Measured, springs: Mapping[str, str]
+) -> tuple[dict[str, Floats], tuple[str, ...]]:
+    """What was measured of a scene's channels, (n, columns) each, and all channels that could be.
+
+    Raises:
+        InputError: a reading that no effect reports, or that is measured as a force already.
+    """
+    available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}
+    contact = scene.contact
+    names = {e.name for e in scene.effects}
+    if contact is not None:
+        available[contact.name] = measured.contact_force
+    for spring, force in (("femoral", measured.femoral_spring_force), ("tibial", measured.tibial_spring_force)):
+        if springs.get(spring) in names:
+            available[springs[spring]] = force
+    for name, values in measured.readings.items():
+        told = scene.reported(name)
+        if told.key in _OF_FORCES and available.get(told.effect) is not None:
+            found, expected = f"{name} and the force of {told.effect}", "one of them: they are the same"
+            raise InputError(found, where=measured.source, expected=expected)
+        available[name] = values
+    data = {
+        c: np.asarray(v, dtype=float).reshape(len(measured.times), -1) for c, v in available.items() if v is not None
+    }
+    return {c: v for c, v in data.items() if np.isfinite(v).all(axis=1).any()}, tuple(available)
+
+
+def chosen_channels(
+    scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
+) -> dict[str, Floats]:
+    """The measured channels that are compared, (n, columns) each.
+
+    Raises:
+        InputError: one that was not measured; none.
+    """
+    data, available = measured_channels(scene, measured, springs)
+    wanted = tuple(data) if use == "all" else (use,) if isinstance(use, str) else tuple(use)
+    if kind == "paper" and wanted != (POSITION,):
+        expected = "position alone: the paper's objective has no other"
+        raise InputError(f"found {', '.join(wanted)}", where="use", expected=expected)
+    if missing := [c for c in wanted if c not in data]:
+        raise InputError(
+            f"no {missing[0]!r} was measured" if missing[0] in available else f"no channel {missing[0]!r}",
+            where=measured.source,
+            expected=f"one of: {', '.join(data)}" if data else "at least one measured frame",
+        )
+    if not wanted:
+        problem = f"no measured variable for the objective {kind!r}"
+        raise InputError(problem, where=measured.source, expected="positions or forces")
+    return {c: data[c] for c in data if c in wanted}
+
+
+def check_times(scene: Scene, measured: Measured) -> None:
+    """Refuses measurements at other times than the scene's.
+
+    Raises:
+        InputError: another number, rate or start.
+    """
+    ours, theirs, interval = scene.motion.times, measured.times, scene.motion.frame_interval
+    if theirs.size != ours.size:
+        rate = (theirs.size - 1) / (theirs[-1] - theirs[0]) if theirs.size > 1 else 0.0
+        expected = f"the scene's {ours.size} frames at {1 / interval:.4g} Hz"
+        remedy = "the measurements of the scene's motion, resampled at its frames"
+        found = f"{theirs.size} frames at {rate:.4g} Hz"
+        raise InputError(found, where=measured.source, expected=expected, remedy=remedy)
+    if (bad := np.flatnonzero(np.abs(theirs - ours) > _SAME_TIME * interval)).size:
+        i = int(bad[0])
+        found, expected = (
+            f"frame {i + 1} was measured at {theirs[i]:.6g} s",
+            f"{ours[i]:.6g} s as in the scene's motion",
+        )
+        remedy = "measurements with the clock and rate of the scene's motion"
+        raise InputError(found, where=measured.source, expected=expected, remedy=remedy)

@@ -119,7 +119,7 @@ class Objective:
         weights = measured.weights
         if weights is not None:
             there &= weights[:, None] > 0
-            if unseen := [c for c, some in zip(channels, there.any(axis=0).tolist(), strict=True) if not some]:
+            if unseen := [c for i, c in enumerate(channels) if not there[:, i].any()]:
                 found = f"no frame in which {unseen[0]} was measured counts"
                 raise InputError(found, where=measured.source, expected="a weight that is not 0")
             weights = weights / weights[weights > 0].mean()

@@ -53,6 +53,8 @@ def comparison_figure(courses: Mapping[str, Sequence[Course]], budget: tuple[flo
                     _curve(axes, courses[entrant.name], count, min(values), entrant.label, **line(i))
                 axes.axvline(mark, color="black", linestyle=":", linewidth=0.8)
                 axes.set(xscale="log", yscale="log", xlabel=name)
+                axes.xaxis.set_major_formatter("{x:g}")
+                axes.yaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
             row[0].set(ylabel="objective above the best seen [mm]", title="Ours" if own else "Others'")
             row[1].legend(loc="lower left", fontsize=SMALL)  # curves fall

@@ -127,6 +127,16 @@ def test_trials_keep_their_own_weights() -> None:
     )
 
 
+def test_a_trial_without_weights_counts_each_frame_alike() -> None:
+    data = measured()
+    weighted, plain = target(data), objective(data[:25], {"position": level(COVARIANCE), "contact": FORCE})
+    weighted = replace(weighted, metric=Metric(np.sqrt(WEIGHTS), {}))
+    at = np.einsum("tmp,p->tm", design(), NOMINAL + 0.02)
+    both = joined_objective([weighted, plain])
+    found = value(both, np.concatenate([at, np.zeros((1, 4)), at[:25]]))
+    assert found == pytest.approx(value(weighted, at) + value(plain, at[:25]), rel=1e-12)
+
+
 def test_the_level_of_a_covariance_is_that_of_its_columns() -> None:
     assert level(np.diag([9.0, 16.0, 11.0])) == pytest.approx(np.sqrt(12.0))
     assert level(0.3) == 0.3

@@ -243,7 +243,13 @@ class Estimate:
             return f"{INVALID}: {'; '.join(self._objections())}. {untold}"
         span, covariance = self.upper - self.lower, self.covariance[:asked, :asked]
         said = in_words(
-            self.names[:asked], span[:asked], self.values[:asked], covariance, self.channels, self.coordinates
+            self.names[:asked],
+            span[:asked],
+            self.values[:asked],
+            covariance,
+            self.channels,
+            self.coordinates,
+            self.readings,
         )
         return f"{said}. {'But ' if self.draws is None else ''}{self.coverage.intervals}"
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fitting import programs
 from fitting.parameters import Parameters
-from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of
+from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of, unit_of
 from pftwin.base.runtime import warn_of_accelerator
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
@@ -39,7 +39,7 @@ _REMEMBERED = 4  # batches with derivatives that are remembered
 _CLOUD = 96  # equilibria in the cloud
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # steps of searches and answers [s]: errors of 0.03 mm and 0.01 mm on the rig
 HALVINGS = 2  # of an answer's step by the nominal motion, at most; `fitting.finish` goes on
-_EXACT = 1e-4  # largest error of the steps of an answer, rms: of positions [m]
+_EXACT = 1e-4  # largest error of the steps of an answer, rms: of places and lengths [m]
 _EXACT_SHARE = 0.02  # of other channels, as a share of the range that they go through
 _SEED = 20240418  # of the cloud: the same for every fit
 
@@ -98,6 +98,7 @@ class Evaluator:
         mesh = programs.mesh_of(found)
         self._program = programs.FitProgram(self.parameters.places, self.computed or self.channels, mesh)
         self._plain_scene = self.scene.unnamed()
+        self._readings = programs.reading_units(self.scene, self.channels)
         self._with_plain = True
         self._recent: list[tuple[Floats, int, Prediction]] = []
 
@@ -167,7 +168,8 @@ class Evaluator:
             rms = 2 * float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
             if channel == ORIENTATION:
                 rms *= 2  # an angle is twice what the quaternion changes by
-            most = _EXACT if channel == POSITION else _EXACT_SHARE * float(np.ptp(b, axis=0).max())
+            place = unit_of(channel, self._readings) == "m"
+            most = _EXACT if place else _EXACT_SHARE * float(np.ptp(b, axis=0).max())
             found[channel] = StepError(rms, rms > most)
             at += width
         return found

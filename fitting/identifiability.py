@@ -162,7 +162,7 @@ def plan_experiment(
         float(values[-1] / values[0]) if values[0] > 0 else np.inf,
         tuple(name for name in unfelt if name in names),
         dict(sorted(additions.items(), key=lambda item: float(item[1].max()))),
-        in_words(names, span, nominal, covariance, measured, parameters.coordinates),
+        in_words(names, span, nominal, covariance, measured, parameters.coordinates, units),
         scale,
         tuple(names_of_trials),
     )

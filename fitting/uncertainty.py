@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitting.objective import Objective
 from fitting.parameters import Parameters
-from fitting.programs import POSITION
+from fitting.programs import POSITION, unit_of
 
 Floats = NDArray[np.float64]
 
@@ -130,8 +131,10 @@ def in_words(
     covariance: Floats,
     channels: tuple[str, ...],
     coordinates: tuple[str, ...] = (),
+    readings: Mapping[str, str] | None = None,
 ) -> str:
-    """A sentence on which parameters the data determine and which they do not."""
+    """A sentence on which parameters the data determine and which they do not; `readings` are channels that are no
+    poses and forces, with their units."""
     rel = relative(sizes(names, span, values, coordinates), covariance)
     sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
     subject = "positions" if channels == (POSITION,) else f"{', '.join(channels)}"
@@ -149,7 +152,7 @@ def in_words(
             parts.append(f"{pair} to {percent(ratio)}")
             rest = [i for i in rest if i not in stiff]
             weak = f", the common scale of {names[a]} and {names[b]} only to {percent(common)}"
-            forces = [c for c in channels if c not in (POSITION, "orientation")]
+            forces = [c for c in channels if unit_of(c, readings or {}) == "N"]
             if common > POORLY and not forces:
                 weak += ": measure one force to fix both"
     width = np.sqrt(np.maximum(np.diagonal(covariance), 0))

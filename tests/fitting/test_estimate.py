@@ -106,6 +106,10 @@ def test_the_sentence_splits_two_stiffnesses_into_ratio_and_scale(correlation):
 def test_no_force_is_asked_for_where_one_was_measured_or_all_is_well_known():
     assert "measure one force" not in two_stiffnesses(0.05, 0.999, channels=("position", "quadriceps"))
     assert "measure one force" not in two_stiffnesses(0.015, 0.999)
+    asked: dict = {"channels": ("m1.x", "contact.force_medial")}
+    assert "measure one force" not in two_stiffnesses(0.05, 0.999, readings={"m1.x": "m"}, **asked)
+    places = {"m1.x": "m", "contact.force_medial": "m"}  # as if both were places
+    assert "measure one force" in two_stiffnesses(0.05, 0.999, readings=places, **asked)
     assert two_stiffnesses(0.05, -0.999).startswith("positions fix K1 to 5 % and K2 to 5 %")
 
 

@@ -27,8 +27,11 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_HALVINGS = 3  # of the steps with which a search ends, at most
+_MOST = 8  # times as many steps as before anything is known of their errors, at most
 _SETTLED = 0.05  # divergence [nats] of two estimates that are taken for one: a shift by 0.3 deviations, or 22 % of one
+_UNSETTLED = (
+    "time steps half as long would still change the values by a third of their standard deviations, or these by a fifth"
+)
 _BY_BOUNDS = 12.0  # information of an even distribution between bounds, by shares of the range
 
 
@@ -58,7 +61,7 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
     search.problem = replace(search.problem, objective=problem.objective)
     state = _joined(state, again)
     if left > _SETTLED:
-        state["stopped"] = f"{state['stopped']}; steps half as long would still change the estimate"
+        state["notes"] = [_UNSETTLED]
     return search, state
 
 
@@ -68,12 +71,12 @@ def settle(problem: Problem, theta: Floats) -> float:
     Returns:
         By how much it would still change [nats]: from the last halving, for the error of steps is of first order.
     """
-    left = change(problem, theta)
-    for halvings in range(1, _HALVINGS + 1):
-        if left <= _SETTLED:
-            break
-        problem.evaluator.fine *= 2
-        left = change(problem, theta) if halvings < _HALVINGS else left / 4
+    evaluator = problem.evaluator
+    left, halvings = change(problem, theta), int(np.log2(_MOST * evaluator.first / evaluator.fine))
+    while left > _SETTLED and halvings > 0:
+        evaluator.fine *= 2
+        halvings -= 1
+        left = change(problem, theta) if halvings else left / 4
     return left
 
 

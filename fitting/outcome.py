@@ -79,6 +79,7 @@ class Outcome(NamedTuple):
                 **{key: int(state[key]) for key in ("iteration", "evaluations", "starts", "dropped")},
                 "seed": search.seed,
                 "history": state["history"],
+                "notes": list(state.get("notes", [])),
             },
         )
 

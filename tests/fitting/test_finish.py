@@ -82,6 +82,7 @@ def test_steps_are_halved_until_then_and_the_answer_is_that_of_short_ones() -> N
     off = (np.asarray(state["best_theta"]) - exact) / DEVIATIONS
     np.testing.assert_allclose(off, [-6.0 / 16, 0.0, 0.0], atol=0.01)
     assert state["stopped"] == "converged"
+    assert "notes" not in state
     assert state["iteration"] > before["iteration"]
     assert state["evaluations"] == state["history"][-1]["evaluations"]
     assert [entry["iteration"] for entry in state["history"]] == list(range(1, state["iteration"] + 1))
@@ -92,7 +93,8 @@ def test_they_are_halved_three_times_at_most_and_it_is_told() -> None:
     search = LeastSquares(ours, 0, 2)
     _, state = finished(search, run(search), run)
     assert ours.evaluator.fine == 32
-    assert state["stopped"] == "converged; steps half as long would still change the estimate"
+    assert state["stopped"] == "converged"
+    assert "steps half as long would still change" in state["notes"][0]
 
 
 def test_an_interrupt_while_steps_are_tried_keeps_what_was_found() -> None:

@@ -169,16 +169,15 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
         kind = channel if channel in _FLOOR else "force"
         size, unit = float(_rms(objective.measured[there, columns])), unit_of(channel, objective.readings)
         said = f"of {channel} the fit leaves {shown(left, unit, 3)} rms"
+        cases = []
         if kind != "force":
-            cases = [(kind, left, said)]
-        elif size > 0 or channel not in objective.readings:
-            cases = [(kind, left / max(size, 1e-300), f"{said} of {shown(size, unit, 3)} that were measured")]
-        else:  # what should read nothing has no share of it
-            cases = []
+            cases.append((kind, left, said))
+        elif size > 0 or channel not in objective.readings:  # of what should read nothing there is no share
+            said += f" of {shown(size, unit, 3)} that were measured"
+            cases.append((kind, left / max(size, 1e-300), said))
         if stated is not None:
             times = left / (stated[channel] * np.sqrt(rows.stop - rows.start))
-            told = cases[0][2] if cases else said
-            cases.append(("noise", times, f"{told}, {times:.0f} times the stated noise"))
+            cases.append(("noise", times, f"{said}, {times:.0f} times the stated noise"))
         why = ": within the bounds the twin does not move or pull like this"
         for limit, value, said in cases:
             remedy = f"check unit, sign and channel of {channel}; or "

@@ -17,7 +17,7 @@ from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters
-from fitting.programs import ORIENTATION, POSITION, channels_of, reading_units
+from fitting.programs import ORIENTATION, POSITION, channels_of, reading_units, with_readings
 from fitting.trials import check_channels, free_in_trials, trial_names
 from fitting.uncertainty import in_words, inverse_information, percent, sizes
 from pftwin.base.errors import InputError
@@ -175,7 +175,7 @@ def _readings(scene: Scene, channels: Sequence[str], plain: tuple[str, ...]) -> 
         InputError: no such channel.
     """
     for channel in channels:
-        if channel not in plain and "." not in channel:
+        if channel not in with_readings(scene):
             expected = f"one of: {', '.join(plain)}; or what an effect reports, EFFECT.OBSERVABLE"
             raise InputError(f"no channel {channel!r}", where="use", expected=expected)
     return reading_units(scene, channels)

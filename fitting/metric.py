@@ -29,10 +29,9 @@ class Metric(NamedTuple):
     channels: dict[str, Floats]  # (k, k) of those whose noise has a covariance
 
     @staticmethod
-    def of(weights: Floats | None, frames: int, noise: StatedNoise | None) -> Metric | None:
-        """None where all frames and columns count alike."""
-        stated = {c: np.asarray(value, dtype=float) for c, value in (noise or {}).items()}
-        made = {c: _whitening(value) for c, value in stated.items() if value.ndim == 2}
+    def of(weights: Floats | None, frames: int, stated: Mapping[str, Sequence[Sequence[float]]]) -> Metric | None:
+        """Of frames' weights (n,), and of the `covariances` that were stated; None where all count alike."""
+        made = {c: _whitening(np.asarray(value)) for c, value in stated.items()}
         if weights is None and not made:
             return None
         return Metric(np.ones(frames) if weights is None else np.sqrt(weights), made)

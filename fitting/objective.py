@@ -124,7 +124,7 @@ class Objective:
                 raise InputError(found, where=measured.source, expected="a weight that is not 0")
             weights = weights / weights[weights > 0].mean()
         own = None if noise is None or kind == "paper" else {c: noise[c] for c in channels}
-        column_channel = channel_of_columns(channels)
+        column_channel, stated = channel_of_columns(channels), covariances(own)
         return Objective(
             kind,
             channels,
@@ -136,8 +136,8 @@ class Objective:
             loss,
             measured.synthetic,
             measured.source,
-            metric=Metric.of(weights, len(there), own),
-            covariances=covariances(own),
+            metric=Metric.of(weights, len(there), stated),
+            covariances=stated,
             readings=reading_units(scene, channels),
         )
 

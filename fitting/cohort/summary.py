@@ -75,9 +75,7 @@ def fit_dataset(estimate: Estimate) -> Dataset:
     }
     attributes: dict[str, Any] = {n: getattr(estimate, n) for n in (*_TEXTS, *_NUMBERS)}
     for name in ("rmse", "noise", "readings"):
-        attributes[name] = json.dumps(
-            getattr(estimate, name)
-        )  # by channel; units of those that are no poses and forces
+        attributes[name] = json.dumps(getattr(estimate, name))  # by channel
     attributes |= {
         "synthetic": int(estimate.synthetic),
         "at_bounds": " ".join(estimate.at_bounds),

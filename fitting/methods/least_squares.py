@@ -33,13 +33,13 @@ class Phase(NamedTuple):
     fine: bool
     iterations: int  # at most
     worth: float  # a start's gain that is not worth another iteration, in tolerances of the objective
+    damping: float = 1e-2  # to start with at most, of a diagonal's share
 
 
 # Several to the end: where the patella falls into the groove the objective has many lowest places near one another.
 PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 10, 1e3), Phase(8, True, 40, 1e3))
-NEAR = (Phase(1, True, 40, 1.0),)  # from where a search ended
+NEAR = (Phase(1, True, 40, 1.0, damping=1e-5),)  # from where a search ended
 _FEWEST, _MOST, _COLUMNS = 4, 16, 64  # points at once where fewer starts are left; the same times parameters
-_DAMPING, _NEAR_DAMPING = 1e-2, 1e-5  # to start with, of a diagonal's share
 _LEAST, _FLAT = 1e-10, 1e-200  # damping, and diagonal, at least: no matrix is singular
 _STUCK = 1e7  # damping at which steps vanish
 _LONGEST = 0.4  # step of a parameter
@@ -77,7 +77,7 @@ class LeastSquares(Method):
             "value": np.full(n, np.inf),
             "gradient": np.zeros((n, k)),
             "hessian": np.zeros((n, k, k)),
-            "damping": np.full(n, _NEAR_DAMPING if self.phases is NEAR else _DAMPING),
+            "damping": np.full(n, self.phases[0].damping),
             "done": np.zeros(n, bool),
         }
 
@@ -177,4 +177,4 @@ class LeastSquares(Method):
         self._keep(state, np.array(chosen))
         state["in_phase"], state["looking"] = 0, phase.fine != before.fine
         state["done"] = np.zeros(len(chosen), bool)
-        state["damping"] = np.minimum(state["damping"], _DAMPING)
+        state["damping"] = np.minimum(state["damping"], phase.damping)

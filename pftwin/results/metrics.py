@@ -149,15 +149,15 @@ def validate(
 
 def _reading_error(result: Result, name: str, measured: NDArray[np.float64]) -> ValidationRow:
     seen, there = reading(result, name), np.isfinite(measured)
-    error = _rms(seen.values - seen.times * measured, there) if there.any() else None
+    error = _rms(seen.values - seen.scale * measured, there) if there.any() else None
     return ValidationRow(name, f"{name} RMSE", seen.unit, error, None)
 
 
 class Reading(NamedTuple):
-    """What an effect reports (n,), in the unit in which people read it: that of the effect times so much."""
+    """What an effect reports (n,), in the unit in which people read it: that of the effect times the scale."""
 
     values: NDArray[np.float64]
-    times: float
+    scale: float
     unit: str
     long_name: str
 
@@ -173,8 +173,8 @@ def reading(result: Result, name: str) -> Reading:
     if values.ndim != 1:
         expected = "one number a frame, as a measurement has"
         raise InputError(f"{name} has {values[0].size} numbers a frame", where=result.scene_name, expected=expected)
-    times, unit = as_read(told.unit)
-    return Reading(times * values, times, unit, told.long_name)
+    scale, unit = as_read(told.unit)
+    return Reading(scale * values, scale, unit, told.long_name)
 
 
 def mean_of(validations: Sequence[Validation]) -> Validation:

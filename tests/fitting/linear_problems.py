@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fitting.evaluation import Prediction
-from fitting.methods.problem import Problem
+from fitting.methods.problem import Method, Problem, State
 from fitting.objective import Objective
 from fitting.parameters import Parameter, Parameters
 
@@ -87,3 +87,15 @@ def scaled(slopes: np.ndarray, present: np.ndarray | None = None) -> np.ndarray:
     sigma = np.array([0.02, 0.02, 0.02, 0.5])
     there = np.ones(slopes.shape[:2], bool) if present is None else present
     return (slopes / sigma[:, None])[there]
+
+
+def run(search: Method) -> State:
+    """A search to its end, with what `fit_tendons` notes on the way."""
+    state = {**search.begin(), "iteration": 0, "evaluations": 0, "history": [], "interrupted": False}
+    while state["stopped"] is None:
+        request = search.ask(state)
+        search.tell(state, request, search.problem.answer(request))
+        state["iteration"] += 1
+        state["evaluations"] += len(request.theta)
+        state["history"].append({key: state[key] for key in ("iteration", "evaluations")})
+    return state

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from linear_problems import NOMINAL, design, parameters, problem
+from linear_problems import NOMINAL, design, parameters, problem, run
 from scipy.linalg import toeplitz
 
 from fitting.correlated import share_of_independent
@@ -30,15 +30,6 @@ ROOT = np.linalg.cholesky(CORRELATION)
 
 def solved(weighed: bool, slopes: np.ndarray, measured: np.ndarray, known) -> tuple[np.ndarray, float]:
     """Where the search ends, and what the measurements count there."""
-
-    def run(search):
-        state = {**search.begin(), "iteration": 0, "evaluations": 0, "history": [], "interrupted": False}
-        while state["stopped"] is None:
-            request = search.ask(state)
-            search.tell(state, request, search.problem.answer(request))
-            state["iteration"] += 1
-            state["evaluations"] += len(request.theta)
-        return state
 
     search = LeastSquares(problem(slopes, measured, known), 0, 1)
     state = run(search)

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from linear_problems import NOMINAL, design, parameters, problem, scaled
+from linear_problems import NOMINAL, design, parameters, problem, run, scaled
 
 from fitting.evaluation import Prediction
 from fitting.finish import change, finished
 from fitting.methods.least_squares import LeastSquares
-from fitting.methods.problem import Method, Problem, State
+from fitting.methods.problem import Problem
 
 SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
 DEVIATIONS = np.sqrt(np.diagonal(np.linalg.inv(scaled(design()).T @ scaled(design()))))
@@ -41,17 +41,6 @@ def with_steps(shift: float = 0.0, stretch: float = 0.0, first: int = 4, unusabl
     evaluator.with_slopes = evaluator.values = with_slopes
     evaluator.first = evaluator.fine = evaluator.coarse = first
     return ours
-
-
-def run(search: Method) -> State:
-    state = {**search.begin(), "iteration": 0, "evaluations": 0, "history": [], "interrupted": False}
-    while state["stopped"] is None:
-        request = search.ask(state)
-        search.tell(state, request, search.problem.answer(request))
-        state["iteration"] += 1
-        state["evaluations"] += len(request.theta)
-        state["history"].append({key: state[key] for key in ("iteration", "evaluations")})
-    return state
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from scipy import stats
 
 from fitting.evaluation import Prediction
 from fitting.methods.problem import Request
-from fitting.metric import Metric, check_noise, level
+from fitting.metric import Metric, check_noise, covariances, level
 from fitting.objective import Objective
 from fitting.trials import joined_objective
 from pftwin.base.errors import InputError
@@ -25,7 +25,7 @@ WEIGHTS = np.random.default_rng(5).uniform(0.2, 3.0, FRAMES)
 
 
 def metric(weights: np.ndarray | None = WEIGHTS, noise: Any = STATED) -> Metric:
-    found = Metric.of(weights, FRAMES, noise)
+    found = Metric.of(weights, FRAMES, covariances(noise))
     assert found is not None
     return found
 

@@ -84,8 +84,8 @@ class MeasuredSection(Section):
         """Forces and readings, at the frames of the motion."""
         wanted = {name: column for name in _FORCES if (column := getattr(self, name)) is not None}
         if self.forces is None:
-            if others := [name for name in ("readings", "weights") if getattr(self, name)] + list(wanted):
-                where = document.where("measured", others[-1])
+            if named := [*wanted, *(name for name in ("weights", "readings") if getattr(self, name))]:
+                where = document.where("measured", named[0])
                 raise InputError("a column of no file", where=where, remedy='forces = "FILE.csv"')
             return {}
         motion = scene.motion
@@ -130,6 +130,6 @@ def _column(table: Table, column: str, unit: str) -> NDArray[np.float64]:
         found, expected = f"a reading in {unit}", f"one of: {', '.join(sorted(SI_UNITS))}"
         raise InputError(found, where=f"{table.source}, column {label!r}", expected=expected)
     if table.units[label] != unit:
-        found = f"its unit is {table.units[label]}"
+        found = "no unit" if table.units[label] == "1" else f"its unit is {table.units[label]}"
         raise InputError(found, where=f"{table.source}, column {label!r}", expected=f"a unit of {unit}, such as {unit}")
     return values

@@ -66,7 +66,7 @@ def read(result: Result, name: str) -> PlottedQuantity:
     told = reading(result, name)
     words = f"{name.rpartition('.')[0].replace('_', ' ')}: {told.long_name}"
     return PlottedQuantity(
-        words, told.unit, lambda r: reading(r, name).values, lambda m: told.times * m.readings[name], name
+        words, told.unit, lambda r: reading(r, name).values, lambda m: told.scale * m.readings[name], name
     )
 
 

@@ -1,0 +1,72 @@
+"""[measured]: positions, forces, readings and weights of a scene file, at the scene's frames and in its units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from toy_scene_files import LIGHT, START, changed, load, refused
+
+from pftwin.files.scene_file import load_scene, load_scene_file
+
+MEASURED = """
+[measured]
+patella = { body = "patella" }
+forces = "forces.csv"
+contact_force = "contact_N"
+tibial_spring_force = "tendon"
+"""
+
+
+def test_measurements_are_in_the_femur_at_the_frames(toy: Path) -> None:
+    t = np.arange(81) * 0.005
+    rows = [f"{x:.4f},{100 * x + 5},{0.001 * x}" for x in t]
+    (toy / "forces.csv").write_text("\n".join(["time_s,contact_N,tendon_kN", *rows]) + "\n")
+    femur = "\n[femur]\nfixed = { position_m = [0.1, 0, 0] }\n"
+    (toy / "measured.toml").write_text(
+        changed("radius_mm = 22", "radius_mm = 22\ncenter_mm = [1, 2, 3]", LIGHT + MEASURED + femur)
+    )
+    measured = load_scene_file(toy / "measured.toml").measured
+    assert load_scene(toy / "measured.toml").measured == measured
+    assert measured is not None
+    assert measured.times.shape == (41,)
+    np.testing.assert_allclose(measured.center[7], np.add(START[0], [0.001 - 0.1, 0.002, 0.003]), atol=1e-12)
+    assert measured.contact_force is not None
+    assert measured.tibial_spring_force is not None
+    np.testing.assert_allclose(measured.contact_force[10], 15, atol=1e-9)
+    np.testing.assert_allclose(measured.tibial_spring_force[10], 0.1, atol=1e-9)
+    assert measured.femoral_spring_force is None
+    (toy / "forces.csv").write_text("\n".join(["time_s,contact_N,tendon_kN", *rows[:40]]) + "\n")
+    assert "[measured] forces: forces.csv: forces from 0 s to 0.195 s" in refused(toy, LIGHT + MEASURED)
+
+
+READINGS = """
+[[marker]]
+name = "m1"
+point_mm = [21, 13, 9]
+"""
+
+
+def test_readings_and_weights_are_at_the_frames_in_the_effects_units(toy: Path) -> None:
+    t = np.arange(81) * 0.005
+    rows = [f"{x:.4f},{30 + 100 * x},{0.002 * x},{float(x > 0.1)}" for x in t]
+    (toy / "forces.csv").write_text("\n".join(["time_s,out_mm,medial_kN,counts", *rows]) + "\n")
+    measured = '\n[measured]\npatella = { body = "patella" }\nforces = "forces.csv"\nweights = "counts"\n'
+    wanted = 'readings = { "m1.x" = "out_mm", "contact.force_medial" = "medial" }\n'
+    text = LIGHT + READINGS + measured + wanted
+    scene = load(toy, text)
+    seen = scene.measured
+    assert seen is not None
+    np.testing.assert_allclose(np.asarray(scene.effect("m1").point.array()), [0.021, 0.013, 0.009])  # type: ignore[attr-defined]
+    np.testing.assert_allclose(seen.readings["m1.x"][10], 0.04, atol=1e-9)
+    np.testing.assert_allclose(seen.readings["contact.force_medial"][10], 0.2, atol=1e-9)
+    assert seen.weights is not None
+    np.testing.assert_array_equal(seen.weights[[0, 5, 10, 11, 20]], [0, 0, 0, 1, 1])
+    told = refused(toy, text.replace('"out_mm"', '"medial"'))
+    assert "[measured] readings" in told
+    assert "its unit is N" in told
+    assert "expected: a unit of m" in told
+    assert "no observable 'm1.w'" in refused(toy, text.replace('"m1.x"', '"m1.w"'))
+    assert "no column called 'far'" in refused(toy, text.replace('"out_mm"', '"far"'))
+    bare = LIGHT + READINGS + measured.replace('forces = "forces.csv"\n', "")
+    assert "[measured] weights: a column of no file" in refused(toy, bare)

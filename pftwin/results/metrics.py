@@ -159,7 +159,6 @@ class Reading(NamedTuple):
     values: NDArray[np.float64]
     scale: float
     unit: str
-    long_name: str
 
 
 def reading(result: Result, name: str) -> Reading:
@@ -174,7 +173,7 @@ def reading(result: Result, name: str) -> Reading:
         expected = "one number a frame, as a measurement has"
         raise InputError(f"{name} has {values[0].size} numbers a frame", where=result.scene_name, expected=expected)
     scale, unit = as_read(told.unit)
-    return Reading(scale * values, scale, unit, told.long_name)
+    return Reading(scale * values, scale, unit)
 
 
 def mean_of(validations: Sequence[Validation]) -> Validation:

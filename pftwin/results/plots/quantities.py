@@ -64,9 +64,8 @@ def tension(effect: str, words: str, attribute: str, error: str) -> PlottedQuant
 def read(result: Result, name: str) -> PlottedQuantity:
     """What an effect reports, "EFFECT.OBSERVABLE", beside what was measured of it."""
     told = reading(result, name)
-    words = f"{name.rpartition('.')[0].replace('_', ' ')}: {told.long_name}"
     return PlottedQuantity(
-        words, told.unit, lambda r: reading(r, name).values, lambda m: told.scale * m.readings[name], name
+        name, told.unit, lambda r: reading(r, name).values, lambda m: told.scale * m.readings[name], name
     )
 
 

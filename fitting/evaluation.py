@@ -34,7 +34,8 @@ _ACCELERATED = 2048  # variants in every call of an accelerator: lanes that have
 _PARTS, _FEWEST = 2, 20  # calls that a batch is split into, for two cores; the least variants of each
 _COLUMNS = 32  # variants times parameters in one call with derivatives: enough for the processor's vectors
 _ACCELERATED_COLUMNS = 256  # the same on an accelerator, where a call takes its time whatever its size
-_ROUGH = 5e-4  # largest error of a search's motion with long steps, rms [m]
+_ROUGH = 5e-4  # largest error of a search's motion with long steps, rms: of places and lengths [m]
+_ROUGH_SHARE = 0.1  # of other channels, as a share of the range that they go through
 _REMEMBERED = 4  # batches with derivatives that are remembered
 _CLOUD = 96  # equilibria in the cloud
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # steps of searches and answers [s]: errors of 0.03 mm and 0.01 mm on the rig
@@ -136,10 +137,17 @@ class Evaluator:
         return few
 
     def _agree(self, rough: Floats, good: Floats) -> bool:
-        """Whether long steps are accurate enough for a search."""
-        if self.channels[0] != POSITION:
-            return bool(np.abs(rough - good).max() <= 0.1 * np.ptp(good, axis=0).max())
-        return bool(np.sqrt(np.mean(np.sum((rough[:, :3] - good[:, :3]) ** 2, axis=1))) <= _ROUGH)
+        """Whether long steps are accurate enough for a search: by the position, or else by every channel."""
+        judged = self.channels[:1] if self.channels[0] == POSITION else self.channels
+        at = 0
+        for channel, width in zip(judged, self.widths, strict=False):
+            a, b = (run[:, at : at + width] for run in (rough, good))
+            place = unit_of(channel, self._readings) == "m"
+            off = np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))) if place else np.abs(a - b).max()
+            if off > (_ROUGH if place else _ROUGH_SHARE * np.ptp(b, axis=0).max()):
+                return False
+            at += width
+        return True
 
     @cached_property
     def fine(self) -> int:

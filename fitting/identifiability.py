@@ -94,6 +94,7 @@ def plan_experiment(
     priors: Mapping[str, tuple[float, float]] | None = None,
     bounds: Bounds = 0.3,
     nuisance: str | Nuisance | None = None,
+    varies: Mapping[str, float] | None = None,
 ) -> ExperimentPlan:
     """The Cramer-Rao bound at the scene's parameters, before anything is measured or fitted.
 
@@ -109,55 +110,50 @@ def plan_experiment(
         priors: by name, mean and standard deviation of a normal prior.
         bounds: as for a fit: what "no reaction" is measured by.
         nuisance: what the scene lacks or knows roughly, found besides: as for a fit.
+        varies: as for a fit: by what standard deviation a parameter differs from trial to trial; what is found is its
+            mean.
 
     Raises:
         InputError: unknown parameters or channels; a scene that cannot be simulated; a noise that is not positive;
-            further trials with other tendons, damping or friction.
+            further trials with other tendons, damping or friction; what varies and is not free, or without a further
+            trial.
     """
     for each in (scene, *further):
         check(each)
     besides = Nuisance.of(nuisance)
     besides.refuse_sensors("a plan of experiments")
-    prepared, free_in_each = free_in_trials([scene, *further], free, bounds, priors, besides)
-    (scene, *others), (parameters, *theirs) = prepared, free_in_each
-    asked = parameters.asked
-    all_channels = channels_of(scene)
-    more = [c for c in all_channels if c not in use] if candidates is None else list(candidates)
-    units = _readings(scene, (*use, *more), all_channels)
-    all_channels = (*all_channels, *units)
-    if not use:
-        raise InputError("nothing is measured", where="use", expected=f"some of: {', '.join(all_channels)}")
-    wanted = tuple(c for c in all_channels if c in use or c in more)
-    sigma = {c: NOISE.get(c, FORCE_NOISE) for c in wanted} | dict(noise or {})
-    if unknown := [c for c in wanted if units.get(c, "N") != "N" and c not in (noise or {})]:
-        expected = f"its standard deviation [{units[unknown[0]]}]"
-        raise InputError(f"no noise of {unknown[0]!r}", where="noise", expected=expected)
-    if odd := [c for c in wanted if np.ndim(sigma[c])]:
-        raise InputError(f"{odd[0]}: a covariance", where="noise", expected="a standard deviation, in plans")
-    if bad := [c for c in wanted if not (np.isfinite(sigma[c]) and sigma[c] > 0)]:
-        raise InputError(f"{bad[0]}: found {sigma[bad[0]]!r}", where="noise", expected="a positive number")
-    measured = tuple(c for c in wanted if c in use)
+    prepared, free_in_each = free_in_trials([scene, *further], free, bounds, priors, besides, varies)
+    (scene, *others), (first, *theirs) = prepared, free_in_each
+    parameters, asked, between = first.shared, first.asked, first.varies
+    channels, more, units = _channels(scene, use, candidates)
+    sigma = _noise(channels, units, noise or {})
+    measured = tuple(c for c in channels if c in use)
     check_channels(others, measured)
-    information, unfelt = _information(scene, parameters, wanted, sigma, tuple(use))
+    information, unfelt = _information(scene, parameters, channels, sigma, measured)
+    here = sum(information[c] for c in measured)
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
-    base = sum(information[c] for c in use) + prior
-    known = _of_the_first(base, asked)
-    covariance = inverse_information(known)
+
+    def known(*trials: Any) -> Floats:
+        """Of what is asked for, by trials that each have differences of their own."""
+        whole = sum((_of_the_mean(each, parameters, between) for each in trials), prior)
+        return _of_the_first(whole, asked)
+
+    bound = known(here)
+    covariance = inverse_information(bound)
     names, span = parameters.names[:asked], (parameters.upper - parameters.lower)[:asked]
     nominal = parameters.nominal[:asked]
     scale = np.abs(sizes(names, span, nominal, parameters.coordinates))
-    values = np.linalg.eigvalsh(known * np.outer(scale, scale))
-    with_more = {c: inverse_information(_of_the_first(base + information[c], asked)) for c in more}
+    values = np.linalg.eigvalsh(bound * np.outer(scale, scale))
+    with_more = {c: known(here + information[c]) for c in more}
     names_of_trials = [f"trial {name}" for name in trial_names([scene, *others])[1:]]
     for name, other, own in zip(names_of_trials, others, theirs, strict=True):
-        there = _information(other, own, measured, sigma, measured)[0]
-        with_more[name] = inverse_information(_of_the_first(base + sum(there.values()), asked))
-    additions = {c: np.sqrt(np.diagonal(found)) / scale for c, found in with_more.items()}
+        with_more[name] = known(here, sum(_information(other, own, measured, sigma, measured)[0].values()))
+    additions = {c: np.sqrt(np.diagonal(inverse_information(found))) / scale for c, found in with_more.items()}
     return ExperimentPlan(
         names,
         nominal,
         measured,
-        {c: sigma[c] for c in wanted},
+        {c: sigma[c] for c in channels},
         covariance,
         float(values[-1] / values[0]) if values[0] > 0 else np.inf,
         tuple(name for name in unfelt if name in names),
@@ -168,17 +164,51 @@ def plan_experiment(
     )
 
 
-def _readings(scene: Scene, channels: Sequence[str], plain: tuple[str, ...]) -> dict[str, str]:
-    """Units of those channels that are no poses and forces.
+def _channels(
+    scene: Scene, use: Sequence[str], candidates: Sequence[str] | None
+) -> tuple[tuple[str, ...], list[str], dict[str, str]]:
+    """The channels that are measured or might be, in the scene's order; the latter; units of those that are no poses
+    and forces.
 
     Raises:
-        InputError: no such channel.
+        InputError: no such channel, or none.
     """
-    for channel in channels:
+    plain = channels_of(scene)
+    more = [c for c in plain if c not in use] if candidates is None else list(candidates)
+    for channel in (*use, *more):
         if channel not in with_readings(scene):
             expected = f"one of: {', '.join(plain)}; or what an effect reports, EFFECT.OBSERVABLE"
             raise InputError(f"no channel {channel!r}", where="use", expected=expected)
-    return reading_units(scene, channels)
+    if not use:
+        raise InputError("nothing is measured", where="use", expected=f"some of: {', '.join(plain)}")
+    units = reading_units(scene, (*use, *more))
+    return tuple(c for c in (*plain, *units) if c in use or c in more), more, units
+
+
+def _noise(channels: Sequence[str], units: Mapping[str, str], stated: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviations by channel.
+
+    Raises:
+        InputError: one that is none, or that has to be stated.
+    """
+    sigma = {c: NOISE.get(c, FORCE_NOISE) for c in channels} | dict(stated)
+    if unknown := [c for c in channels if units.get(c, "N") != "N" and c not in stated]:
+        expected = f"its standard deviation [{units[unknown[0]]}]"
+        raise InputError(f"no noise of {unknown[0]!r}", where="noise", expected=expected)
+    if odd := [c for c in channels if np.ndim(sigma[c])]:
+        raise InputError(f"{odd[0]}: a covariance", where="noise", expected="a standard deviation, in plans")
+    if bad := [c for c in channels if not (np.isfinite(sigma[c]) and sigma[c] > 0)]:
+        raise InputError(f"{bad[0]}: found {sigma[bad[0]]!r}", where="noise", expected="a positive number")
+    return sigma
+
+
+def _of_the_mean(information: Floats, parameters: Parameters, varies: Mapping[str, float]) -> Floats:
+    """What one trial tells of the mean of all trials (p, p), where its own difference is found besides."""
+    at = [i for i, name in enumerate(parameters.names) if name in varies]
+    if not at:
+        return information
+    own = information[np.ix_(at, at)] + np.diag([varies[parameters.names[i]] ** -2 for i in at])
+    return information - information[:, at] @ np.linalg.solve(own, information[at])
 
 
 def _of_the_first(information: Floats, asked: int) -> Floats:

@@ -21,6 +21,7 @@ from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
 from fitting.inference.infer import DRAWS
 from fitting.nuisance import EXACT, Nuisance
+from fitting.parameters import Parameter
 from fitting.programs import reading_units
 from fitting.set_up import SetUp, listed
 from pftwin.base.errors import InputError, PftwinError
@@ -94,14 +95,10 @@ def calibrate(
         progress: told the kind of plant, how many of them were answered, and of how many.
 
     Raises:
-        InputError: parameters that differ between trials; no plants, or no kind of them; a kind that this scene cannot
-            have; another number of trials or frames than it was trained for; a recording too short for the laboratory's
-            filter; a reading that the laboratory does not record, or no effect reports; an operation that this knee
-            cannot have.
+        InputError: no plants, or no kind of them; a kind that this scene cannot have; another number of trials or
+            frames than it was trained for; a recording too short for the laboratory's filter; a reading that the
+            laboratory does not record, or no effect reports; an operation that this knee cannot have.
     """
-    if trained.set_up.varies:
-        expected = "parameters that are the same in all trials, as those of plants are"
-        raise InputError("parameters that differ between trials", where="varies", expected=expected)
     if not isinstance(plants, int) or plants < 1:
         raise InputError(f"found {plants!r}", where="plants", expected="a whole number, at least 1")
     began, made = time.perf_counter(), PLANTS if kinds is None else kinds
@@ -122,11 +119,11 @@ def calibrate(
         remedy = f"Laboratory(readings={{{missing[0]!r}: ...}}), the standard deviation of its noise"
         raise InputError(f"{missing[0]} is not recorded", where="laboratory", remedy=remedy)
     prepared, parameters = trained.set_up.parameters(scenes)
-    knees = [Knee(one, own, tuple(prepared)) for one, own in zip(prepared, parameters, strict=True)]
+    knees = [Knee(one, own.shared, tuple(prepared)) for one, own in zip(prepared, parameters, strict=True)]
     if trained.set_up.nuisance == EXACT:
         wider = zip(*trained.set_up._replace(nuisance=MISPLACED).parameters(scenes), strict=True)
-        knees = [replace(knee, lacking=more) for knee, more in zip(knees, wider, strict=True)]
-    asking = _Asking(trained, knees, lab, scenes, operation, limits)
+        knees = [replace(knee, lacking=(one, own.shared)) for knee, (one, own) in zip(knees, wider, strict=True)]
+    asking = _Asking(trained, knees, parameters[0].items, lab, scenes, operation, limits)
     found: dict[str, Answers] = {}
     told: dict[str, dict[str, Any]] = {"predictions": {}, "plans": {}}
     for index, (kind, make) in enumerate(made.items()):
@@ -144,9 +141,19 @@ def calibrate(
 
 
 def plant_in_trials(make: Maker, knees: Sequence[Knee], random: np.random.Generator) -> list[Plant]:
-    """One plant, as it is in every trial: the same random numbers make it."""
+    """One plant in every trial, the same in all: the same random numbers make it."""
     others = [make(knee, deepcopy(random)) for knee in knees[1:]]
     return [make(knees[0], random), *others]
+
+
+def with_differences(plant: Sequence[Plant], items: Sequence[Parameter], random: np.random.Generator) -> list[Plant]:
+    """The plant as it is in each of these trials: the numbers among these parameters that are differences are drawn."""
+    found = list(plant)
+    for p in items:
+        if p.trial is not None and p.trial < len(found) and p.prior is not None:
+            one, drawn = found[p.trial], np.clip(random.normal(*p.prior), p.lower, p.upper)
+            found[p.trial] = one._replace(scene=p.place.written(one.scene, p.place.read(one.scene) + float(drawn)))
+    return found
 
 
 class _Asking(NamedTuple):
@@ -154,6 +161,7 @@ class _Asking(NamedTuple):
 
     trained: Answering
     knees: list[Knee]
+    items: tuple[Parameter, ...]  # whatever is free, differences between trials among it
     lab: Laboratory
     scenes: list[Scene]
     operation: Operation | None
@@ -167,23 +175,26 @@ class _Asking(NamedTuple):
         check_truth(plants[0][0], parameters)
         rows: list[tuple[Floats, Floats, bool]] = []
         dropped, refused, operated = 0, 0, []
-        did = zip(*(run(in_one) for in_one in zip(*plants, strict=True)), strict=True)
-        for i, (plant, each) in enumerate(zip(plants, did, strict=True)):
+        differing = [with_differences(plant, self.items, random) for plant in plants]
+        did = zip(*(run(in_one) for in_one in zip(*differing, strict=True)), strict=True)
+        for i, (plant, own, each) in enumerate(zip(plants, differing, did, strict=True)):
             if progress is not None:
                 progress(i, len(plants))
             seen = [one for one in each if one is not None]
             if len(seen) < len(each):
                 dropped += 1
                 continue
-            recorded, measured = self._recorded(plant, seen, random)
+            recorded, measured = self._recorded(own, seen, random)
             try:
                 draws, doubts, estimate = self._answer(recorded, measured)
             except PftwinError:  # of this recording; what the caller got wrong was told before
                 refused += 1
                 continue
-            rows.append((truth_of(plant[0], seen, parameters), draws, bool(doubts)))
+            truth = truth_of(plant[0], seen, parameters, own if self.trained.set_up.varies else None)
+            rows.append((truth, draws, bool(doubts)))
             if self.operation is not None and estimate is not None and not doubts:
-                operated.append(self.operation.on(plant[0].scene, recorded[0], estimate))
+                (further,) = with_differences(plant[:1], self.items, random)  # what is predicted is a further trial
+                operated.append(self.operation.on(further.scene, recorded[0], estimate))
         return Answers.of(rows, dropped, refused, parameters.asked), operated
 
     def _recorded(

@@ -45,6 +45,7 @@ class QuickFit(NamedTuple):
         bounds: Bounds = 0.3,
         priors: Mapping[str, tuple[float, float]] | None = None,
         nuisance: str | Nuisance | None = None,
+        varies: Mapping[str, float] | None = None,
         use: str | Sequence[str] = POSITION,
         noise: StatedNoise | None = None,
         springs: Mapping[str, str] = SPRINGS,
@@ -62,7 +63,7 @@ class QuickFit(NamedTuple):
         besides.refuse_sensors(f"method {method!r}")
         trials = trials_of(scene, measured)
         refuse_weights([data for _, data in trials])
-        scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides)
+        scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
         data = [data for _, data in trials]
         target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", use, noise, "linear", springs)
         there = [measured_channels(one, own, springs)[0] for one, own in zip(scenes, data, strict=True)]
@@ -86,6 +87,7 @@ class QuickFit(NamedTuple):
         scenes = [one for one, _ in trials]
         kept = [_only(own, one, data, s.springs) for own, (one, data) in zip(self.measured, trials, strict=True)]
         asked: dict[str, Any] = {"free": s.free, "bounds": s.bounds, "priors": s.priors, "nuisance": s.nuisance}
+        asked["varies"] = s.varies
         seen: dict[str, Any] = {"use": s.channels, "noise": s.noise, "springs": s.springs, "limits": limits}
         return fit_tendons(scenes, kept, method=self.method, **asked, **seen)
 

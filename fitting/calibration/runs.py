@@ -99,14 +99,17 @@ def check_truth(plant: Plant, parameters: Parameters) -> None:
             raise InputError(f"{item.name} has no true value in this plant", where="kinds", expected=expected)
 
 
-def truth_of(plant: Plant, seen: Sequence[Seen], parameters: Parameters) -> Floats:
+def truth_of(
+    plant: Plant, seen: Sequence[Seen], parameters: Parameters, differing: Sequence[Plant] | None = None
+) -> Floats:
     """What a fit should find of a plant (d,): of a tendon that follows another law, the straight line nearest to its
-    spring, over the forces that occurred in all trials.
+    spring, over the forces that occurred in all trials; of what differs between trials, the mean.
 
     Args:
-        plant: as it is in the first.
+        plant: as it is in the first, without differences between trials.
         seen: what it did in each.
         parameters: of the first.
+        differing: as it is in each; by default without differences.
 
     Raises:
         InputError: a tendon that is never stretched.
@@ -117,8 +120,13 @@ def truth_of(plant: Plant, seen: Sequence[Seen], parameters: Parameters) -> Floa
         if owner not in plant.curved or path not in _OF_LINES:
             found.append(float(item.place.read(plant.scene)))
             continue
-        tendon: Any = plant.scene.effect(owner)
-        lengths = np.concatenate([one.reported[owner]["length"] for one in seen])
-        line = straight_line(lengths, np.maximum(np.asarray(tendon.held_tension(jnp.asarray(lengths))), 0.0))
+        mean: Any = plant.scene.effect(owner)
+        lengths, tensions = [], []
+        for one, own in zip(seen, differing or [plant] * len(seen), strict=True):
+            tendon: Any = own.scene.effect(owner)
+            length = one.reported[owner]["length"]
+            tensions.append(np.maximum(np.asarray(tendon.held_tension(jnp.asarray(length))), 0.0))
+            lengths.append(length - (float(tendon.slack_length - mean.slack_length) if differing else 0.0))
+        line = straight_line(np.concatenate(lengths), np.concatenate(tensions))
         found.append(line.stiffness if path == ("stiffness",) else line.slack_length)
     return np.array(found)

@@ -34,6 +34,7 @@ def plan_experiment(
     use: UseOption = "position",
     noise: NoiseOption = None,
     nuisance: NuisanceOption = None,
+    varies: VariesOption = None,
     json: JsonOption = None,
 ) -> None:
     """Say how precisely an experiment could determine the parameters, before it is made, and what else to measure.
@@ -44,7 +45,7 @@ def plan_experiment(
     `pftwin plan-experiment walk.toml stairs.toml`
     """
     check_outputs(json)
-    levels = noise_levels(noise)
+    levels, apart = noise_levels(noise), deviations_between(varies)
     chosen, *further = knee.load()
     from fitting.identifiability import plan_experiment as plan
     from fitting.programs import channels_of
@@ -52,7 +53,8 @@ def plan_experiment(
     channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
     with spinner("linearising the motion"):
         others = [each.scene for each in further]
-        found = plan(chosen.scene, free=names_in(free), use=channels, noise=levels, nuisance=nuisance, further=others)
+        asked = {"free": names_in(free), "use": channels, "noise": levels, "nuisance": nuisance}
+        found = plan(chosen.scene, **asked, further=others, varies=apart)
     deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
     sheet = Sheet(
         f"{chosen.scene.name}: smallest possible standard deviations [%]",

@@ -15,8 +15,10 @@ from fitting.cli.fit import (
     NoiseOption,
     NuisanceOption,
     UseOption,
+    VariesOption,
     channels_in,
     check_limits,
+    deviations_between,
     names_in,
     noise_levels,
     refuse_settled,
@@ -46,7 +48,7 @@ def calibrate(
         Option(
             metavar="NAME",
             help="In its place a search, made anew for each plant, as `pftwin fit --method` has it. --free, --bounds,"
-            " --use, --noise and --nuisance belong to it.",
+            " --use, --noise, --nuisance and --varies belong to it.",
         ),
     ] = None,
     free: FreeOption = "K1,L1,K2,L2",
@@ -54,6 +56,7 @@ def calibrate(
     use: UseOption = "position",
     noise: NoiseOption = None,
     nuisance: NuisanceOption = None,
+    varies: VariesOption = None,
     plants: Annotated[int, Option(min=1, help="Of each kind.")] = 100,
     kinds: Annotated[
         str | None,
@@ -98,7 +101,7 @@ def calibrate(
     if widen is not None:
         check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
     asked = {"free": names_in(free), "bounds": bounds, "noise": noise_levels(noise), "nuisance": nuisance}
-    asked["use"] = channels_in(use)
+    asked |= {"use": channels_in(use), "varies": deviations_between(varies)}
     _check_what(trained, method, asked, widen)
     check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run

@@ -12,7 +12,7 @@ from small_scene import small_scene
 
 import fitting
 from fitting.calibration import quick_fit
-from fitting.calibration.calibrate import calibrate, plant_in_trials
+from fitting.calibration.calibrate import calibrate, plant_in_trials, with_differences
 from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.plants import PLANTS, Knee, Plant
 from fitting.calibration.quick_fit import QuickFit
@@ -70,6 +70,41 @@ def test_the_line_is_nearest_over_all_trials():
     assert truth_of(plant, seen[:1], own)[0] != pytest.approx(truth_of(plant, seen, own)[0], rel=1e-3)
 
 
+def test_differences_are_each_trials_own():
+    """Normal, of the deviation that is stated; nothing else differs, and the plant itself stays."""
+    items = free_in_trials(nominal(), FREE, BOUNDS, None, NUISANCE, {"L2": 2e-4})[1][0].items
+    plant = plant_in_trials(PLANTS["misplaced"], knees(), np.random.default_rng(4))
+    mean, random = float(plant[0].scene.get("L2")), np.random.default_rng(5)
+    drawn = [with_differences(plant, items, random) for _ in range(300)]
+    off = np.array([[float(one.scene.get("L2")) - mean for one in each] for each in drawn])
+    np.testing.assert_allclose(off.std(axis=0), 2e-4, rtol=0.15)
+    assert np.abs(off.mean(axis=0)).max() < 4e-5
+    assert abs(np.corrcoef(off.T)[0, 1]) < 0.2
+    for name in ("K1", "L1", "quadriceps.origin.x"):
+        assert {float(each[1].scene.get(name)) for each in drawn} == {float(plant[1].scene.get(name))}
+    assert float(plant[1].scene.get("L2")) == mean
+    assert len(with_differences(plant[:1], items, random)) == 1
+
+
+def test_the_line_is_that_of_the_mean_length():
+    """A trial whose tendon is 0.4 mm longer, at lengths that are too, pulls nearly as the mean's does, by the same
+    line."""
+    plant = PLANTS["stiffening"](knees()[0], np.random.default_rng(4))
+    own = free_in_trials([nominal()[0]], ("K2", "L2"), 0.3, None, Nuisance())[1][0]
+    tendon: Any = plant.scene.effect("patellar_tendon")
+    lengths = float(tendon.rest_length) + np.linspace(0.003, 0.011, 50)
+
+    def seen(by: float) -> Seen:
+        return Seen(np.zeros((50, 3)), np.zeros((50, 4)), {"patellar_tendon": {"length": lengths + by}})
+
+    longer = Plant(plant.scene.with_effect(tendon.lengthened(4e-4)), plant.curved)
+    expected = truth_of(plant, [seen(0.0), seen(0.0)], own)
+    found = truth_of(plant, [seen(0.0), seen(4e-4)], own, [plant, longer])
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    off = truth_of(plant, [seen(0.0), seen(4e-4)], own)  # as if it were the same tendon, stretched by more
+    assert abs(off[0] / expected[0] - 1) > 4e-4
+
+
 def test_trials_of_one_laboratory_share_what_stays_the_same():
     """Placement and scale are those of the first; shift and zero are each trial's own."""
     scene, n = small_scene(41), 41
@@ -104,8 +139,6 @@ def test_what_cannot_be_calibrated_is_refused():
     assert both.sentence() == "fits by least_squares of 41, 41 frames of low + high, by position"
     with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was set up for"):
         calibrate(both, nominal()[0])
-    with pytest.raises(InputError, match="varies: parameters that differ between trials"):
-        calibrate(both._replace(set_up=both.set_up._replace(varies={"L2": 1e-3})), nominal())
     with pytest.raises(InputError, match="learned from anew for each plant"):
         QuickFit.of(nominal(), told(nominal()), method="simulations")
     with pytest.raises(InputError, match="method: 'best'; expected: one of: least_squares"):
@@ -143,6 +176,20 @@ def test_plants_of_an_exact_twin_are_misplaced_too():
     by = [abs(float(s.get("quadriceps.origin.x")) - float(nominal()[1].get("quadriceps.origin.x"))) for s in seen[0]]
     assert by[0] == 0
     assert 1e-5 < by[1] < 1e-3 * np.sqrt(3) * 0.6
+
+
+@pytest.mark.slow
+def test_a_mean_of_trials_that_differ_is_found_as_well_as_it_can_be():
+    """By two trials, to the deviation between trials over the root of two; no interval is narrower."""
+    given: Any = {"free": ("K1", "L2"), "bounds": 0.2, "varies": {"L2": 1e-3}}
+    fit = fitting.QuickFit.of(nominal(), told(nominal()), **given)
+    loud = Laboratory(marker_noise=4e-4, cutoff=None)
+    found = calibrate(fit, nominal(), plants=12, kinds={"twin": PLANTS["twin"]}, laboratory=loud, seed=2)
+    answers = found.kinds["twin"]
+    assert (len(answers.errors), answers.doubted, answers.refused, answers.dropped) == (12, 0, 0, 0)
+    size = 1e-3 / np.sqrt(2) / 0.0714
+    assert answers.half_widths[:, 1].mean() == pytest.approx(1.96 * size, rel=0.05)
+    assert 0.5 * size < np.sqrt(np.mean(answers.errors[:, 1] ** 2)) < 1.6 * size
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from pftwin.model.scene_parameters import find, named_arrays
 
 FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Research International 2015:185142, Table 5
 SLIP_SPEED = 1e-3  # [m/s]
-OF_SENSORS = ("force_scale", "force_bias", "time_shift", "placement")
+OF_SENSORS = ("force_scale", "force_bias", "time_shift", "placement", "turn")
 DEVIATIONS = ("attachments", "friction", "damping", "stiffening", *OF_SENSORS)  # what a text can set
 REACH = 4.0  # standard deviations from the prior's mean to the bounds
 _ANY = Quantity("")  # of a number of which nothing is declared
@@ -59,6 +59,8 @@ class Nuisance:
         force_bias: of the zero of each force's sensor, in each trial [N].
         time_shift: by which the forces of a trial are late or early against the markers [s].
         placement: of the tracked point in the femur's frame, each coordinate: bones registered to markers [m].
+        turn: of the femur's frame, about each of its axes, likewise [rad]: tracked points and orientations turn with
+            it.
         others: of any other numbers of the scene, by name: a tendon's toe strain, a coefficient of the fitted surface,
             a contact's stiffness. A name of several numbers stands for all of them.
         working: at what lengths tendons work, by name, over which lines are nearest: `at_work` finds them for the
@@ -73,6 +75,7 @@ class Nuisance:
     force_bias: float = 0.0
     time_shift: float = 0.0
     placement: float = 0.0
+    turn: float = 0.0
     others: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
     working: tuple[tuple[str, Working], ...] = ()
 

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fitting.nuisance import OF_SENSORS, Nuisance
-from fitting.programs import POSITION, unit_of
+from fitting.programs import ORIENTATION, POSITION, unit_of
 
 if TYPE_CHECKING:
     from fitting.methods.problem import Problem
@@ -18,13 +19,14 @@ Floats = NDArray[np.float64]
 
 
 class Sensors(NamedTuple):
-    """Standard deviations of errors that stay the same for a recording, scale and placement in all its trials; 0: there
-    is none."""
+    """Standard deviations of errors that stay the same for a recording, scale, placement and turn in all its trials; 0:
+    there is none."""
 
     force_scale: float = 0.0  # of each force's sensor, as a share
     force_bias: float = 0.0  # of its zero, in each trial [N]
     time_shift: float = 0.0  # by which all forces of a trial are late [s]
     placement: float = 0.0  # of the measured point in the femur's frame, each coordinate [m]
+    turn: float = 0.0  # of the femur's frame, about each axis [rad]
 
     @staticmethod
     def of(nuisance: Nuisance) -> Sensors:
@@ -38,9 +40,14 @@ class Sensors(NamedTuple):
         count, out, objective = len(values), values.copy(), problem.objective
         frames = [self.time_shift / scene.motion.frame_interval for scene in problem.evaluator.scenes]
         late = [share * random.standard_normal(count) for share in frames]
+        turns = Rotation.from_rotvec(self.turn * random.standard_normal((count, 3))) if self.turn else None
         for channel, columns, _ in objective.columns():
             if channel == POSITION:
+                if turns is not None:
+                    out[..., columns] = np.einsum("iab,inb->ina", turns.as_matrix(), out[..., columns])
                 out[..., columns] += self.placement * random.standard_normal((count, 1, 3))
+            elif channel == ORIENTATION and turns is not None:
+                out[..., columns] = np.einsum("iab,inb->ina", _products(turns), out[..., columns])
             elif unit_of(channel, objective.readings) == "N":
                 scale = 1 + self.force_scale * random.standard_normal((count, 1, 1))
                 for rows, behind in zip(objective.frames, late, strict=True):
@@ -52,9 +59,11 @@ class Sensors(NamedTuple):
         """Noise of each channel together with these errors, root mean square; a shift in time is judged apart."""
         found = {}
         for channel, columns, rows in objective.columns():
-            own = 0.0
+            own = self.turn if channel == ORIENTATION else 0.0
             if channel == POSITION:
-                own = self.placement
+                point = objective.measured[objective.present[:, rows].all(axis=1), columns]
+                # A turn moves a point by its distance from the axis: of three axes two thirds of the square count.
+                own = np.hypot(self.placement, self.turn * np.sqrt(2 * np.mean(point**2)))
             elif unit_of(channel, objective.readings) == "N":
                 force = objective.measured[objective.present[:, rows.start], columns]
                 own = np.hypot(self.force_bias, self.force_scale * np.sqrt(np.mean(force**2)))
@@ -68,8 +77,16 @@ class Sensors(NamedTuple):
             f"their zeros {self.force_bias:.3g} N off": self.force_bias,
             f"forces {1e3 * self.time_shift:.3g} ms late or early": self.time_shift,
             f"the measured point {1e3 * self.placement:.3g} mm off": self.placement,
+            f"the femur's frame turned by {np.degrees(self.turn):.3g} deg": self.turn,
         }
         return ", ".join(words for words, deviation in said.items() if deviation)
+
+
+def _products(turns: Rotation) -> Floats:
+    """Matrices (N, 4, 4) that multiply a quaternion (w, x, y, z) by these turns, from the left."""
+    x, y, z, w = turns.as_quat().T
+    rows = ((w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
 def _later(signal: Floats, frames: Floats) -> Floats:

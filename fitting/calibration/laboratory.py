@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fitting.nuisance import OF_SENSORS
 from pftwin.base.errors import InputError
@@ -40,6 +41,7 @@ class Laboratory:
         time_shift: standard deviation of how late all forces are against the markers [s].
         placement: standard deviation of how far off the femur is registered to its markers: each coordinate of the
             tracked point in its frame [m].
+        turn: standard deviation of how far its frame is turned, about each axis [rad].
         readings: standard deviation of the noise of whatever else effects report and is recorded, by
             "EFFECT.OBSERVABLE". Load cells' zeros, scales and delays are those of forces by their effects' names alone.
     """
@@ -52,6 +54,7 @@ class Laboratory:
     force_scale: float = 0.0
     time_shift: float = 0.0
     placement: float = 0.0
+    turn: float = 0.0
     readings: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -100,7 +103,13 @@ class Laboratory:
         femur, tibia, world = (self._poses_of_markers(each, random) for each in (femur, tibia, world))
         relative = world.relative_to(femur)
         point = np.asarray(scene.tracked_point().array(), dtype=float)
-        center = relative.positions + relative.matrices() @ point + constant.normal(0.0, self.placement, 3)
+        center = relative.positions + relative.matrices() @ point
+        orientation = relative.quaternions
+        if self.turn:
+            turned = Rotation.from_rotvec(constant.normal(0.0, self.turn, 3)).as_matrix()
+            center = center @ turned.T
+            orientation = PoseSeries.from_matrices(times, center, turned @ relative.matrices()).quaternions
+        center = center + constant.normal(0.0, self.placement, 3)
         late = constant.normal(0.0, self.time_shift)
         if not first:
             late = random.spawn(1)[0].normal(0.0, self.time_shift)
@@ -111,7 +120,7 @@ class Laboratory:
         measured = Measured(
             times,
             center,
-            relative.quaternions,
+            orientation,
             contact_force=None if contact is None else forces[contact.name],
             femoral_spring_force=forces.get(springs.get("femoral", "")),
             tibial_spring_force=forces.get(springs.get("tibial", "")),

@@ -300,6 +300,7 @@ def test_derivatives_by_the_guided_motion(fixed):
     assert np.abs(difference).max(1).min() > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivatives_of_a_top_on_a_tendon_are_difference_quotients(mode):
     """By mass and initial spin, of place and spin, and of the multipliers that keep the top rigid."""

@@ -99,6 +99,14 @@ def test_errors_of_sensors_stay_the_same_throughout():
     assert np.ptp(off, axis=1).max() < 1e-12
     assert np.std([each[0] for each in off]) == pytest.approx(2e-3, rel=0.1)
     np.testing.assert_array_equal(placed[0][0].contact_force, placed[0][1].contact_force)
+    turned, off = read(turn=0.01, **errors)
+    both = [[Rotation.from_quat(m.quaternion, scalar_first=True) for m in pair] for pair in turned]
+    turns = [told * exact.inv() for told, exact in both]
+    assert max(np.ptp(turn.as_rotvec(), axis=0).max() for turn in turns) < 1e-7
+    assert np.std([turn.as_rotvec()[0] for turn in turns]) == pytest.approx(0.01, rel=0.1)
+    for turn, (found, exact), moved in zip(turns, turned, off, strict=True):
+        np.testing.assert_allclose(found.center, turn.apply(exact.center), atol=1e-9)
+        assert np.abs(moved).max() > 1e-5
     scaled, off = read(force_scale=0.03, **errors)
     shares = [found.contact_force / exact.contact_force for found, exact in scaled]
     assert np.ptp(shares, axis=1).max() < 1e-12

@@ -128,6 +128,7 @@ def test_without_any_plan_none_holds():
     assert not calibration(plans={"twin": plans}).holds
 
 
+@pytest.mark.slow
 def test_the_plant_itself_is_treated():
     """Truth is the plant's, of 190 N/m; draws are those of an estimate of 160, in the knee as it was recorded."""
     seen = Operation(MOVED, samples=20).on(stiff(190.0), stiff(150.0), Estimated(np.array([160.0])))

@@ -59,6 +59,7 @@ def problem(trials: tuple[int, ...], varies: dict[str, float] | None) -> Problem
     return problem_of(trials, [measured()[i] for i in trials], NOISE, varies)
 
 
+@pytest.mark.slow
 def test_each_trial_has_its_own_length_and_what_is_told_is_their_mean():
     """Measurements fix both lengths; of the mean of all trials two tell as much as two normal numbers of theirs."""
     assert found().names == (*FREE, "L2 difference in low", "L2 difference in high")
@@ -70,6 +71,7 @@ def test_each_trial_has_its_own_length_and_what_is_told_is_their_mean():
     assert found().in_trials["L2"]["low"][1] < 0.05 * VARIES["L2"]
 
 
+@pytest.mark.slow
 def test_without_it_neither_trial_fits():
     assert fitted(varies=None).rmse["position"] > 100 * found().rmse["position"]
 
@@ -118,6 +120,7 @@ def test_reverse_mode_agrees_with_forward_mode():
     np.testing.assert_allclose(reverse.gradient / scale, forward.gradient / scale, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_fitted_scenes_have_their_own_numbers_and_others_those_that_are_shared():
     for scene, length in zip(found().scenes, LENGTHS, strict=True):
         assert float(scene.get("L2")) == pytest.approx(length, rel=1e-5)
@@ -126,6 +129,7 @@ def test_fitted_scenes_have_their_own_numbers_and_others_those_that_are_shared()
     assert float(elsewhere.get("L2")) == pytest.approx(np.mean(LENGTHS), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_draws_for_other_knees_are_of_further_trials():
     """Between trials by 1 mm, of a mean known to 1 / sqrt(2) mm."""
     drawn = found().samples(4000, seed=3)
@@ -136,6 +140,7 @@ def test_draws_for_other_knees_are_of_further_trials():
     assert learned[:, 1].std() == pytest.approx(1e-3, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_file_holds_them(tmp_path):
     scenes = [replace(s, measured=m) for s, m in zip(nominal(), measured(), strict=True)]
     again = Estimate.load(found().save(tmp_path / "fit.json"), scenes)
@@ -205,11 +210,13 @@ def test_simulations_find_what_least_squares_find():
     assert (wider < 1.4).all()
 
 
+@pytest.mark.slow
 def test_fewer_scenes_than_were_fitted_get_what_trials_share(tmp_path):
     again = Estimate.load(found().save(tmp_path / "fit.json"), nominal()[1])
     assert float(again.scene.get("L2")) == pytest.approx(0.5 * sum(LENGTHS), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_report_tells_what_trials_share_and_each_trials_own():
     rows = {row[0]: row for row in tables.fitted(found(), nominal()[0]).rows}
     assert list(rows) == [*FREE, "L2 in low", "L2 in high"]
@@ -217,6 +224,7 @@ def test_a_report_tells_what_trials_share_and_each_trials_own():
     assert Material(Path("fit.json"), "two trials").changed_since(found()) == []
 
 
+@pytest.mark.slow
 def test_how_often_they_hold_is_not_known_of_simulations():
     assert found().coverage == QUICK
     assert replace(found(), draws=np.tile(found().values, (50, 1))).coverage == NOT_KNOWN

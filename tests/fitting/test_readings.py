@@ -95,6 +95,7 @@ def fitted() -> fitting.Estimate:
     )
 
 
+@pytest.mark.slow
 def test_springs_are_found_by_markers_and_a_gauge_alone() -> None:
     found = fitted()
     assert found.channels == (*MARKERS, GAUGE)
@@ -123,6 +124,7 @@ def test_a_force_is_not_measured_twice() -> None:
         fitting.fit_tendons(scene(), data, use="all")
 
 
+@pytest.mark.slow
 def test_weights_and_covariances_reach_the_fit_and_its_file(tmp_path: Any) -> None:
     """Both end where the fit of the same problem, written out by hand, ends: at the least of the weighted squares."""
     random = np.random.default_rng(4)
@@ -155,6 +157,7 @@ def test_a_channel_of_which_no_frame_counts_is_refused() -> None:
         fitting.fit_tendons(scene(), data, use=("position", "m1.x"))
 
 
+@pytest.mark.slow
 def test_the_estimate_keeps_its_channels_units_in_its_file(tmp_path: Any) -> None:
     loaded = fitting.Estimate.load(fitted().save(tmp_path / "e.json"), scene())
     assert loaded.readings == fitted().readings

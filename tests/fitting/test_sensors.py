@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from linear_problems import design, objective, parameters, problem
 from made_estimates import made_estimate
+from scipy.spatial.transform import Rotation
 from small_scene import small_scene
 
 import fitting
@@ -50,6 +51,28 @@ def test_a_placement_is_the_same_in_all_frames_and_trials():
     assert (off[..., 3] == 0).all()
     np.testing.assert_allclose(off[:, 0, :3].std(axis=0), 2e-3, rtol=0.05)
     np.testing.assert_allclose(np.corrcoef(off[:, 0, :3].T), np.eye(3), atol=0.06)
+
+
+def test_a_turn_is_of_the_frame_in_which_points_and_orientations_are_told():
+    """Distances from the frame's origin and angles between frames stay; each vector turns as SciPy turns it."""
+    random = np.random.default_rng(3)
+    poses = Rotation.from_rotvec(random.normal(0, 0.8, (FRAMES, 3)))
+    points = np.array([0.03, -0.05, 0.02]) + random.normal(0, 0.02, (FRAMES, 3))
+    quaternions = poses.as_quat(scalar_first=True)
+    values = np.broadcast_to(np.concatenate([points, quaternions], axis=1), (N, FRAMES, 7))
+    channels, columns = ("position", "orientation"), np.array([0, 0, 0, 1, 1, 1])
+    target = objective(values[0], channels=channels, groups=channels, group_of=columns, noise=None)
+    told = Sensors(turn=0.02).read(values, replace(case(), objective=target), np.random.default_rng(2))
+    turns = Rotation.from_quat(told[:, 0, 3:], scalar_first=True) * poses[0].inv()
+    np.testing.assert_allclose(turns.as_rotvec().std(axis=0), 0.02, rtol=0.05)
+    for i in (0, 17):
+        np.testing.assert_allclose(told[i, :, :3], turns[i].apply(points), atol=1e-12)
+        found = Rotation.from_quat(told[i, :, 3:], scalar_first=True)
+        assert (found * (turns[i] * poses).inv()).magnitude().max() < 1e-7
+    noise = {"position": 1e-9, "orientation": 1e-9}
+    beside = Sensors(turn=0.02).beside(noise, replace(target, present=np.ones((FRAMES, 6), bool)))
+    assert beside["orientation"] == pytest.approx(0.02)
+    assert beside["position"] == pytest.approx((told[..., :3] - values[..., :3]).std(), rel=0.03)
 
 
 def test_a_scale_is_of_the_sensor_and_a_bias_of_each_trial():

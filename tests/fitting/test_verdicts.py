@@ -43,6 +43,7 @@ def test_a_prediction_whose_variants_are_all_invalid_says_only_that():
     assert all(v["verdict"].startswith("INVALID") for v in facts(data)["variants"])
 
 
+@pytest.mark.slow
 def test_some_invalid_variants_come_first_and_do_not_count_as_dislocating():
     data = predict(small_scene(11), grid("tibial_tuberosity_transfer", medialisation=[0.0, 0.002, 0.004]))
     assert main_finding(data) == "no variant dislocates"

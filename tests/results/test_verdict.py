@@ -104,6 +104,7 @@ def test_a_file_keeps_its_verdict_and_an_older_one_gets_it_from_its_status():
     assert verdict_of_file(small_result().to_dataset()) == Verdict()
 
 
+@pytest.mark.slow
 def test_an_audit_of_such_a_scene_says_so_first_and_weighs_nothing():
     found = audit(in_the_air(), only=["gravity"])
     assert found.verdict.startswith("INVALID: ")

@@ -34,7 +34,7 @@ from pftwin.files.mocap import (
     fill_gaps,
     mean_cluster,
     read_csv,
-    read_poses_csv,
+    read_poses,
     read_trc,
     segment_poses,
 )
@@ -135,7 +135,7 @@ def read_motion(folder: Path) -> tuple[PoseSeries, PoseSeries, NDArray[np.float6
     path = folder / "passive_flexion_poses.csv"
     flexion = read_csv(path, units="1")
     end = float(flexion.times[flexion.column("knee_flexion") <= DEEPEST_FLEXION].max())
-    poses = {body: p.between(SETTLED, end) for body, p in read_poses_csv(path, ("femur", "tibia", "patella")).items()}
+    poses = {body: p.between(SETTLED, end) for body, p in read_poses(path, ("femur", "tibia", "patella")).items()}
     turn = Pose(Vec3.zero(), Quaternion.from_rotation(Rotation.from_array(array(AXES.T))))
     tibia, patella = (
         poses[body].relative_to(poses["femur"]).compose(turn).seen_from(turn) for body in ("tibia", "patella")

@@ -45,11 +45,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def dm_knee() -> Path:
     """The folder of the DM implant's files; the test is skipped, with the reason, where it is absent."""
-    base = Path(os.environ.get("PFTWIN_DATA", _ROOT.parent / "shared" / "data"))
-    folder = base / "dm_knee"
-    if not folder.is_dir():
-        pytest.skip(f"no DM implant data at {folder}: set PFTWIN_DATA to the folder that holds dm_knee/")
-    return folder
+    return _data("dm_knee")
+
+
+@pytest.fixture(scope="session")
+def healthy_knee() -> Path:
+    """The folder of a living knee's files; the test is skipped, with the reason, where it is absent."""
+    return _data("healthy_knee")
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +61,13 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("toy")
     write_toy(folder)
+    return folder
+
+
+def _data(name: str) -> Path:
+    folder = Path(os.environ.get("PFTWIN_DATA", _ROOT.parent / "shared" / "data")) / name
+    if not folder.is_dir():
+        pytest.skip(f"no data at {folder}: set PFTWIN_DATA to the folder that holds {name}/")
     return folder
 
 

@@ -9,6 +9,7 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.cli import terminal
+from pftwin.cli.exchange import RateOption
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 
 if TYPE_CHECKING:
@@ -21,7 +22,10 @@ def contact_map(
     *,
     femur: Annotated[Path, Option("--femur", metavar="MESH", help="STL, OBJ or PLY file.")],
     patella: Annotated[Path, Option("--patella", metavar="MESH", help="The button's or the cartilage's mesh.")],
-    poses: Annotated[Path, Option("--poses", metavar="CSV", help="time_s, BODY_px_m ... BODY_qz.")],
+    poses: Annotated[
+        Path,
+        Option("--poses", metavar="FILE", help="CSV: time_s, BODY_px_m ... BODY_qz. STO: time, BODY_T11 ... BODY_T44."),
+    ],
     units: Annotated[str, Option("--units", metavar="m|mm", help="Unit of the meshes' coordinates.")],
     patella_units: Annotated[
         str | None, Option("--patella-units", metavar="m|mm", help="If the patella's mesh has another.")
@@ -33,6 +37,7 @@ def contact_map(
     modulus: Annotated[str, Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
     poisson: Annotated[str, Option("--poisson", help="Poisson ratio, or femur's,patella's.")] = "0.46",
     thickness: Annotated[str, Option("--thickness-mm", help="Of the layer, or femur's,patella's.")] = "5",
+    rate: RateOption = None,
     start: Annotated[float | None, Option("--from", help="First time [s].")] = None,
     end: Annotated[float | None, Option("--to", help="Last time [s].")] = None,
     proximity: Annotated[float, Option("--proximity-mm", help="Largest gap that is reported [mm].")] = 1.0,
@@ -64,7 +69,7 @@ def contact_map(
 
     with terminal.spinner("reading"):
         thigh, button = load_pair(femur, patella, units=units, patella_units=patella_units)
-        relative = _poses(poses, bodies, start, end)
+        relative = _poses(poses, bodies, rate, start, end)
         check_sides(thigh, button, relative)
         surfaces = pressed_surface(thigh), pressing_surface(button)
     with terminal.progress("frames") as done:
@@ -132,14 +137,14 @@ def _two(option: str, text: str, factor: float) -> list[float]:
     return values * 2 if len(values) == 1 else values
 
 
-def _poses(path: Path, bodies: str, start: float | None, end: float | None) -> PoseSeries:
+def _poses(path: Path, bodies: str, rate: float | None, start: float | None, end: float | None) -> PoseSeries:
     """Poses of the patella in the femur within the times asked for."""
-    from pftwin.files.mocap import read_poses_csv
+    from pftwin.files.mocap import read_poses
 
     names = bodies.split(",")
     if len(names) != 2:
         raise InputError(f"found {bodies!r}", where="--bodies", expected="two names: FEMUR,PATELLA")
-    found = read_poses_csv(path, names)
+    found = read_poses(path, names, rate=rate)
     relative = found[names[1]].relative_to(found[names[0]])
     first, last = float(relative.times[0]), float(relative.times[-1])
     return relative.between(first if start is None else start, last if end is None else end)

@@ -16,6 +16,9 @@ from pftwin.cli.exit_codes import exit_flagged
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
 
+RateOption = Annotated[
+    float | None, Option("--rate", metavar="HERTZ", help="Frames per second, where times in a file count frames.")
+]
 _MOST_NAMES = 60  # letters of names in a cell of the table; the file not_imported.md has all
 
 
@@ -119,8 +122,13 @@ def import_model(
     folder: Annotated[Path, Option("-o", "--output", metavar="DIR", help="Folder of the scene.")],
     motion: Annotated[
         Path | None,
-        Option("--motion", metavar="COORDINATES.mot", help="Coordinates over time; the knee is bent if left out."),
+        Option(
+            "--motion",
+            metavar="FILE",
+            help="Coordinates over time (.mot), or measured poses of the bones (.sto); the knee is bent if left out.",
+        ),
     ] = None,
+    rate: RateOption = None,
     bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="The one to bend by.")] = None,
     side: Annotated[str | None, Option("--side", metavar="right|left", help="Where the model has both.")] = None,
     femur: Annotated[str | None, Option("--femur", metavar="BODY", help="If its name does not tell.")] = None,
@@ -131,21 +139,23 @@ def import_model(
     ] = None,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Write a scene folder from an OpenSim model: patella, ligaments, contact meshes, motion by coordinates.
+    """Write a scene folder from an OpenSim model: patella, ligaments, contact meshes, motion by coordinates or poses.
 
     Says what was left out and why; not_imported.md in the folder has the whole list. Ends with exit code 3 where the
     scene has been written and needs something more before it can be simulated.
 
-    Example: `pftwin import lenhart2015.osim -o knee`
+    Example: `pftwin import lenhart2015.osim -o knee`, or
+    `pftwin import lenhart2015.osim --motion measured.sto --rate 30 -o knee`
     """
     terminal.check_folder(folder)
     terminal.check_outputs(json)
     from pftwin.files.interchange.osim_scene import import_osim
     from pftwin.files.interchange.osim_toml import rows
 
+    places = geometry or ()
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
     with terminal.spinner(f"reading {model}"):
-        found = import_osim(model, folder, motion=motion, bend=bend, side=side, **bodies, geometry=geometry or ())
+        found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, geometry=places)
     trouble = _import_problem(found)
     facts = {
         "files": [str(p) for p in found.files],

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-FORMATS = ("trc", "c3d", "sto", "csv", "marker_csv", "poses", "stl", "ascii_stl", "obj", "ply", "ascii_ply", "scene",
-           "result", "estimate", "checkpoint", "osim", "strands")  # fmt: skip
+FORMATS = ("trc", "c3d", "sto", "csv", "marker_csv", "poses", "pose_matrices", "stl", "ascii_stl", "obj", "ply",
+           "ascii_ply", "scene", "result", "estimate", "checkpoint", "osim", "strands")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -95,10 +95,19 @@ def _csv(name: str, folder: Path) -> Reader:
 def _poses(name: str, folder: Path) -> Reader:
     from toy_scene_files import tibia_poses, write_poses
 
-    from pftwin.files.mocap import read_poses_csv
+    from pftwin.files.mocap import read_poses
 
     write_poses(folder / "a.csv", {"tibia": tibia_poses(7)})
-    return _written(name, folder / "a.csv", lambda path: read_poses_csv(path, ["tibia"]))
+    return _written(name, folder / "a.csv", lambda path: read_poses(path, ["tibia"]))
+
+
+def _pose_matrices(name: str, folder: Path) -> Reader:
+    from pose_matrices import matrices, written
+
+    from pftwin.files.mocap import read_poses
+
+    written(folder / "a.sto", {"tibia": matrices(3)})
+    return _written(name, folder / "a.sto", lambda path: read_poses(path, ["tibia"]))
 
 
 def _mesh(name: str, folder: Path) -> Reader:
@@ -187,7 +196,8 @@ def _strands(name: str, folder: Path) -> Reader:
 
 
 _MAKERS: dict[str, Callable[[str, Path], Reader]] = {
-    "trc": _trc, "c3d": _c3d, "sto": _sto, "csv": _csv, "marker_csv": _marker_csv, "poses": _poses, "stl": _mesh,
-    "ascii_stl": _mesh, "obj": _mesh, "ply": _mesh, "ascii_ply": _mesh, "scene": _scene, "result": _result,
+    "trc": _trc, "c3d": _c3d, "sto": _sto, "csv": _csv, "marker_csv": _marker_csv, "poses": _poses,
+    "pose_matrices": _pose_matrices, "stl": _mesh, "ascii_stl": _mesh, "obj": _mesh, "ply": _mesh,
+    "ascii_ply": _mesh, "scene": _scene, "result": _result,
     "estimate": _estimate, "checkpoint": _checkpoint, "osim": _osim, "strands": _strands,
 }  # fmt: skip

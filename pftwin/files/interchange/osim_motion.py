@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,51 @@ from pftwin.base.errors import InputError
 from pftwin.base.rotations import continuous_signs
 from pftwin.files.interchange.osim_joints import Coordinate, Tree
 from pftwin.files.interchange.osim_knee import OsimKnee
+from pftwin.files.mocap.pose_files import holds_matrices, read_poses
+from pftwin.files.mocap.poses import PoseSeries, quaternion_product
 from pftwin.files.mocap.sto import read_sto
+from pftwin.files.mocap.tables import unknown_name
 
 Floats = NDArray[np.float64]
 RATE = 100.0  # frames per second of a motion that is made
 FASTEST = np.radians(45.0)  # of it [rad/s]
 FARTHEST = np.radians(90.0)  # of it, where the model's range goes further
+
+
+class Motion(NamedTuple):
+    """How femur, tibia and patella move in ground; of the patella only the first frame counts, unless measured."""
+
+    times: Floats  # (n,)
+    poses: dict[str, tuple[Floats, Floats]]  # positions (n, 3) [m] and quaternions (n, 4), scalar first, by body
+    said: str
+    measured: bool = False  # whether the patella's are measurements
+
+
+def motion_of(
+    tree: Tree, knee: OsimKnee, path: str | os.PathLike[str] | None, rate: float | None = None, bend: str | None = None
+) -> Motion:
+    """By a file of coordinates, or of poses as matrices; or bent through its range, where there is none.
+
+    A patella that a file of poses does not have stands in the femur's frame where the model has it by default.
+
+    Args:
+        tree: the model's.
+        knee: its bodies.
+        path: of the file.
+        rate: frames per second, where the times of a file of poses count frames.
+        bend: the coordinate to bend by; None: the first rotation of the tibia's joint.
+
+    Raises:
+        InputError: as `read_poses`, `recorded`, `flexed_through_range` and `poses`; poses of no femur or tibia; a rate
+            of a file without poses.
+    """
+    if path is not None and holds_matrices(path):
+        return _measured(tree, knee, path, rate)
+    if rate is not None:
+        raise InputError("a rate without a file of poses", where="rate", expected="times in seconds, and no rate")
+    found = flexed_through_range(tree, knee, bend) if path is None else recorded(tree, path)
+    times, values, said = found
+    return Motion(times, poses(tree, [knee.femur, knee.tibia, knee.patella], times, values), said)
 
 
 def flexed_through_range(tree: Tree, knee: OsimKnee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:
@@ -66,6 +106,28 @@ def recorded(tree: Tree, path: str | os.PathLike[str]) -> tuple[Floats, dict[str
         wanted = ", ".join(list(known)[:6])
         raise InputError("none of the model's coordinates", where=path, expected=f"such as {wanted}")
     return table.times, found, f"{len(found)} coordinates from {os.fspath(path)}, all others at their defaults"
+
+
+def _measured(tree: Tree, knee: OsimKnee, path: str | os.PathLike[str], rate: float | None) -> Motion:
+    held = read_poses(path, rate=rate)
+    if missing := [body for body in (knee.femur, knee.tibia) if body not in held]:
+        raise unknown_name("body", missing[0], held, where=path)
+    seen = {body: held[body] for body in (knee.femur, knee.tibia, knee.patella) if body in held}
+    said = f"poses of {', '.join(seen)} from {os.fspath(path)}"
+    if measured := knee.patella in held:
+        said += "; the patella's are what was measured"
+    else:
+        rest = poses(tree, [knee.femur, knee.patella], np.zeros(1), {})
+        still, patella = (PoseSeries(np.zeros(1), *rest[body]) for body in (knee.femur, knee.patella))
+        there, femur = patella.relative_to(still), seen[knee.femur]
+        places = femur.positions + femur.matrices() @ there.positions[0]
+        turns = quaternion_product(femur.quaternions, there.quaternions)
+        seen[knee.patella] = PoseSeries(femur.times, places, turns)
+        said += f"; {knee.patella} starts where the model has it in {knee.femur}"
+    said += "; gravity pulls as in the model's ground: check that these poses are told in such a frame"
+    return Motion(
+        seen[knee.femur].times, {body: (p.positions, p.quaternions) for body, p in seen.items()}, said, measured
+    )
 
 
 def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]) -> dict[str, tuple[Floats, Floats]]:

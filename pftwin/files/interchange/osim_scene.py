@@ -57,6 +57,7 @@ def import_osim(
     folder: str | os.PathLike[str],
     *,
     motion: str | os.PathLike[str] | None = None,
+    rate: float | None = None,
     bend: str | None = None,
     side: str | None = None,
     femur: str | None = None,
@@ -73,7 +74,10 @@ def import_osim(
     Args:
         model: .osim file of OpenSim 4.
         folder: of the scene; made if it is not there.
-        motion: .mot or .sto file of coordinates; None: the knee is bent through its range.
+        motion: .mot or .sto file of coordinates, or .sto file of the bodies' poses as matrices (BODY_T11 ... BODY_T44);
+            where the patella is among them, its poses are the scene's measurements. None: the knee is bent through its
+            range.
+        rate: frames per second, where the times of a file of poses count frames.
         bend: the coordinate to bend by; None: the first rotation of the tibia's joint.
         side: "right" or "left"; None: as the patella's name ends.
         femur, tibia, patella: names of bodies, where they cannot be told.
@@ -90,12 +94,8 @@ def import_osim(
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
     told = Imported(left_out=list(found.left_out))
     places = [Path(p) for p in geometry]
-    if motion is None:
-        times, values, said = osim_motion.flexed_through_range(found.tree, knee, bend)
-    else:
-        times, values, said = osim_motion.recorded(found.tree, motion)
-    told.notes.append(f"motion: {said}")
-    poses = osim_motion.poses(found.tree, [knee.femur, knee.tibia, knee.patella], times, values)
+    moved = osim_motion.motion_of(found.tree, knee, motion, rate, bend)
+    told.notes.append(f"motion: {moved.said}")
     if found.bodies[knee.patella].mass <= 0:
         raise InputError("a patella without mass", where=found.bodies[knee.patella].where, expected="a positive mass")
     strands = _ligament_groups(found, knee, told)
@@ -105,8 +105,9 @@ def import_osim(
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
     told.left_out += _unused_elements(read_osim(os.fspath(model)), found, knee)
-    text = scene_text(found, knee, strands, contact, pressing, told)
-    _write(Path(folder), text, times, {knee.part(b): p for b, p in poses.items()}, [*pressing, *drawn], told)
+    text = scene_text(found, knee, strands, contact, pressing, told, measured=moved.measured)
+    poses = {knee.part(b): p for b, p in moved.poses.items()}
+    _write(Path(folder), text, moved.times, poses, [*pressing, *drawn], told)
     return told
 
 

@@ -37,8 +37,13 @@ def scene_text(
     contact: OsimContact | None,
     meshes: Sequence[Written],
     told: Imported,
+    *,
+    measured: bool = False,
 ) -> str:
-    """The scene file; adds to the notes what it could not take over as it is."""
+    """The scene file; adds to the notes what it could not take over as it is.
+
+    Its measurements are the patella's poses, where that was `measured`.
+    """
     body = model.bodies[knee.patella]
     if np.any(body.inertia[3:]):
         told.notes.append(f"{body.name}: the products of inertia are left out")
@@ -59,6 +64,7 @@ def scene_text(
         side=knee.side,
         axes=AXES[knee.side],
         patella=body,
+        measured=measured,
         ligaments=_labelled(strands),
         contact=contact,
         sides=list(zip(("femur", "button"), meshes, layers, strict=False)),  # none without a contact

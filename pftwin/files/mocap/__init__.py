@@ -5,7 +5,8 @@ from pftwin.files.mocap.csv_files import read_csv, read_marker_csv, write_csv
 from pftwin.files.mocap.filters import Gap, butterworth_lowpass, fill_gaps, find_gaps, singular_spectrum_filter
 from pftwin.files.mocap.frames import cluster_poses, mean_cluster, segment_poses, three_point_frames
 from pftwin.files.mocap.markers import MarkerTrajectories
-from pftwin.files.mocap.poses import PoseSeries, mirror_left_markers, mirror_left_poses, read_poses_csv
+from pftwin.files.mocap.pose_files import read_poses
+from pftwin.files.mocap.poses import PoseSeries, mirror_left_markers, mirror_left_poses
 from pftwin.files.mocap.reading import read_markers
 from pftwin.files.mocap.sto import read_sto
 from pftwin.files.mocap.tables import Table
@@ -27,7 +28,7 @@ __all__ = [
     "read_csv",
     "read_marker_csv",
     "read_markers",
-    "read_poses_csv",
+    "read_poses",
     "read_sto",
     "read_trc",
     "segment_poses",

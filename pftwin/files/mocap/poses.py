@@ -1,12 +1,10 @@
-"""Poses of a body over time, and reading them from tables.
+"""Poses of a body over time.
 
 A left knee is mirrored on input: inside, every knee is a right one.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,15 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import continuous_signs
-from pftwin.files.mocap.csv_files import read_csv
 from pftwin.files.mocap.markers import MarkerTrajectories
-from pftwin.files.mocap.tables import Sampled, increasing_times, unknown_name
+from pftwin.files.mocap.tables import Sampled, increasing_times
 
 if TYPE_CHECKING:
     from pftwin.base.spatial import Pose
 
 _UNIT_TOLERANCE = 1e-3
-_PARTS = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,35 +153,6 @@ def check_same_times(a: PoseSeries, b: PoseSeries) -> None:
         i = int(off[0])
         found = f"row {i + 1} is at {a.times[i]:.9g} s in {a.source} and at {b.times[i]:.9g} s in {b.source}"
     raise InputError(found, where="times", expected="both bodies recorded at the same times")
-
-
-def read_poses_csv(path: str | os.PathLike[str], bodies: Sequence[str] | None = None) -> dict[str, PoseSeries]:
-    """Poses from a table with the columns time_s and BODY_px_m, _py_m, _pz_m, BODY_qw, _qx, _qy, _qz for each body.
-
-    Args:
-        path: the file; other units of length and time than m and s are converted.
-        bodies: the bodies wanted; all that the file holds by default.
-
-    Raises:
-        InputError: as `read_csv`; a body that is not there (with the nearest known names) or incomplete; rows without
-            a pose; quaternions that are not unit.
-    """
-    table = read_csv(path, units="1")  # other columns (an angle, a flag) are not looked at
-    found = [name[: -len("_qw")] for name in table.names if name.endswith("_qw")]
-    if not found:
-        raise InputError("no poses", where=path, expected="columns BODY_px_m ... BODY_qz")
-    out = {}
-    for body in found if bodies is None else bodies:
-        if body not in found:
-            raise unknown_name("body", body, found, where=path)
-        columns = [f"{body}_{part}" for part in _PARTS]
-        if missing := [c for c in columns if c not in table.names]:
-            raise InputError(f"body {body!r} has no column {missing[0]!r}", where=path, expected=", ".join(columns))
-        if off := [c for c in columns[:3] if table.units[c] != "m"]:
-            raise InputError(f"column {off[0]!r} has no unit of length", where=path, expected=f"{off[0]}_m")
-        values = table.select(columns).values
-        out[body] = PoseSeries(table.times, values[:, :3], values[:, 3:], source=f"{path}, body {body!r}")
-    return out
 
 
 def mirror_left_markers(markers: MarkerTrajectories, *, medial_lateral: str) -> MarkerTrajectories:

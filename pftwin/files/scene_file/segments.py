@@ -16,7 +16,7 @@ from pftwin.files.mocap import (
     butterworth_lowpass,
     fill_gaps,
     read_markers,
-    read_poses_csv,
+    read_poses,
     segment_poses,
     three_point_frames,
 )
@@ -82,7 +82,11 @@ class SegmentSection(Section):
 class MotionSection(Section):
     """The recording that the segments' tables refer to."""
 
-    poses: FileName | None = Field(default=None, description="CSV file of poses: time_s, BODY_px_m ... BODY_qz")
+    poses: FileName | None = Field(
+        default=None,
+        description="file of poses: CSV with time_s, BODY_px_m ... BODY_qz; STO with time, BODY_T11 ... BODY_T44 [m]",
+    )
+    rate_Hz: Positive | None = Field(default=None, description="frames per second, where time in an STO counts frames")
     markers: FileName | None = Field(default=None, description="TRC, C3D or CSV file of markers")
     units: Literal["m", "cm", "mm"] | None = Field(
         default=None, description="unit of the markers where their file has none"
@@ -169,7 +173,7 @@ class SegmentRecording:
             path = self.document.file(file)
             _check_there(path)
         if name not in self._poses:
-            self._poses.update(read_poses_csv(str(path), [name]))
+            self._poses.update(read_poses(str(path), [name], rate=self.motion.rate_Hz))
         return self._poses[name]
 
     def _filtered(self, names: list[str]) -> MarkerTrajectories:

@@ -1,4 +1,4 @@
-"""Pose series: validation, composition, reading from a table, mirroring."""
+"""Pose series: validation, composition, mirroring."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.files.mocap import PoseSeries, mirror_left_poses, read_poses_csv
+from pftwin.files.mocap import PoseSeries, mirror_left_poses
 
 N = 12
 T = np.arange(N) / 100
@@ -88,45 +88,3 @@ def test_mirroring_is_its_own_inverse_and_keeps_distances():
     p = np.array([0.03, -0.02, 0.05])
     world = s.positions + s.matrices() @ p
     np.testing.assert_allclose(m.positions + m.matrices() @ (p * [1, -1, 1]), world * [1, 1, -1], atol=1e-12)
-
-
-HEADER = "time_s,angle_deg,femur_px_m,femur_py_m,femur_pz_m,femur_qw,femur_qx,femur_qy,femur_qz\n"
-
-
-def table(tmp_path, text):
-    path = tmp_path / "poses.csv"
-    path.write_text(text)
-    return path
-
-
-def test_poses_from_a_table(tmp_path):
-    path = table(tmp_path, HEADER.replace("_m,", "_mm,") + "0,5,1,2,3,1,0,0,0\n0.01,6,1,2,4,0,1,0,0\n")
-    poses = read_poses_csv(path)
-    assert list(poses) == ["femur"]
-    np.testing.assert_allclose(poses["femur"].positions[1], [0.001, 0.002, 0.004])
-    with pytest.raises(InputError, match=r"no body called 'femurr'.*did you mean 'femur'"):
-        read_poses_csv(path, ["femurr"])
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (HEADER + "0,5,1,2,3,1,0,0,0\n0.01,6,1,2,4,1,1,0,0\n", r"body 'femur': row 2: a quaternion of length 1\.41"),
-        (HEADER.replace("px_m", "px") + "0,5,1,2,3,1,0,0,0\n", "'femur_px' has no unit of length"),
-        (HEADER.replace("femur_pz_m", "femur_pw_m") + "0,5,1,2,3,1,0,0,0\n", "no column 'femur_pz'"),
-        (HEADER + "0,5,1,,3,1,0,0,0\n", "row 1 of the positions is missing"),
-        ("time_s,F_N\n0,1\n", "no poses"),
-    ],
-)
-def test_bad_tables(tmp_path, text, message):
-    with pytest.raises(InputError, match=message):
-        read_poses_csv(table(tmp_path, text))
-
-
-def test_recorded_poses_of_the_implant(dm_knee):
-    poses = read_poses_csv(dm_knee / "passive_flexion_poses.csv", ["femur", "tibia"])
-    assert list(poses) == ["femur", "tibia"]
-    assert poses["femur"].rate == pytest.approx(100)
-    relative = Rotation.from_matrix(poses["tibia"].relative_to(poses["femur"]).matrices())
-    turned = np.rad2deg((relative[50].inv() * relative[-1]).magnitude())
-    assert 70 < turned < 100

@@ -11,7 +11,7 @@ import pytest
 from recorded_pulls import Recording
 from wrapped_line import Ellipsoid
 
-from pftwin.files.mocap import read_csv, read_poses_csv
+from pftwin.files.mocap import read_csv, read_poses
 from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
 from pftwin.geometry.contact.depths import depths
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
@@ -48,7 +48,7 @@ def sums_over_own_areas(areas):
 
 @pytest.fixture(scope="module")
 def recording(dm_knee) -> tuple[ContactMap, Recording, np.ndarray]:
-    poses = read_poses_csv(dm_knee / "passive_flexion_poses.csv")
+    poses = read_poses(dm_knee / "passive_flexion_poses.csv")
     femur, button = (
         load_mesh(dm_knee / f"{n}.stl", units="m") for n in ("femoral_component_contact", "patellar_button_contact")
     )

@@ -1,0 +1,122 @@
+"""OpenSim models whose bones, and maybe the patella, move as they were measured."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from knee_models import ligaments, model
+from pose_matrices import written
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from pftwin.base.errors import InputError
+from pftwin.cli import app
+from pftwin.files.interchange import import_osim
+from pftwin.files.mocap import read_poses
+from pftwin.files.scene_file import load_scene_file
+
+ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # proximal, lateral, anterior of x, y, z
+FRAMES = 31
+START = (0.045, 0.002, 0.003)  # of the patella in the femur [m]
+
+
+def pose(turns: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(n, 4, 4) from rotation vectors and places (n, 3)."""
+    found = np.tile(np.eye(4), (len(turns), 1, 1))
+    found[:, :3, :3], found[:, :3, 3] = Rotation.from_rotvec(turns).as_matrix(), places
+    return found
+
+
+def motion(*, patella: bool = True) -> dict[str, np.ndarray]:
+    """In a scanner's frame, the femur moving a little; x anterior, y proximal, z to the right."""
+    t = np.linspace(0, 1, FRAMES)[:, None]
+    femur = pose(t * [0.02, -0.05, 0.3] + [0.3, 0.2, 0.1], [0.1, 0.2, 0.3] + t * [0.004, 0.001, 0.002])
+    tibia = femur @ pose(t * [0.0, 0.02, -0.5] - [0, 0, 0.2], np.tile([0.001, -0.002, 0.0], (FRAMES, 1)))
+    button = femur @ pose(t * [0.03, 0.0, -0.3], np.array(START) + t * [-0.004, -0.01, 0.001])
+    bodies = {"femur_r": femur, "tibia_r": tibia, "patella_r": button}
+    return bodies if patella else {name: bodies[name] for name in ("femur_r", "tibia_r")}
+
+
+def imported(folder, bodies: dict[str, np.ndarray], **options):
+    (folder / "bare.osim").write_text(model(forces=ligaments(), meshes=False))
+    path = written(folder / "measured.sto", bodies, 1.0 + np.arange(FRAMES))
+    return import_osim(folder / "bare.osim", folder / "out", motion=path, **{"rate": 30, **options})
+
+
+def test_bones_move_as_measured_and_the_patella_is_what_is_compared(tmp_path):
+    told = imported(tmp_path, motion())
+    assert "motion: poses of femur_r, tibia_r, patella_r from" in told.notes[0]
+    assert "the patella's are what was measured" in told.notes[0]
+    scene, bodies = load_scene_file(told.scene).scene, motion()
+    np.testing.assert_allclose(scene.motion.times, (1 + np.arange(FRAMES)) / 30)
+    seen = np.linalg.inv(bodies["femur_r"]) @ bodies["patella_r"]
+    assert scene.measured is not None
+    np.testing.assert_allclose(scene.measured.center, seen[:, :3, 3] @ ANATOMICAL.T, atol=1e-9)
+    turns = Rotation.from_quat(scene.measured.quaternion, scalar_first=True).as_matrix()
+    np.testing.assert_allclose(turns, ANATOMICAL @ seen[:, :3, :3] @ ANATOMICAL.T, atol=1e-9)
+    femur, tibia = (part.frames(scene.motion.times[-1]) for part in (scene.motion.femur, scene.motion.tibia))
+    shin = np.asarray(femur.rotation.array()).T @ np.asarray(tibia.rotation.array())
+    expected = (np.linalg.inv(bodies["femur_r"]) @ bodies["tibia_r"])[-1, :3, :3]
+    np.testing.assert_allclose(shin, ANATOMICAL @ expected @ ANATOMICAL.T, atol=1e-9)
+
+
+def test_a_patella_that_was_not_measured_starts_where_the_model_has_it(tmp_path):
+    """In the femur's frame: as where the knee is bent through its range."""
+    told = imported(tmp_path, motion(patella=False))
+    assert "patella_r starts where the model has it in femur_r" in told.notes[0]
+    loaded = load_scene_file(told.scene)
+    assert loaded.scene.measured is None
+    by_model = import_osim(tmp_path / "bare.osim", tmp_path / "bent")
+    other = load_scene_file(by_model.scene).scene
+
+    def start(scene) -> np.ndarray:
+        femur = scene.motion.femur.frames(scene.motion.start_time)
+        turn = np.asarray(femur.rotation.array())
+        return turn.T @ (np.asarray(scene.start.position.array()) - np.asarray(femur.origin.array()))
+
+    np.testing.assert_allclose(start(loaded.scene), start(other), atol=1e-9)
+
+
+def test_what_is_missing_is_named(tmp_path):
+    bodies = motion()
+    with pytest.raises(InputError, match="no body called 'tibia_r'"):
+        imported(tmp_path, {name: bodies[name] for name in ("femur_r", "patella_r")})
+    with pytest.raises(InputError, match="time counts frames, 1 to 31"):
+        imported(tmp_path, bodies, rate=None)
+    with pytest.raises(InputError, match="a rate without a file of poses"):
+        import_osim(tmp_path / "bare.osim", tmp_path / "out", rate=30)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_file_takes_such_poses_with_their_rate(tmp_path):
+    told = imported(tmp_path, motion())
+    head, gravity, rest = told.scene.read_text().partition("[gravity]")
+    text = re.sub(r'body = "(\w+)"', r'body = "\1_r"', head) + gravity + rest
+    scene, path = told.scene.with_name("direct.toml"), told.scene.with_name("measured.sto")
+    (tmp_path / "measured.sto").rename(path)
+    scene.write_text(text.replace('poses = "poses.csv"', 'poses = "measured.sto"\nrate_Hz = 30'))
+    direct, through = (load_scene_file(path).scene.measured for path in (scene, told.scene))
+    assert direct is not None
+    assert through is not None
+    np.testing.assert_allclose(direct.center, through.center, atol=1e-11)
+    np.testing.assert_allclose(direct.times, through.times)
+    scene.write_text(text.replace('poses = "poses.csv"', 'poses = "measured.sto"'))
+    with pytest.raises(InputError, match=r"rate_Hz in \[motion\]"):
+        load_scene_file(scene)
+
+
+@pytest.mark.filterwarnings("ignore:.*the header says nrows=48")
+def test_a_living_knee_is_a_scene_with_its_measurements(healthy_knee, tmp_path):
+    recording = healthy_knee / "passive_body_transformations.sto"
+    options = ["--side", "right", "--geometry", str(healthy_knee / "geometry"), "--motion", str(recording)]
+    command = ["import", str(healthy_knee / "lenhart2015.osim"), *options, "--rate", "30", "-o", str(tmp_path / "knee")]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    measured = load_scene_file(tmp_path / "knee" / "scene.toml").scene.measured
+    poses = read_poses(recording, rate=30)
+    seen = poses["patella_r"].relative_to(poses["femur_distal_r"])
+    assert measured is not None
+    assert len(measured.times) == 60
+    np.testing.assert_allclose(measured.center, seen.positions @ ANATOMICAL.T, atol=1e-9)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from fitting.nuisance import REACH
 from fitting.parameters import BETWEEN_TRIALS, Parameter, Parameters
 from pftwin.base.errors import InputError
+from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import named_arrays
 
 Floats = NDArray[np.float64]
 

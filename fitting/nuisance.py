@@ -19,8 +19,9 @@ from fitting.stiffening import Working, linear_tendons, stiffened, stiffening_te
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import Quantity
 from pftwin.model.effects.friction import Friction
+from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import find, named_arrays
+from pftwin.model.scene_parameters import find
 
 FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Research International 2015:185142, Table 5
 SLIP_SPEED = 1e-3  # [m/s]
@@ -184,7 +185,8 @@ class Nuisance:
             kinds |= dict.fromkeys(places, "others")
         if self.friction:
             deviations[_friction_name(scene)], kinds[_friction_name(scene)] = self.friction, "friction"
-        free = {name: sd for name, sd in deviations.items() if sd > 0 and name not in but}
+        taken = {name for name in deviations if {name, f"{name.partition('[')[0]}[:]"} & {*but}}
+        free = {name: sd for name, sd in deviations.items() if sd > 0 and name not in taken}
         priors = {name: (float(find(scene, name)[0].read(scene)), sd) for name, sd in free.items()}
         bounds = {}
         for name, (mean, sd) in priors.items():

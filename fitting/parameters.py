@@ -17,8 +17,9 @@ from fitting.nuisance import EXACT, Nuisance
 from fitting.stiffening import Working
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar
+from pftwin.model.number_place import NumberPlace
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import NumberPlace, find
+from pftwin.model.scene_parameters import find
 
 if TYPE_CHECKING:
     from pftwin.model.scene import Scene
@@ -205,9 +206,10 @@ def free_parameters(
         scene: whose numbers are the nominal values.
         names: "K1", "L1", "K2", "L2": stiffness and slack length of the first and the second tendon; "L2.strain",
             "L2.force": the slack length as strain or force at the scene's start pose; "quadriceps.stiffness",
-            "patellar_tendon.origin.y", "contact.radius", "contact.surface.coefficients[3]", or all coefficients at
-            once without the index; "quadriceps.damping~patellar_tendon.damping": two that keep their proportion
-            (coordinates: their distance), of which the first is told.
+            "patellar_tendon.origin.y", "contact.radius", "contact.surface.coefficients[3]", or all coefficients, each
+            for itself, without the index; "pt.slack_length[:]": all of a ligament's strands together, in their
+            proportions, told by their mean; "quadriceps.damping~patellar_tendon.damping": two that keep their
+            proportion (coordinates: their distance), of which the first is told.
         bounds: to either side as a share of the nominal value; or by name such a share or (lower, upper), the others
             +-30 %.
         priors: by name mean and standard deviation of a normal prior.
@@ -226,7 +228,7 @@ def free_parameters(
         places = find(scene, name)
         for place in places:
             own = name if len(places) == 1 else f"{name}[{place.index}]"
-            if any(p.place.numbers & place.numbers for p in items):
+            if any(p.place.overlaps(place) for p in items):
                 raise InputError(f"{own!r} is named twice", where="free", expected="every number once")
             items.append(_parameter(scene, own, name, place, bounds, priors or {}))
     return Parameters(tuple(items))

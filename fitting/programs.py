@@ -27,8 +27,9 @@ from pftwin.dynamics.frame_states import scan_observations, starting_equilibrium
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import instant_and_frame
 from pftwin.dynamics.state import Guide, State, System
+from pftwin.model.number_place import NumberPlace
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import NumberPlace, numbered_elements
+from pftwin.model.scene_parameters import numbered_elements
 
 POSITION, ORIENTATION = "position", "orientation"
 

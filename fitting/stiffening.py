@@ -15,8 +15,8 @@ from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.simulate import simulate
 from pftwin.model.effects.line_elements import TOE
 from pftwin.model.effects.tendon import DampedLine, SpringForce
+from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import named_arrays
 
 Floats = NDArray[np.float64]
 

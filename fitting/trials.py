@@ -163,9 +163,8 @@ def _check_ties(own: Parameters, first: Scene, scene: Scene) -> None:
         InputError: it has.
     """
     for p in own.items:
-        ties = [] if p.coordinate else p.place.tied
-        ratios = [[float(t.read(s)) / float(p.place.read(s)) for t in ties] for s in (first, scene)]
-        if not np.allclose(*ratios, rtol=_EQUAL, atol=0):
+        here, there = ([] if p.coordinate else p.place.proportions(s) for s in (first, scene))
+        if len(here) != len(there) or not np.allclose(here, there, rtol=_EQUAL, atol=0):
             found = f"{p.name} has other proportions in {scene.name} than in {first.name}"
             raise InputError(found, where="trials", expected="numbers that trials share")
 

@@ -4,119 +4,22 @@ from __future__ import annotations
 
 import difflib
 import re
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
 from pftwin.base.errors import InputError
-from pftwin.base.quantities import Quantity, declarations
-from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.spatial import Vec3
+from pftwin.model.number_place import TIED, TOGETHER, UNITS, NumberPlace, follow, named_arrays, owner_of, replaced
 
 if TYPE_CHECKING:
     from pftwin.model.effects.base import Effect
-    from pftwin.model.effects.line_elements import ElasticLine, LineElement
+    from pftwin.model.effects.line_elements import ElasticLine
     from pftwin.model.scene import Scene
 
 _SHORT = re.compile(r"^([A-Z])(\d+)(?:\.(strain|force))?$")
 _INDEXED = re.compile(r"^(.*)\[(\d+)\]$")
-_UNITS = {"strain": "", "force": "N"}  # ways to express a slack length
-_OWN = ("patella", "start", "motion")  # parts of a scene that are no effects
-_TIED = "~"  # between numbers that go together
-
-
-class NumberPlace(NamedTuple):
-    """A number in a scene, or all numbers of one field.
-
-    `meaning` is "value" for the number itself. The slack length L0 of a line element may be expressed otherwise,
-    with L its length at the scene's start pose in the first frame: "strain" is (L - L0) / L0, "force" the tension of
-    the line when held at that length.
-
-    What is `tied` goes with it: in proportion to what the scene has, or, of coordinates, by the same offset.
-    """
-
-    owner: str  # name of an effect; "patella", "start" or "motion" for the scene's own parts
-    path: tuple[str, ...]
-    index: int | None
-    meaning: str
-    tied: tuple[NumberPlace, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """The name as a user may write it."""
-        return _TIED.join(self.names)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Its own name, and those of what is tied to it."""
-        index = "" if self.index is None else f"[{self.index}]"
-        ending = "" if self.meaning == "value" else f".{self.meaning}"
-        return (".".join([self.owner, *self.path]) + index + ending, *(name for t in self.tied for name in t.names))
-
-    @property
-    def numbers(self) -> frozenset[tuple[str, tuple[str, ...], int | None]]:
-        """The scene's numbers that it changes, whatever they mean."""
-        return frozenset({(self.owner, self.path, self.index)}.union(*(t.numbers for t in self.tied)))
-
-    def unit(self, scene: Scene) -> str:
-        """Its unit; empty for a pure number."""
-        if self.meaning != "value":
-            return _UNITS[self.meaning]
-        declared = named_arrays(scene)[".".join([self.owner, *self.path])].quantity
-        return "" if declared is None else declared.unit
-
-    def is_coordinate(self, scene: Scene) -> bool:
-        """Whether it is a coordinate of a point, such as an attachment, and so no quantity with a size of its own."""
-        declared = named_arrays(scene)[".".join([self.owner, *self.path])].quantity
-        return declared is not None and declared.frame != "" and declared.unit == "m"
-
-    def read(self, scene: Scene) -> Scalar:
-        """The value in a scene."""
-        owner = _owner(scene, self.owner)
-        value = _follow(owner, self.path)
-        value = value if self.index is None else jnp.asarray(value)[self.index]
-        if self.meaning == "value":
-            return jnp.asarray(value)
-        length = start_length(scene, owner)
-        return (length - value) / value if self.meaning == "strain" else owner.held_tension(length)
-
-    def written(self, scene: Scene, value: Scalar) -> Scene:
-        """The scene with this value there. Pure."""
-        if self.tied:
-            own, moved = self.read(scene), self.is_coordinate(scene)
-            for other in self.tied:
-                old = other.read(scene)
-                scene = other.written(scene, old + (value - own) if moved else old * (value / own))
-        owner = _owner(scene, self.owner)
-        if self.meaning == "strain":
-            value = start_length(scene, owner) / (1 + value)
-        elif self.meaning == "force":
-            value = owner.slack_length_for(start_length(scene, owner), value)
-        old = jnp.asarray(_follow(owner, self.path))
-        new = jnp.asarray(value, old.dtype) if self.index is None else old.at[self.index].set(value)
-        return _replaced(scene, self.owner, self.path, new)
-
-
-class Field(NamedTuple):
-    """An array of numbers in a scene."""
-
-    owner: str
-    path: tuple[str, ...]
-    shape: tuple[int, ...]
-    quantity: Quantity | None  # its declaration
-
-
-def start_length(scene: Scene, element: LineElement) -> Scalar:
-    """A line element's length at the scene's start pose in the first frame [m]; one for each line of a group."""
-    insertion, body = element.line_ends
-    start = jnp.asarray(scene.motion.start_time, dtype=float)
-    femur, tibia = scene.motion.frames(start)
-    frame = {"tibia": tibia, "femur": femur}.get(body)
-    origin = element.origin_at(start)
-    origin = origin if frame is None else frame.point(origin)
-    return (origin - scene.start.apply(insertion)).norm()
 
 
 def find(scene: Scene, name: str) -> list[NumberPlace]:
@@ -124,15 +27,19 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
 
     "K1", "L1", "K2" ... are what the scene's elastic line elements (tendons, strands), in their order, declare with
     these letters: stiffness and slack length. Otherwise "effect.field.field", "patella.field", with an index for an
-    element ("contact.surface.coefficients[3]"). "L1.strain" and "L1.force": see `NumberPlace`. Names with "~" between
-    them are of numbers that are tied ("quadriceps.damping~patellar_tendon.damping"): the first is told.
+    element ("contact.surface.coefficients[3]"), or with "[:]" for all of a field together, in their proportions, told
+    by their mean ("pt.slack_length[:]", "quadriceps.tension[:]"; coordinates: at their distances). "L1.strain" and
+    "L1.force": see `NumberPlace`. Names with "~" between them are of numbers that are tied
+    ("quadriceps.damping~patellar_tendon.damping"): the first is told.
 
     Raises:
         InputError: no such number in this scene, with the nearest name that there is; a tie of unlike numbers.
     """
-    if _TIED in name:
+    if TIED in name:
         return [_tie(scene, name)]
     full, meaning = _long_name(scene, name)
+    if full.endswith(TOGETHER):
+        return [_together(scene, name, full.removesuffix(TOGETHER))]
     index = None
     if match := _INDEXED.match(full):
         full, index = match.group(1), int(match.group(2))
@@ -150,15 +57,30 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
         raise InputError(
             f"{name!r} in scene {scene.name!r}, which has {shape[0] if shape else 'a single number'} there",
             where="free",
-            expected=full if not shape else f"{full}[0] to {full}[{shape[0] - 1}], or {full} for all of them",
+            expected=_expected(full, shape),
         )
     return [NumberPlace(owner, path, i, meaning) for i in (range(shape[0]) if index is None else [index])]
 
 
+def _together(scene: Scene, name: str, field: str) -> NumberPlace:
+    """The place of all numbers of a field."""
+    numbers = named_arrays(scene)
+    if field not in numbers:
+        raise _unknown(scene, name)
+    owner, path, shape, _ = numbers[field]
+    if not shape:
+        raise InputError(f"{name!r} is a single number", where="free", expected=field)
+    place = NumberPlace(owner, path, None, "value", together=True)
+    mean = place.read(scene)
+    if not place.is_coordinate(scene) and not isinstance(mean, Tracer) and float(mean) == 0:
+        raise InputError(f"{name!r}: their mean is 0", where="free", expected="numbers that have a proportion")
+    return place
+
+
 def _tie(scene: Scene, name: str) -> NumberPlace:
     """The place of the first of several numbers, with the others tied to it."""
-    places = [place for part in name.split(_TIED) for place in find(scene, part.strip())]
-    if len(places) != name.count(_TIED) + 1 or any(p.meaning != "value" for p in places):
+    places = [place for part in name.split(TIED) for place in find(scene, part.strip())]
+    if len(places) != name.count(TIED) + 1 or any(p.meaning != "value" for p in places):
         raise InputError(f"{name!r}: a vector, or a strain or force", where="free", expected="single numbers")
     if len({p.name for p in places}) < len(places):
         raise InputError(f"{name!r} ties a number to itself", where="free", expected="different numbers")
@@ -172,14 +94,12 @@ def _tie(scene: Scene, name: str) -> NumberPlace:
     return places[0]._replace(tied=tuple(places[1:]))
 
 
-def named_arrays(scene: Scene) -> dict[str, Field]:
-    """Every array of numbers in a scene, by name."""
-    out = {}
-    for owner, value in (*((n, getattr(scene, n)) for n in _OWN), *((e.name, e) for e in scene.effects)):
-        for path, leaf, quantity in declarations(value):
-            if np.shape(leaf) or eqx.is_array(leaf):
-                out[".".join([owner, *path])] = Field(owner, path, np.shape(leaf), quantity)
-    return out
+def _expected(full: str, shape: tuple[int, ...]) -> str:
+    """How the numbers of a field are named."""
+    together = f"{full}{TOGETHER} for all together"
+    if len(shape) == 1:
+        return f"{full}[0] to {full}[{shape[0] - 1}], {full} for each of them, or {together}"
+    return together if shape else full
 
 
 def get_value(scene: Scene, name: str) -> Any:
@@ -189,7 +109,7 @@ def get_value(scene: Scene, name: str) -> Any:
         InputError: no such number.
     """
     if (vector := _vector(scene, name)) is not None:
-        return _follow(_owner(scene, vector[0]), vector[1])
+        return follow(owner_of(scene, vector[0]), vector[1])
     return _one_place(scene, name).read(scene)
 
 
@@ -206,7 +126,7 @@ def with_value(scene: Scene, name: str, value: Any) -> Scene:
     """
     if (vector := _vector(scene, name)) is not None:
         owner, path = vector
-        old = _follow(_owner(scene, owner), path)
+        old = follow(owner_of(scene, owner), path)
         if not isinstance(value, Vec3) and np.shape(value)[-1:] != (3,):
             raise InputError(
                 f"found shape {np.shape(value)}", where=name, expected="three components along the last axis"
@@ -215,9 +135,10 @@ def with_value(scene: Scene, name: str, value: Any) -> Scene:
         shapes = [np.shape(a) for v in (old, new) for a in (v.x, v.y, v.z)]
         if shapes[:3] != shapes[3:]:
             raise InputError(f"found shape {shapes[3]}", where=name, expected=f"components of shape {shapes[0]}")
-        return _replaced(scene, owner, path, new)
+        return replaced(scene, owner, path, new)
     place = _one_place(scene, name)
-    shape = np.shape(_follow(_owner(scene, place.owner), place.path)) if place.index is None else ()
+    whole = place.index is None and not place.together
+    shape = np.shape(follow(owner_of(scene, place.owner), place.path)) if whole else ()
     if np.shape(value) != shape:
         raise InputError(f"found shape {np.shape(value)}", where=name, expected=f"shape {shape}")
     return place.written(scene, value)
@@ -247,7 +168,7 @@ def _long_name(scene: Scene, name: str) -> tuple[str, str]:
     """A name with short names written out, and its meaning."""
     match = _SHORT.match(name)
     if match is None:
-        for meaning in _UNITS:
+        for meaning in UNITS:
             if name.endswith(f".slack_length.{meaning}"):
                 return name.removesuffix(f".{meaning}"), meaning
         return name, "value"
@@ -268,7 +189,7 @@ def _long_name(scene: Scene, name: str) -> tuple[str, str]:
         raise InputError(
             f"{name!r} is that of {element.name!r}, a group of {element.count}",
             where="free",
-            expected=f"{full}[0] to {full}[{element.count - 1}], or {full} for all of them",
+            expected=_expected(full, (element.count,)),
         )
     return full, meaning or "value"
 
@@ -276,27 +197,6 @@ def _long_name(scene: Scene, name: str) -> tuple[str, str]:
 def _aliases(effect: Effect) -> dict[str, str]:
     """Fields of an effect by their letters."""
     return {q.alias: field for field, q in effect.quantities().items() if q.alias}
-
-
-def _owner(scene: Scene, name: str) -> Any:
-    """The effect of that name, else the scene's own part."""
-    effect = next((e for e in scene.effects if e.name == name), None)
-    return getattr(scene, name) if effect is None else effect
-
-
-def _replaced(scene: Scene, owner: str, path: tuple[str, ...], value: Any) -> Scene:
-    """The scene with another value at a path below an effect or a part of its own."""
-    old = _owner(scene, owner)
-    changed = eqx.tree_at(lambda o: _follow(o, path), old, value)
-    if any(e is old for e in scene.effects):
-        return scene.with_effect(changed)
-    return eqx.tree_at(lambda s: getattr(s, owner), scene, changed)
-
-
-def _follow(value: Any, path: tuple[str, ...]) -> Any:
-    for part in path:
-        value = value[int(part)] if part.isdigit() else getattr(value, part)
-    return value
 
 
 def _unknown(scene: Scene, name: str) -> InputError:

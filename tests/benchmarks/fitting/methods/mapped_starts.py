@@ -23,8 +23,8 @@ from pftwin.base.errors import MissingExtraError
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.model.number_place import NumberPlace
 from pftwin.model.scene import Scene
-from pftwin.model.scene_parameters import NumberPlace
 from tests.benchmarks.fitting.methods.meter import Meter
 from tests.benchmarks.problem import tracked_path
 

@@ -129,6 +129,10 @@ def import_model(
         ),
     ] = None,
     rate: RateOption = None,
+    quadriceps: Annotated[
+        float | None,
+        Option("--quadriceps", metavar="NEWTONS", help="Tension of all muscles of the patella together, constant."),
+    ] = None,
     bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="The one to bend by.")] = None,
     side: Annotated[str | None, Option("--side", metavar="right|left", help="Where the model has both.")] = None,
     femur: Annotated[str | None, Option("--femur", metavar="BODY", help="If its name does not tell.")] = None,
@@ -152,15 +156,16 @@ def import_model(
     from pftwin.files.interchange.osim_scene import import_osim
     from pftwin.files.interchange.osim_toml import rows
 
-    places = geometry or ()
+    more = {"quadriceps": quadriceps, "geometry": geometry or ()}
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
     with terminal.spinner(f"reading {model}"):
-        found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, geometry=places)
+        found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, **more)
     trouble = _import_problem(found)
     facts = {
         "files": [str(p) for p in found.files],
         "notes": found.notes,
         "not_imported": [part._asdict() for part in found.left_out],
+        "tensions_N": found.tensions,
         "trouble": trouble,
     }
     cells = tuple((kind, _shorten_names(names), why) for kind, names, why in rows(found.left_out))
@@ -185,4 +190,9 @@ def _import_problem(found: Imported) -> str | None:
             scene = load_scene_file(found.scene).scene
         except InputError as error:
             return str(error)
-    return None if scene.contact is not None else f"{found.scene}: a scene without contact"
+    if scene.contact is None:
+        return f"{found.scene}: a scene without contact"
+    left_out = [part.name for part in found.left_out if part.pulls]
+    if not left_out or found.tensions:
+        return None
+    return f"{found.scene}: muscles of the patella were left out ({', '.join(left_out)}); try: --quadriceps NEWTONS"

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
@@ -23,6 +21,13 @@ from pftwin.files.interchange.osim_model import (
     OsimContact,
     OsimModel,
     read_model,
+)
+from pftwin.files.interchange.osim_muscles import (
+    TENSIONS,
+    PatellarMuscle,
+    muscle_at_patella,
+    shared_tensions,
+    tensions_csv,
 )
 
 if TYPE_CHECKING:
@@ -45,6 +50,7 @@ class Imported:
     files: list[Path] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
+    tensions: dict[str, float] = field(default_factory=dict)  # of muscles that were taken over, by name [N]
 
     @property
     def scene(self) -> Path:
@@ -59,13 +65,14 @@ def import_osim(
     motion: str | os.PathLike[str] | None = None,
     rate: float | None = None,
     bend: str | None = None,
+    quadriceps: float | None = None,
     side: str | None = None,
     femur: str | None = None,
     tibia: str | None = None,
     patella: str | None = None,
     geometry: Sequence[str | os.PathLike[str]] = (),
 ) -> Imported:
-    """Writes a scene of a model's knee: the patella, its ligaments and its contact; the bones' motion by coordinates.
+    """Writes a scene of a model's knee: the patella, its ligaments and its contact; how the bones move.
 
     Imported are bodies with their mass and meshes, `Blankevoort1991Ligament` of two points, `Smith2018ContactMesh` with
     the `Smith2018ArticularContactForce` between femur and patella, joints and coordinates (for the motion and the
@@ -79,16 +86,18 @@ def import_osim(
             range.
         rate: frames per second, where the times of a file of poses count frames.
         bend: the coordinate to bend by; None: the first rotation of the tibia's joint.
+        quadriceps: a constant tension [N] of all muscles together that end on the patella, shared out by their maximum
+            isometric forces, along straight lines from the point before on their paths; None: they are left out.
         side: "right" or "left"; None: as the patella's name ends.
         femur, tibia, patella: names of bodies, where they cannot be told.
         geometry: folders with meshes, besides the model's own and `Geometry` in it.
 
     Raises:
         InputError: no model of OpenSim 4, or one without such a knee; joints, functions or numbers that cannot be read;
-            contact meshes that are not there.
+            contact meshes that are not there; a tension, and no muscle to have it.
         OutputError: the folder cannot be written to, or holds one of these files already.
     """
-    from pftwin.files.interchange.osim_toml import scene_text
+    from pftwin.files.interchange.osim_toml import poses_csv, scene_text
 
     found = read_model(os.fspath(model))
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
@@ -104,10 +113,20 @@ def import_osim(
     drawn = list(bones(found, knee, places, taken, told.left_out))
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    told.left_out += _unused_elements(read_osim(os.fspath(model)), found, knee)
-    text = scene_text(found, knee, strands, contact, pressing, told, measured=moved.measured)
+    root = read_osim(os.fspath(model))
+    muscles = _muscles(root, found, knee)
+    tensions = told.tensions = {} if quadriceps is None else shared_tensions(muscles, quadriceps)
+    if tensions:
+        each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in tensions.items())
+        told.notes.append(f"tensions, constant, by maximum isometric force, along straight lines: {each}")
+    told.left_out += _unused_elements(root, found, knee, tensions)
+    pulling = [m for m in muscles if m.name in tensions]
+    text = scene_text(found, knee, strands, contact, pressing, told, measured=moved.measured, muscles=pulling)
     poses = {knee.part(b): p for b, p in moved.poses.items()}
-    _write(Path(folder), text, moved.times, poses, [*pressing, *drawn], told)
+    tables = {"poses.csv": poses_csv(moved.times, poses)}
+    if tensions:
+        tables[TENSIONS] = tensions_csv(moved.times, tensions)
+    _write(Path(folder), text, tables, [*pressing, *drawn], told)
     return told
 
 
@@ -178,19 +197,12 @@ def _contact_meshes(
         return None, []
 
 
-def _write(
-    folder: Path,
-    text: str,
-    times: np.ndarray,
-    poses: dict[str, tuple[np.ndarray, np.ndarray]],
-    meshes: list[Written],
-    told: Imported,
-) -> None:
+def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written], told: Imported) -> None:
     """All files, or none where one of them is there already."""
-    from pftwin.files.interchange.osim_toml import poses_csv, report
+    from pftwin.files.interchange.osim_toml import report
     from pftwin.geometry.mesh.mesh import save_mesh
 
-    names = ["scene.toml", "poses.csv", REPORT, *(m.file for m in meshes)]
+    names = ["scene.toml", *tables, REPORT, *(m.file for m in meshes)]
     for name in names:
         if (folder / name).exists():
             raise OutputError(f"{folder / name}: is there already; try: another folder, or remove it first")
@@ -202,14 +214,15 @@ def _write(
         raise OutputError(f"{folder}: cannot be made: {error.strerror or error}") from error
     for mesh in meshes:
         save_mesh(mesh.mesh, folder / mesh.file)
-    write_text(folder / "poses.csv", poses_csv(times, poses))
+    for name, content in tables.items():
+        write_text(folder / name, content)
     write_text(folder / REPORT, report(told.notes, told.left_out))
     write_text(folder / "scene.toml", text)
     told.files = [folder / name for name in names]
 
 
-def _unused_elements(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[LeftOut]:
-    """The parts of the model that no reader uses, in the file's order."""
+def _unused_elements(root: Element, model: OsimModel, knee: OsimKnee, taken: Collection[str]) -> Iterator[LeftOut]:
+    """The parts of the model that no reader uses, in the file's order; muscles with these names were taken."""
     frames = Frames(root)
     for group in root.children:
         held = group.child("objects")
@@ -217,8 +230,8 @@ def _unused_elements(root: Element, model: OsimModel, knee: OsimKnee) -> Iterato
             continue
         if group.tag == "ForceSet":
             for force in held.children:
-                if force.tag not in _READ:
-                    yield LeftOut(force.tag, force.name, _why_left_out(force, model, knee, frames))
+                if force.tag not in _READ and force.name not in taken:
+                    yield _left_out_force(force, model, knee, frames)
         elif group.tag == "ContactGeometrySet":
             for surface in held.children:
                 if surface.tag != SURFACE:
@@ -229,26 +242,21 @@ def _unused_elements(root: Element, model: OsimModel, knee: OsimKnee) -> Iterato
                     yield LeftOut(part.tag, part.name, _SETS[group.tag])
 
 
-def _why_left_out(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> str:
+def _left_out_force(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> LeftOut:
     """Why a force is left out; of one that pulls at the patella also its two ends, for the user to add to the scene."""
-    points = list(force.all("PathPoint"))
-    if force.tag == "Ligament" or not points:
-        return f"pftwin has no effect like <{force.tag}>"
-    at = []
-    for p in points:
-        frame = frames.find(p.needed("socket_parent_frame").text, p, p.where)
-        part, pose = part_and_pose(model, knee, frame)
-        at.append((part, pose[:3, :3] @ p.needed("location").numbers(3) + pose[:3, 3]))
-    parts = [part for part, _ in at]
-    if "patella" not in parts:
-        return "it does not pull at the patella; the bones' motion is prescribed"
-    k = parts.index("patella")
-    other = next((j for j in (k - 1, k + 1) if 0 <= j < len(at) and parts[j] != "patella"), None)
-    if other is None:
-        return "it leads along the patella alone"
-    ends = f"insertion_m = {_point(at[k][1])}, origin_m = {_point(at[other][1])} on the {parts[other]}"
-    return f"how strongly it pulls is a matter of its activation: give its tension in [[prescribed_tension]]; {ends}"
+    if (muscle := muscle_at_patella(force, model, knee, frames)) is not None:
+        return LeftOut(force.tag, force.name, muscle.describe(), pulls=True)
+    if force.tag == "Ligament" or not list(force.all("PathPoint")):
+        return LeftOut(force.tag, force.name, f"pftwin has no effect like <{force.tag}>")
+    return LeftOut(force.tag, force.name, "it does not pull at the patella; the bones' motion is prescribed")
 
 
-def _point(values: np.ndarray) -> str:
-    return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
+def _muscles(root: Element, model: OsimModel, knee: OsimKnee) -> list[PatellarMuscle]:
+    """Those that end on the patella."""
+    frames, found = Frames(root), []
+    for group in root.children:
+        held = group.child("objects") if group.tag == "ForceSet" else None
+        for force in [] if held is None else held.children:
+            if force.tag not in _READ and (muscle := muscle_at_patella(force, model, knee, frames)) is not None:
+                found.append(muscle)
+    return found

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pftwin.files.interchange.osim_knee import OsimKnee, Written
 from pftwin.files.interchange.osim_model import LeftOut, OsimContact, OsimLigament, OsimModel, plain_name
+from pftwin.files.interchange.osim_muscles import TENSIONS, PatellarMuscle
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
@@ -39,6 +40,7 @@ def scene_text(
     told: Imported,
     *,
     measured: bool = False,
+    muscles: Sequence[PatellarMuscle] = (),
 ) -> str:
     """The scene file; adds to the notes what it could not take over as it is.
 
@@ -65,6 +67,8 @@ def scene_text(
         axes=AXES[knee.side],
         patella=body,
         measured=measured,
+        tensions=TENSIONS,
+        muscles=[(body, [m for m in muscles if m.body == body]) for body in dict.fromkeys(m.body for m in muscles)],
         ligaments=_labelled(strands),
         contact=contact,
         sides=list(zip(("femur", "button"), meshes, layers, strict=False)),  # none without a contact

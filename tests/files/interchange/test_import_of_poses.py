@@ -112,9 +112,11 @@ def test_a_living_knee_is_a_scene_with_its_measurements(healthy_knee, tmp_path):
     recording = healthy_knee / "passive_body_transformations.sto"
     options = ["--side", "right", "--geometry", str(healthy_knee / "geometry"), "--motion", str(recording)]
     command = ["import", str(healthy_knee / "lenhart2015.osim"), *options, "--rate", "30", "-o", str(tmp_path / "knee")]
-    done = CliRunner().invoke(app, command)
+    done = CliRunner().invoke(app, [*command, "--quadriceps", "40"])
     assert done.exit_code == 0, done.output
-    measured = load_scene_file(tmp_path / "knee" / "scene.toml").scene.measured
+    scene = load_scene_file(tmp_path / "knee" / "scene.toml").scene
+    assert float(np.sum(scene.get("quadriceps.tension")[0])) == pytest.approx(40)
+    measured = scene.measured
     poses = read_poses(recording, rate=30)
     seen = poses["patella_r"].relative_to(poses["femur_distal_r"])
     assert measured is not None

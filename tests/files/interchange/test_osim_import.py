@@ -213,14 +213,22 @@ def test_a_motion_of_coordinates_moves_the_bones(tmp_path):
 
 def test_the_command(knee, tmp_path):
     _, _, folder = knee
-    done = CliRunner().invoke(
-        app, ["import", str(folder / "model" / "knee.osim"), "-o", str(tmp_path / "s"), "--json", "-"]
-    )
+    command = ["import", str(folder / "model" / "knee.osim"), "-o", str(tmp_path / "s"), "--json", "-"]
+    done = CliRunner().invoke(app, [*command, "--quadriceps", "25"])
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
     assert facts["trouble"] is None
-    assert len(facts["not_imported"]) == 3
+    assert facts["tensions_N"] == {"vasint_r": 25.0}
+    assert len(facts["not_imported"]) == 2
     assert f"next: pftwin simulate {tmp_path / 's' / 'scene.toml'}" in done.stderr.replace("\n", "")
+
+
+def test_a_knee_whose_muscles_were_left_out_is_code_3(knee, tmp_path):
+    done = CliRunner().invoke(app, ["import", str(knee[2] / "model" / "knee.osim"), "-o", str(tmp_path / "s")])
+    assert done.exit_code == 3, done.output
+    said = " ".join(done.stderr.split())
+    assert "muscles of the patella were left out (vasint_r); try: --quadriceps NEWTONS" in said
+    assert (tmp_path / "s" / "scene.toml").is_file()
 
 
 def test_a_scene_that_needs_more_is_code_3(tmp_path):

@@ -1,0 +1,94 @@
+"""Muscles of OpenSim models as prescribed tensions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from knee_models import FEMUR, FEMUR_AT, PATELLA, TIBIA, model, point, write_knee
+from scipy.spatial.transform import Rotation
+
+from pftwin.base.errors import InputError
+from pftwin.files.interchange import import_osim
+from pftwin.files.interchange.osim_muscles import PatellarMuscle, shared_tensions
+from pftwin.files.scene_file import load_scene_file
+
+ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # proximal, lateral, anterior of x, y, z
+
+
+def muscle(name: str, strength: float, *points: tuple[str, tuple[float, ...]]) -> str:
+    path = "".join(point(f"{name}{k}", frame, place) for k, (frame, place) in enumerate(points))
+    return (
+        f'<Millard2012EquilibriumMuscle name="{name}"><GeometryPath name="geometrypath"><PathPointSet><objects>{path}'
+        f"</objects></PathPointSet></GeometryPath><max_isometric_force>{strength}</max_isometric_force>"
+        "</Millard2012EquilibriumMuscle>"
+    )
+
+
+MUSCLES = (
+    muscle("vas int", 900, (FEMUR, (0.035, 0.22, 0.012)), (FEMUR, (0.04, 0.12, 0.01)), (PATELLA, (-0.008, 0.02, 0.0)))
+    + muscle("vaslat", 2100, (FEMUR, (0.03, 0.13, 0.039)), (PATELLA, (0.0017, 0.015, 0.012)))
+    + muscle("recfem", 1200, ("/ground", (0.0, 0.9, 0.02)), (PATELLA, (0.0, 0.018, 0.001)))
+    + muscle("pes", 500, (TIBIA, (0.03, -0.02, -0.02)), (FEMUR, (0.0, 0.2, 0.0)))
+)
+
+
+@pytest.fixture(scope="module")
+def knee(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("muscles")
+    forces = model().index("<Millard2012EquilibriumMuscle")
+    path = write_knee(folder / "model", model()[:forces] + MUSCLES + model()[forces:])
+    told = import_osim(path, folder / "scene", quadriceps=42.0)
+    return load_scene_file(told.scene).scene, told
+
+
+def test_a_tension_is_shared_by_strength(knee):
+    """Of 900, 2100, 1200 N and the 5000 N of the model's own muscle."""
+    _, told = knee
+    whole = 900 + 2100 + 1200 + 5000
+    expected = {"vas int": 900 * 42 / whole, "vaslat": 2100 * 42 / whole, "recfem": 1200 * 42 / whole}
+    assert told.tensions == pytest.approx(expected | {"vasint_r": 5000 * 42 / whole})
+    assert any(note.startswith("tensions, constant, by maximum isometric force") for note in told.notes)
+    assert not {part.name for part in told.left_out} & {*told.tensions}
+    assert "pes" in {part.name for part in told.left_out}
+
+
+def test_they_pull_along_the_last_straight_piece_of_their_paths(knee):
+    """That from the ground, to which the femur is welded in this model, from the femur too."""
+    scene, told = knee
+    welded = Rotation.from_euler("y", 0.1).inv().apply(np.array([0.0, 0.9, 0.02]) - FEMUR_AT)
+    lines = {
+        "recfem": (welded, (0.0, 0.018, 0.001)),
+        "vas int": ((0.04, 0.12, 0.01), (-0.008, 0.02, 0.0)),
+        "vaslat": ((0.03, 0.13, 0.039), (0.0017, 0.015, 0.012)),
+        "vasint_r": ((0.035, 0.22, 0.012), (-0.008, 0.02, 0.0)),
+    }
+    effect = scene.effect("quadriceps")
+    tension, origin = (np.asarray(a) for a in (effect.at(0.0)[0], effect.at(0.0)[1].array()))
+    for name, (start, end) in lines.items():
+        k = int(np.argmin(np.abs(tension - told.tensions[name])))
+        assert float(tension[k]) == pytest.approx(told.tensions[name], rel=1e-6)
+        np.testing.assert_allclose(origin[k], ANATOMICAL @ start, atol=1e-7)
+        np.testing.assert_allclose(np.asarray(effect.insertion.array())[k], ANATOMICAL @ end, atol=1e-7)
+    assert (len(tension), effect.body) == (4, "femur")
+    np.testing.assert_array_equal(effect.at(scene.motion.end_time)[0], effect.at(scene.motion.start_time)[0])
+
+
+def test_what_comes_from_elsewhere_has_no_tension():
+    """A muscle from the pelvis, of which a scene knows nothing, and one without a strength."""
+    at = np.array([0.1, 0.2, 0.3])
+    pelvis = PatellarMuscle("Muscle", "recfem", at, at, "pelvis", 800.0)
+    unknown = PatellarMuscle("PathSpring", "band", at, at, "femur", None)
+    vastus = PatellarMuscle("Muscle", "vaslat", at, at, "femur", 800.0)
+    assert shared_tensions([pelvis, vastus, unknown], 12.0) == {"vaslat": 12.0}
+    with pytest.raises(InputError, match="no muscle of the patella can have a tension"):
+        shared_tensions([pelvis, unknown], 12.0)
+    for total in (0.0, -3.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="quadriceps: found"):
+            shared_tensions([vastus], total)
+
+
+def test_nothing_is_written_where_a_tension_is_refused(tmp_path):
+    path = write_knee(tmp_path / "model")
+    with pytest.raises(InputError, match="quadriceps: found -1"):
+        import_osim(path, tmp_path / "scene", quadriceps=-1.0)
+    assert not (tmp_path / "scene").exists()

@@ -180,12 +180,15 @@ class Nuisance:
                     deviations[place.name] = self.damping * float(place.read(scene))
                     kinds[place.name] = "damping"
         for name, sd in dict(self.others).items():
-            places = [place.name for place in find(scene, name)]
-            deviations |= dict.fromkeys(places, sd)
-            kinds |= dict.fromkeys(places, "others")
+            places = find(scene, name)  # in the place of what else is known of the same numbers
+            same = {n for n in deviations if any(find(scene, n)[0].overlaps(place) for place in places)}
+            deviations = {n: v for n, v in deviations.items() if n not in same}
+            deviations |= {place.name: sd for place in places}
+            kinds |= {place.name: "others" for place in places}
         if self.friction:
             deviations[_friction_name(scene)], kinds[_friction_name(scene)] = self.friction, "friction"
-        taken = {name for name in deviations if {name, f"{name.partition('[')[0]}[:]"} & {*but}}
+        asked = [place for name in but for place in find(scene, name)]
+        taken = {name for name in deviations if any(find(scene, name)[0].overlaps(place) for place in asked)}
         free = {name: sd for name, sd in deviations.items() if sd > 0 and name not in taken}
         priors = {name: (float(find(scene, name)[0].read(scene)), sd) for name, sd in free.items()}
         bounds = {}

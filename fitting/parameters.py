@@ -221,7 +221,7 @@ def free_parameters(
     if isinstance(names, str) or not names:
         raise InputError(f"found {names!r}", where="free", expected='names of parameters, such as ("K1", "L1")')
     for given, what in ((bounds, "bounds"), (priors, "priors")):
-        if isinstance(given, Mapping) and (stray := [n for n in given if not {n, n.partition("[")[0]} & {*names}]):
+        if isinstance(given, Mapping) and (stray := [n for n in given if not _known(n, names)]):
             raise InputError(f"{stray[0]!r} is not free", where=what, expected=f"one of: {', '.join(names)}")
     items: list[Parameter] = []
     for name in names:
@@ -232,6 +232,11 @@ def free_parameters(
                 raise InputError(f"{own!r} is named twice", where="free", expected="every number once")
             items.append(_parameter(scene, own, name, place, bounds, priors or {}))
     return Parameters(tuple(items))
+
+
+def _known(name: str, names: Sequence[str]) -> bool:
+    """Whether a name is among them, or one of the numbers of a field that is."""
+    return name in names or (not name.endswith("[:]") and name.partition("[")[0] in names)
 
 
 def with_nuisance(

@@ -121,12 +121,12 @@ def truth_of(
             found.append(float(item.place.read(plant.scene)))
             continue
         mean: Any = plant.scene.effect(owner)
-        lengths, tensions = [], []
-        for one, own in zip(seen, differing or [plant] * len(seen), strict=True):
-            tendon: Any = own.scene.effect(owner)
-            length = one.reported[owner]["length"]
-            tensions.append(np.maximum(np.asarray(tendon.held_tension(jnp.asarray(length))), 0.0))
-            lengths.append(length - (float(tendon.slack_length - mean.slack_length) if differing else 0.0))
-        line = straight_line(np.concatenate(lengths), np.concatenate(tensions))
+        longer = [0.0] * len(seen)
+        if differing:
+            tendons: list[Any] = [own.scene.effect(owner) for own in differing]
+            longer = [float(tendon.slack_length - mean.slack_length) for tendon in tendons]
+        pairs = zip(seen, longer, strict=True)
+        lengths = np.concatenate([one.reported[owner]["length"] - by for one, by in pairs])
+        line = straight_line(lengths, np.maximum(np.asarray(mean.held_tension(jnp.asarray(lengths))), 0.0))
         found.append(line.stiffness if path == ("stiffness",) else line.slack_length)
     return np.array(found)

@@ -131,7 +131,7 @@ def import_model(
     rate: RateOption = None,
     quadriceps: Annotated[
         float | None,
-        Option("--quadriceps", metavar="NEWTONS", help="Tension of all muscles of the patella together, constant."),
+        Option("--quadriceps", metavar="NEWTONS", help="Constant tension, for muscles from femur to patella together."),
     ] = None,
     bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="The one to bend by.")] = None,
     side: Annotated[str | None, Option("--side", metavar="right|left", help="Where the model has both.")] = None,
@@ -192,7 +192,9 @@ def _import_problem(found: Imported) -> str | None:
             return str(error)
     if scene.contact is None:
         return f"{found.scene}: a scene without contact"
-    left_out = [part.name for part in found.left_out if part.pulls]
-    if not left_out or found.tensions:
+    if not found.muscles or found.tensions:
         return None
-    return f"{found.scene}: muscles of the patella were left out ({', '.join(left_out)}); try: --quadriceps NEWTONS"
+    can = any(muscle.takes_tension for muscle in found.muscles)
+    remedy = "--quadriceps NEWTONS" if can else "tables [[prescribed_tension]] of your own"
+    names = ", ".join(muscle.name for muscle in found.muscles)
+    return f"{found.scene}: muscles of the patella were left out ({names}); try: {remedy}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +83,7 @@ def _tie(scene: Scene, name: str) -> NumberPlace:
     places = [place for part in name.split(TIED) for place in find(scene, part.strip())]
     if len(places) != name.count(TIED) + 1 or any(p.meaning != "value" for p in places):
         raise InputError(f"{name!r}: a vector, or a strain or force", where="free", expected="single numbers")
-    if len({p.name for p in places}) < len(places):
+    if any(a.overlaps(b) for a, b in itertools.combinations(places, 2)):
         raise InputError(f"{name!r} ties a number to itself", where="free", expected="different numbers")
     if len({(p.unit(scene), p.is_coordinate(scene)) for p in places}) > 1:
         units = ", ".join(p.unit(scene) or "a pure number" for p in places)

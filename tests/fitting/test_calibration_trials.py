@@ -105,6 +105,18 @@ def test_the_line_is_that_of_the_mean_length():
     assert abs(off[0] / expected[0] - 1) > 4e-4
 
 
+def test_the_line_is_that_of_the_mean_stiffness():
+    """Trials whose tendon is stiffer or softer, at the same lengths: what is told is the mean of all that might be."""
+    plant = PLANTS["stiffening"](knees()[0], np.random.default_rng(4))
+    own = free_in_trials([nominal()[0]], ("K2", "L2"), 0.3, None, Nuisance())[1][0]
+    tendon: Any = plant.scene.effect("patellar_tendon")
+    lengths = float(tendon.rest_length) + np.linspace(0.003, 0.011, 50)
+    seen = Seen(np.zeros((50, 3)), np.zeros((50, 4)), {"patellar_tendon": {"length": lengths}})
+    stiffer = [Plant(plant.scene.set("K2", by * float(tendon.stiffness)), plant.curved) for by in (1.1, 1.2)]
+    found = truth_of(plant, [seen, seen], own, stiffer)
+    np.testing.assert_allclose(found, truth_of(plant, [seen], own), rtol=1e-9)
+
+
 def test_trials_of_one_laboratory_share_what_stays_the_same():
     """Placement and scale are those of the first; shift and zero are each trial's own."""
     scene, n = small_scene(41), 41

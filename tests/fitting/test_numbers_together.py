@@ -99,6 +99,7 @@ def test_carried_to_another_knee_proportions_are_its_own():
         ((SLACK, "patellar_tendon.slack_length[1]"), "is named twice"),
         (("patellar_tendon.slack_length", SLACK), "is named twice"),
         ((f"{SLACK}~patellar_tendon.stiffness[:]",), "ties unlike numbers: m, N per unit strain"),
+        ((f"{SLACK}~patellar_tendon.slack_length[1]",), "ties a number to itself"),
         (("patella.mass[:]",), "is a single number"),
         (("patellar_tendon.slak_length[:]",), "no parameter"),
         (("L1",), r"or patellar_tendon\.slack_length\[:\] for all together"),
@@ -122,6 +123,21 @@ def test_nuisance_leaves_alone_what_goes_together():
     own = {f"patellar_tendon.insertion.y[{i}]" for i in range(3)}
     assert own <= {*alone.names}
     assert not own & {*found.names}
+
+
+def test_nuisance_of_ones_own_takes_the_place_of_a_presets():
+    """The strands' heights as one number, in the place of three; and not where the field itself is asked for."""
+    _, found = with_nuisance(scene(), ("patella.mass",), 0.3, None, Nuisance(attachments=1e-3, others={PLACE: 2e-3}))
+    own = {f"patellar_tendon.insertion.y[{i}]" for i in range(3)}
+    assert PLACE in found.names
+    assert not own & {*found.names}
+    _, asked = with_nuisance(scene(), ("patellar_tendon.slack_length[1]",), 0.3, None, Nuisance(others={SLACK: 1e-3}))
+    assert asked.names == ("patellar_tendon.slack_length[1]",)
+
+
+def test_bounds_of_all_together_are_not_those_of_each():
+    with pytest.raises(InputError, match="is not free"):
+        free_parameters(scene(), ("patellar_tendon.slack_length",), {SLACK: 0.05})
 
 
 def test_trials_have_the_same_proportions():

@@ -33,7 +33,6 @@ class LeftOut(NamedTuple):
     kind: str
     name: str
     why: str
-    pulls: bool = False  # whether it pulls at the patella, which therefore lacks it
 
 
 class OsimLigament(NamedTuple):

@@ -124,7 +124,7 @@ def _measured(tree: Tree, knee: OsimKnee, path: str | os.PathLike[str], rate: fl
         turns = quaternion_product(femur.quaternions, there.quaternions)
         seen[knee.patella] = PoseSeries(femur.times, places, turns)
         said += f"; {knee.patella} starts where the model has it in {knee.femur}"
-    said += "; gravity pulls as in the model's ground: check that these poses are told in such a frame"
+    said += "; gravity, and whatever is attached to the ground, are as in the model's: check that these poses are too"
     return Motion(
         seen[knee.femur].times, {body: (p.positions, p.quaternions) for body, p in seen.items()}, said, measured
     )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.base.text_files import refuse_repeated
 from pftwin.files.interchange.osim_document import Element, Frames
 from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
 from pftwin.files.interchange.osim_model import OsimModel, plain_name
@@ -18,10 +19,11 @@ Floats = NDArray[np.float64]
 TENSIONS = "tensions.csv"
 _BODIES = ("femur", "tibia", "ground")
 _STRENGTH = "max_isometric_force"
+_POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 
 
 class PatellarMuscle(NamedTuple):
-    """The last straight piece of a muscle's path before the patella."""
+    """The straight piece of a muscle's path that ends on the patella."""
 
     kind: str
     name: str
@@ -29,6 +31,7 @@ class PatellarMuscle(NamedTuple):
     origin: Floats  # the point before, in its body's frame [m]
     body: str  # part of the knee that has that point, or the model's name for another body
     strength: float | None  # its maximum isometric force [N]
+    plain: bool = True  # whether it is all of the muscle at the patella, between two points that stay where they are
 
     @property
     def line(self) -> str:
@@ -37,42 +40,48 @@ class PatellarMuscle(NamedTuple):
 
     @property
     def takes_tension(self) -> bool:
-        """Whether a scene can have it with a tension that is prescribed."""
-        return self.body in _BODIES and self.strength is not None and self.strength > 0
+        """Whether a scene can have it with a tension that is shared out."""
+        return self.plain and self.body in _BODIES and self.strength is not None and self.strength > 0
 
     def describe(self) -> str:
         """Why it was left out, and its two ends, for whoever adds it to the scene."""
         ends = f"insertion_m = {_point(self.insertion)}, origin_m = {_point(self.origin)} on the {self.body}"
+        if self.body not in _BODIES:
+            return f"it comes from the {self.body}, which a scene does not have; {ends}"
+        if not self.plain:
+            return f"its points move, or it passes over the patella: only one straight line can be taken; {ends}"
         return f"its activation says how strongly it pulls: give a tension in [[prescribed_tension]]; {ends}"
 
 
 def muscle_at_patella(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> PatellarMuscle | None:
     """Of a force with a path from elsewhere to the patella; None of any other."""
     at = []
-    for p in [] if force.tag == "Ligament" else force.all("PathPoint"):
+    for p in [] if force.tag == "Ligament" else force.all(*_POINTS):
         frame = frames.find(p.needed("socket_parent_frame").text, p, p.where)
         part, pose = part_and_pose(model, knee, frame)
-        at.append((part, pose[:3, :3] @ p.needed("location").numbers(3) + pose[:3, 3]))
-    parts = [part for part, _ in at]
-    if "patella" not in parts:
+        place = p.child("location")  # one that moves has functions in its place
+        known = np.full(3, np.nan) if place is None else pose[:3, :3] @ place.numbers(3) + pose[:3, 3]
+        at.append((part, known, p.tag == _POINTS[0]))
+    pairs = [(i, j) for i in range(len(at)) for j in (i - 1, i + 1) if at[i][0] == "patella" and 0 <= j < len(at)]
+    pairs = [(i, j) for i, j in pairs if at[j][0] != "patella"]
+    if not pairs:
         return None
-    k = parts.index("patella")
-    other = next((j for j in (k - 1, k + 1) if 0 <= j < len(at) and parts[j] != "patella"), None)
-    if other is None:
-        return None
+    i, j = pairs[0]
     strength = force.child(_STRENGTH)
     newtons = None if strength is None else float(strength.numbers(1)[0])
-    return PatellarMuscle(force.tag, force.name, at[k][1], at[other][1], parts[other], newtons)
+    plain = len(pairs) == 1 and at[i][2] and at[j][2]
+    return PatellarMuscle(force.tag, force.name, at[i][1], at[j][1], at[j][0], newtons, plain)
 
 
 def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str, float]:
     """A tension for each muscle by name [N]: of all together, by their maximum isometric forces.
 
     Raises:
-        InputError: a total that is no tension; no muscle that could have one.
+        InputError: a total that is no tension; no muscle that could have one; two of one name.
     """
     if not (np.isfinite(total) and total > 0):
         raise InputError(f"found {total!r}", where="quadriceps", expected="a tension, a positive number of newtons")
+    refuse_repeated([m.line for m in muscles], "muscles", where="quadriceps")
     taken = [m for m in muscles if m.takes_tension]
     if not taken:
         expected = f"one whose path comes to it from the {', '.join(_BODIES)}, with {_STRENGTH}"

@@ -50,7 +50,8 @@ class Imported:
     files: list[Path] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
-    tensions: dict[str, float] = field(default_factory=dict)  # of muscles that were taken over, by name [N]
+    muscles: list[PatellarMuscle] = field(default_factory=list)  # of the patella
+    tensions: dict[str, float] = field(default_factory=dict)  # of those that were taken over, by name [N]
 
     @property
     def scene(self) -> Path:
@@ -114,11 +115,13 @@ def import_osim(
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
     root = read_osim(os.fspath(model))
-    muscles = _muscles(root, found, knee)
+    muscles = told.muscles = _muscles(root, found, knee)
     tensions = told.tensions = {} if quadriceps is None else shared_tensions(muscles, quadriceps)
     if tensions:
         each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in tensions.items())
         told.notes.append(f"tensions, constant, by maximum isometric force, along straight lines: {each}")
+        if without := [m.name for m in muscles if m.name not in tensions]:
+            told.notes.append(f"without a tension: {', '.join(without)}")
     told.left_out += _unused_elements(root, found, knee, tensions)
     pulling = [m for m in muscles if m.name in tensions]
     text = scene_text(found, knee, strands, contact, pressing, told, measured=moved.measured, muscles=pulling)
@@ -245,7 +248,7 @@ def _unused_elements(root: Element, model: OsimModel, knee: OsimKnee, taken: Col
 def _left_out_force(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> LeftOut:
     """Why a force is left out; of one that pulls at the patella also its two ends, for the user to add to the scene."""
     if (muscle := muscle_at_patella(force, model, knee, frames)) is not None:
-        return LeftOut(force.tag, force.name, muscle.describe(), pulls=True)
+        return LeftOut(force.tag, force.name, muscle.describe())
     if force.tag == "Ligament" or not list(force.all("PathPoint")):
         return LeftOut(force.tag, force.name, f"pftwin has no effect like <{force.tag}>")
     return LeftOut(force.tag, force.name, "it does not pull at the patella; the bones' motion is prescribed")

@@ -68,11 +68,20 @@ def scene_text(
         patella=body,
         measured=measured,
         tensions=TENSIONS,
+        pulling=_free_name([label for label, _, _ in _labelled(strands)]),
         muscles=[(body, [m for m in muscles if m.body == body]) for body in dict.fromkeys(m.body for m in muscles)],
         ligaments=_labelled(strands),
         contact=contact,
         sides=list(zip(("femur", "button"), meshes, layers, strict=False)),  # none without a contact
     )
+
+
+def _free_name(labels: Sequence[str]) -> str:
+    """A name for what pulls, with which no other effect's begins."""
+    name = "quadriceps"
+    while any(label.startswith(name) for label in labels):
+        name += "_muscles"
+    return name
 
 
 def _labelled(strands: dict[tuple[str, str], list[OsimStrand]]) -> list[tuple[str, str, list[OsimStrand]]]:

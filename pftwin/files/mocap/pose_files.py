@@ -69,6 +69,8 @@ def holds_matrices(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputError: as `read_sto`.
     """
+    if Path(path).suffix.lower() not in _MATRICES:
+        return False
     with warnings.catch_warnings(action="ignore", category=PftwinWarning):  # whoever reads it then is warned
         return any(name.endswith(_FIRST) for name in read_sto(path, rotational=()).names)
 
@@ -106,19 +108,19 @@ def _of_matrices(
         matrices = table.select(own).values.reshape(-1, 4, 4)
         _check_rigid(matrices, source)
         found[body] = PoseSeries.from_matrices(times, matrices[:, :3, 3], matrices[:, :3, :3], source=source)
-    _check_repeated(np.concatenate([table.select(own).values for own in columns.values()], axis=1), path)
+    _check_repeated(table.values[:, [name.rpartition("_")[2] in _ENTRIES for name in table.names]], path)
     return found
 
 
 def _seconds(times: Floats, rate: float | None, path: str | os.PathLike[str]) -> Floats:
     """Times [s], from frames' numbers if that is what they are."""
-    numbered = times.size > 2 and bool(np.all(times == np.round(times)) and np.all(np.diff(times) == 1))
+    numbered = times.size > 1 and bool(np.all(times == np.round(times)))
     if rate is None and numbered:
         found = f"time counts frames, {times[0]:g} to {times[-1]:g}"
         remedy = "state the rate: rate_Hz in [motion], --rate, or rate=; 1 where they are seconds"
         raise InputError(found, where=path, expected="seconds", remedy=remedy)
     if rate is not None and not numbered:
-        found = f"a rate of {rate:g} Hz, and times from {times[0]:g} to {times[-1]:g} that count no frames"
+        found = f"a rate of {rate:g} Hz, and times from {times[0]:g} to {times[-1]:g} that are no frames' numbers"
         raise InputError(found, where=path, expected="a rate or times in seconds", remedy="no rate")
     return times if rate is None else times / rate
 

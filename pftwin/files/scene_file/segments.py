@@ -109,6 +109,8 @@ class MotionSection(Section):
     def _ordered(self) -> Self:
         if self.start_time_s is not None and self.end_time_s is not None and self.start_time_s >= self.end_time_s:
             raise problem(f"start_time_s is {self.start_time_s}, end_time_s {self.end_time_s}", expected="start < end")
+        if self.rate_Hz is not None and self.poses is None:
+            raise problem("rate_Hz without poses", expected="a file of poses whose times count frames")
         return self
 
 

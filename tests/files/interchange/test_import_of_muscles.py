@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
-from knee_models import FEMUR, FEMUR_AT, PATELLA, TIBIA, model, point, write_knee
+from knee_models import FEMUR, FEMUR_AT, MUSCLE, PATELLA, TIBIA, model, point, write_knee
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
@@ -85,6 +87,45 @@ def test_what_comes_from_elsewhere_has_no_tension():
     for total in (0.0, -3.0, np.nan, np.inf):
         with pytest.raises(InputError, match="quadriceps: found"):
             shared_tensions([vastus], total)
+
+
+PATH = ((FEMUR, (0.035, 0.22, 0.012)), (FEMUR, (0.04, 0.12, 0.01)), (PATELLA, (-0.008, 0.02, 0.0)))
+
+
+def only(folder, forces: str):
+    """What is told of an import whose muscles are these."""
+    text = model()
+    text = text.replace(MUSCLE, forces)
+    assert forces in text
+    return import_osim(write_knee(folder / "model", text), folder / "scene")
+
+
+def test_a_path_may_begin_at_the_patella(tmp_path):
+    told = only(tmp_path, muscle("a", 900, *PATH) + muscle("b", 900, (PATELLA, (0.0, 0.0, 0.0)), *PATH[::-1]))
+    (a, b) = told.muscles
+    np.testing.assert_allclose(a.origin, b.origin)
+    np.testing.assert_allclose(a.insertion, b.insertion)
+    assert a.takes_tension
+    assert b.takes_tension
+
+
+def test_points_that_move_and_paths_over_the_patella_are_left_out(tmp_path):
+    point = r'<PathPoint (name="moving1".*?)</PathPoint>'
+    moving = re.sub(point, r"<ConditionalPathPoint \1</ConditionalPathPoint>", muscle("moving", 900, *PATH))
+    over = muscle("over", 900, *PATH, (TIBIA, (0.045, -0.07, 0.0)))
+    told = only(tmp_path, moving + over)
+    assert [m.takes_tension for m in told.muscles] == [False, False]
+    np.testing.assert_allclose(told.muscles[0].origin, (0.04, 0.12, 0.01))
+    why = {part.name: part.why for part in told.left_out}
+    for name in ("moving", "over"):
+        assert why[name].startswith("its points move, or it passes over the patella")
+
+
+def test_names_that_a_scene_cannot_tell_apart_are_refused():
+    at = np.array([0.1, 0.2, 0.3])
+    alike = [PatellarMuscle("Muscle", name, at, at, "femur", 800.0) for name in ("vas int", "vas_int")]
+    with pytest.raises(InputError, match="vas_int"):
+        shared_tensions(alike, 12.0)
 
 
 def test_nothing_is_written_where_a_tension_is_refused(tmp_path):

@@ -86,6 +86,25 @@ def test_the_header_is_not_trusted_and_frames_numbers_need_a_rate(tmp_path):
     assert "rate_Hz in [motion], --rate" in str(told.value)
 
 
+@pytest.mark.parametrize("numbers", [[1, 3, 5, 7, 9, 11, 13], [1, 2, 4, 5, 6, 8, 9]])
+def test_frames_may_be_missing(tmp_path, numbers):
+    """Every second one, or some that were left out: they are numbers all the same."""
+    path = written(tmp_path / "a.sto", {"femur": matrices(1)}, np.array(numbers, float))
+    np.testing.assert_allclose(read_poses(path, rate=30)["femur"].times, np.array(numbers) / 30)
+    with pytest.raises(InputError, match="time counts frames, 1 to"):
+        read_poses(path)
+
+
+def test_no_bodies_are_none_and_a_held_frame_is_one_of_all_bodies(tmp_path):
+    paused = matrices(1)[[0, 1, 2, 2, 4, 5, 6]]
+    path = written(tmp_path / "a.sto", {"femur": paused, "tibia": matrices(2)})
+    assert read_poses(path, []) == {}
+    assert list(read_poses(path, ["femur"])) == ["femur"]
+    both = written(tmp_path / "b.sto", {"femur": paused, "tibia": matrices(2)[[0, 1, 2, 2, 4, 5, 6]]})
+    with pytest.raises(InputError, match="row 4 repeats row 3"):
+        read_poses(both, ["femur"])
+
+
 def test_a_rate_beside_times_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"a rate of 30 Hz, and times from 0 to 0\.12"):
         read_poses(written(tmp_path / "a.sto", {"femur": matrices(1)}), rate=30)

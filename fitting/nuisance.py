@@ -19,7 +19,7 @@ from fitting.stiffening import Working, linear_tendons, stiffened, stiffening_te
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import Quantity
 from pftwin.model.effects.friction import Friction
-from pftwin.model.number_place import named_arrays
+from pftwin.model.number_place import NumberPlace, named_arrays
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import find
 
@@ -169,28 +169,31 @@ class Nuisance:
         arrays = named_arrays(scene)
         lines = {e.name for e in scene.effects if e.line_element() is not None}
         deviations: dict[str, float] = {}
+        places: dict[str, NumberPlace] = {}
         kinds: dict[str, str] = {}
         declared = {name: number.quantity for name, number in arrays.items() if number.quantity is not None}
         for whole, quantity in declared.items():
             attached = bool(quantity.frame) and quantity.unit == "m" and arrays[whole].owner in lines
             for place in find(scene, whole) if len(arrays[whole].shape) < 2 else []:
+                places[place.name] = place
                 if self.attachments and attached:
                     deviations[place.name], kinds[place.name] = self.attachments, "attachments"
                 elif self.damping and quantity.unit in _DAMPING:
                     deviations[place.name] = self.damping * float(place.read(scene))
                     kinds[place.name] = "damping"
         for name, sd in dict(self.others).items():
-            places = find(scene, name)  # in the place of what else is known of the same numbers
-            same = {n for n in deviations if any(find(scene, n)[0].overlaps(place) for place in places)}
-            deviations = {n: v for n, v in deviations.items() if n not in same}
-            deviations |= {place.name: sd for place in places}
-            kinds |= {place.name: "others" for place in places}
+            own = find(scene, name)  # in the place of what else is known of the same numbers
+            deviations = {n: v for n, v in deviations.items() if not any(places[n].overlaps(place) for place in own)}
+            deviations |= {place.name: sd for place in own}
+            kinds |= {place.name: "others" for place in own}
+            places |= {place.name: place for place in own}
         if self.friction:
-            deviations[_friction_name(scene)], kinds[_friction_name(scene)] = self.friction, "friction"
+            name = _friction_name(scene)
+            deviations[name], kinds[name], places[name] = self.friction, "friction", find(scene, name)[0]
         asked = [place for name in but for place in find(scene, name)]
-        taken = {name for name in deviations if any(find(scene, name)[0].overlaps(place) for place in asked)}
+        taken = {name for name in deviations if any(places[name].overlaps(place) for place in asked)}
         free = {name: sd for name, sd in deviations.items() if sd > 0 and name not in taken}
-        priors = {name: (float(find(scene, name)[0].read(scene)), sd) for name, sd in free.items()}
+        priors = {name: (float(places[name].read(scene)), sd) for name, sd in free.items()}
         bounds = {}
         for name, (mean, sd) in priors.items():
             known = declared.get(name.partition("[")[0], _ANY)

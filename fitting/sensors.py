@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from fitting.nuisance import OF_SENSORS, Nuisance
 from fitting.programs import ORIENTATION, POSITION, unit_of
+from pftwin.files.mocap.poses import quaternion_product
 
 if TYPE_CHECKING:
     from fitting.methods.problem import Problem
@@ -47,7 +48,7 @@ class Sensors(NamedTuple):
                     out[..., columns] = np.einsum("iab,inb->ina", turns.as_matrix(), out[..., columns])
                 out[..., columns] += self.placement * random.standard_normal((count, 1, 3))
             elif channel == ORIENTATION and turns is not None:
-                out[..., columns] = np.einsum("iab,inb->ina", _products(turns), out[..., columns])
+                out[..., columns] = quaternion_product(turns.as_quat(scalar_first=True)[:, None], out[..., columns])
             elif unit_of(channel, objective.readings) == "N":
                 scale = 1 + self.force_scale * random.standard_normal((count, 1, 1))
                 for rows, behind in zip(objective.frames, late, strict=True):
@@ -80,13 +81,6 @@ class Sensors(NamedTuple):
             f"the femur's frame turned by {np.degrees(self.turn):.3g} deg": self.turn,
         }
         return ", ".join(words for words, deviation in said.items() if deviation)
-
-
-def _products(turns: Rotation) -> Floats:
-    """Matrices (N, 4, 4) that multiply a quaternion (w, x, y, z) by these turns, from the left."""
-    x, y, z, w = turns.as_quat().T
-    rows = ((w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w))
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
 def _later(signal: Floats, frames: Floats) -> Floats:

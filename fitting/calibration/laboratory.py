@@ -102,14 +102,11 @@ class Laboratory:
         )
         femur, tibia, world = (self._poses_of_markers(each, random) for each in (femur, tibia, world))
         relative = world.relative_to(femur)
-        point = np.asarray(scene.tracked_point().array(), dtype=float)
-        center = relative.positions + relative.matrices() @ point
-        orientation = relative.quaternions
         if self.turn:
-            turned = Rotation.from_rotvec(constant.normal(0.0, self.turn, 3)).as_matrix()
-            center = center @ turned.T
-            orientation = PoseSeries.from_matrices(times, center, turned @ relative.matrices()).quaternions
-        center = center + constant.normal(0.0, self.placement, 3)
+            turn = Rotation.from_rotvec(constant.normal(0.0, self.turn, 3)).as_matrix()
+            relative = PoseSeries.from_matrices(times, relative.positions @ turn.T, turn @ relative.matrices())
+        point = np.asarray(scene.tracked_point().array(), dtype=float)
+        center = relative.positions + relative.matrices() @ point + constant.normal(0.0, self.placement, 3)
         late = constant.normal(0.0, self.time_shift)
         if not first:
             late = random.spawn(1)[0].normal(0.0, self.time_shift)
@@ -120,7 +117,7 @@ class Laboratory:
         measured = Measured(
             times,
             center,
-            orientation,
+            relative.quaternions,
             contact_force=None if contact is None else forces[contact.name],
             femoral_spring_force=forces.get(springs.get("femoral", "")),
             tibial_spring_force=forces.get(springs.get("tibial", "")),

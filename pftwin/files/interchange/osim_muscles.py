@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -53,10 +53,21 @@ class PatellarMuscle(NamedTuple):
         return f"its activation says how strongly it pulls: give a tension in [[prescribed_tension]]; {ends}"
 
 
-def muscle_at_patella(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> PatellarMuscle | None:
+def muscles_of(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[PatellarMuscle]:
+    """Those of a document's forces that end on the patella, ligaments apart."""
+    frames = Frames(root)
+    for group in root.children:
+        held = group.child("objects") if group.tag == "ForceSet" else None
+        for force in [] if held is None else held.children:
+            muscle = None if "Ligament" in force.tag else _at_patella(force, model, knee, frames)
+            if muscle is not None:
+                yield muscle
+
+
+def _at_patella(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> PatellarMuscle | None:
     """Of a force with a path from elsewhere to the patella; None of any other."""
     at = []
-    for p in [] if force.tag == "Ligament" else force.all(*_POINTS):
+    for p in force.all(*_POINTS):
         frame = frames.find(p.needed("socket_parent_frame").text, p, p.where)
         part, pose = part_and_pose(model, knee, frame)
         place = p.child("location")  # one that moves has functions in its place

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_motion
-from pftwin.files.interchange.osim_document import Element, Frames, read_osim
+from pftwin.files.interchange.osim_document import Element, read_osim
 from pftwin.files.interchange.osim_knee import FOLDER, OsimKnee, Written, bones, find_knee, load_mesh, part_and_pose
 from pftwin.files.interchange.osim_model import (
     CONTACT,
@@ -25,7 +25,7 @@ from pftwin.files.interchange.osim_model import (
 from pftwin.files.interchange.osim_muscles import (
     TENSIONS,
     PatellarMuscle,
-    muscle_at_patella,
+    muscles_of,
     shared_tensions,
     tensions_csv,
 )
@@ -115,14 +115,14 @@ def import_osim(
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
     root = read_osim(os.fspath(model))
-    muscles = told.muscles = _muscles(root, found, knee)
+    muscles = told.muscles = list(muscles_of(root, found, knee))
     tensions = told.tensions = {} if quadriceps is None else shared_tensions(muscles, quadriceps)
     if tensions:
         each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in tensions.items())
         told.notes.append(f"tensions, constant, by maximum isometric force, along straight lines: {each}")
         if without := [m.name for m in muscles if m.name not in tensions]:
             told.notes.append(f"without a tension: {', '.join(without)}")
-    told.left_out += _unused_elements(root, found, knee, tensions)
+    told.left_out += _unused_elements(root, told)
     pulling = [m for m in muscles if m.name in tensions]
     text = scene_text(found, knee, strands, contact, pressing, told, measured=moved.measured, muscles=pulling)
     poses = {knee.part(b): p for b, p in moved.poses.items()}
@@ -224,17 +224,17 @@ def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written
     told.files = [folder / name for name in names]
 
 
-def _unused_elements(root: Element, model: OsimModel, knee: OsimKnee, taken: Collection[str]) -> Iterator[LeftOut]:
-    """The parts of the model that no reader uses, in the file's order; muscles with these names were taken."""
-    frames = Frames(root)
+def _unused_elements(root: Element, told: Imported) -> Iterator[LeftOut]:
+    """The parts of the model that no reader uses, in the file's order, without the muscles that were taken over."""
+    taken = {(m.kind, m.name) for m in told.muscles if m.name in told.tensions}
     for group in root.children:
         held = group.child("objects")
         if held is None:
             continue
         if group.tag == "ForceSet":
             for force in held.children:
-                if force.tag not in _READ and force.name not in taken:
-                    yield _left_out_force(force, model, knee, frames)
+                if force.tag not in _READ and (force.tag, force.name) not in taken:
+                    yield _left_out_force(force, told.muscles)
         elif group.tag == "ContactGeometrySet":
             for surface in held.children:
                 if surface.tag != SURFACE:
@@ -245,21 +245,10 @@ def _unused_elements(root: Element, model: OsimModel, knee: OsimKnee, taken: Col
                     yield LeftOut(part.tag, part.name, _SETS[group.tag])
 
 
-def _left_out_force(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> LeftOut:
+def _left_out_force(force: Element, muscles: Sequence[PatellarMuscle]) -> LeftOut:
     """Why a force is left out; of one that pulls at the patella also its two ends, for the user to add to the scene."""
-    if (muscle := muscle_at_patella(force, model, knee, frames)) is not None:
+    if muscle := next((m for m in muscles if (m.kind, m.name) == (force.tag, force.name)), None):
         return LeftOut(force.tag, force.name, muscle.describe())
     if force.tag == "Ligament" or not list(force.all("PathPoint")):
         return LeftOut(force.tag, force.name, f"pftwin has no effect like <{force.tag}>")
     return LeftOut(force.tag, force.name, "it does not pull at the patella; the bones' motion is prescribed")
-
-
-def _muscles(root: Element, model: OsimModel, knee: OsimKnee) -> list[PatellarMuscle]:
-    """Those that end on the patella."""
-    frames, found = Frames(root), []
-    for group in root.children:
-        held = group.child("objects") if group.tag == "ForceSet" else None
-        for force in [] if held is None else held.children:
-            if force.tag not in _READ and (muscle := muscle_at_patella(force, model, knee, frames)) is not None:
-                found.append(muscle)
-    return found

@@ -23,7 +23,9 @@ from fitting.parameters import Parameters
 from fitting.uncertainty import inverse_information, uncertainty
 
 if TYPE_CHECKING:
+    from fitting.evaluation import Evaluator
     from fitting.methods.problem import Method, Problem, State
+    from fitting.trials_evaluator import TrialsEvaluator
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +40,7 @@ _BY_BOUNDS = 12.0  # information of an even distribution between bounds, by shar
 def finished(search: Method, state: State, run: Callable[[Method], State]) -> tuple[Method, State]:
     """The search with steps and weights that its answer needs, and its state with that answer.
 
-    A search by other methods than least squares ends where it was, unless there are priors.
+    A search by a population ends where it was, unless there are priors.
 
     Args:
         search: that has ended.
@@ -51,7 +53,7 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
     theta = np.asarray(state["best_theta"])
     try:
         problem = _weighed(problem, theta)
-        left = settle(problem, theta) if search.rough else 0.0
+        left = settle(problem.evaluator, lambda n: _told(problem, theta, n)) if search.rough else 0.0
         problem = _weighed(problem, theta)
         again = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
     except KeyboardInterrupt:  # before it had an answer
@@ -65,30 +67,35 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
     return search, state
 
 
-def settle(problem: Problem, theta: Floats) -> float:
-    """Halves the steps of a problem's answers until the estimate near these parameters (p,) changes no more.
+def settle(
+    evaluator: Evaluator | TrialsEvaluator, told: Callable[[int], Told | None], tolerance: float = _SETTLED
+) -> float:
+    """Halves the steps of an evaluator's answers until what is told by them changes no more.
+
+    Args:
+        evaluator: whose `fine` is set.
+        told: what is told with so many steps between two frames; None where no motion comes out, which ends it.
+        tolerance: divergence of what is taken for the same [nats].
 
     Returns:
         By how much it would still change [nats]: from the last halving, for the error of steps is of first order.
     """
-    evaluator = problem.evaluator
-    left, halvings = change(problem, theta), int(np.log2(_MOST * evaluator.first / evaluator.fine))
-    while left > _SETTLED and halvings > 0:
+    left, halvings = change(told, evaluator.fine), int(np.log2(_MOST * evaluator.first / evaluator.fine))
+    while left > tolerance and halvings > 0:
         evaluator.fine *= 2
         halvings -= 1
-        left = change(problem, theta) if halvings else left / 4
+        left = change(told, evaluator.fine) if halvings else left / 4
     return left
 
 
-def change(problem: Problem, theta: Floats) -> float:
-    """By how much the estimate near these parameters (p,) is another one in half the steps [nats]; 0 where no motion
-    comes out there, infinite where one of the two is none."""
-    fine = problem.evaluator.fine
-    ours, theirs = (_told(problem, theta, substeps) for substeps in (fine, 2 * fine))
+def change(told: Callable[[int], Told | None], substeps: int) -> float:
+    """By how much what is told changes in half the steps [nats]; 0 where no motion comes out there, infinite where
+    one of the two is none."""
+    ours, theirs = (told(n) for n in (substeps, 2 * substeps))
     if ours is None or theirs is None:
         return 0.0
-    told = np.isfinite(ours.precision).all() and np.isfinite(theirs.precision).all()
-    return _divergence(ours, theirs) if told else np.inf
+    finite = np.isfinite(ours.precision).all() and np.isfinite(theirs.precision).all()
+    return ours.divergence(theirs) if finite else np.inf
 
 
 def _weighed(problem: Problem, theta: Floats) -> Problem:
@@ -98,14 +105,26 @@ def _weighed(problem: Problem, theta: Floats) -> Problem:
     return replace(problem, objective=replace(problem.objective, share=share_at(problem, theta)))
 
 
-class _Told(NamedTuple):
-    """What is told of the parameters asked for, by shares of their ranges."""
+class Told(NamedTuple):
+    """What is told of the parameters asked for, by shares of their ranges: a normal distribution."""
 
     mean: Floats  # (d,)
     precision: Floats  # (d, d), with what the bounds tell
 
+    @staticmethod
+    def of(mean: Floats, precision: Floats) -> Told:
+        """With what the bounds tell besides."""
+        return Told(mean, precision + _BY_BOUNDS * np.eye(len(mean)))
 
-def _told(problem: Problem, theta: Floats, substeps: int) -> _Told | None:
+    def divergence(self, other: Told) -> float:
+        """From another one (Kullback and Leibler) [nats]."""
+        spread = np.linalg.solve(self.precision.T, other.precision.T).T  # its precision times our covariance
+        off = self.mean - other.mean
+        determinants = np.linalg.slogdet(self.precision)[1] - np.linalg.slogdet(other.precision)[1]
+        return float(0.5 * (np.trace(spread) - len(off) + off @ other.precision @ off + determinants))
+
+
+def _told(problem: Problem, theta: Floats, substeps: int) -> Told | None:
     """By the quadratic model at these parameters; None where no motion comes out."""
     seen, target, p = problem.prediction(theta, substeps), problem.objective, problem.parameters
     if not seen.usable[0] or seen.slopes is None:
@@ -116,16 +135,8 @@ def _told(problem: Problem, theta: Floats, substeps: int) -> _Told | None:
     mean = p.share(theta + problem.ahead(theta, substeps))
     covariance = (uncertainty(known, p, r, j, theta).covariance / np.outer(span, span))[asked, asked]
     if not np.linalg.eigvalsh(covariance)[0] > 0:  # derivatives that grew from step to step, or an open combination
-        return _Told(mean[asked], np.full(covariance.shape, np.nan))
-    return _Told(mean[asked], inverse_information(covariance) + _BY_BOUNDS * np.eye(p.asked))
-
-
-def _divergence(a: _Told, b: _Told) -> float:
-    """Of the first normal distribution from the second (Kullback and Leibler) [nats]."""
-    spread = np.linalg.solve(a.precision.T, b.precision.T).T  # b's precision times a's covariance
-    off = a.mean - b.mean
-    determinants = np.linalg.slogdet(a.precision)[1] - np.linalg.slogdet(b.precision)[1]
-    return float(0.5 * (np.trace(spread) - len(off) + off @ b.precision @ off + determinants))
+        return Told(mean[asked], np.full(covariance.shape, np.nan))
+    return Told.of(mean[asked], inverse_information(covariance))
 
 
 def started_at(problem: Problem, theta: Floats) -> Problem:

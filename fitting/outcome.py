@@ -242,10 +242,11 @@ def estimate_of(
 
 def judge(estimate: Estimate) -> None:
     """Runs the fitted motions as everybody else runs them: a fit does not look at status."""
-    results = [simulate(scene) for scene in estimate.scenes]
+    scenes = estimate.scenes
+    results = [simulate(scene) for scene in scenes]
     reasons = [
         f"{reason} ({name})" if len(results) > 1 else reason
-        for name, result in zip(trial_names(estimate.scenes), results, strict=True)
+        for name, result in zip(trial_names(scenes), results, strict=True)
         for reason in result.verdict.reasons
     ]
     estimate.verdict = Verdict(tuple(reasons)).describe()

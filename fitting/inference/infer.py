@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.evaluation import HALVINGS, Prediction
+from fitting.evaluation import Prediction
 from fitting.inference.besides import with_nuisance
-from fitting.inference.learning import Answer, learn
+from fitting.inference.learning import Answer, Learned, learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem
@@ -36,6 +36,8 @@ TOGETHER = 64  # simulations that two cores run in two calls of 32. With 128 a c
 ROUNDS = 6  # at most
 DRAWS = 2000
 _MOST_ASKED = 12
+_MOST_STEPS = 8  # times as many as before anything is known of their errors, at most
+_MOVED = 0.15  # most that half the step may move the posterior's mean, in its deviations: all shorter ones twice that
 _SETTLED = 0.35  # changes of the region's mean log half width, and of its middle in deviations, that count as none
 _FEWEST_USABLE = 0.2  # share of simulations
 _FEWEST_SIMULATIONS = 1000
@@ -123,16 +125,14 @@ def infer(
             best = min(one.best, history[-1]["best"]) if history else one.best
             entry = {"iteration": number + 1, "evaluations": (number + 1) * simulations, "best": best}
             history.append({**entry, "spread": float(np.exp(smaller.size - region.widest))})
-            settled = smaller.like(region, _SETTLED)
+            needed = _steps_needed(problem, one, substeps, [seed, number])
+            settled = smaller.like(region, _SETTLED) and needed == substeps
             reason = "the posterior no longer changes" if settled else f"still changing after round {number + 1}"
             found = Inferred(one.answer, one.noise, (number + 1) * simulations, dropped, substeps, history, reason)
             report(history[-1], rounds)
             if settled:
                 break
-            region, noise = smaller, one.noise
-            errors = problem.evaluator.step_errors(draws.mean(axis=0), substeps, slopes=False)
-            if any(e.large for e in errors.values()) and substeps < problem.evaluator.first << HALVINGS:
-                substeps *= 2
+            region, noise, substeps = smaller, one.noise, needed
     except KeyboardInterrupt:
         if found is None:
             raise
@@ -141,9 +141,25 @@ def infer(
     return found
 
 
+def _steps_needed(problem: Problem, one: _Round, substeps: int, seed: list[int]) -> int:
+    """Steps between two frames that the next round needs: half as long ones leave the posterior where it is."""
+    evaluator, there = problem.evaluator, one.answer.draws.mean(axis=0)[None]
+    while substeps < _MOST_STEPS * evaluator.first:
+        runs = [evaluator.values(there, n) for n in (substeps, 2 * substeps)]
+        if not all(run.usable[0] for run in runs):
+            break
+        apart = (problem.objective.residuals(run.values)[0].astype(np.float32) for run in runs)
+        long, short = (one.learned.answer(each, DRAWS, np.random.default_rng(seed)).draws for each in apart)
+        if (np.abs(short.mean(axis=0) - long.mean(axis=0)) <= _MOVED * long.std(axis=0)).all():
+            break
+        substeps *= 2
+    return substeps
+
+
 class _Round(NamedTuple):
     """One round's posterior."""
 
+    learned: Learned
     answer: Answer
     noise: Noise
     dropped: int  # simulations without an equilibrium or a finite motion
@@ -170,4 +186,4 @@ def _round(
     best = float(np.min(cost + problem.parameters.prior_terms(theta)[0]))
     answer = learned.answer(nothing, DRAWS, random)
     draws = with_nuisance(problem, sensors, problem.objective, learned, nothing, answer.draws, substeps, random)
-    return _Round(answer._replace(draws=draws), learned.noise, simulations - len(theta), best)
+    return _Round(learned, answer._replace(draws=draws), learned.noise, simulations - len(theta), best)

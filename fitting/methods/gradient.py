@@ -29,6 +29,7 @@ class Gradient(Method):
 
     name = "gradient"
     options = ("starts", "iterations")
+    rough = True
 
     def __init__(self, problem: Problem, seed: int, starts: int = _LANES, iterations: int = 80) -> None:
         super().__init__(problem, seed)

@@ -31,6 +31,9 @@ class OsimStrand(NamedTuple):
     origin: Floats
 
 
+_FINE = 10_000  # triangles of a femur's mesh from which on its depths are better read from a table
+
+
 def scene_text(
     model: OsimModel,
     knee: OsimKnee,
@@ -72,6 +75,7 @@ def scene_text(
         muscles=[(body, [m for m in muscles if m.body == body]) for body in dict.fromkeys(m.body for m in muscles)],
         ligaments=_labelled(strands),
         contact=contact,
+        fine=bool(meshes) and len(meshes[0].mesh.faces) > _FINE,
         sides=list(zip(("femur", "button"), meshes, layers, strict=False)),  # none without a contact
     )
 

@@ -8,7 +8,7 @@ femur's tree together. Nothing here is differentiated; batches are taken one by 
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,9 @@ from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.tree import disc_distances
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.walk import FAN, FAR, stack_size, walk
-from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
+
+if TYPE_CHECKING:
+    from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 
 
 class TouchingLeaves(NamedTuple):

@@ -6,25 +6,31 @@ are queried, by their centroids. Both may be open.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.dtypes import canonicalize_dtype
+from jax.lax import optimization_barrier, stop_gradient
 from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
-from pftwin.base.spatial import Vec3
+from pftwin.base.spatial import Rotation, Scalar, Vec3, safe_sqrt
 from pftwin.geometry.bvh.features import features_of
 from pftwin.geometry.bvh.tree import check_searchable
-from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.walk import Fans, fans_of, rows_of
+from pftwin.geometry.contact.depth_search import TouchingLeaves, find
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
+T = TypeVar("T")
 FEMUR_LANES = 8  # most triangles in a leaf
 BUTTON_LANES = 16
+ON_SURFACE = 1e-10  # [m] so near, the direction to the nearest point is the surface's own normal
 
 
 class PressedSurface(eqx.Module):
@@ -55,6 +61,35 @@ class PressedSurface(eqx.Module):
         """Lanes of a leaf."""
         return self.lanes.shape[-1]
 
+    @property
+    def exact(self) -> PressedSurface:
+        """The triangles."""
+        return self
+
+    def touching(
+        self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, reach: float
+    ) -> TouchingLeaves:
+        """See `pftwin.geometry.contact.depth_search.find`."""
+        return find(button, self, position, rotation, width=width, band=band, reach=reach)
+
+    def below(self, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
+        """Depth [m] of points (k,) below the triangles in some places (k,), the normal there, and whether it is the
+        rim."""
+        on = closest_on_triangle(Triangle.of_rows(gathered(self.corners[place])), point)
+        feature = stop_gradient(7 * self.triangle[place] + on.feature)
+        outward = Vec3.from_array(gathered(self.outward[feature]))
+        away = point - on.point
+        size = safe_sqrt(away.squared_norm())
+        apart = stop_gradient(size) > ON_SURFACE
+        sign = jnp.where(stop_gradient(away.dot(outward)) < 0, -1.0, 1.0)
+        scale = sign / jnp.where(apart, size, 1.0)
+        normal = jax.tree.map(lambda a, n: jnp.where(apart, scale * a, n), away, outward)
+        return -normal.dot(away), normal, self.rim[feature]
+
+    def facet(self, place: Array, point: Vec3) -> Array | None:
+        """Labels (k,) of the triangles in some places, nearest to points; None where the mesh has none."""
+        return None if self.label is None else self.label[self.triangle[place]]
+
 
 class PressingSurface(eqx.Module):
     """The surface whose triangles' depths are asked for."""
@@ -63,6 +98,8 @@ class PressingSurface(eqx.Module):
     first: Array  # (nodes,) int32
     corners: Array  # (leaves * lanes, 9) a, b, c [m]
     index: Array  # (leaves, lanes) int32: which triangle; negative in an empty lane, which holds a copy
+    discs: Array  # (leaves, 8) about the centroids in a leaf: middle, normal, radius, half thickness [m]
+    mesh: Array  # (n, 9) corners of the mesh's own triangles [m]
 
     @property
     def lanes(self) -> int:
@@ -73,6 +110,11 @@ class PressingSurface(eqx.Module):
     def leaves(self) -> int:
         """How many."""
         return self.index.shape[-2]
+
+
+def gathered(rows: T) -> T:
+    """Rows as they were picked: fused with what follows, XLA would pick them for every use again."""
+    return optimization_barrier(rows)
 
 
 def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> PressedSurface:
@@ -97,7 +139,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
             )
         facets = jax.device_put(facets.astype(np.int32))
     fans, outward, rim = cached(_fans_and_features, mesh.vertices, mesh.faces, files=())
-    corners, index = _packed_corners(mesh, fans)
+    corners, index = _packed_corners(mesh.vertices[mesh.faces], fans)
     own = canonicalize_dtype(float)
     return PressedSurface(
         bounds=jax.device_put(fans.bounds),
@@ -112,17 +154,27 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
     )
 
 
-def pressing_surface(mesh: SurfaceMesh) -> PressingSurface:
-    """From a mesh [m] in the frame in which it is fixed.
+def pressing_surface(mesh: SurfaceMesh, together: int = 1) -> PressingSurface:
+    """From a mesh [m] in the frame in which it is fixed, at most so many neighbouring triangles taken for one.
 
     Raises:
         InputError: no triangles, too many, or coordinates that are not finite.
     """
     check_searchable(mesh)
-    fans = cached(fans_of, mesh.vertices[mesh.faces], BUTTON_LANES, True, files=())
-    corners, index = _packed_corners(mesh, fans)
+    whole = mesh.vertices[mesh.faces]
+    triangles = whole if together == 1 else cached(_taken_together, whole, together, files=())
+    fans = cached(fans_of, triangles, BUTTON_LANES, True, files=())
+    corners, index = _packed_corners(triangles, fans)
     own = canonicalize_dtype(float)
-    parts = (rows_of(fans), fans.first, corners.reshape(-1, 9).astype(own), index.astype(np.int32))
+    discs = _discs(corners.reshape(*index.shape, 3, 3)).astype(own)
+    parts = (
+        rows_of(fans),
+        fans.first,
+        corners.reshape(-1, 9).astype(own),
+        index.astype(np.int32),
+        discs,
+        whole.reshape(-1, 9).astype(own),
+    )
     return PressingSurface(*(jax.device_put(a) for a in parts))
 
 
@@ -134,7 +186,42 @@ def _fans_and_features(
     return fans_of(vertices[faces], FEMUR_LANES, False), features.outward.reshape(-1, 3), features.rim.ravel()
 
 
-def _packed_corners(mesh: SurfaceMesh, fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _taken_together(corners: NDArray[np.float64], most: int) -> NDArray[np.float64]:
+    """Triangles (k, 3, 3) with the area vectors and the middles of up to so many neighbours of (n, 3, 3) each.
+
+    The force of a pressure that is linear in the place is the same on them.
+    """
+    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    places = fans_of(corners, most, True).places
+    own, places = (places >= 0)[..., None], np.abs(places)  # others are copies
+    vector = np.where(own, vectors[places], 0.0)
+    weight = np.linalg.norm(vector, axis=2, keepdims=True)
+    vector, total = vector.sum(axis=1), weight.sum(axis=1)
+    middle = (weight * corners.mean(axis=1)[places]).sum(axis=1) / np.maximum(total, 1e-300)
+    area = np.linalg.norm(vector, axis=1, keepdims=True)
+    normal = vector / np.maximum(area, 1e-300)
+    aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
+    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-300)
+    size = np.sqrt(area * 4 / np.sqrt(27))  # from an equilateral triangle's middle to its corners
+    turns = 2 * np.pi / 3 * np.arange(3)
+    arms = (
+        np.cos(turns)[None, :, None] * aside[:, None] + np.sin(turns)[None, :, None] * np.cross(normal, aside)[:, None]
+    )
+    return middle[:, None] + size[:, None] * arms
+
+
+def _discs(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(leaves, 8) about the centroids of triangles (leaves, lanes, 3, 3): see `PressingSurface`."""
+    middles = corners.mean(axis=2)
+    middle = 0.5 * (middles.min(axis=1) + middles.max(axis=1))
+    normal = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]).sum(axis=1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    arms = middles - middle[:, None]
+    radius, thick = np.linalg.norm(arms, axis=2), np.abs(np.einsum("lki,li->lk", arms, normal))
+    return np.concatenate([middle, normal, radius.max(axis=1)[:, None], thick.max(axis=1)[:, None]], axis=1)
+
+
+def _packed_corners(triangles: NDArray[np.float64], fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Corners (leaves, lanes, 9), and the index of each place."""
     source = np.where(fans.places < 0, -1 - fans.places, fans.places)
-    return mesh.vertices[mesh.faces][source].reshape(*source.shape, 9), fans.places
+    return triangles[source].reshape(*source.shape, 9), fans.places

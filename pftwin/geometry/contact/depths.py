@@ -9,22 +9,20 @@ to both meshes' vertices.
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jax.lax import optimization_barrier, stop_gradient
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from pftwin.base.spatial import Rotation, Scalar, Vec3, safe_sqrt
-from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-from pftwin.geometry.contact.depth_search import centroid, find
-from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
+from pftwin.base.spatial import Rotation, Scalar, Vec3
+from pftwin.geometry.bvh.triangle import Triangle
+from pftwin.geometry.contact.depth_search import centroid
+from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface, gathered
+from pftwin.geometry.contact.distance_grid import DistanceGrid
 
-T = TypeVar("T")
 REACH = 0.010  # [m] largest depth of the search
 DEEPEST = 0.005  # [m] an implausible depth: a wrong pose, scale or side
-ON_SURFACE = 1e-10  # [m] so near, the direction to the nearest point is the surface's own normal
 
 
 class Depths(NamedTuple):
@@ -44,7 +42,7 @@ class Depths(NamedTuple):
 
 def depths(
     button: PressingSurface,
-    femur: PressedSurface,
+    femur: PressedSurface | DistanceGrid,
     position: Vec3,
     rotation: Rotation,
     *,
@@ -62,7 +60,7 @@ def depths(
         reach: how deep they are looked for [m].
     """
     width = button.leaves if leaves is None else min(leaves, button.leaves)
-    found = find(button, femur, position, rotation, width=width, band=band, reach=reach)
+    found = femur.touching(button, position, rotation, width=width, band=band, reach=reach)
     there = jnp.arange(width, dtype=jnp.int32) < found.total
     where = button, femur, position, rotation, found.leaf, found.place, there
     return depths_in(*where, overflow=found.total > width, band=band, reach=reach)
@@ -70,7 +68,7 @@ def depths(
 
 def depths_in(
     button: PressingSurface,
-    femur: PressedSurface,
+    femur: PressedSurface | DistanceGrid,
     position: Vec3,
     rotation: Rotation,
     leaf: Array,
@@ -92,13 +90,13 @@ def depths_in(
     """
     lane = jnp.arange(button.lanes, dtype=jnp.int32)
     own_places = (leaf[:, None] * jnp.int32(button.lanes) + lane[None, :]).reshape(-1)
-    own_place, place = _gathered((own_places, place.reshape(-1)))
+    own_place, place = gathered((own_places, place.reshape(-1)))
     index = button.index.reshape(-1)[own_place]
     # Rows of flat tables only: what XLA makes of a pick along two axes at once compiles for minutes within a loop.
-    own = Triangle.of_rows(_gathered(button.corners[own_place]))
+    own = Triangle.of_rows(gathered(button.corners[own_place]))
     local = centroid(own)
     point = position + rotation.apply(local)
-    depth, normal, rim = depth_below(femur, place, point)
+    depth, normal, rim = femur.below(place, point)
     vector, along = own.area_vector(), rotation.unapply(normal)
     projected = 0.5 * vector.dot(along)
     facing = jnp.where(stop_gradient(projected) < 0, -1.0, 1.0)  # whichever side the mesh calls outer
@@ -112,25 +110,6 @@ def depths_in(
         normal=normal,
         area=facing * projected,
         tilting=(0.5 * facing) * along.cross(vector),
-        facet=None if femur.label is None else femur.label[femur.triangle[place]],
+        facet=femur.facet(place, point),
         overflow=overflow,
     )
-
-
-def depth_below(femur: PressedSurface, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
-    """Depth [m] of points (k,) below the triangles in some places (k,), the normal there, and whether it is the rim."""
-    on = closest_on_triangle(Triangle.of_rows(_gathered(femur.corners[place])), point)
-    feature = stop_gradient(7 * femur.triangle[place] + on.feature)
-    outward = Vec3.from_array(_gathered(femur.outward[feature]))
-    away = point - on.point
-    size = safe_sqrt(away.squared_norm())
-    apart = stop_gradient(size) > ON_SURFACE
-    sign = jnp.where(stop_gradient(away.dot(outward)) < 0, -1.0, 1.0)
-    scale = sign / jnp.where(apart, size, 1.0)
-    normal = jax.tree.map(lambda a, n: jnp.where(apart, scale * a, n), away, outward)
-    return -normal.dot(away), normal, femur.rim[feature]
-
-
-def _gathered(rows: T) -> T:
-    """Rows as they were picked: fused with what follows, XLA would pick them for every use again."""
-    return optimization_barrier(rows)

@@ -23,6 +23,7 @@ from pftwin.geometry.contact.behind import behind
 from pftwin.geometry.contact.depth_search import centroid
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import DEEPEST
+from pftwin.geometry.contact.distance_grid import DistanceGrid
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import AggregateStiffness, Ground, Instant, Load, Observable
 from pftwin.model.effects.contact import FACETS, FORCE, ButtonMesh
@@ -37,7 +38,7 @@ class ElasticFoundation(ButtonMesh):
     into one aggregate stiffness.
     """
 
-    femur: PressedSurface  # in the femur's frame
+    femur: PressedSurface | DistanceGrid  # in the femur's frame
     button: PressingSurface
     law: FoundationLaw
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the button's mesh, axes parallel
@@ -115,17 +116,17 @@ class ElasticFoundation(ButtonMesh):
     def _swallowed(self, at: Bedded, found: Pressures) -> Array:
         """Whether the button is deeper than the search reaches: no triangle in contact, but some behind the surface."""
         middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0])))
-        femur = self.femur
+        femur = self.femur.exact
         return behind(femur.corners, femur.triangle, femur.rim_edges(), middle, found.area == 0).there
 
     def button_radius(self) -> Scalar:
         """Half the largest extent of the button's mesh."""
-        return half_extent(self.button.corners)
+        return half_extent(self.button.mesh)
 
     def femur_triangles(self) -> Array:
         """See `Contact`."""
-        return self.femur.corners
+        return self.femur.exact.corners
 
     def button_triangles(self) -> Array:
         """See `Contact`."""
-        return self.button.corners
+        return self.button.mesh

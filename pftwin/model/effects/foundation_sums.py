@@ -16,18 +16,19 @@ from jaxtyping import Array
 from pftwin.base.leaves import all_changes
 from pftwin.base.spatial import Rotation, Scalar, Vec3
 from pftwin.geometry.bvh.loops import member_by_member
-from pftwin.geometry.contact.depth_search import TouchingLeaves, find
+from pftwin.geometry.contact.depth_search import TouchingLeaves
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import REACH, Depths, depths_in
+from pftwin.geometry.contact.distance_grid import DistanceGrid
 from pftwin.model.effects.foundation_law import FoundationLaw
 
-PIECE = 16  # leaves of the button summed at once
+TOGETHER = 256  # triangles of the button summed at once
 
 
 class Bedded(eqx.Module):
     """A button in a femur's surface, and the motion of both."""
 
-    femur: PressedSurface
+    femur: PressedSurface | DistanceGrid
     button: PressingSurface
     law: FoundationLaw
     damping_time: Scalar  # [s]
@@ -64,7 +65,7 @@ Sums = tuple[Forces, Pressures]
 
 def triangle_sums(at: Bedded) -> Sums:
     """The sums over all triangles in contact. Jit, vmap, forward and reverse derivatives apply."""
-    found = find(at.button, at.femur, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
+    found = at.femur.touching(at.button, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
     return _sum_contacts(at, found)
 
 
@@ -88,7 +89,7 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
             )
             return _added_sums(so_far, more), None
 
-        starts = jnp.arange(0, at.button.leaves, PIECE, dtype=jnp.int32)
+        starts = jnp.arange(0, at.button.leaves, _leaves_together(at), dtype=jnp.int32)
         return jax.lax.scan(piece, _zero_sums(at), starts)[0]
 
     return jax.jvp(total, (moving,), (changes,))
@@ -97,9 +98,13 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
 def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Sums:
     def piece(state: tuple[Array, Sums]) -> tuple[Array, Sums]:
         start, so_far = state
-        return start + PIECE, _added_sums(so_far, _sums_over_leaves(at, found, start))
+        return start + _leaves_together(at), _added_sums(so_far, _sums_over_leaves(at, found, start))
 
     return jax.lax.while_loop(lambda s: s[0] < found.total, piece, (jnp.zeros((), jnp.int32), _zero_sums(at)))[1]
+
+
+def _leaves_together(at: Bedded) -> int:
+    return min(TOGETHER // at.button.lanes, at.button.leaves)
 
 
 def _zero_sums(at: Bedded) -> Sums:
@@ -119,8 +124,9 @@ def _added_sums(one: Sums, other: Sums) -> Sums:
 def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     """Sums over some of the leaves."""
     # The last piece begins early enough to be full, and counts only leaves that no other piece has counted.
-    first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))
-    leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, min(PIECE, at.button.leaves)) for x in found[:2])
+    together = _leaves_together(at)
+    first = jnp.minimum(start, at.button.leaves - together)
+    leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, together) for x in found[:2])
     number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
     there = (number >= start) & (number < found.total)
     d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there, overflow=jnp.zeros((), bool))

@@ -1,0 +1,203 @@
+r"""A surface's depth from a table: quick where thousands of triangles touch at once, as cartilage on cartilage does.
+
+Space about the surface is cut into cubes. In each of them depth is a polynomial that has the depth of the cube's
+corners, and whose slopes are drawn from their neighbours', so that it is right to second order, continuous, and as
+smooth as the mesh was before it was cut into triangles. With h the cubes' edge, w_c the linear weights of the corners
+c, d_c their depths and g_c the depth's gradients there, from differences,
+
+    d(x) = \sum_c w_c(x) (d_c + g_c (x - c) / 2).
+
+On the femoral cartilage of a living knee (29,800 triangles) cubes of 1 mm are off by 7 um rms.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.dtypes import canonicalize_dtype
+from jax.lax import stop_gradient
+from jaxtyping import Array
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.base.program_cache import cached
+from pftwin.base.spatial import Rotation, Scalar, Vec3
+from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
+from pftwin.geometry.contact.depth_search import TouchingLeaves, nearest_triangle
+from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface, gathered, pressed_surface
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+Floats = NDArray[np.float64]
+
+_AROUND = 4e-3  # [m] how far the table reaches beyond the surface's extent, and its depth beyond the rim
+_MOST_NODES = 8_000_000
+_ALLOWED = 5e-5  # [m] what a table's depths may be off by on the surface, rms
+_SHARPEST = 100.0  # [1/m] curvature of a joint's surface, at most
+_OFF = 0.1  # share of a cube's edge that a table's depth is off by, at most
+_LATERAL, _RIM = 1, 2  # bits of a node's code
+_CORNERS = np.array(list(product((0, 1), repeat=3)))
+_POWERS = np.array([p for p in product((0, 1, 2), repeat=3) if p.count(2) <= 1])  # (20, 3) of the polynomial's terms
+
+
+class DistanceGrid(eqx.Module):
+    """A `PressedSurface` whose depths come from a table."""
+
+    exact: PressedSurface
+    cells: Array  # (cells, 20) float32: the polynomial's coefficients [m], of a cube's own coordinates from 0 to 1
+    codes: Array  # (nodes,) int8: whether the nearest triangle is on the lateral facet, and whether its rim is nearest
+    low: Array  # (3,) the first node [m]
+    spacing: Array  # () [m]
+    shape: tuple[int, int, int] = eqx.field(static=True)  # nodes along each axis
+
+    def touching(
+        self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, reach: float
+    ) -> TouchingLeaves:
+        """As `pftwin.geometry.contact.depth_search.find`, from the depths of the leaves' middles."""
+        position, rotation = stop_gradient((position, rotation))
+        discs = button.discs
+        middle, normal, radius, half = (Vec3.from_array(discs[:, :3]), Vec3.from_array(discs[:, 3:6]), *discs[:, 6:].T)
+        depth, slope = stop_gradient(self._polynomial(position + rotation.apply(middle)))
+        # How much deeper a disc reaches than its middle: by its tilt to the surface, and the surface's curvature.
+        along = jnp.abs(slope.dot(rotation.apply(normal)))
+        tilted = jnp.sqrt(jnp.maximum(slope.squared_norm() - along**2, 0.0))
+        room = radius * tilted + half * along + 0.5 * _SHARPEST * radius**2 + _OFF * stop_gradient(self.spacing)
+        wanted = (depth >= -(room + band)) & (depth <= room + reach)
+        leaf = jnp.nonzero(wanted, size=width, fill_value=0)[0].astype(jnp.int32)
+        return TouchingLeaves(leaf, jnp.zeros((width, button.lanes), jnp.int32), jnp.sum(wanted, dtype=jnp.int32))
+
+    def below(self, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
+        """Depths [m] of points (k,), the normals there, and whether the rim is nearest; places mean nothing."""
+        depth, slope = self._polynomial(point)
+        size = jnp.sqrt(jnp.maximum(slope.squared_norm(), 1e-6))
+        return depth, (-1 / size) * slope, (self._code(point) & _RIM) > 0
+
+    def facet(self, place: Array, point: Vec3) -> Array | None:
+        """Labels (k,) of the triangles nearest to points; None where the mesh has none."""
+        return None if self.exact.label is None else (self._code(point) & _LATERAL).astype(jnp.int32)
+
+    def _within(self, point: Vec3) -> tuple[Array, Array]:
+        """Coordinates (3, k) in cubes, of the nearest place in the table; and how far outside of it they are [m]."""
+        at = (point.array().T - self.low[:, None]) / self.spacing
+        inside = jnp.clip(at, 0.0, jnp.array([[n - 1] for n in self.shape], at.dtype))
+        return inside, self.spacing * jnp.max(jnp.abs(stop_gradient(at - inside)), axis=0)
+
+    def _polynomial(self, point: Vec3) -> tuple[Scalar, Vec3]:
+        """Depth (k,) and its gradient."""
+        at, outside = self._within(point)
+        _, ny, nz = (jnp.int32(n - 1) for n in self.shape)
+        cell = jnp.minimum(jnp.floor(stop_gradient(at)), jnp.array([[n - 2] for n in self.shape], at.dtype))
+        i, j, k = cell.astype(jnp.int32)
+        terms = gathered(self.cells[(i * ny + j) * nz + k]).astype(at.dtype)
+        u = at - cell
+        powers = [(jnp.ones_like(x), x, x * x) for x in u]
+        slopes = [(jnp.zeros_like(x), jnp.ones_like(x), 2 * x) for x in u]
+        depth, gradient = jnp.zeros_like(outside), [jnp.zeros_like(outside)] * 3
+        for number, (a, b, c) in enumerate(_POWERS):
+            term = terms[:, number]
+            depth = depth + term * powers[0][a] * powers[1][b] * powers[2][c]
+            for axis, power in enumerate((a, b, c)):
+                if power:
+                    factors = [(slopes if q == axis else powers)[q][p] for q, p in enumerate((a, b, c))]
+                    gradient[axis] = gradient[axis] + term * factors[0] * factors[1] * factors[2]
+        return depth - outside, (1 / self.spacing) * Vec3(*gradient)
+
+    def _code(self, point: Vec3) -> Array:
+        """Of the nearest nodes (k,)."""
+        i, j, k = jnp.round(stop_gradient(self._within(point)[0])).astype(jnp.int32)
+        _, ny, nz = (jnp.int32(n) for n in self.shape)
+        return self.codes[(i * ny + j) * nz + k]
+
+
+def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = None) -> DistanceGrid:
+    """A table of a mesh's depths; computed once for a mesh where there is a cache folder, in some seconds.
+
+    Args:
+        mesh: as of `pressed_surface`.
+        spacing: edge of the cubes [m].
+        labels: as of `pressed_surface`.
+
+    Raises:
+        InputError: as of `pressed_surface`; a spacing that is not positive, so fine that the table would be too large,
+            or so coarse that depths would be off by more than 0.05 mm (rms).
+    """
+    exact = pressed_surface(mesh, labels)
+    if not 0 < spacing < np.inf:
+        raise InputError(f"spacing {spacing!r}", where="distance_grid", expected="above 0 m")
+    low = mesh.vertices.min(axis=0) - _AROUND
+    shape = np.ceil((mesh.vertices.max(axis=0) + _AROUND - low) / spacing).astype(int) + 1
+    if (nodes := int(np.prod(shape.astype(float)))) > _MOST_NODES:
+        least = 1e3 * spacing * (nodes / _MOST_NODES) ** (1 / 3)
+        found = f"{1e3 * spacing:.3g} mm: {nodes:,} nodes about {mesh.source}"
+        raise InputError(found, where="distance_grid", expected=f"at least {least:.2f} mm")
+    facets = np.zeros(len(mesh.faces), np.int32) if labels is None else np.asarray(labels, np.int32)
+    made = cached(_tables, mesh.vertices, mesh.faces, facets, low, spacing, tuple(shape.tolist()), files=())
+    cells, codes, off = made
+    if off > _ALLOWED:
+        found = f"{1e3 * spacing:.3g} mm: depths are off by {1e3 * off:.2g} mm (rms) on {mesh.source}"
+        raise InputError(
+            found, where="distance_grid", expected=f"at most {1e3 * _ALLOWED:.2g} mm", remedy="a finer one"
+        )
+    own = canonicalize_dtype(float)
+    nx, ny, nz = shape.tolist()
+    numbers = jnp.asarray(low, own), jnp.asarray(spacing, own)
+    return DistanceGrid(exact, jax.device_put(cells), jax.device_put(codes), *numbers, (nx, ny, nz))
+
+
+def _tables(
+    vertices: Floats, faces: NDArray[np.int64], facets: NDArray[np.int32], low: Floats, spacing: float, shape: Any
+) -> tuple[NDArray[np.float32], NDArray[np.int8], float]:
+    """The polynomials of all cells (cells, 20), the codes of all nodes, and by how much depths are off [m], rms."""
+    exact = pressed_surface(SurfaceMesh(vertices, faces))
+    points = low + spacing * np.indices(shape).reshape(3, -1).T
+    depth, triangle, rim = (np.asarray(a) for a in _at_nodes(exact, jnp.asarray(points, dtype=float)))
+    depth = depth.reshape(shape).astype(np.float64)
+    slope = np.stack([np.gradient(depth, axis=axis) for axis in range(3)], axis=-1)  # for each cell's edge
+    stacked = []
+    for corner in _CORNERS:
+        part = tuple(slice(c, n - 1 + c) for c, n in zip(corner, shape, strict=True))
+        stacked += [depth[part][..., None], slope[part]]
+    corners = np.concatenate(stacked, axis=-1).reshape(-1, 32)
+    cells = (corners @ _terms_of_corners()).astype(np.float32)
+    codes = _LATERAL * (facets[triangle] == 1) + _RIM * rim
+    at = (vertices[faces].mean(axis=1) - low) / spacing  # on the surface, where depth is nothing
+    cell = np.floor(at).astype(int)
+    terms = cells[np.ravel_multi_index(tuple(cell.T), tuple(n - 1 for n in shape))]
+    off = np.einsum("ij,ij->i", terms, np.prod((at - cell)[:, None, :] ** _POWERS, axis=2))
+    return cells, codes.astype(np.int8), float(np.sqrt(np.mean(off**2)))
+
+
+@jax.jit
+def _at_nodes(exact: PressedSurface, points: Array) -> tuple[Array, Array, Array]:
+    """Depth at points (n, 3), the nearest triangle, and whether the rim is nearest.
+
+    Just beyond the rim depth is that below the plane that touches the surface there, so that cells on both sides of it
+    are right up to it; farther away, minus the distance.
+    """
+
+    def one(place: Array, row: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        point = Vec3.from_array(row)
+        place = nearest_triangle(exact, point, place).place
+        on = closest_on_triangle(Triangle.of_rows(exact.corners[place]), point)
+        feature = 7 * exact.triangle[place] + on.feature
+        plane = (on.point - point).dot(Vec3.from_array(exact.outward[feature]))
+        size, rim = jnp.sqrt(on.square), exact.rim[feature]
+        beyond = jnp.where(size < _AROUND, plane, -size)
+        return place, (jnp.where(rim, beyond, jnp.where(plane < 0, -size, size)), exact.triangle[place], rim)
+
+    return jax.lax.scan(one, jnp.int32(0), points)[1]
+
+
+def _terms_of_corners() -> Floats:
+    """(32, 20) from depths and slopes of the corners, each corner's four together, to the polynomial's terms."""
+    u = np.array(list(product((0.0, 0.5, 1.0), repeat=3)))  # enough points to tell polynomials apart
+    values = []
+    for corner in _CORNERS:
+        weight = np.prod(np.where(corner, u, 1 - u), axis=1)
+        values += [weight, *(0.5 * weight * (u - corner).T)]
+    terms = np.prod(u[:, None, :] ** _POWERS, axis=2)
+    return np.linalg.lstsq(terms, np.stack(values, axis=1), rcond=None)[0].T

@@ -10,6 +10,7 @@ from pydantic import Field
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.mocap import PoseSeries
+from pftwin.files.mocap.jumps import in_words, jumps
 from pftwin.files.scene_file.section import Point, Positive, Section
 from pftwin.files.scene_file.segments import PoseSection, SegmentRecording, SegmentSection
 from pftwin.files.scene_file.side import HostPose, Side
@@ -86,15 +87,22 @@ def start_pose(
     if start.fixed is not None:
         world = side.pose("world", "patella", start.fixed.pose())
     else:
-        world = _first_pose(side.poses("world", "patella", recording.poses(start, "patella", "start")), motion)
+        world = _first_pose(side.poses("world", "patella", recording.poses(start, "patella", "start")), motion, femur)
     return world if fixed_femur is None else fixed_femur.inverse() @ world
 
 
-def _first_pose(poses: PoseSeries, motion: KneeMotion) -> HostPose:
+def _first_pose(poses: PoseSeries, motion: KneeMotion, femur: PoseSeries | None) -> HostPose:
     if abs(poses.times[0] - motion.start_time) > 0.1 * motion.frame_interval:
         raise InputError(
             f"the patella's first pose is at {poses.times[0]:g} s, the motion starts at {motion.start_time:g} s",
             where=poses.source,
             expected="the same first frame",
+        )
+    if (odd := jumps(poses if femur is None else poses.relative_to(femur)))[0]:
+        raise InputError(
+            f"the patella jumps from its first pose to where the others are ({in_words(odd)} are out of line)",
+            where=poses.source,
+            expected="a start where the patella was",
+            remedy="start_time_s in [motion], after those frames; or start = { fixed = ... }",
         )
     return HostPose.of(np.asarray(poses.positions[0]), np.asarray(poses.quaternions[0]))

@@ -58,6 +58,7 @@ class MeasuredSection(Section):
         Raises:
             InputError: files that cannot be used; columns that are not there; forces that do not cover the motion.
         """
+        from pftwin.files.mocap.jumps import in_words, jumps
         from pftwin.model.measured import Measured
 
         document = recording.document
@@ -71,10 +72,17 @@ class MeasuredSection(Section):
             elif fixed_femur is not None:
                 poses = poses.seen_from(fixed_femur.pose())
         point = np.array([float(v) for v in scene.tracked_point().array()])
+        center, quaternions = poses.positions + poses.matrices() @ point, poses.quaternions.copy()
+        if (odd := jumps(poses)).any():
+            center[odd], quaternions[odd] = np.nan, np.nan
+            recording.notes.append(
+                f"{poses.source}: the patella's {in_words(odd)} of {odd.size} left out: it jumps there from where the "
+                "frames around have it"
+            )
         return Measured(
             poses.times,
-            poses.positions + poses.matrices() @ point,
-            poses.quaternions,
+            center,
+            quaternions,
             **self._columns(document, scene),
             synthetic=self.synthetic,
             source=self.forces or poses.source,

@@ -5,8 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from toy_scene_files import LIGHT, START, changed, load, refused
+import pytest
+from scipy.spatial.transform import Rotation
+from toy_scene_files import LIGHT, START, changed, load, refused, tibia_poses, write_poses
 
+from pftwin.base.errors import InputError
+from pftwin.files.mocap import PoseSeries
 from pftwin.files.scene_file import load_scene, load_scene_file
 
 MEASURED = """
@@ -70,3 +74,33 @@ def test_readings_and_weights_are_at_the_frames_in_the_effects_units(toy: Path) 
     assert "no column called 'far'" in refused(toy, text.replace('"out_mm"', '"far"'))
     bare = LIGHT + READINGS + measured.replace('forces = "forces.csv"\n', "")
     assert "[measured] weights: a column of no file" in refused(toy, bare)
+
+
+def test_frames_of_the_patella_that_are_out_of_line_are_left_out_and_named(toy: Path) -> None:
+    tibia = tibia_poses()
+    places, turns = np.tile(START[0], (41, 1)), np.tile(START[1], (41, 1))
+    upside_down = Rotation.from_quat(turns[0], scalar_first=True) * Rotation.from_rotvec([3.0, 0, 0])
+    turns[[4, 20, 21, 22]] = upside_down.as_quat(scalar_first=True)
+    write_poses(toy / "poses.csv", {"tibia": tibia, "patella": PoseSeries(tibia.times, places, turns)})
+    (toy / "odd.toml").write_text(LIGHT + '\n[measured]\npatella = { body = "patella" }\n')
+    loaded = load_scene_file(toy / "odd.toml")
+    assert loaded.measured is not None
+    assert loaded.measured.quaternion is not None
+    missing = np.isnan(loaded.measured.center).any(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(missing), [4, 20, 21, 22])
+    np.testing.assert_array_equal(np.isnan(loaded.measured.quaternion).all(axis=1), missing)
+    assert any(
+        "poses.csv" in n and "the patella's frames 5, 21 to 23 of 41 left out: it jumps" in n for n in loaded.notes
+    )
+
+
+def test_a_patella_does_not_start_where_it_never_was(toy: Path) -> None:
+    tibia, places = tibia_poses(), np.tile(START[0], (41, 1))
+    places[:2] += [0.0, 0.08, 0.0]
+    patella = PoseSeries(tibia.times, places, np.tile(START[1], (41, 1)))
+    write_poses(toy / "poses.csv", {"tibia": tibia, "patella": patella})
+    fixed = "start = { fixed = { position_m = [-0.005, 0.001, 0.05] } }"
+    with pytest.raises(InputError) as told:
+        load(toy, changed(fixed, 'start = { body = "patella" }', LIGHT))
+    assert "the patella jumps from its first pose to where the others are (frames 1 to 2" in str(told.value)
+    assert "start_time_s in [motion]" in str(told.value)

@@ -147,7 +147,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
         first=jax.device_put(fans.first),
         lanes=jax.device_put(np.ascontiguousarray(corners.swapaxes(1, 2)).astype(own)),
         corners=jax.device_put(corners.reshape(-1, 9).astype(own)),
-        triangle=jax.device_put(np.where(index < 0, -1 - index, index).ravel().astype(np.int32)),
+        triangle=jax.device_put(_originals(index).ravel().astype(np.int32)),
         outward=jax.device_put(outward.astype(own)),
         rim=jax.device_put(rim),
         label=facets,
@@ -193,11 +193,10 @@ def _taken_together(corners: NDArray[np.float64], most: int) -> NDArray[np.float
     """
     vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     places = fans_of(corners, most, True).places
-    own, places = (places >= 0)[..., None], np.abs(places)  # others are copies
-    vector = np.where(own, vectors[places], 0.0)
+    vector = np.where(places[..., None] < 0, 0.0, vectors[_originals(places)])  # of copies nothing
     weight = np.linalg.norm(vector, axis=2, keepdims=True)
     vector, total = vector.sum(axis=1), weight.sum(axis=1)
-    middle = (weight * corners.mean(axis=1)[places]).sum(axis=1) / np.maximum(total, 1e-300)
+    middle = (weight * corners.mean(axis=1)[_originals(places)]).sum(axis=1) / np.maximum(total, 1e-300)
     area = np.linalg.norm(vector, axis=1, keepdims=True)
     normal = vector / np.maximum(area, 1e-300)
     aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
@@ -221,7 +220,12 @@ def _discs(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([middle, normal, radius.max(axis=1)[:, None], thick.max(axis=1)[:, None]], axis=1)
 
 
+def _originals(places: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The triangles themselves, also where a place holds a copy."""
+    return np.where(places < 0, -1 - places, places)
+
+
 def _packed_corners(triangles: NDArray[np.float64], fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Corners (leaves, lanes, 9), and the index of each place."""
-    source = np.where(fans.places < 0, -1 - fans.places, fans.places)
+    source = _originals(fans.places)
     return triangles[source].reshape(*source.shape, 9), fans.places

@@ -14,9 +14,9 @@ from pftwin.files.mocap.poses import PoseSeries
 
 _APART, _TURNED = 5e-3, np.radians(15.0)  # [m], [rad] that two frames of a good recording may differ by, however close
 _SPEED, _SPIN = 0.25, 6.0  # [m/s], [rad/s] at which a patella may move in the femur, and
-_FASTER = 8.0  # times its usual speed, the lower quartile: of two wrong frames in five four steps are wrong
+_FASTER = 8.0  # times its usual speed, the lower quartile: where two frames in five are wrong, four steps in five are
 _COASTS = 3  # frames for which it is taken to go on moving at that speed where others are skipped
-_BACK = 200  # frames that a series may skip
+_BACK = 200  # frames before each that are tried, and the end of the longest series before these
 _NAMED = 8  # stretches that are named
 
 
@@ -31,11 +31,15 @@ def jumps(poses: PoseSeries) -> NDArray[np.bool_]:
     usual = (float(np.quantile(a / interval, 0.25)) for a in (away, turn))
     speed, spin = (max(least, _FASTER * u) for least, u in zip((_SPEED, _SPIN), usual, strict=True))
     coasting = _COASTS * float(np.median(interval))
-    length, before = np.ones(n, int), np.full(n, -1)
+    length, before, longest = np.ones(n, int), np.full(n, -1), 0
     for k in range(1, n):
-        earlier = np.arange(max(k - _BACK, 0), k)
+        if k > _BACK and length[k - _BACK - 1] >= length[longest]:
+            longest = k - _BACK - 1
+        near = np.arange(max(k - _BACK, 0), k)
+        earlier = near if near[0] == 0 else np.append(near, longest)
         away, turn = _between(poses, earlier, k)
-        passed = np.minimum(times[k] - times[earlier], coasting)
+        passed = times[k] - times[earlier]
+        passed = np.where(earlier == k - 1, passed, np.minimum(passed, coasting))
         reached = (away <= _APART + speed * passed) & (turn <= _TURNED + spin * passed)
         if reached.any():
             best = earlier[reached][np.argmax(length[earlier[reached]])]

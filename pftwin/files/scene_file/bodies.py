@@ -100,9 +100,9 @@ def _first_pose(poses: PoseSeries, motion: KneeMotion, femur: PoseSeries | None)
         )
     if (odd := jumps(poses if femur is None else poses.relative_to(femur)))[0]:
         raise InputError(
-            f"the patella jumps from its first pose to where the others are ({in_words(odd)} are out of line)",
+            f"the patella jumps from its first pose to where most others are ({in_words(odd)} out of line)",
             where=poses.source,
             expected="a start where the patella was",
-            remedy="start_time_s in [motion], after those frames; or start = { fixed = ... }",
+            remedy=f"start_time_s = {poses.times[np.argmin(odd)]:g} in [motion]; or start = {{ fixed = ... }}",
         )
     return HostPose.of(np.asarray(poses.positions[0]), np.asarray(poses.quaternions[0]))

@@ -76,8 +76,8 @@ class MeasuredSection(Section):
         if (odd := jumps(poses)).any():
             center[odd], quaternions[odd] = np.nan, np.nan
             recording.notes.append(
-                f"{poses.source}: the patella's {in_words(odd)} of {odd.size} left out: it jumps there from where the "
-                "frames around have it"
+                f"{poses.source}: the patella's {in_words(odd)} of {odd.size} (from {poses.times[0]:g} s on) left out: "
+                "it jumps there from where the frames around have it"
             )
         return Measured(
             poses.times,

@@ -189,14 +189,16 @@ def _fans_and_features(
 def _taken_together(corners: NDArray[np.float64], most: int) -> NDArray[np.float64]:
     """Triangles (k, 3, 3) with the area vectors and the middles of up to so many neighbours of (n, 3, 3) each.
 
-    The force of a pressure that is linear in the place is the same on them.
+    On a plane a pressure that is linear in the place has the same force and moment on them, nearly so where they turn.
     """
     vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     places = fans_of(corners, most, True).places
     vector = np.where(places[..., None] < 0, 0.0, vectors[_originals(places)])  # of copies nothing
     weight = np.linalg.norm(vector, axis=2, keepdims=True)
     vector, total = vector.sum(axis=1), weight.sum(axis=1)
-    middle = (weight * corners.mean(axis=1)[_originals(places)]).sum(axis=1) / np.maximum(total, 1e-300)
+    middles = corners.mean(axis=1)[_originals(places)]
+    weighted = (weight * middles).sum(axis=1) / np.maximum(total, 1e-300)
+    middle = np.where(total > 0, weighted, middles.mean(axis=1))
     area = np.linalg.norm(vector, axis=1, keepdims=True)
     normal = vector / np.maximum(area, 1e-300)
     aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])

@@ -34,8 +34,9 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 Floats = NDArray[np.float64]
 
-_AROUND = 4e-3  # [m] how far the table reaches beyond the surface's extent, and its depth beyond the rim
-_MOST_NODES = 8_000_000
+_AROUND = 12e-3  # [m] how far the table reaches beyond the surface's extent: deeper than depths are looked for
+_BEYOND = 4e-3  # [m] how far from the rim depth goes on beyond it
+_MOST_NODES = 5_000_000  # 80 bytes each
 _ALLOWED = 5e-5  # [m] what a table's depths may be off by on the surface, rms
 _SHARPEST = 100.0  # [1/m] curvature of a joint's surface, at most
 _OFF = 0.1  # share of a cube's edge that a table's depth is off by, at most
@@ -129,11 +130,14 @@ def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = 
     if not 0 < spacing < np.inf:
         raise InputError(f"spacing {spacing!r}", where="distance_grid", expected="above 0 m")
     low = mesh.vertices.min(axis=0) - _AROUND
-    shape = np.ceil((mesh.vertices.max(axis=0) + _AROUND - low) / spacing).astype(int) + 1
-    if (nodes := int(np.prod(shape.astype(float)))) > _MOST_NODES:
+    cubes = np.ceil((mesh.vertices.max(axis=0) + _AROUND - low) / spacing)
+    with np.errstate(over="ignore"):
+        nodes = float(np.prod(cubes + 1))
+    if not nodes <= _MOST_NODES:
         least = 1e3 * spacing * (nodes / _MOST_NODES) ** (1 / 3)
-        found = f"{1e3 * spacing:.3g} mm: {nodes:,} nodes about {mesh.source}"
+        found = f"{1e3 * spacing:.3g} mm: {nodes:,.0f} nodes about {mesh.source}"
         raise InputError(found, where="distance_grid", expected=f"at least {least:.2f} mm")
+    shape = cubes.astype(int) + 1
     facets = np.zeros(len(mesh.faces), np.int32) if labels is None else np.asarray(labels, np.int32)
     made = cached(_tables, mesh.vertices, mesh.faces, facets, low, spacing, tuple(shape.tolist()), files=())
     cells, codes, off = made
@@ -152,9 +156,10 @@ def _tables(
     vertices: Floats, faces: NDArray[np.int64], facets: NDArray[np.int32], low: Floats, spacing: float, shape: Any
 ) -> tuple[NDArray[np.float32], NDArray[np.int8], float]:
     """The polynomials of all cells (cells, 20), the codes of all nodes, and by how much depths are off [m], rms."""
-    exact = pressed_surface(SurfaceMesh(vertices, faces))
     points = low + spacing * np.indices(shape).reshape(3, -1).T
-    depth, triangle, rim = (np.asarray(a) for a in _at_nodes(exact, jnp.asarray(points, dtype=float)))
+    with jax.enable_x64(True), jax.default_device(jax.devices("cpu")[0]):  # the same table for whoever asks
+        exact = pressed_surface(SurfaceMesh(vertices, faces))
+        depth, triangle, rim = (np.asarray(a) for a in _at_nodes(exact, jnp.asarray(points)))
     depth = depth.reshape(shape).astype(np.float64)
     slope = np.stack([np.gradient(depth, axis=axis) for axis in range(3)], axis=-1)  # for each cell's edge
     stacked = []
@@ -186,7 +191,7 @@ def _at_nodes(exact: PressedSurface, points: Array) -> tuple[Array, Array, Array
         feature = 7 * exact.triangle[place] + on.feature
         plane = (on.point - point).dot(Vec3.from_array(exact.outward[feature]))
         size, rim = jnp.sqrt(on.square), exact.rim[feature]
-        beyond = jnp.where(size < _AROUND, plane, -size)
+        beyond = jnp.where(size < _BEYOND, plane, -size)
         return place, (jnp.where(rim, beyond, jnp.where(plane < 0, -size, size)), exact.triangle[place], rim)
 
     return jax.lax.scan(one, jnp.int32(0), points)[1]

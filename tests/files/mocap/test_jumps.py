@@ -63,6 +63,20 @@ def test_stretches_are_found(frames):
         np.testing.assert_array_equal(np.flatnonzero(jumps(spoiled(list(frames), angle, away))), list(frames))
 
 
+def test_a_long_stretch_at_a_high_rate_costs_no_good_frames():
+    n, wrong = 1500, np.arange(600, 850)
+    places = np.outer(np.sin(np.linspace(0, np.pi, n)), [0.01, -0.025, 0.002])
+    turns = np.tile([1.0, 0, 0, 0], (n, 1))
+    turns[wrong] = [0.0, 1, 0, 0]
+    np.testing.assert_array_equal(np.flatnonzero(jumps(PoseSeries(np.arange(n) / 1e3, places, turns))), wrong)
+
+
+def test_where_no_frames_are_a_patella_may_move_on():
+    times = np.r_[np.arange(30), 30 + 60 + np.arange(30)] / 100
+    places = np.outer(times, [0.0, -0.06, 0.0])  # 6 cm/s: 36 mm in the gap
+    assert not jumps(PoseSeries(times, places, np.tile([1.0, 0, 0, 0], (60, 1)))).any()
+
+
 def test_frames_are_named_as_people_count_them():
     odd = np.isin(np.arange(70), [0, 4, 5, 6, 9])
     assert in_words(odd) == "frames 1, 5 to 7, 10"

@@ -126,7 +126,7 @@ def infer(
             entry = {"iteration": number + 1, "evaluations": (number + 1) * simulations, "best": best}
             history.append({**entry, "spread": float(np.exp(smaller.size - region.widest))})
             needed = _steps_needed(problem, one, substeps, [seed, number])
-            settled = smaller.like(region, _SETTLED) and (needed == substeps or _has_nuisance(problem))
+            settled = smaller.like(region, _SETTLED) and (needed == substeps or problem.objective.noise is None)
             reason = "the posterior no longer changes" if settled else f"still changing after round {number + 1}"
             found = Inferred(one.answer, one.noise, (number + 1) * simulations, dropped, substeps, history, reason)
             report(history[-1], rounds)
@@ -144,11 +144,12 @@ def infer(
 def _steps_needed(problem: Problem, one: _Round, substeps: int, seed: list[int]) -> int:
     """Steps between two frames that the next round needs: half as long ones leave the posterior where it is.
 
-    Where nuisance is drawn too, they are halved once a round while the motion is off by more than an answer may be:
-    steps that the other rule asks for there took the demo from four minutes to more than ten.
+    Where the noise is not stated but found in what simulations leave, the error of their steps is part of it: they are
+    halved once a round there, while the motion is off by more than an answer may be. (By the other rule the demo took
+    more than ten minutes.)
     """
     evaluator, there = problem.evaluator, one.answer.draws.mean(axis=0)
-    if _has_nuisance(problem):
+    if problem.objective.noise is None:
         errors = evaluator.step_errors(there, substeps, slopes=False)
         large = any(e.large for e in errors.values())
         return 2 * substeps if large and substeps < evaluator.first << HALVINGS else substeps
@@ -162,10 +163,6 @@ def _steps_needed(problem: Problem, one: _Round, substeps: int, seed: list[int])
             break
         substeps *= 2
     return substeps
-
-
-def _has_nuisance(problem: Problem) -> bool:
-    return problem.parameters.asked < len(problem.parameters)
 
 
 class _Round(NamedTuple):

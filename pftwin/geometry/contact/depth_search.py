@@ -29,7 +29,7 @@ class TouchingLeaves(NamedTuple):
     """Leaves of the button's tree in a list of fixed length; entries past the count mean nothing."""
 
     leaf: Array  # (width,) int32
-    place: Array  # (width, lanes) int32: where in the femur's tree the triangle nearest to each centroid is
+    place: Array  # (width, lanes) int32: of the triangle nearest to each centroid in the femur's tree; from a table 0
     total: Array  # () int32: how many there were, which may be more than the list holds
 
 

@@ -30,7 +30,7 @@ class Depths(NamedTuple):
 
     depth: Scalar  # [m], positive inside; meaningful where listed
     listed: Array  # bool: whether the entry counts
-    triangle: Array  # int32: of the button's mesh
+    triangle: Array  # int32: of the button's mesh, or the piece's number where triangles are taken together
     point: Vec3  # the triangle's centroid [m]
     local: Vec3  # the same in the button's frame [m]
     normal: Vec3  # unit, out of the femur: minus the depth's gradient with respect to the point

@@ -145,8 +145,7 @@ def _steps_needed(problem: Problem, one: _Round, substeps: int, seed: list[int])
     """Steps between two frames that the next round needs: half as long ones leave the posterior where it is.
 
     Where the noise is not stated but found in what simulations leave, the error of their steps is part of it: they are
-    halved once a round there, while the motion is off by more than an answer may be. (By the other rule the demo took
-    more than ten minutes.)
+    halved once a round there, while the motion is off by more than an answer may be.
     """
     evaluator, there = problem.evaluator, one.answer.draws.mean(axis=0)
     if problem.objective.noise is None:

@@ -53,7 +53,7 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
     theta = np.asarray(state["best_theta"])
     try:
         problem = _weighed(problem, theta)
-        left = settle(problem.evaluator, lambda n: _told(problem, theta, n)) if search.rough else 0.0
+        left = settle(problem.evaluator, lambda n: told_at(problem, theta, n)) if search.rough else 0.0
         problem = _weighed(problem, theta)
         again = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
     except KeyboardInterrupt:  # before it had an answer
@@ -124,7 +124,7 @@ class Told(NamedTuple):
         return float(0.5 * (np.trace(spread) - len(off) + off @ other.precision @ off + determinants))
 
 
-def _told(problem: Problem, theta: Floats, substeps: int) -> Told | None:
+def told_at(problem: Problem, theta: Floats, substeps: int) -> Told | None:
     """By the quadratic model at these parameters; None where no motion comes out."""
     seen, target, p = problem.prediction(theta, substeps), problem.objective, problem.parameters
     if not seen.usable[0] or seen.slopes is None:

@@ -22,7 +22,7 @@ from pftwin.geometry.contact.depths import REACH, Depths, depths_in
 from pftwin.geometry.contact.distance_grid import DistanceGrid
 from pftwin.model.effects.foundation_law import FoundationLaw
 
-TOGETHER = 256  # triangles of the button summed at once
+PIECE = 16  # leaves of the button summed at once
 
 
 class Bedded(eqx.Module):
@@ -89,7 +89,7 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
             )
             return _added_sums(so_far, more), None
 
-        starts = jnp.arange(0, at.button.leaves, _leaves_together(at), dtype=jnp.int32)
+        starts = jnp.arange(0, at.button.leaves, PIECE, dtype=jnp.int32)
         return jax.lax.scan(piece, _zero_sums(at), starts)[0]
 
     return jax.jvp(total, (moving,), (changes,))
@@ -98,13 +98,9 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
 def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Sums:
     def piece(state: tuple[Array, Sums]) -> tuple[Array, Sums]:
         start, so_far = state
-        return start + _leaves_together(at), _added_sums(so_far, _sums_over_leaves(at, found, start))
+        return start + PIECE, _added_sums(so_far, _sums_over_leaves(at, found, start))
 
     return jax.lax.while_loop(lambda s: s[0] < found.total, piece, (jnp.zeros((), jnp.int32), _zero_sums(at)))[1]
-
-
-def _leaves_together(at: Bedded) -> int:
-    return min(TOGETHER // at.button.lanes, at.button.leaves)
 
 
 def _zero_sums(at: Bedded) -> Sums:
@@ -124,9 +120,8 @@ def _added_sums(one: Sums, other: Sums) -> Sums:
 def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     """Sums over some of the leaves."""
     # The last piece begins early enough to be full, and counts only leaves that no other piece has counted.
-    together = _leaves_together(at)
-    first = jnp.minimum(start, at.button.leaves - together)
-    leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, together) for x in found[:2])
+    first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))
+    leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, min(PIECE, at.button.leaves)) for x in found[:2])
     number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
     there = (number >= start) & (number < found.total)
     d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there, overflow=jnp.zeros((), bool))

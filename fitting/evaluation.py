@@ -6,10 +6,11 @@ equilibria, never from the last iterate's. So a resumed fit takes the same cours
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,7 @@ from pftwin.dynamics.frame_states import substeps_for
 from pftwin.model.scene import Scene
 
 Floats = NDArray[np.float64]
+T = TypeVar("T")
 
 CHUNK = 32  # variants evaluated at once by default
 _WITH_SLOPES = 16  # the same, with derivatives, at most
@@ -106,7 +108,9 @@ class Evaluator:
     def prepare(self, widest: int | None) -> None:
         """Sets the batch size from the largest request without derivatives; None: there will be no such request."""
         self._with_plain = widest is not None
-        if self._accelerated:
+        if self.in_turns:
+            self.chunk = 1
+        elif self._accelerated:
             self.chunk = _ACCELERATED
         elif widest is not None:
             threads = _PARTS if self._count == 1 and widest >= _PARTS * _FEWEST else 1
@@ -217,8 +221,15 @@ class Evaluator:
         return np.concatenate(parts)
 
     @property
+    def in_turns(self) -> bool:
+        """Whether a call takes its variants one after another: then several in one cost as much as several calls."""
+        return not self._accelerated and any(e.in_turns for e in self.scene.effects)
+
+    @property
     def slope_chunk(self) -> int:
         """Variants in one call with derivatives."""
+        if self.in_turns:
+            return 1
         columns = _ACCELERATED_COLUMNS if self._accelerated else _COLUMNS
         return max(1, min(_WITH_SLOPES, columns // len(self.parameters)))
 
@@ -236,12 +247,7 @@ class Evaluator:
             out = self._run(full, self.guesses(full), substeps, slopes)
             return [None if a is None else a[: len(part)] for a in out[:3]]
 
-        pieces = [theta[i : i + width] for i in range(0, len(theta), width)]
-        if len(pieces) == 1 or self._threads == 1:
-            parts = list(map(one, pieces))
-        else:  # XLA runs a loop of small operations on one core; other cores take other pieces
-            with ThreadPoolExecutor(min(len(pieces), self._threads)) as pool:
-                parts = list(pool.map(one, pieces))
+        parts = self._at_once(one, [theta[i : i + width] for i in range(0, len(theta), width)])
         values, slope, found = (None if a[0] is None else np.concatenate(a) for a in zip(*parts, strict=True))
         assert values is not None
         assert found is not None
@@ -281,18 +287,29 @@ class Evaluator:
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
         members = self.parameters.scattered(_CLOUD, np.random.default_rng(_SEED))
         members = np.concatenate([self.parameters.nominal[None], members])
-        where, poses, guess = np.zeros((0, len(self.parameters))), [], start
-        for i in range(0, len(members), width):
-            part = _filled(members[i : i + width], width)
+        parts = [_filled(members[i : i + width], width) for i in range(0, len(members), width)]
+
+        def settled(part: Floats, guess: Pose) -> tuple[NDArray[np.bool_], Pose]:
             _, _, found, pose = self._run(part, _picked(guess, np.zeros(width, int)), 0, slopes)
-            pose = jax.tree.map(np.asarray, pose)
-            if not poses:  # the nominal one; if it was not found, the scene's start stands in
-                guess = jax.tree.map(lambda a: a[:1], pose) if found[0] else start
-                where, poses = self.parameters.share(part[:1]), [guess]
-            keep = np.flatnonzero(found)
-            where = np.concatenate([where, self.parameters.share(part[keep])])
-            poses.append(jax.tree.map(lambda a, keep=keep: a[keep], pose))
-        return where, jax.tree.map(lambda *a: np.concatenate(a), *poses)
+            return found, jax.tree.map(np.asarray, pose)
+
+        first, poses = settled(parts[0], start)
+        # The nominal one; if it was not found, the scene's start stands in.
+        guess = jax.tree.map(lambda a: a[:1], poses) if first[0] else start
+        others = self._at_once(lambda part: settled(part, guess), parts[1:])
+        where, found = [self.parameters.share(parts[0][:1])], [guess]
+        for part, (there, pose) in zip(parts, [(first, poses), *others], strict=True):
+            keep = np.flatnonzero(there)
+            where.append(self.parameters.share(part[keep]))
+            found.append(jax.tree.map(lambda a, keep=keep: a[keep], pose))
+        return np.concatenate(where), jax.tree.map(lambda *a: np.concatenate(a), *found)
+
+    def _at_once(self, run: Callable[[Floats], T], pieces: Sequence[Floats]) -> list[T]:
+        """What is computed of each piece; XLA runs a loop of small operations on one core, so others take others."""
+        if len(pieces) < 2 or self._threads == 1:
+            return list(map(run, pieces))
+        with ThreadPoolExecutor(min(len(pieces), self._threads)) as pool:
+            return list(pool.map(run, pieces))
 
 
 def _filled(rows: Floats, width: int) -> Floats:

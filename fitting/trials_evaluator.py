@@ -69,6 +69,11 @@ class TrialsEvaluator:
         return max(self._of_the_first(each, each.fine) for each in self.evaluators)
 
     @property
+    def in_turns(self) -> bool:
+        """As `Evaluator.in_turns`, of any trial."""
+        return any(each.in_turns for each in self.evaluators)
+
+    @property
     def slope_chunk(self) -> int:
         """As `Evaluator.slope_chunk`."""
         return self.evaluators[0].slope_chunk

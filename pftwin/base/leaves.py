@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +24,14 @@ def number(value: ArrayLike) -> Scalar:
 def vector(values: ArrayLike) -> Vec3:
     """Vectors along the last axis (..., 3), likewise."""
     return Vec3(*(number(np.asarray(values)[..., k]) for k in range(3)))
+
+
+def what_changes(values: Tree, changes: Any) -> tuple[Tree, Tree]:
+    """The values for which a rule for derivatives gets changes, and the others; None in place of what is in the other.
+
+    A zero for each entry of a table that does not change would be read and copied as the table is.
+    """
+    return eqx.partition(values, jax.tree.map(lambda c: c is not None, changes, is_leaf=lambda c: c is None))
 
 
 def all_changes(values: Tree, changes: Any) -> Tree:

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.leaves import what_changes
 from pftwin.base.spatial import Scalar, Vec3
 
 Lower = list[list[Scalar]]  # row i holds columns 0..i
@@ -139,8 +140,7 @@ def tangent_of(residual: Callable[[Six], Six], x: Six) -> Array:
 
 def changed_by(function: Callable[[Any], Any], values: Any, changes: Any) -> Any:
     """The change of function(values) for given changes of the values; None marks a value that does not change."""
-    known = jax.tree.map(lambda c: c is not None, changes, is_leaf=lambda c: c is None)
-    moving, still = eqx.partition(values, known)
+    moving, still = what_changes(values, changes)
     return jax.jvp(lambda m: function(eqx.combine(m, still)), (moving,), (changes,))[1]
 
 

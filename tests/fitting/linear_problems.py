@@ -75,6 +75,7 @@ def problem(
         fine=1,
         coarse=1,
         slope_chunk=1,
+        in_turns=False,
         scenes=(SimpleNamespace(motion=SimpleNamespace(frame_interval=0.01)),),
         step_errors=lambda theta, substeps, slopes: {},
     )

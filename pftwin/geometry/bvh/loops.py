@@ -98,6 +98,17 @@ def written_where(
 # one piece of code that goes over all members' answers for every member.
 
 
+@custom_vmap
+def most_in_batch(count: Array) -> Array:
+    """The largest of a batch's counts (), the same for every member: what depends on it alone needs no masks."""
+    return count
+
+
+@most_in_batch.def_vmap
+def _most_of_all(_size: int, _is_batched: Any, counts: Array) -> tuple[Array, bool]:
+    return most_in_batch(jnp.max(counts, axis=0)), False
+
+
 Packed = dict[str, Array]  # by the type of number
 
 

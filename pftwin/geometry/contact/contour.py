@@ -21,11 +21,11 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from pftwin.base.leaves import all_changes
+from pftwin.base.leaves import all_changes, what_changes
 from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.corners import ray_depth
 from pftwin.geometry.bvh.deepest import Deepest, DepthSearch, depth_search
-from pftwin.geometry.bvh.loops import member_by_member
+from pftwin.geometry.bvh.loops import member_by_member, most_in_batch
 from pftwin.geometry.bvh.pairs import PairListLengths, Pairs, PairSearch, pair_search
 from pftwin.geometry.bvh.triangle import Triangle, crossing
 from pftwin.geometry.contact.contact_mesh import ContactMesh
@@ -192,10 +192,10 @@ def _over_found(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) 
 
 def _over_room(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> T:
     """The same over all that there is room for, for JAX to differentiate."""
-    nothing = _zero_sums(of_piece, meshes, X_AB, pairs)
+    nothing, most = _zero_sums(of_piece, meshes, X_AB, pairs), most_in_batch(pairs.count)
 
     def add(total: T, start: Array) -> tuple[T, None]:
-        more = jax.lax.cond(start < pairs.count, lambda: of_piece(meshes, X_AB, pairs, start), lambda: nothing)
+        more = jax.lax.cond(start < most, lambda: of_piece(meshes, X_AB, pairs, start), lambda: nothing)
         return jax.tree.map(jnp.add, total, more), None
 
     return jax.lax.scan(add, nothing, jnp.arange(0, pairs.a.shape[0], PIECE, dtype=jnp.int32))[0]
@@ -203,8 +203,8 @@ def _over_room(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) -
 
 def _jvp_over_room(of_piece: Piece[T], primals: Any, tangents: Any) -> tuple[T, T]:
     meshes, X_AB, pairs = primals
-    moving, still = eqx.partition((meshes, X_AB), eqx.is_inexact_array)
-    changes = all_changes(moving, tuple(tangents[:2]))
+    changes = tuple(tangents[:2])
+    moving, still = what_changes((meshes, X_AB), changes)
 
     def sums(moving: Any) -> T:
         meshes, X_AB = eqx.combine(moving, still)

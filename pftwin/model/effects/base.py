@@ -235,6 +235,7 @@ class Effect(eqx.Module):
     observables: ClassVar[dict[str, Observable]] = {}
     jumps: ClassVar[bool] = False  # whether the force jumps as the pose changes: then there need be no equilibrium
     is_weight: ClassVar[bool] = False  # whether it is the patella's weight
+    in_turns: ClassVar[bool] = False  # whether the members of a batch search for it one after another on a CPU
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)

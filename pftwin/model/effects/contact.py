@@ -286,6 +286,8 @@ class ButtonMesh(Contact):
     Subclasses declare this and `surface`, a smooth stand-in that tells where the groove is.
     """
 
+    in_turns: ClassVar[bool] = True
+
     if TYPE_CHECKING:  # fields of the subclasses, in their own order
 
         @property

@@ -1,7 +1,8 @@
 """Sums over an elastic foundation's triangles in contact.
 
 A loop over the pieces of the button that reach into the femur ends with the last of them, so a light touch costs little
-and no list can overflow. Under derivatives the loop runs over the whole button and skips pieces without contact.
+and no list can overflow. Under derivatives the loop runs over the whole button and skips pieces that no member of a
+batch has in contact.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.base.leaves import all_changes
+from pftwin.base.leaves import what_changes
 from pftwin.base.spatial import Rotation, Scalar, Vec3
-from pftwin.geometry.bvh.loops import member_by_member
+from pftwin.geometry.bvh.loops import member_by_member, most_in_batch
 from pftwin.geometry.contact.depth_search import TouchingLeaves
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import REACH, Depths, depths_in
@@ -77,22 +78,20 @@ def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Sums:
 @_sum_contacts.def_jvp
 def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
     at, found = primals
-    moving, still = eqx.partition(at, eqx.is_inexact_array)
-    changes = all_changes(moving, tangents[0])
+    moving, still = what_changes(at, tangents[0])
+    most = most_in_batch(found.total)
 
     def total(moving: Any) -> Sums:
         at = eqx.combine(moving, still)
 
         def piece(so_far: Sums, start: Array) -> tuple[Sums, None]:
-            more = jax.lax.cond(
-                start < found.total, lambda: _sums_over_leaves(at, found, start), lambda: _zero_sums(at)
-            )
+            more = jax.lax.cond(start < most, lambda: _sums_over_leaves(at, found, start), lambda: _zero_sums(at))
             return _added_sums(so_far, more), None
 
         starts = jnp.arange(0, at.button.leaves, PIECE, dtype=jnp.int32)
         return jax.lax.scan(piece, _zero_sums(at), starts)[0]
 
-    return jax.jvp(total, (moving,), (changes,))
+    return jax.jvp(total, (moving,), (tangents[0],))
 
 
 def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Sums:

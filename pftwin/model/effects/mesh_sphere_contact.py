@@ -34,6 +34,7 @@ class MeshSphereContact(ButtonSphere):
     radius: Scalar = eqx.field(metadata=quantity("m", positive=True, words="radius of the button"))
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
     method: ClassVar[str] = "nearest"
+    in_turns: ClassVar[bool] = True
     observables: ClassVar[dict[str, Observable]] = {
         **BY_FACET,
         "off_patch": Observable("m", "how far sideways past the mesh's rim the sphere's centre lies, where loaded"),

@@ -15,7 +15,7 @@ from fitting.evaluation import Prediction, StepError
 from fitting.methods.problem import Method, Problem, State
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
-from fitting.programs import POSITION
+from fitting.programs import ORIENTATION, POSITION, TURNS
 from fitting.sensors import Sensors
 from fitting.time_shift import TimeShift, late_channels, time_shifts
 from fitting.trials import said_of_trials, trial_names
@@ -255,9 +255,10 @@ def judge(estimate: Estimate) -> None:
 
 
 def _rmse(target: Objective, r: Floats) -> dict[str, float]:
-    """Of residuals (n, m), by channel and, of positions, by axis; nothing of what was not measured."""
+    """Of residuals (n, m), by channel and, of positions and turns, by axis; nothing of what was not measured."""
     squares, counts = np.sum(r**2, axis=0), target.present.sum(axis=0)
     parts = {channel: rows for channel, _, rows in target.columns() if counts[rows.start]}
-    if POSITION in parts:
-        parts |= {axis: slice(i, i + 1) for i, axis in enumerate("XYZ", parts[POSITION].start)}
+    for channel, names in ((POSITION, "XYZ"), (ORIENTATION, TURNS)):
+        if channel in parts:
+            parts |= {name: slice(i, i + 1) for i, name in enumerate(names, parts[channel].start)}
     return {name: float(np.sqrt(squares[rows].sum() / counts[rows].sum())) for name, rows in parts.items()}

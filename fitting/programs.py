@@ -32,6 +32,7 @@ from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import numbered_elements
 
 POSITION, ORIENTATION = "position", "orientation"
+TURNS = ("tilt", "flexion", "rotation")  # about the patella's axes x, y, z
 
 
 def channels_of(scene: Scene) -> tuple[str, ...]:

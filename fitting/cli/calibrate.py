@@ -16,6 +16,7 @@ from fitting.cli.fit import (
     NuisanceOption,
     UseOption,
     VariesOption,
+    bounds_of,
     channels_in,
     check_limits,
     deviations_between,
@@ -52,7 +53,7 @@ def calibrate(
         ),
     ] = None,
     free: FreeOption = "K1,L1,K2,L2",
-    bounds: BoundsOption = 0.3,
+    bounds: BoundsOption = None,
     use: UseOption = "position",
     noise: NoiseOption = None,
     nuisance: NuisanceOption = None,
@@ -100,7 +101,7 @@ def calibrate(
     check_suffix(output, [".json"], "calibrations are JSON")
     if widen is not None:
         check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
-    asked = {"free": names_in(free), "bounds": bounds, "noise": noise_levels(noise), "nuisance": nuisance}
+    asked = {"free": names_in(free), "bounds": bounds_of(bounds), "noise": noise_levels(noise), "nuisance": nuisance}
     asked |= {"use": channels_in(use), "varies": deviations_between(varies)}
     _check_what(trained, method, asked, widen)
     check_outputs(output, widen, json)

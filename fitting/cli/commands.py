@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fitting.cli import before, calibrate, cohort, demo, fit, treat
+from fitting.cli import before, calibrate, cohort, demo, fit, predict, treat
 from fitting.cli.live import command as live
 from fitting.cli.report import command as report
 from pftwin.cli.plugins import Command
@@ -10,6 +10,7 @@ from pftwin.cli.plugins import Command
 COMMANDS = (
     Command("demo", demo.demo, "The whole story on the virtual rig, beside the paper", "Start", 10),
     Command("fit", fit.fit, "Tendons from motion capture, with intervals", "Fit", 10),
+    Command("predict", predict.predict, "A fitted knee in another recording, with bands", "Fit", 15),
     Command("plan-experiment", before.plan_experiment, "What an experiment can tell, before it is made", "Fit", 20),
     Command(
         "train-posterior", before.train_posterior, "Once for a set-up: a posterior that answers at once", "Fit", 30

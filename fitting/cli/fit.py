@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,7 +22,13 @@ if TYPE_CHECKING:
 
 FreeOption = Annotated[str, Option("--free", metavar="NAMES", help='Parameters, with commas: "K1,L1,contact.radius".')]
 BoundsOption = Annotated[
-    float, Option("--bounds", metavar="SHARE", help="To either side, as a share of the nominal value.")
+    list[str] | None,
+    Option(
+        "--bounds",
+        metavar="SHARE|NAME=LOW:HIGH",
+        help="To either side, as a share of the nominal value (0.3 if left out); or of one parameter, in its unit:"
+        " may be repeated.",
+    ),
 ]
 UseOption = Annotated[
     str,
@@ -59,11 +66,20 @@ LimitOption = Annotated[
         " trained_noise or set_up.",
     ),
 ]
+DuringOption = Annotated[
+    list[str] | None,
+    Option(
+        "--during",
+        metavar="FROM:TO",
+        help="Only what was measured in this span of time [s] is compared; may be repeated.",
+    ),
+]
+_SHARE = 0.3  # of bounds, by default
 _AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
     "method": "least_squares",
     "objective": "likelihood",
     "free": ("K1", "L1", "K2", "L2"),
-    "bounds": 0.3,
+    "bounds": _SHARE,
     "use": ("position",),
     "loss": "linear",
     "resume": False,
@@ -86,12 +102,13 @@ def fit(
     ] = "least_squares",
     objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
     free: FreeOption = "K1,L1,K2,L2",
-    bounds: BoundsOption = 0.3,
+    bounds: BoundsOption = None,
     use: UseOption = "position",
     noise: NoiseOption = None,
     loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
     nuisance: NuisanceOption = None,
     varies: VariesOption = None,
+    during: DuringOption = None,
     limit: LimitOption = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
@@ -115,6 +132,7 @@ def fit(
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
     levels, allowed, apart = noise_levels(noise), check_limits(limit), deviations_between(varies)
+    spans = time_spans(during)
     trials = knee.load()
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.measured is None:
@@ -125,7 +143,7 @@ def fit(
         "method": method,
         "objective": objective,
         "free": names_in(free),
-        "bounds": bounds,
+        "bounds": bounds_of(bounds),
         "use": channels_in(use),
         "noise": levels,
         "loss": loss,
@@ -136,7 +154,7 @@ def fit(
         "seed": seed,
         **({} if starts is None else {"starts": starts}),
     }
-    scenes = [trial.scene for trial in trials]
+    scenes = [within(trial.scene, spans) for trial in trials]
     estimate = _fitted(scenes, asked, allowed) if trained is None else _answered(trained, scenes, asked, allowed)
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
@@ -249,6 +267,24 @@ def names_in(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
+def bounds_of(given: list[str] | None) -> float | dict[str, tuple[float, float]]:
+    """A share, or bounds by name, from "0.3" or "name=low:high"; InputError for anything else."""
+    by_name = {}
+    for text in given or []:
+        name, _, pair = (part.strip() for part in text.rpartition("="))
+        try:
+            if not name and len(given or []) == 1:
+                return float(pair)
+            low, high = (float(value) for value in pair.split(":"))
+        except ValueError:
+            name = ""
+        if not name or name in by_name:
+            expected = 'a share, such as 0.3; or "L1=0.03:0.05", each parameter once'
+            raise InputError(f"found {text!r}", where="--bounds", expected=expected)
+        by_name[name] = (low, high)
+    return by_name or _SHARE
+
+
 def noise_levels(given: list[str] | None) -> dict[str, float] | None:
     """Standard deviations from "channel=sd"; InputError for anything else."""
     return _deviations(given, "--noise", "position=2e-4")
@@ -270,6 +306,25 @@ def _deviations(given: list[str] | None, option: str, example: str) -> dict[str,
         except ValueError:
             raise InputError(f"found {text!r}", where=option, expected=f'such as "{example}"') from None
     return found or None
+
+
+def time_spans(given: list[str] | None) -> list[tuple[float, float]]:
+    """Spans from "from:to"; InputError for anything else."""
+    found = []
+    for text in given or []:
+        try:
+            first, last = (float(value) for value in text.split(":"))
+        except ValueError:
+            raise InputError(f"found {text!r}", where="--during", expected='such as "0:0.5"') from None
+        found.append((first, last))
+    return found
+
+
+def within(scene: Scene, spans: list[tuple[float, float]]) -> Scene:
+    """The scene with measurements in these spans alone; with all of them where there are none."""
+    if not spans or scene.measured is None:
+        return scene
+    return replace(scene, measured=scene.measured.during(spans))
 
 
 def check_limits(given: list[str] | None) -> dict[str, tuple[float, float]] | None:

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +24,7 @@ from fitting.evaluation import Evaluator, Prediction
 from fitting.methods.bounded_steps import bounded_steps
 from fitting.objective import Normal, Objective
 from fitting.parameters import Parameters
+from fitting.programs import POSITION
 from fitting.trials_evaluator import TrialsEvaluator
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
@@ -73,7 +75,12 @@ class Problem:
             parameters: what is free in each: `fitting.trials.free_in_trials`.
             objective: all measurements: `fitting.trials.joined_objective`.
             computed: as `Evaluator` has it; `devices` too.
+
+        Raises:
+            InputError: a free number that moves the point of the patella whose path was measured.
         """
+        if POSITION in objective.channels:
+            _refuse_moved_point(scenes[0], parameters[0])
         own = [
             Evaluator(scene, free.shared, objective.channels, computed=computed, devices=devices)
             for scene, free in zip(scenes, parameters, strict=True)
@@ -133,6 +140,19 @@ class Problem:
         for array in (*jax.tree.leaves(arrays), o.measured, o.present, *weights):
             total.update(np.ascontiguousarray(array).tobytes())
         return total.hexdigest()
+
+
+def _refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
+    """Measured is the path of one point of the patella; where a number moves that point, it fits any path."""
+    for p in parameters.items:
+        if scene.contact is None or p.place.owner != scene.contact.name:
+            continue
+        there = (p.place.written(scene, jnp.asarray(v, float)) for v in (p.lower, p.upper))
+        low, high = (np.asarray(s.tracked_point().array()) for s in there)
+        if np.abs(high - low).max() > 0:
+            found = f"{p.name} moves the point of the patella whose path was measured"
+            remedy = f"{p.place.owner}.placement of an elastic foundation, which leaves the point where it is"
+            raise InputError(found, where="free", expected="numbers that leave it where it is", remedy=remedy)
 
 
 State = dict[str, Any]  # arrays, numbers, strings and None: everything a method knows, so that a checkpoint can hold it

@@ -8,7 +8,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from typer import Argument, Option
 
@@ -86,8 +86,15 @@ class Chosen:
         return self.scene.measured
 
 
-def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> Chosen:
-    """Loads the scene file or the rig's case, with another contact if one is named; InputError where it cannot."""
+def chosen_scene(
+    scene: Path | None,
+    case: int | None,
+    contact: str | None,
+    motion: Path | None = None,
+    rate: float | None = None,
+) -> Chosen:
+    """Loads the scene file or the rig's case, with another contact or motion if one is named; InputError where it
+    cannot."""
     if (scene is None) == (case is None):
         found = "both a scene file and --case" if scene is not None else "neither a scene file nor --case"
         raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")
@@ -107,12 +114,15 @@ def chosen_scene(scene: Path | None, case: int | None, contact: str | None) -> C
         from pftwin.files.scene_file import load_scene_file
 
         with spinner(f"reading {scene}"):
-            loaded = load_scene_file(scene, contact=contact, allow_outside=allow_outside.get(), limits=limits.get())
+            own: dict[str, Any] = {"allow_outside": allow_outside.get(), "limits": limits.get()}
+            loaded = load_scene_file(scene, contact=contact, motion=motion, rate=rate, **own)
         for note in loaded.notes:
             tell(note, "dim")
         return Chosen(loaded.scene, contact or _contact(loaded.scene), loaded.button, loaded.side_as_given)
     from pftwin import rig
 
+    if motion is not None:
+        raise InputError("another motion of the virtual rig", where="--motion", expected="a scene file")
     assert case is not None
     with spinner(f"preparing case {case} of the virtual rig"):
         name = contact or "P5"
@@ -130,6 +140,29 @@ class SceneOptions:
     def load(self) -> Chosen:
         """Loads the scene; InputError where it cannot."""
         return chosen_scene(self.scene, self.case, self.contact)
+
+
+@dataclass(frozen=True)
+class RecordingOptions(SceneOptions):
+    """Also another recording of the same knee."""
+
+    motion: Annotated[
+        Path | None,
+        Option(
+            "--motion",
+            metavar="FILE",
+            help="Another recording of the same knee in place of the scene's: poses or markers of the same names.",
+        ),
+    ] = None
+    rate: Annotated[
+        float | None, Option("--rate", metavar="HZ", min=1e-3, help="Its frames per second, where times count frames.")
+    ] = None
+
+    def load(self) -> Chosen:
+        """Loads the scene; InputError where it cannot."""
+        if self.rate is not None and self.motion is None:
+            raise InputError("a rate without --motion", where="--rate", expected="both")
+        return chosen_scene(self.scene, self.case, self.contact, self.motion, self.rate)
 
 
 TrialsArgument = Annotated[

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,22 @@ class Measured:
                 found = f"row {bad[0] + 1} of weights is {weights[bad[0]]:g}"
                 raise InputError(found, where=self.source, expected="0 or more: 0 leaves the frame out")
             object.__setattr__(self, "weights", weights)
+
+    def during(self, spans: Sequence[tuple[float, float]]) -> Measured:
+        """The same, with weights of 0 outside of these spans of time [s].
+
+        Raises:
+            InputError: a span that ends before it starts, or all of them without a frame.
+        """
+        inside = np.zeros(self.times.size, bool)
+        for first, last in spans:
+            if not first <= last:
+                raise InputError(f"found {first:g}:{last:g}", where="during", expected="FROM:TO in seconds")
+            inside |= (self.times >= first) & (self.times <= last)
+        if not inside.any():
+            found = f"no frame of {self.times[0]:g} s to {self.times[-1]:g} s"
+            raise InputError(found, where="during", expected="spans of the recording")
+        return replace(self, weights=np.where(inside, 1.0 if self.weights is None else self.weights, 0.0))
 
     @staticmethod
     def from_angles(

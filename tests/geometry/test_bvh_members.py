@@ -11,7 +11,7 @@ import pytest
 from jax.extend.core import jaxprs_in_params
 from jaxtyping import Array
 
-from pftwin.geometry.bvh.loops import member_by_member
+from pftwin.geometry.bvh.loops import member_by_member, most_in_batch
 
 cpu_only = pytest.mark.skipif(jax.default_backend() != "cpu", reason="elsewhere batches are worked on at once")
 
@@ -63,3 +63,16 @@ def _equations(jaxpr):
         yield e
         for inner in jaxprs_in_params(e.params) if e.primitive.name != "scan" else ():
             yield from _equations(inner)
+
+
+def test_the_most_of_a_batch_is_one_number_for_all():
+    counts = jnp.array([[3, 9, 4], [7, 2, 5]], jnp.int32)
+    found = jax.vmap(jax.vmap(lambda c: (c, most_in_batch(c))))(counts)
+    np.testing.assert_array_equal(found[1], np.full((2, 3), 9))
+    assert int(most_in_batch(counts[0, 0])) == 3
+
+    def branch(c: Array) -> Array:
+        return jax.lax.cond(most_in_batch(c) > 5, lambda: 1.0, lambda: 2.0)
+
+    # A branch is taken; by a condition of each member's own both would be.
+    assert "cond" in str(jax.make_jaxpr(jax.vmap(branch))(counts[0]))

@@ -192,3 +192,13 @@ def _of_plane(triangles, vectors, spring, pose):
 def test_a_table_that_is_no_use_is_refused(spacing, words):
     with pytest.raises(InputError, match=words):
         distance_grid(ball(), spacing)
+
+
+def test_slopes_are_continuous_from_cube_to_cube():
+    """Along a line through cubes of a coarse table, in steps of 1 um: slopes that jumped would jump by degrees."""
+    table, start = grid(3e-3), CENTER + np.array([-0.006, 0.004, RADIUS - 3e-3])
+    along = start + np.arange(9000)[:, None] * 1e-6 * np.array([0.8, -0.5, 0.33])
+    depth, normal, *_ = below(table, jnp.asarray(along))
+    assert np.abs(np.diff(np.asarray(depth), n=2)).max() < 2e-9
+    turned = np.linalg.norm(np.diff(np.asarray(normal), axis=0), axis=1)
+    assert turned.max() < 3e-4

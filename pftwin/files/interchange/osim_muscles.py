@@ -16,7 +16,6 @@ from pftwin.files.interchange.osim_model import OsimModel, plain_name
 
 Floats = NDArray[np.float64]
 
-TENSIONS = "tensions.csv"
 _BODIES = ("femur", "tibia", "ground")
 _STRENGTH = "max_isometric_force"
 _POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
@@ -99,13 +98,6 @@ def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str
         raise InputError("no muscle of the patella can have a tension", where="quadriceps", expected=expected)
     whole = sum(m.strength or 0.0 for m in taken)
     return {m.name: total * (m.strength or 0.0) / whole for m in taken}
-
-
-def tensions_csv(times: Floats, tensions: dict[str, float]) -> str:
-    """time_s and LINE_tension_N, the same from the first frame to the last."""
-    head = ",".join(["time_s", *(f"{plain_name(name)}_tension_N" for name in tensions)])
-    row = ",".join(f"{newtons:.12g}" for newtons in tensions.values())
-    return "\n".join([head, *(f"{t:.12g},{row}" for t in (times[0], times[-1]))]) + "\n"
 
 
 def _point(values: Floats) -> str:

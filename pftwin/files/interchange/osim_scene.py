@@ -23,11 +23,9 @@ from pftwin.files.interchange.osim_model import (
     read_model,
 )
 from pftwin.files.interchange.osim_muscles import (
-    TENSIONS,
     PatellarMuscle,
     muscles_of,
     shared_tensions,
-    tensions_csv,
 )
 
 if TYPE_CHECKING:
@@ -125,10 +123,7 @@ def import_osim(
     told.left_out += _unused_elements(root, told)
     pulling = [m for m in muscles if m.name in tensions]
     text = scene_text(found, knee, strands, contact, pressing, told, measured=moved.measured, muscles=pulling)
-    poses = {knee.part(b): p for b, p in moved.poses.items()}
-    tables = {"poses.csv": poses_csv(moved.times, poses)}
-    if tensions:
-        tables[TENSIONS] = tensions_csv(moved.times, tensions)
+    tables = {"poses.csv": poses_csv(moved.times, moved.poses)}
     _write(Path(folder), text, tables, [*pressing, *drawn], told)
     return told
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from pftwin.files.interchange.osim_knee import OsimKnee, Written
 from pftwin.files.interchange.osim_model import LeftOut, OsimContact, OsimLigament, OsimModel, plain_name
-from pftwin.files.interchange.osim_muscles import TENSIONS, PatellarMuscle
+from pftwin.files.interchange.osim_muscles import PatellarMuscle
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
@@ -70,7 +71,8 @@ def scene_text(
         axes=AXES[knee.side],
         patella=body,
         measured=measured,
-        tensions=TENSIONS,
+        bodies={knee.part(body): body_label(body) for body in (knee.femur, knee.tibia, knee.patella)},
+        tensions=told.tensions,
         pulling=_free_name([label for label, _, _ in _labelled(strands)]),
         muscles=[(body, [m for m in muscles if m.body == body]) for body in dict.fromkeys(m.body for m in muscles)],
         ligaments=_labelled(strands),
@@ -98,9 +100,14 @@ def _labelled(strands: dict[tuple[str, str], list[OsimStrand]]) -> list[tuple[st
     return list(found.values())
 
 
+def body_label(body: str) -> str:
+    """What a body is called in the scene's poses: as in the model, so that other recordings of it serve as well."""
+    return body if re.fullmatch(r"[\w.-]+", body) else plain_name(body)
+
+
 def poses_csv(times: Floats, poses: dict[str, tuple[Floats, Floats]]) -> str:
     """time_s, BODY_px_m ... BODY_qz."""
-    names = [f"{b}_{k}" for b in poses for k in ("px_m", "py_m", "pz_m", "qw", "qx", "qy", "qz")]
+    names = [f"{body_label(b)}_{k}" for b in poses for k in ("px_m", "py_m", "pz_m", "qw", "qx", "qy", "qz")]
     rows = np.column_stack([times, *(part for pair in poses.values() for part in pair)])
     lines = [",".join(f"{v:.12g}" for v in row) for row in rows]
     return "\n".join([",".join(["time_s", *names]), *lines]) + "\n"

@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from pftwin.base.text_files import SCENE_BYTES, read_lines
 
 Place = tuple[str | int, ...]
 MISSING: Any = object()
+_OF_ONE_RECORDING = ("rate_Hz", "start_time_s", "end_time_s", "synthetic")  # fields of [motion]
 
 _PART = r"""(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')"""
 _HEADER = re.compile(rf"^\s*(\[\[?)\s*({_PART}(?:\s*\.\s*{_PART})*)\s*\]")
@@ -41,6 +42,7 @@ class Document:
     lines: dict[Place, int] = field(default_factory=dict)
     wrapped: set[int] = field(default_factory=set)  # ids of values that validation has put into a list of one
     allow_outside: bool = False  # whether it may name files outside its folder
+    given: Path | None = None  # a file that the user names, wherever it lies
 
     @staticmethod
     def read(path: str | os.PathLike[str], *, allow_outside: bool = False) -> Document:
@@ -72,11 +74,25 @@ class Document:
             raise _too_deep(file)
         return Document(file, data, _line_numbers(lines, data), allow_outside=allow_outside)
 
+    def with_motion(self, motion: str | os.PathLike[str], rate: float | None) -> Document:
+        """The same knee in another recording: of poses, or of markers where the file has those alone.
+
+        What was measured besides, and spans of time, belong to the file's own recording and are left out.
+        """
+        given, old = Path(motion).resolve(), dict(self.data.get("motion", {}))
+        kind = "markers" if "markers" in old and "poses" not in old else "poses"
+        own = {key: value for key, value in old.items() if key not in (*_OF_ONE_RECORDING, "poses", "markers")}
+        data = {**self.data, "motion": {**own, kind: str(given), **({} if rate is None else {"rate_Hz": rate})}}
+        if "measured" in data:
+            data["measured"] = {key: value for key, value in data["measured"].items() if key == "patella"}
+        return replace(self, data=data, given=given)
+
     def files(self) -> tuple[Path, ...]:
         """The file itself and every file that a text in it may name."""
         named = sorted({text for text in _texts(self.data) if text.isprintable()})
         paths = (self.folder / text for text in named)
-        return self.path, *(p for p in paths if (self.allow_outside or self._holds(p)) and _is_file(p))
+        own = () if self.given is None else (self.given,)
+        return self.path, *own, *(p for p in paths if (self.allow_outside or self._holds(p)) and _is_file(p))
 
     @property
     def folder(self) -> Path:
@@ -91,7 +107,7 @@ class Document:
                 may come from a stranger, and is not to make anybody read, or show, what lies elsewhere.
         """
         path = self.folder / name
-        if not self.allow_outside and not self._holds(path):
+        if path != self.given and not self.allow_outside and not self._holds(path):
             raise InputError(
                 f"{name!r} leads out of the scene's folder",
                 expected="a file beside the scene file, or in a folder below",

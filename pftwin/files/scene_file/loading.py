@@ -97,6 +97,8 @@ def load_scene(
     contact: str | None = None,
     allow_outside: bool = False,
     limits: Mapping[str, float] | None = None,
+    motion: str | os.PathLike[str] | None = None,
+    rate: float | None = None,
 ) -> Scene:
     """The scene that a TOML file describes.
 
@@ -105,12 +107,15 @@ def load_scene(
         contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), in place of the file's.
         allow_outside: whether the file may name others outside its folder; allow it to files whose origin you know.
         limits: of what a knee can be (`pftwin.model.limits.Limits`), by name, in place of the file's.
+        motion: another recording of the same knee, with bodies or markers of the same names, in place of the file's.
+        rate: its frames per second, where its times count frames.
 
     Raises:
         InputError: a file that cannot be read, unknown or missing fields, values that cannot be right; one message that
             lists every problem with its line and field.
     """
-    return load_scene_file(path, contact=contact, allow_outside=allow_outside, limits=limits).scene
+    options = {"allow_outside": allow_outside, "limits": limits, "motion": motion, "rate": rate}
+    return load_scene_file(path, contact=contact, **options).scene
 
 
 def load_scene_file(
@@ -119,13 +124,21 @@ def load_scene_file(
     contact: str | None = None,
     allow_outside: bool = False,
     limits: Mapping[str, float] | None = None,
+    motion: str | os.PathLike[str] | None = None,
+    rate: float | None = None,
 ) -> LoadedScene:
     """As `load_scene`, with the measurements that the file names and with notes for the user."""
     float_type = str(canonicalize_dtype(float))
-    files = Document.read(path, allow_outside=allow_outside).files()
+    recording = None if motion is None else (os.fspath(motion), rate)
+    files = _document(os.fspath(path), allow_outside, recording).files()
     others = tuple(table.kind for table in effect_tables())
     own = tuple(sorted((limits or {}).items()))
-    return cached(_loaded, os.fspath(path), contact, float_type, allow_outside, others, own, files=files)
+    return cached(_loaded, os.fspath(path), contact, float_type, allow_outside, others, own, recording, files=files)
+
+
+def _document(path: str, allow_outside: bool, recording: tuple[str, float | None] | None) -> Document:
+    document = Document.read(path, allow_outside=allow_outside)
+    return document if recording is None else document.with_motion(*recording)
 
 
 def _loaded(
@@ -135,17 +148,18 @@ def _loaded(
     allow_outside: bool,
     tables: tuple[str, ...],
     own_limits: tuple[tuple[str, float], ...],
+    recording: tuple[str, float | None] | None,
 ) -> LoadedScene:
     """The scene with leaves of this float type, JAX's default one; kept by these and the kinds of tables there are."""
-    document = Document.read(path, allow_outside=allow_outside)
+    document = _document(path, allow_outside, recording)
     file = _validated(document)
     side = Side.read(file.side == "left", file.axes, document)
     with document.naming("limits"):
         limits = Limits.of({**file.limits, **dict(own_limits)})
     notes: list[str] = []
-    recording = SegmentRecording(file.motion, document, notes, limits)
-    motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, recording, side)
-    start = start_pose(file.patella.start, recording, side, motion, fixed_femur, femur)
+    segments = SegmentRecording(file.motion, document, notes, limits)
+    motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, segments, side)
+    start = start_pose(file.patella.start, segments, side, motion, fixed_femur, femur)
     beside = start if femur is None else HostPose.of(femur.positions[0], femur.quaternions[0]).inverse() @ start
     setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, beside, contact, notes=notes)
     effects = tuple(
@@ -163,9 +177,9 @@ def _loaded(
     scene = replace(scene, limits=limits)
     with document.naming():
         check(scene)
-    measured = None if file.measured is None else file.measured.build(scene, recording, side, fixed_femur, femur)
-    recording.clusters.compare(document)
-    unjudged = recording.clusters.side_as_given(file.side)
+    measured = None if file.measured is None else file.measured.build(scene, segments, side, fixed_femur, femur)
+    segments.clusters.compare(document)
+    unjudged = segments.clusters.side_as_given(file.side)
     notes += [unjudged] if unjudged else []
     button = None if scene.contact is None else setting.buttons.get(scene.contact.name)
     return LoadedScene(replace(scene, measured=measured), button, tuple(notes), document.path, unjudged)

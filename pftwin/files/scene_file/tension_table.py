@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -13,7 +13,7 @@ from pftwin.files.mocap import Table, read_csv
 from pftwin.files.mocap.tables import uniform_times
 from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
-from pftwin.files.scene_file.section import FileName, Points
+from pftwin.files.scene_file.section import FileName, NotNegative, Points, problem
 from pftwin.model.effects.tension import PrescribedTension
 
 
@@ -22,18 +22,44 @@ class PrescribedTensionSection(EffectSection):
 
     The file has the columns time_s and, for every line, LINE_tension_N, and where the table does not give them,
     LINE_origin_x_m, _y_m, _z_m (or LINE_via_BODY_x_m ...; it may move) and LINE_insertion_x_m ... (or
-    LINE_insertion_patella_x_m ...; it may not).
+    LINE_insertion_patella_x_m ...; it may not). Or no file: `tension_N`, the same throughout.
     """
 
     kind: ClassVar[str] = "prescribed_tension"
     body: Body = Field(description="body at the other end")
-    file: FileName = Field(description="CSV file with time_s and LINE_tension_N")
+    file: FileName | None = Field(default=None, description="CSV file with time_s and LINE_tension_N")
+    tension_N: list[NotNegative] | None = Field(  # noqa: N815
+        default=None, description="in place of a file: constant tension of each line [N]"
+    )
     lines: list[str] | None = Field(default=None, description="names of the lines; all of the file's by default")
     insertion_m: Points | None = Field(default=None, description="insertion of each line, patella frame [m]")
     origin_m: Points | None = Field(default=None, description="origin of each line, the body's frame [m]")
 
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.file is None) == (self.tension_N is None):
+            raise problem("neither file nor tension_N" if self.file is None else "both", expected="file or tension_N")
+        if self.tension_N is not None:
+            for name, given in (("insertion_m", self.insertion_m), ("origin_m", self.origin_m), ("lines", self.lines)):
+                if given is not None and len(given) != len(self.tension_N):
+                    raise problem(f"{name} has {len(given)} for {len(self.tension_N)} tensions", expected="one each")
+            if self.insertion_m is None or self.origin_m is None:
+                raise problem("constant tensions without ends", expected="insertion_m and origin_m")
+        return self
+
     def build(self, setting: Setting, at: Place) -> PrescribedTension:
         """The effect."""
+        if self.tension_N is not None:
+            return PrescribedTension(
+                number([self.tension_N]),
+                vector(setting.points(self.body, np.asarray([self.origin_m]))),
+                vector(setting.points("patella", np.asarray(self.insertion_m))),
+                start_time=0.0,
+                interval=1.0,
+                body=self.body,
+                name=self.label,
+            )
+        assert self.file is not None
         with setting.document.naming(*at, "file"):
             table = read_csv(setting.path(self.file), units="1")
             times = uniform_times(table.times, where=table.source)

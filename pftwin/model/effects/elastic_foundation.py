@@ -44,6 +44,9 @@ class ElasticFoundation(ButtonMesh):
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the button's mesh, axes parallel
     damping_time: Scalar | float = eqx.field(default=0.0, metadata=quantity("s", at_least=0))  # c
     surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
+    placement: Vec3 = eqx.field(  # of the mesh beside its origin: bones and cartilage are registered to each other
+        default_factory=Vec3.zero, metadata=quantity("m", frame="patella")
+    )
     method: ClassVar[str] = "foundation"
     observables: ClassVar[dict[str, Observable]] = {
         **FORCE,
@@ -65,13 +68,14 @@ class ElasticFoundation(ButtonMesh):
         patella, femur = now.patella, now.femur
         velocity = femur.relative_velocity(patella.velocity, patella.position)
         spin = femur.relative_spin(patella.spin, patella.rotation)
+        origin = self.origin + self.placement
         return Bedded(
             femur=self.femur,
             button=self.button,
             law=self.law,
             damping_time=jnp.asarray(self.damping_time, patella.position.x.dtype),
-            origin=self.origin,
-            position=femur.to_local(patella.position + patella.arm(self.origin)),
+            origin=origin,
+            position=femur.to_local(patella.position + patella.arm(origin)),
             rotation=now.turn_in_femur(),
             world=None if isinstance(femur, Ground) else femur.rotation,
             twist=jnp.concatenate([velocity.array(), spin.array()]),
@@ -129,4 +133,4 @@ class ElasticFoundation(ButtonMesh):
 
     def button_triangles(self) -> Array:
         """See `Contact`."""
-        return self.button.mesh
+        return self.button.mesh + jnp.tile(self.placement.array(), 3)[None, :]

@@ -128,6 +128,25 @@ def test_files_of_strands_that_say_a_thing_twice_or_nothing(toy: Path, text: str
 TENSION = '\n[[prescribed_tension]]\nname = "muscles"\nbody = "femur"\nfile = "tension.csv"\n'
 
 
+CONSTANT = (
+    '\n[[prescribed_tension]]\nname = "muscles"\nbody = "femur"\ntension_N = [12, 7]\n'
+    "insertion_mm = [[20, 0, -8], [18, 5, -7]]\norigin_m = [[0.2, 0.01, 0.05], [0.21, 0.03, 0.04]]\n"
+)
+
+
+def test_constant_tensions_need_no_file(toy: Path) -> None:
+    muscles = load(toy, LIGHT + CONSTANT).effect("muscles")
+    for time in (-3.0, 0.0, 0.37, 50.0):
+        tension, origin = muscles.at(time)  # type: ignore[attr-defined]
+        np.testing.assert_allclose(tension, [12, 7])
+        np.testing.assert_allclose(origin.z, [0.05, 0.04])
+    np.testing.assert_allclose(muscles.insertion.y, [0, 5e-3])  # type: ignore[attr-defined]
+    assert "neither file nor tension_N" in refused(toy, LIGHT + CONSTANT.replace("tension_N = [12, 7]", ""))
+    assert "insertion_m has 2 for 1 tensions" in refused(toy, LIGHT + CONSTANT.replace("[12, 7]", "[12]"))
+    assert "without ends" in refused(toy, LIGHT + CONSTANT.partition("insertion_mm")[0])
+    assert "expected: file or tension_N" in refused(toy, LIGHT + CONSTANT + 'file = "tension.csv"\n')
+
+
 def test_prescribed_tensions(toy: Path) -> None:
     times = np.arange(11) * 0.04
     header = "time_s,vas_tension_N,vas_via_femur_x_m,vas_via_femur_y_m,vas_via_femur_z_m"

@@ -141,6 +141,41 @@ def test_apart_nothing_is_borne(effect):
     assert all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(load.bed))
 
 
+def test_slopes_in_a_batch_are_those_of_each_member(effect):
+    """From none to many pieces in contact; against differences, by depth and by tilt."""
+
+    @eqx.filter_jit
+    def push(effect, depth, tilt):
+        turn = Quaternion.from_rotation_vector(vec(0.3, 0.2, -0.1) + tilt * vec(1.0, 0.0, 0.0))
+        return effect.load(look((0, 0, RADIUS - depth), orientation=turn), None)[0].bed.force
+
+    depths_of, tilts, step = J([-1e-3, 2e-4, 3e-3]), J([0.0, 0.1, -0.2]), 1e-7
+    both = jax.jit(jax.vmap(jax.jacfwd(lambda d, t: push(effect, d, t), argnums=(0, 1))))(depths_of, tilts)
+    assert np.abs(both[0][0]).max() == 0
+    for k, (d, t) in enumerate(zip(depths_of, tilts, strict=True)):
+        alone = jax.jacfwd(lambda d, t: push(effect, d, t), argnums=(0, 1))(d, t)
+        for mine, own in zip(both, alone, strict=True):
+            np.testing.assert_allclose(mine[k], own, rtol=1e-9, atol=1e-9)
+        differences = (push(effect, d + step, t) - push(effect, d - step, t)) / (2 * step)
+        np.testing.assert_allclose(both[0][k], differences, rtol=1e-4, atol=1e-4 * (1 + np.abs(differences).max()))
+
+
+def test_a_mesh_placed_elsewhere_is_one_of_another_origin(effect):
+    """But for the point whose path is followed: that stays on the patella."""
+    placed = eqx.tree_at(lambda e: e.placement, effect, vec(1e-3, -5e-4, 0.003))
+    moved = effect.with_button_moved(vec(1e-3, -5e-4, 0.003))
+    now = look((0, 0, RADIUS - 4e-4 - 3e-3))
+    (one, report), (two, expected) = seen(placed, now), seen(moved, now)
+    assert float(expected["force"]) > 10
+    np.testing.assert_allclose(one.total().force.array(), two.total().force.array(), rtol=1e-12)
+    np.testing.assert_allclose(one.total().moment.array(), two.total().moment.array(), rtol=1e-12)
+    np.testing.assert_allclose(report["point_medial"], expected["point_medial"], rtol=1e-12)
+    np.testing.assert_array_equal(placed.tracked_point().array(), effect.tracked_point().array())
+    one, two = (np.asarray(e.button_triangles()).reshape(-1, 3) for e in (placed, moved))
+    by = np.array([1e-3, -5e-4, 0.003])
+    np.testing.assert_allclose(one + np.asarray(placed.tracked_point().array()), two + by, atol=1e-12)
+
+
 @pytest.mark.slow
 def test_an_offset_button_is_the_same_ball(effect):
     there = eqx.tree_at(lambda e: e.origin, effect, vec(0.0, 0.0, 0.003))

@@ -1,0 +1,90 @@
+"""`pftwin predict`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from fitting.cli.fit import DuringOption, time_spans, within
+from fitting.cli.treat import SeedOption, StepOption
+from pftwin.base.errors import InputError
+from pftwin.base.sheet import Sheet
+from pftwin.cli import terminal
+from pftwin.cli.exit_codes import exit_flagged
+from pftwin.cli.scenes import RecordingOptions, on_scene
+
+
+@on_scene
+def predict(
+    *,
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The motion and its bands as NetCDF.")],
+    estimate: Annotated[Path, Option("--estimate", metavar="FIT.json", help="What `pftwin fit` found.")],
+    knee: RecordingOptions,
+    given: Annotated[
+        list[str] | None,
+        Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help='A number that is other in this recording, or its range: "quadriceps.tension[:]=20:60" (SI units);'
+            " may be repeated.",
+        ),
+    ] = None,
+    during: DuringOption = None,
+    samples: Annotated[int, Option("--samples", min=1, help="Draws from the estimate, for bands.")] = 50,
+    seed: SeedOption = 0,
+    dt: StepOption = None,
+    figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
+    json: terminal.JsonOption = None,
+) -> None:
+    """Predict a fitted knee's motion in the same recording or another, with bands for what will be measured.
+
+    Example: `pftwin predict knee/scene.toml --estimate fit.json --motion other.sto --rate 30 -o other.nc`
+    """
+    terminal.check_suffix(output, [".nc"], "results are NetCDF")
+    pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
+    terminal.check_outputs(output, *pictures, json)
+    spans, values = time_spans(during), _values(given)
+    terminal.start_computing(batches=True)
+    from fitting.estimate import Estimate
+
+    found = Estimate.load(estimate)
+    scene = within(knee.load().scene, spans)
+    from fitting.prediction.motion import LEVEL, predict_motion
+    from pftwin.files.result_files import save_dataset
+    from pftwin.results.plots import save_figure
+
+    with terminal.progress("compiling and simulating") as shown:
+
+        def told(done: int, of: int) -> None:
+            shown(done, of, f"{done} of {of} motions")
+
+        motion = predict_motion(scene, found, samples=samples, seed=seed, values=values, dt=dt, progress=told)
+    with terminal.spinner("writing"):
+        save_dataset(motion.dataset(), output)
+        files = [output, *(save_figure(motion.figure(), output.with_suffix("")) if figure else [])]
+    head = ("", "unit", "rms error", f"in bands of {100 * LEVEL:.0f} %")
+    sheets = [Sheet(motion.scene_name, head, tuple(motion.rows()), words=(0, 1))] if motion.errors else []
+    facts = {**motion.to_dict(), "files": [str(path) for path in files]}
+    terminal.present(facts, *sheets, motion.sentence(), *motion.notes, terminal.written_line(files), json=json)
+    if motion.verdict != "valid":
+        exit_flagged(motion.verdict)
+    if found.invalid:
+        exit_flagged(found.sentence())
+
+
+def _values(given: list[str] | None) -> dict[str, float | tuple[float, float]]:
+    """Numbers and ranges by name, from "name=value" and "name=low:high"."""
+    found: dict[str, float | tuple[float, float]] = {}
+    for text in given or []:
+        name, _, value = (part.strip() for part in text.partition("="))
+        try:
+            numbers = [float(part) for part in value.split(":")]
+        except ValueError:
+            numbers = []
+        if name in found or not 1 <= len(numbers) <= 2:
+            said = "given twice" if name in found else f"found {text!r}"
+            raise InputError(said, where="--set", expected='such as "quadriceps.tension[:]=40", or "=20:60", each once')
+        found[name] = numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+    return found

@@ -1,0 +1,110 @@
+"""A fitted knee's motion with bands, beside what was measured of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_estimates import made_estimate
+from small_scene import small_scene
+
+from fitting.prediction.motion import COORDINATES, predict_motion
+from pftwin import simulate
+from pftwin.base.errors import InputError
+from pftwin.model.measured import Measured
+
+LEFT = {"X": 0.4e-3, "Y": 0.9e-3, "Z": 1.7e-3, "tilt": 0.02, "flexion": 0.03, "rotation": 0.05}
+VALUES = {"K1": (160.0, 4.0), "L2": (0.0715, 2e-4)}
+
+
+def fitted(**more):
+    return made_estimate(VALUES, **{"rmse": {**LEFT, "position": 1e-3, "orientation": 0.03}, **more})
+
+
+@pytest.fixture(scope="module")
+def knee():
+    return small_scene()
+
+
+@pytest.fixture(scope="module")
+def truth(knee):
+    """What a knee with other springs does, as simulated."""
+    own = knee.set("K1", 158.0).set("L2", 0.07165)
+    found = simulate(own, dt=2e-3)
+    return Measured(found.times, found.center, np.asarray(found.quaternion), source="another simulation")
+
+
+@pytest.fixture(scope="module")
+def predicted(knee, truth):
+    return predict_motion(knee, fitted(), truth, samples=24, seed=3, dt=2e-3)
+
+
+def test_the_path_is_that_of_the_estimate(knee, predicted):
+    own = simulate(fitted().apply(knee), dt=2e-3)
+    np.testing.assert_allclose(predicted.value[:, :3], 1e3 * own.center, atol=1e-6)
+    for k, name in enumerate(COORDINATES):
+        if k >= 3:
+            np.testing.assert_allclose(predicted.value[:, k], np.degrees(getattr(own.angles, name)), atol=1e-6)
+
+
+def test_bands_hold_draws_and_what_the_fit_left(predicted):
+    """Where springs hardly matter, a band is 1.645 of the deviations that were left to either side."""
+    left = np.array([0.4, 0.9, 1.7, *np.degrees([LEFT["flexion"], LEFT["rotation"], LEFT["tilt"]])])
+    half = 0.5 * (predicted.high - predicted.low)
+    assert (half > 0.95 * 1.645 * left).all()
+    assert (half.min(axis=0) / (1.645 * left)).min() < 1.1
+
+
+def test_errors_and_shares_are_of_the_frames_compared(knee, truth, predicted):
+    assert predicted.verdict == "valid"
+    off = predicted.value[:, :3] - 1e3 * truth.center
+    assert predicted.errors["mean_distance"] == pytest.approx(np.linalg.norm(off, axis=1).mean())
+    assert predicted.errors["y"] == pytest.approx(np.sqrt(np.mean(off[:, 1] ** 2)))
+    assert predicted.held == dict.fromkeys(COORDINATES, 1.0)
+    moved = truth.center.copy()
+    moved[:20, 2] += 0.2
+    half = replace(truth, center=moved).during([(truth.times[10], truth.times[39])])
+    seen = predict_motion(knee, fitted(), half, samples=4, dt=2e-3)
+    assert seen.compared.sum() == 30
+    assert seen.held["z"] == pytest.approx(20 / 30)
+    assert (seen.held["x"], seen.held["tilt"]) == (1.0, 1.0)
+
+
+def test_numbers_that_are_other_in_this_recording(knee):
+    """One that was fitted, a range of it, and one that was not."""
+    free = predict_motion(knee, fitted(), samples=12, dt=2e-3)
+    fixed = predict_motion(knee, fitted(), samples=12, dt=2e-3, values={"K1": 190.0})
+    own = simulate(fitted().apply(knee).set("K1", 190.0), dt=2e-3)
+    np.testing.assert_allclose(fixed.value[:, :3], 1e3 * own.center, atol=1e-6)
+    ranged = predict_motion(knee, fitted(), samples=12, dt=2e-3, values={"K1": (120.0, 260.0)})
+    np.testing.assert_allclose(ranged.value, fixed.value, atol=1e-9)  # the middle of the range
+    assert np.ptp([ranged.high, ranged.low], axis=0).max() > np.ptp([fixed.high, fixed.low], axis=0).max()
+    heavy = predict_motion(knee, fitted(), samples=2, dt=2e-3, values={"patella.mass": 0.5})
+    assert np.abs(heavy.value - free.value).max() > 0.01
+    assert free.errors == free.held == {}
+
+
+@pytest.mark.parametrize(
+    ("estimate", "options", "words"),
+    [
+        (made_estimate(VALUES, rmse={"position": 1e-3, "X": 1e-3, "Y": 1e-3, "Z": 1e-3}), {}, "--use position,orient"),
+        (fitted(), {"samples": 0}, "at least 1"),
+        (fitted(), {"values": {"K1": (2.0, 1.0)}}, "2.0 to 1.0"),
+        (fitted(), {"values": {"patella.mass": (0.1, 0.2)}}, "a range of what was not fitted"),
+        (fitted(), {"values": {"K9": 1.0}}, "K9"),
+    ],
+)
+def test_what_cannot_be_predicted(knee, estimate, options, words):
+    with pytest.raises(InputError) as refused:
+        predict_motion(knee, estimate, **options)
+    assert words in str(refused.value)
+
+
+def test_figure_and_files_name_what_they_hold(predicted):
+    figure = predicted.figure()
+    assert [ax.get_ylabel() for ax in figure.axes] == [f"{words} [{unit}]" for unit, words in COORDINATES.values()]
+    data = predicted.dataset()
+    np.testing.assert_allclose(data["high"].sel(coordinate="tilt"), predicted.high[:, 5])
+    assert data.attrs["verdict"] == "valid"
+    assert "bands of 90 % held 100 %" in predicted.to_dict()["sentence"]

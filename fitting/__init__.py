@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from fitting.posterior.sampling import sample_posterior
     from fitting.prediction import outcomes
     from fitting.prediction.derived import derived
+    from fitting.prediction.motion import predict_motion
     from fitting.prediction.predicting import predict
     from fitting.programs import channels_of
     from fitting.trained import TrainedPosterior
@@ -48,6 +49,7 @@ _HOME = {
     "optimise_treatment": "treatments.optimise",
     "plan_experiment": "identifiability",
     "predict": "prediction.predicting",  # a module of the same name would hide the function
+    "predict_motion": "prediction.motion",
     "profile_likelihood": "identifiability",
     "sample_posterior": "posterior.sampling",
     "train_posterior": "training",
@@ -73,6 +75,7 @@ __all__ = [
     "outcomes",
     "plan_experiment",
     "predict",
+    "predict_motion",
     "profile_likelihood",
     "sample_posterior",
     "train_posterior",

@@ -20,6 +20,7 @@ from fitting.estimate import Estimate
 from fitting.prediction.predicting import check_draws, estimate_and_draws
 from fitting.programs import TURNS
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import number
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.batch.simulate_batch import simulate_batch
@@ -246,7 +247,7 @@ def _with_values(
             raise InputError("a range of what was not fitted", where=name, expected=expected, remedy="one number")
         else:
             for place in find(scene, name):
-                scene = place.written(scene, low)
+                scene = place.written(scene, number(low))
     return scene, thetas
 
 
@@ -282,5 +283,7 @@ def _seen(measured: Measured | None, path: Floats) -> tuple[Floats | None, NDArr
         return None, np.zeros(len(path), bool)
     turns = np.full((len(path), 4), np.nan) if measured.quaternion is None else measured.quaternion
     seen = _beside(path, _coordinates(measured.center, turns))
-    compared = np.isfinite(seen).any(axis=1)
-    return seen, compared if measured.weights is None else compared & (measured.weights > 0)
+    compared = np.asarray(np.isfinite(seen).any(axis=1))
+    if measured.weights is not None:
+        compared &= measured.weights > 0
+    return seen, compared

@@ -1,0 +1,70 @@
+"""A living knee, measured by dynamic MRI: fitted to the bending half of its motion, predicted in the other.
+
+    python examples/living_knee.py FOLDER_OF_HEALTHY_KNEE [-o OUT]
+
+The folder may be left out where PFTWIN_DATA names the folder that holds healthy_knee. docs/living_knee.md tells what
+came out, and the three commands that do the same. Data: Lenhart et al. 2015, Ann Biomed Eng 43:2675.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+import fitting
+import pftwin
+from fitting.prediction.motion import PredictedMotion
+from pftwin.files.interchange.osim_scene import import_osim
+
+BENDING, STRAIGHTENING = [(0.0, 0.51), (1.45, 2.0)], [(0.52, 1.44)]  # [s]
+BOUNDS = {
+    "pt.slack_length[:]": (0.040, 0.068),
+    "quadriceps.tension[:]": (0.1, 14.0),
+    "lpfl.slack_length[:]": (0.022, 0.050),
+    "mpfl.slack_length[:]": (0.030, 0.070),
+}
+PLACEMENT = {f"contact.placement.{axis}": 3e-3 for axis in "xyz"}  # [m]
+NOISE = {"position": 3e-4, "orientation": 0.01}  # of the measurement [m], [rad]
+
+
+def imported(data: Path, folder: Path) -> pftwin.Scene:
+    """The generic model in the measured motion, with 20 N guessed for the quadriceps."""
+    model, motion = data / "lenhart2015.osim", data / "passive_body_transformations.sto"
+    options = {"rate": 30.0, "quadriceps": 20.0, "side": "right", "geometry": [data / "geometry"]}
+    return pftwin.load_scene(import_osim(model, folder, motion=motion, **options).scene)
+
+
+def study(scene: pftwin.Scene, samples: int = 50) -> tuple[fitting.Estimate, PredictedMotion]:
+    """The estimate from the bending half, and the straightening half predicted from it."""
+    measured = scene.measured
+    assert measured is not None
+    estimate = fitting.fit_tendons(
+        scene,
+        measured.during(BENDING),
+        free=tuple(BOUNDS),
+        bounds=BOUNDS,
+        nuisance=fitting.Nuisance(others=PLACEMENT),
+        use=("position", "orientation"),
+        noise=NOISE,
+        starts=4,
+    )
+    return estimate, fitting.predict_motion(scene, estimate, measured.during(STRAIGHTENING), samples=samples)
+
+
+def main() -> None:
+    """Runs the study and writes the estimate and the figure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", nargs="?", type=Path, default=Path(os.environ.get("PFTWIN_DATA", ".")) / "healthy_knee")
+    parser.add_argument("-o", "--output", type=Path, default=Path("living_knee"))
+    given = parser.parse_args()
+    pftwin.configure()
+    estimate, motion = study(imported(given.data, given.output))
+    print(estimate.summary())
+    print(motion.sentence())
+    print("files:", estimate.save(given.output / "fit.json"), given.output / "straightening.png")
+    motion.figure().savefig(given.output / "straightening.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import fitting
 import pftwin
-from fitting.prediction.motion import PredictedMotion
+from fitting.prediction.predicted_motion import PredictedMotion
 from pftwin.files.interchange.osim_scene import import_osim
 
 BENDING, STRAIGHTENING = [(0.0, 0.51), (1.45, 2.0)], [(0.52, 1.44)]  # [s]

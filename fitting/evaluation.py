@@ -211,7 +211,7 @@ class Evaluator:
         by the predictions."""
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         program = self._program._replace(channels=self.channels)
-        width, parts = self._wide(self.pull_chunk), []
+        width, parts = self._wide(1 if self.in_turns else self.pull_chunk), []
         for i in range(0, len(theta), width):
             part = slice(i, i + width)
             full, cotangents = (_filled(a[part], width) for a in (theta, pulls))

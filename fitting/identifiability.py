@@ -14,7 +14,7 @@ from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
 from fitting.finish import Told, settle
 from fitting.fit import SPRING_PARAMETERS, likelihood_of
-from fitting.methods.problem import Problem
+from fitting.methods.problem import Problem, refuse_moved_point
 from fitting.nuisance import Nuisance
 from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters
@@ -227,8 +227,10 @@ def _information(
     In steps as short as those of a fit's answer: half as long ones tell the same of what is asked for.
 
     Raises:
-        InputError: the scene cannot be simulated.
+        InputError: the scene cannot be simulated; a number that moves the point whose path is measured.
     """
+    if POSITION in use:
+        refuse_moved_point(scene, parameters)
     evaluator = Evaluator(scene, parameters, channels)
     evaluator.prepare(None)
     span = parameters.upper - parameters.lower

@@ -32,7 +32,7 @@ from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import numbered_elements
 
 POSITION, ORIENTATION = "position", "orientation"
-TURNS = ("tilt", "flexion", "rotation")  # about the patella's axes x, y, z
+TURNS = ("tilt", "flexion", "rotation")  # small ones about the patella's axes x, y, z: to first order these angles
 
 
 def channels_of(scene: Scene) -> tuple[str, ...]:

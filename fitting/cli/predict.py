@@ -51,7 +51,10 @@ def predict(
 
     found = Estimate.load(estimate)
     scene = within(knee.load().scene, spans)
-    from fitting.prediction.motion import LEVEL, predict_motion
+    if spans and scene.measured is None:
+        raise InputError("nothing to compare with", where="--during", expected="a recording of the patella")
+    from fitting.prediction.motion import predict_motion
+    from fitting.prediction.predicted_motion import LEVEL
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
 

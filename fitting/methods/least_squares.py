@@ -118,7 +118,7 @@ class LeastSquares(Method):
         which = np.flatnonzero(~state["done"])
         u, g, h = state["u"][which], state["gradient"][which], state["hessian"][which]
         points = max(_FEWEST, min(_MOST, _COLUMNS // u.shape[1]))
-        if self.problem.evaluator.in_turns:
+        if self.problem.evaluator.in_turns:  # each costs as much as one alone
             points = _FEWEST
         points = max(points, self.problem.evaluator.slope_chunk)  # an accelerator's call costs the same half empty
         count = max(1, points // len(u))

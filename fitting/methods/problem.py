@@ -80,7 +80,7 @@ class Problem:
             InputError: a free number that moves the point of the patella whose path was measured.
         """
         if POSITION in objective.channels:
-            _refuse_moved_point(scenes[0], parameters[0])
+            refuse_moved_point(scenes[0], parameters[0])
         own = [
             Evaluator(scene, free.shared, objective.channels, computed=computed, devices=devices)
             for scene, free in zip(scenes, parameters, strict=True)
@@ -142,16 +142,16 @@ class Problem:
         return total.hexdigest()
 
 
-def _refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
+def refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
     """Measured is the path of one point of the patella; where a number moves that point, it fits any path."""
     for p in parameters.items:
-        if scene.contact is None or p.place.owner != scene.contact.name:
+        if scene.contact is None or scene.contact.name not in {place.owner for place in (p.place, *p.place.tied)}:
             continue
         there = (p.place.written(scene, jnp.asarray(v, float)) for v in (p.lower, p.upper))
         low, high = (np.asarray(s.tracked_point().array()) for s in there)
         if np.abs(high - low).max() > 0:
             found = f"{p.name} moves the point of the patella whose path was measured"
-            remedy = f"{p.place.owner}.placement of an elastic foundation, which leaves the point where it is"
+            remedy = f"{scene.contact.name}.placement of an elastic foundation, which leaves the point where it is"
             raise InputError(found, where="free", expected="numbers that leave it where it is", remedy=remedy)
 
 

@@ -9,16 +9,16 @@ knows nothing of what this recording alone has, such as another load.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fitting.estimate import Estimate
+from fitting.measured_channels import check_times
+from fitting.prediction.predicted_motion import COORDINATES, LEVEL, PredictedMotion
 from fitting.prediction.predicting import check_draws, estimate_and_draws
-from fitting.programs import TURNS
+from fitting.programs import ORIENTATION, POSITION, TURNS
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number
 from pftwin.base.rotations import patellar_angles
@@ -28,126 +28,11 @@ from pftwin.dynamics.batch.variants import Variants
 from pftwin.model.measured import SYNTHETIC, Measured
 from pftwin.model.scene import Scene, check
 from pftwin.model.scene_parameters import find
-from pftwin.results.verdict import is_invalid, verdict_of_counts
+from pftwin.results.verdict import INVALID, is_invalid, verdict_of_counts
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from xarray import Dataset
-
-LEVEL = 0.9  # of bands
-COORDINATES = {  # unit, meaning
-    "x": ("mm", "centre, proximal"),
-    "y": ("mm", "centre, lateral"),
-    "z": ("mm", "centre, anterior"),
-    "flexion": ("deg", "patellar flexion"),
-    "rotation": ("deg", "rotation, internal positive"),
-    "tilt": ("deg", "tilt, lateral positive"),
-}
 _QUANTILES = 401  # of the normal error that widens each draw
 _MOST_FAILED = 0.1  # share of the draws without a motion that a band may leave out
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class PredictedMotion:
-    """Of n frames and the six `COORDINATES`, in their units.
-
-    times: (n,) [s].
-    value, low, high: (n, 6) of the estimate itself, and the band's ends.
-    measured: (n, 6), NaN where it was not; None where nothing was.
-    compared: (n,) frames that are held against the measurements.
-    verdict: on the motion of the estimate, "valid" or "INVALID: ...".
-    notes: what qualifies the bands.
-    """
-
-    scene_name: str
-    times: Floats
-    value: Floats
-    low: Floats
-    high: Floats
-    measured: Floats | None
-    compared: NDArray[np.bool_]
-    verdict: str
-    notes: tuple[str, ...]
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Root mean square errors of the coordinates, and the mean distance, over the frames compared; else none."""
-        if self.measured is None or not self.compared.any():
-            return {}
-        off = (self.value - self.measured)[self.compared]
-        found = {"mean_distance": float(np.nanmean(np.linalg.norm(off[:, :3], axis=1)))}
-        for k, name in enumerate(COORDINATES):
-            if np.isfinite(off[:, k]).any():
-                found[name] = float(np.sqrt(np.nanmean(off[:, k] ** 2)))
-        return found
-
-    @property
-    def held(self) -> dict[str, float]:
-        """The share of the frames compared whose measurement lies in the band, by coordinate."""
-        if self.measured is None:
-            return {}
-        seen, low, high = (a[self.compared] for a in (self.measured, self.low, self.high))
-        inside, found = (seen >= low) & (seen <= high), {}
-        for k, name in enumerate(COORDINATES):
-            if (there := np.isfinite(seen[:, k])).any():
-                found[name] = float(inside[there, k].mean())
-        return found
-
-    @property
-    def all_held(self) -> float | None:
-        """The same of all coordinates together."""
-        return float(np.mean(list(self.held.values()))) if self.held else None
-
-    def sentence(self) -> str:
-        """What came out."""
-        if self.verdict != "valid":
-            return self.verdict
-        if not self.errors:
-            return f"{self.scene_name}: {self.times.size} frames predicted; nothing was measured there"
-        e, held, count = self.errors, self.all_held or 0.0, int(self.compared.sum())
-        angles = "".join(f", {name} {e[name]:.2g} deg rms" for name in ("rotation", "flexion", "tilt") if name in e)
-        return (
-            f"{self.scene_name}: {e['mean_distance']:.2g} mm from the measured path on average of {count} frames"
-            f"{angles}; bands of {100 * LEVEL:.0f} % held {100 * held:.0f} % of what was measured"
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        told = {"scene": self.scene_name, "verdict": self.verdict, "level": LEVEL, "notes": list(self.notes)}
-        return {**told, "errors": self.errors, "held": self.held, "sentence": self.sentence()}
-
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """Coordinate, unit, root mean square error, share of frames that the band holds."""
-        return [
-            (meaning, unit, f"{self.errors[name]:.2f}", f"{100 * self.held[name]:.0f} %")
-            for name, (unit, meaning) in COORDINATES.items()
-            if name in self.errors
-        ]
-
-    def dataset(self) -> Dataset:
-        """Everything, over time and coordinate."""
-        from xarray import Dataset
-
-        axes = ("time", "coordinate")
-        given = {"value": self.value, "low": self.low, "high": self.high}
-        given |= {} if self.measured is None else {"measured": self.measured}
-        words = {"value": "of the estimate", "low": "band, lower end", "high": "band, upper end"}
-        variables = {name: (axes, a, {"long_name": words.get(name, name)}) for name, a in given.items()}
-        coordinates = {
-            "time": (("time",), self.times, {"units": "s", "long_name": "time"}),
-            "coordinate": (("coordinate",), list(COORDINATES), {"long_name": "of the patella in the femur"}),
-            "unit": (("coordinate",), [unit for unit, _ in COORDINATES.values()], {"long_name": "its unit"}),
-            "compared": (("time",), self.compared, {"long_name": "held against the measurements", "units": "1"}),
-        }
-        about = {"title": f"predicted motion: {self.scene_name}", "level": LEVEL, "verdict": self.verdict}
-        return Dataset(variables, coordinates, {**about, "note": "; ".join(self.notes)})
-
-    def figure(self) -> Figure:
-        """Six panels over time: the band, the estimate's motion, and what was measured."""
-        from fitting.prediction.motion_figure import motion_figure
-
-        return motion_figure(self)
 
 
 def predict_motion(
@@ -176,34 +61,42 @@ def predict_motion(
 
     Raises:
         InputError: a scene without the estimate's parameters; an estimate of which nothing of position and orientation
-            is known; no draws; values of unknown numbers, or outside of what they can be.
+            is known; no draws; measurements at other times; values of unknown numbers, of fitted ones by another name
+            than the fit's, or outside of what they can be.
     """
     check_draws(samples, estimate)
     if samples < 1:
         raise InputError("no draws", where="samples", expected="at least 1: bands are made of them")
     left = _left_of(estimate)
     thetas = estimate_and_draws(estimate, samples, seed)[:, : estimate.shared]
-    scene, thetas = _with_values(scene, estimate, thetas, values or {}, np.random.default_rng(seed))
-    check(estimate.apply(scene))
+    measured = scene.measured if measured is None else measured
+    if measured is not None:
+        check_times(scene, measured)
+    scene, thetas = _with_values(scene, estimate, thetas, values or {}, np.random.default_rng([seed, 1]))
+    for own in (thetas[0], thetas.min(axis=0), thetas.max(axis=0)) if values else thetas[:1]:
+        check(estimate.apply(scene, own))
     found = simulate_batch(Variants(scene, estimate.apply, thetas), dt=dt, trajectories=True, progress=progress)
     frames = scene.motion.times.size
     counts = found["status_frames"].values
     good = ~(found["failed"].values | is_invalid(counts, frames))
     paths = _coordinates(found["sphere_center"].values, found["patella_quaternion"].values)
     verdict = verdict_of_counts(counts[0], frames).describe()
+    if verdict == "valid" and not good[0]:
+        verdict = "INVALID: the estimate has no motion"
     lost = int((~good[1:]).sum())
     if verdict == "valid" and lost > _MOST_FAILED * samples:
         verdict = f"INVALID: {lost} of {samples} draws have no motion that may be spoken of"
     notes = [f"{samples} draws, and what the fit left: {_left_in_words(left)}"]
     notes += [f"{lost} draws without a motion left out"] if lost else []
     notes += [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
-    notes += [SYNTHETIC] if scene.synthetic else []
+    notes += [f"the fitted motion: {estimate.verdict}"] if estimate.verdict.startswith(INVALID) else []
+    notes += [SYNTHETIC] if scene.synthetic or (measured is not None and measured.synthetic) else []
+    notes += ["the parameters were estimated from synthetic measurements"] if estimate.synthetic else []
     low, high = _band(paths[1:][good[1:]], paths[0], left)
-    measured = scene.measured if measured is None else measured
     seen, compared = _seen(measured, paths[0])
-    return PredictedMotion(
-        scene.name, np.asarray(scene.motion.times), paths[0], low, high, seen, compared, verdict, tuple(notes)
-    )
+    ends = (low, high, seen, compared, verdict, tuple(notes))
+    label = "measured" if measured is None else measured.label
+    return PredictedMotion(scene.name, np.asarray(scene.motion.times), paths[0], *ends, label)
 
 
 def _left_of(estimate: Estimate) -> Floats:
@@ -214,6 +107,9 @@ def _left_of(estimate: Estimate) -> Floats:
     """
     rmse = estimate.rmse
     if missing := {*"XYZ", *TURNS} - rmse.keys():
+        if {POSITION, ORIENTATION} <= {*estimate.channels}:
+            found, expected = f"nothing of what the fit left of {max(missing)}", "a fit by this pftwin or a later one"
+            raise InputError(found, where="estimate", expected=expected, remedy="fit again")
         found = f"a fit to {', '.join(estimate.channels)}"
         expected = "one to positions and orientations: bands of both are told"
         remedy = "pftwin fit --use position,orientation"
@@ -234,19 +130,24 @@ def _with_values(
     random: np.random.Generator,
 ) -> tuple[Scene, Floats]:
     """The scene, and parameters (n, p), with other values; those between two numbers are drawn evenly."""
-    names = list(estimate.names)
+    names = estimate.names[: estimate.shared]
+    fitted = [find(scene, name)[0] for name in names]
     for name, given in values.items():
         low, high = given if isinstance(given, tuple) else (given, given)
         if not (np.isfinite([low, high]).all() and low <= high):
             raise InputError(f"found {low!r} to {high!r}", where=name, expected="a number, or a lower and a higher one")
-        if name in names:
-            drawn = random.uniform(low, high, len(thetas)) if low < high else np.full(len(thetas), low)
-            thetas[:, names.index(name)] = np.concatenate([[0.5 * (low + high)], drawn[1:]])
-        elif low < high:
-            expected = f"one of: {', '.join(names)}"
-            raise InputError("a range of what was not fitted", where=name, expected=expected, remedy="one number")
-        else:
-            for place in find(scene, name):
+        for place in find(scene, name):
+            same = [k for k, own in enumerate(fitted) if own.overlaps(place)]
+            if any(fitted[k] != place for k in same):
+                found, expected = "not as it was fitted", f"the fit's name: {', '.join(names[k] for k in same)}"
+                raise InputError(found, where=name, expected=expected)
+            if same:
+                drawn = random.uniform(low, high, len(thetas)) if low < high else np.full(len(thetas), low)
+                thetas[:, same[0]] = np.concatenate([[0.5 * (low + high)], drawn[1:]])
+            elif low < high:
+                expected = f"one of: {', '.join(names)}"
+                raise InputError("a range of what was not fitted", where=name, expected=expected, remedy="one number")
+            else:
                 scene = place.written(scene, number(low))
     return scene, thetas
 

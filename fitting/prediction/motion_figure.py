@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting.prediction.motion import COORDINATES, LEVEL, PredictedMotion
+from fitting.prediction.predicted_motion import COORDINATES, LEVEL, PredictedMotion
 from pftwin.results.plots.style import MEASURED, SMALL, house_style, legend_below, line, panels_in_rows
 from pftwin.results.plots.style import title as name_figure
 
@@ -25,7 +25,7 @@ def motion_figure(motion: PredictedMotion) -> Figure:
             ends = motion.low[:, k], motion.high[:, k]
             ax.fill_between(motion.times, *ends, alpha=0.25, color=look["color"], linewidth=0, label="band")
             if motion.measured is not None:
-                ax.plot(motion.times, motion.measured[:, k], label="measured", **MEASURED)
+                ax.plot(motion.times, motion.measured[:, k], label=motion.label, **MEASURED)
             ax.plot(motion.times, motion.value[:, k], label="predicted", zorder=2, **look)
             for first, last in _not_compared(motion):
                 ax.axvspan(first, last, color="black", alpha=0.08, linewidth=0)

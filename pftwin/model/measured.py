@@ -83,10 +83,11 @@ class Measured:
             if not first <= last:
                 raise InputError(f"found {first:g}:{last:g}", where="during", expected="FROM:TO in seconds")
             inside |= (self.times >= first) & (self.times <= last)
-        if not inside.any():
-            found = f"no frame of {self.times[0]:g} s to {self.times[-1]:g} s"
+        weights = np.where(inside, 1.0 if self.weights is None else self.weights, 0.0)
+        if not (weights > 0).any():
+            found = f"no frame that counts of {self.times[0]:g} s to {self.times[-1]:g} s"
             raise InputError(found, where="during", expected="spans of the recording")
-        return replace(self, weights=np.where(inside, 1.0 if self.weights is None else self.weights, 0.0))
+        return replace(self, weights=weights)
 
     @staticmethod
     def from_angles(

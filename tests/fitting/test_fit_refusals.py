@@ -40,6 +40,15 @@ from pftwin.model.measured import Measured
         ({"generations": 5}, "no option 'generations'"),
         ({"resume": True}, "nothing to resume"),
         ({"computed": ("position", "magic")}, "computed: no channel 'magic'.*quadriceps"),
+        (
+            {"free": ("K1", "contact.center.z"), "bounds": {"contact.center.z": (-0.01, 0.03)}},
+            "contact.center.z moves the point of the patella whose path was measured",
+        ),
+        ({"free": ("quadriceps.insertion.z~contact.center.z",)}, "moves the point of the patella"),
+        (
+            {"nuisance": fitting.Nuisance(others={"contact.center.x": 1e-3})},
+            "contact.center.x moves the point of the patella whose path was measured",
+        ),
         ({"computed": ("quadriceps",)}, "computed: without position, which the fit compares"),
     ],
 )

@@ -78,6 +78,23 @@ def test_bands_are_written_and_told(folder, tmp_path):
     assert told["errors"]["y"] == pytest.approx(float(np.sqrt(np.mean(off**2))))
 
 
+def test_what_is_no_table_is_refused_as_ever(folder):
+    for table, text in (("[motion]", 'motion = "poses.csv"'), ("[measured]", 'measured = "poses.csv"')):
+        whole = (folder / "scene.toml").read_text()
+        start = whole.index(table)
+        end = whole.index("[", start + 1) if table == "[motion]" else len(whole)
+        (folder / "bad.toml").write_text(text + "\n" + whole[:start] + whole[end:])
+        with pytest.raises(InputError, match=text.split()[0]):
+            load_scene(folder / "bad.toml", motion=folder.parent / "other.csv")
+
+
+def test_tensions_over_time_belong_to_the_scenes_own_recording(folder):
+    pulls = '\n[[prescribed_tension]]\nbody = "femur"\nfile = "pulls.csv"\n'
+    (folder / "pulled.toml").write_text((folder / "scene.toml").read_text() + pulls)
+    with pytest.raises(InputError, match="tension_N, or a scene file of that recording"):
+        load_scene(folder / "pulled.toml", motion=folder.parent / "other.csv")
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

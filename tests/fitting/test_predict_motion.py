@@ -9,7 +9,8 @@ import pytest
 from made_estimates import made_estimate
 from small_scene import small_scene
 
-from fitting.prediction.motion import COORDINATES, predict_motion
+from fitting.prediction.motion import predict_motion
+from fitting.prediction.predicted_motion import COORDINATES
 from pftwin import simulate
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -71,6 +72,31 @@ def test_errors_and_shares_are_of_the_frames_compared(knee, truth, predicted):
     assert (seen.held["x"], seen.held["tilt"]) == (1.0, 1.0)
 
 
+def test_synthetic_data_and_doubts_are_told(knee, truth):
+    doubted = fitted(doubts=["two springs swapped"], verdict="INVALID: no contact")
+    found = predict_motion(knee, doubted, replace(truth, synthetic=True), samples=2, dt=2e-3)
+    assert "INVALID estimate: two springs swapped" in found.notes
+    assert "the fitted motion: INVALID: no contact" in found.notes
+    assert "the parameters were estimated from synthetic measurements" in found.notes
+    assert any("synthetic" in str(line.get_label()) for ax in found.figure().axes for line in ax.get_lines())
+
+
+def test_measurements_of_another_clock_are_refused(knee, truth):
+    with pytest.raises(InputError, match="was measured at"):
+        predict_motion(knee, fitted(), replace(truth, times=truth.times + 0.3), samples=2)
+    short = Measured(truth.times[:-1], truth.center[:-1])
+    with pytest.raises(InputError, match="frames"):
+        predict_motion(knee, fitted(), short, samples=2)
+
+
+def test_one_number_by_another_of_its_names(knee):
+    by_letter, by_name = (
+        predict_motion(knee, fitted(), samples=1, dt=2e-3, values={name: 190.0})
+        for name in ("K1", "quadriceps.stiffness")
+    )
+    np.testing.assert_allclose(by_name.value, by_letter.value)
+
+
 def test_numbers_that_are_other_in_this_recording(knee):
     """One that was fitted, a range of it, and one that was not."""
     free = predict_motion(knee, fitted(), samples=12, dt=2e-3)
@@ -93,6 +119,10 @@ def test_numbers_that_are_other_in_this_recording(knee):
         (fitted(), {"values": {"K1": (2.0, 1.0)}}, "2.0 to 1.0"),
         (fitted(), {"values": {"patella.mass": (0.1, 0.2)}}, "a range of what was not fitted"),
         (fitted(), {"values": {"K9": 1.0}}, "K9"),
+        (fitted(), {"values": {"L2.strain": 0.1}}, "not as it was fitted; expected: the fit's name: L2"),
+        (fitted(), {"values": {"K1": -3.0}}, "stiffness"),
+        (fitted(), {"values": {"K1": (-300.0, 800.0)}}, "stiffness"),
+        (fitted(rmse={"X": 1e-3}, channels=("position", "orientation")), {}, "fit again"),
     ],
 )
 def test_what_cannot_be_predicted(knee, estimate, options, words):

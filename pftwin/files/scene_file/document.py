@@ -79,7 +79,9 @@ class Document:
 
         What was measured besides, and spans of time, belong to the file's own recording and are left out.
         """
-        given, old = Path(motion).resolve(), dict(self.data.get("motion", {}))
+        given, old = Path(motion).resolve(), self.data.get("motion", {})
+        if not isinstance(old, dict) or not isinstance(self.data.get("measured", {}), dict):
+            return self  # what is no table is refused with all else that is wrong
         kind = "markers" if "markers" in old and "poses" not in old else "poses"
         own = {key: value for key, value in old.items() if key not in (*_OF_ONE_RECORDING, "poses", "markers")}
         data = {**self.data, "motion": {**own, kind: str(given), **({} if rate is None else {"rate_Hz": rate})}}

@@ -107,12 +107,13 @@ def load_scene(
         contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), in place of the file's.
         allow_outside: whether the file may name others outside its folder; allow it to files whose origin you know.
         limits: of what a knee can be (`pftwin.model.limits.Limits`), by name, in place of the file's.
-        motion: another recording of the same knee, with bodies or markers of the same names, in place of the file's.
+        motion: another recording of the same knee, with bodies or markers of the same names, in place of the file's;
+            forces, weights and spans of time, which belong to the file's own, are left out.
         rate: its frames per second, where its times count frames.
 
     Raises:
         InputError: a file that cannot be read, unknown or missing fields, values that cannot be right; one message that
-            lists every problem with its line and field.
+            lists every problem with its line and field. Another recording beside tensions over time.
     """
     options = {"allow_outside": allow_outside, "limits": limits, "motion": motion, "rate": rate}
     return load_scene_file(path, contact=contact, **options).scene

@@ -60,6 +60,13 @@ class PrescribedTensionSection(EffectSection):
                 name=self.label,
             )
         assert self.file is not None
+        if setting.document.given is not None:
+            raise InputError(
+                "tensions over time of the scene's own recording",
+                where=setting.document.where(*at, "file"),
+                expected="none beside another recording",
+                remedy="tension_N, or a scene file of that recording",
+            )
         with setting.document.naming(*at, "file"):
             table = read_csv(setting.path(self.file), units="1")
             times = uniform_times(table.times, where=table.source)

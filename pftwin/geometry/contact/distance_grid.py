@@ -2,8 +2,8 @@ r"""A surface's depth from a table: quick where thousands of triangles touch at 
 
 Space about the surface is cut into cubes, one about each node of a regular grid. In each of them depth is a polynomial
 of second degree in each coordinate; together they are a quadratic spline, right to second order. Its slopes are
-continuous, so forces are too: with slopes that jump from cube to cube a patella may find no equilibrium. On the
-femoral cartilage of a living knee (29,800 triangles) cubes of 1 mm are off by 5 um rms.
+continuous, so forces are too, away from the rim: with slopes that jump from cube to cube a patella may find no
+equilibrium. On the femoral cartilage of a living knee (29,800 triangles) cubes of 1 mm are off by 5 um rms.
 """
 
 from __future__ import annotations

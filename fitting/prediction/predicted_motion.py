@@ -1,0 +1,131 @@
+"""What is told of a predicted motion: its bands, and what was measured beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from xarray import Dataset
+
+LEVEL = 0.9  # of bands
+COORDINATES = {  # unit, meaning
+    "x": ("mm", "centre, proximal"),
+    "y": ("mm", "centre, lateral"),
+    "z": ("mm", "centre, anterior"),
+    "flexion": ("deg", "patellar flexion"),
+    "rotation": ("deg", "rotation, internal positive"),
+    "tilt": ("deg", "tilt, lateral positive"),
+}
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedMotion:
+    """Of n frames and the six `COORDINATES`, in their units.
+
+    times: (n,) [s].
+    value, low, high: (n, 6) of the estimate itself, and the band's ends.
+    measured: (n, 6), NaN where it was not; None where nothing was.
+    compared: (n,) frames that are held against the measurements.
+    verdict: on the motion of the estimate, "valid" or "INVALID: ...".
+    notes: what qualifies the bands.
+    label: of the measurements in figures.
+    """
+
+    scene_name: str
+    times: Floats
+    value: Floats
+    low: Floats
+    high: Floats
+    measured: Floats | None
+    compared: NDArray[np.bool_]
+    verdict: str
+    notes: tuple[str, ...]
+    label: str = "measured"
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Root mean square errors of the coordinates, and the mean distance, over the frames compared; else none."""
+        if self.measured is None or not self.compared.any():
+            return {}
+        off = (self.value - self.measured)[self.compared]
+        distance, found = np.linalg.norm(off[:, :3], axis=1), {}
+        if np.isfinite(distance).any():
+            found["mean_distance"] = float(np.nanmean(distance))
+        for k, name in enumerate(COORDINATES):
+            if np.isfinite(off[:, k]).any():
+                found[name] = float(np.sqrt(np.nanmean(off[:, k] ** 2)))
+        return found
+
+    @property
+    def held(self) -> dict[str, float]:
+        """The share of the frames compared whose measurement lies in the band, by coordinate."""
+        if self.measured is None:
+            return {}
+        seen, low, high = (a[self.compared] for a in (self.measured, self.low, self.high))
+        inside, found = (seen >= low) & (seen <= high), {}
+        for k, name in enumerate(COORDINATES):
+            if (there := np.isfinite(seen[:, k])).any():
+                found[name] = float(inside[there, k].mean())
+        return found
+
+    @property
+    def all_held(self) -> float | None:
+        """The mean of these over the coordinates."""
+        return float(np.mean(list(self.held.values()))) if self.held else None
+
+    def sentence(self) -> str:
+        """What came out."""
+        if self.verdict != "valid":
+            return self.verdict
+        if not self.errors:
+            return f"{self.scene_name}: {self.times.size} frames predicted; nothing was measured there"
+        e, held, count = self.errors, self.all_held or 0.0, int(self.compared.sum())
+        path = f"{e['mean_distance']:.2g} mm from the measured path on average" if "mean_distance" in e else "turns"
+        angles = "".join(f", {name} {e[name]:.2g} deg rms" for name in ("rotation", "flexion", "tilt") if name in e)
+        return (
+            f"{self.scene_name}: {path} of {count} frames"
+            f"{angles}; bands of {100 * LEVEL:.0f} % held {100 * held:.0f} % of what was measured"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        told = {"scene": self.scene_name, "verdict": self.verdict, "level": LEVEL, "notes": list(self.notes)}
+        return {**told, "errors": self.errors, "held": self.held, "sentence": self.sentence()}
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Coordinate, unit, root mean square error, share of frames that the band holds."""
+        return [
+            (meaning, unit, f"{self.errors[name]:.2f}", f"{100 * self.held[name]:.0f} %")
+            for name, (unit, meaning) in COORDINATES.items()
+            if name in self.errors
+        ]
+
+    def dataset(self) -> Dataset:
+        """Everything, over time and coordinate."""
+        from xarray import Dataset
+
+        axes = ("time", "coordinate")
+        given = {"value": self.value, "low": self.low, "high": self.high}
+        given |= {} if self.measured is None else {"measured": self.measured}
+        words = {"value": "of the estimate", "low": "band, lower end", "high": "band, upper end"}
+        variables = {name: (axes, a, {"long_name": words.get(name, name)}) for name, a in given.items()}
+        coordinates = {
+            "time": (("time",), self.times, {"units": "s", "long_name": "time"}),
+            "coordinate": (("coordinate",), list(COORDINATES), {"long_name": "of the patella in the femur"}),
+            "unit": (("coordinate",), [unit for unit, _ in COORDINATES.values()], {"long_name": "its unit"}),
+            "compared": (("time",), self.compared, {"long_name": "held against the measurements", "units": "1"}),
+        }
+        about = {"title": f"predicted motion: {self.scene_name}", "level": LEVEL, "verdict": self.verdict}
+        return Dataset(variables, coordinates, {**about, "note": "; ".join(self.notes)})
+
+    def figure(self) -> Figure:
+        """Six panels over time: the band, the estimate's motion, and what was measured."""
+        from fitting.prediction.motion_figure import motion_figure
+
+        return motion_figure(self)

@@ -143,7 +143,11 @@ class Problem:
 
 
 def refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
-    """Measured is the path of one point of the patella; where a number moves that point, it fits any path."""
+    """Measured is the path of one point of the patella; where a number moves that point, it fits any path.
+
+    Raises:
+        InputError: there is such a number among the parameters.
+    """
     for p in parameters.items:
         if scene.contact is None or scene.contact.name not in {place.owner for place in (p.place, *p.place.tied)}:
             continue

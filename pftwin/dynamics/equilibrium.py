@@ -27,7 +27,6 @@ from pftwin.base.spatial import Pose, Scalar, safe_sqrt
 from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.state import Guide, System
 from pftwin.dynamics.static_load import Surroundings, displaced_pose, look_around, patella_at_rest, residual
-from pftwin.geometry.bvh.loops import member_by_member
 
 REACH = 2e-3  # longest step [m]
 SEARCH_STEPS = 4  # evaluations that turn rough memories into exact ones before the pose moves
@@ -186,8 +185,11 @@ def solve_equilibrium(system: System, guide: Guide, guess: Pose) -> Solution:
     that keeps iterating would hold up its whole batch), or at `MOST_ITERATIONS`. Members whose contacts are found
     in turns take turns here too: none waits for the slowest.
     """
-    search = member_by_member(_searched) if any(e.in_turns for e in system.effects) else _searched
-    return search(system, guide, guess)
+    if not any(e.in_turns for e in system.effects):
+        return _searched(system, guide, guess)
+    from pftwin.geometry.bvh.loops import member_by_member  # a scene without meshes imports nothing of theirs
+
+    return member_by_member(_searched)(system, guide, guess)
 
 
 def _searched(system: System, guide: Guide, guess: Pose) -> Solution:

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from fitting.evaluation import StepError
 from fitting.objective import Objective
 from fitting.programs import ORIENTATION, POSITION, unit_of
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
 
-Floats = NDArray[np.float64]
 Limits = Mapping[str, tuple[float, float]]
 
 LIMITS: dict[str, tuple[float, float]] = {

@@ -12,15 +12,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.uncertainty import SERIAL, long_run_score, scaled_by_noise, serial_correlation
+from pftwin.base.arrays import Floats
 
 if TYPE_CHECKING:
     from fitting.methods.problem import Problem
     from fitting.objective import Objective
 
-Floats = NDArray[np.float64]
 
 _WHOLE = 0.95  # shares above this change nothing that could be seen
 _OPEN = 1e-10  # of the largest eigenvalue: directions with less information are not determined

@@ -13,15 +13,12 @@ from collections.abc import Mapping, Sequence
 from numbers import Real
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.nuisance import REACH
 from fitting.parameters import BETWEEN_TRIALS, Parameter, Parameters
 from pftwin.base.errors import InputError
 from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 def with_differences(

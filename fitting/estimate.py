@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.channel_checks import shown
 from fitting.coverage import Coverage, coverage_of
@@ -19,6 +18,7 @@ from fitting.parameters import Applied, weights_in
 from fitting.programs import unit_of
 from fitting.sensors import Sensors
 from fitting.uncertainty import NORMAL_95, SERIAL, Undetermined, in_words
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.base.text_files import read_json
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from fitting.plots import EstimatePlots
     from pftwin.model.measured import Measured
 
-Floats = NDArray[np.float64]
 FORMAT = "pftwin estimate 1"
 _ARRAYS = ("values", "covariance", "lower", "upper", "nominal")
 

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from fitting import programs
 from fitting.parameters import Parameters
 from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of, unit_of
+from pftwin.base.arrays import Floats
 from pftwin.base.runtime import warn_of_accelerator
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.model.scene import Scene
 
-Floats = NDArray[np.float64]
 T = TypeVar("T")
 
 CHUNK = 32  # variants evaluated at once by default

@@ -15,19 +15,18 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.correlated import share_at
 from fitting.methods.least_squares import LeastSquares
 from fitting.parameters import Parameters
 from fitting.uncertainty import inverse_information, uncertainty
+from pftwin.base.arrays import Floats
 
 if TYPE_CHECKING:
     from fitting.evaluation import Evaluator
     from fitting.methods.problem import Method, Problem, State
     from fitting.trials_evaluator import TrialsEvaluator
 
-Floats = NDArray[np.float64]
 
 _MOST = 8  # times as many steps as before anything is known of their errors, at most
 _SETTLED = 0.05  # divergence [nats] of two estimates that are taken for one: a shift by 0.3 deviations, or 22 % of one

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.channel_checks import Limits, misread
 from fitting.evaluation import Prediction
 from fitting.methods.problem import Problem, Request
 from fitting.programs import POSITION
 from fitting.trials import said_of_trials
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-
-Floats = NDArray[np.float64]
 
 _UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measured, in metres or newtons
 _FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]

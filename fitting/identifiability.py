@@ -21,11 +21,10 @@ from fitting.parameters import Bounds, Parameters
 from fitting.programs import ORIENTATION, POSITION, channels_of, reading_units, with_readings
 from fitting.trials import check_channels, free_in_trials, trial_names
 from fitting.uncertainty import in_words, inverse_information, percent, sizes
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
-
-Floats = NDArray[np.float64]
 
 NOISE = {POSITION: 2e-4, ORIENTATION: 5e-3}  # of motion capture [m], [rad]
 FORCE_NOISE = 0.15  # of a load cell [N]

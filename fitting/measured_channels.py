@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.programs import ORIENTATION, POSITION
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 _SAME_TIME = 0.1  # of a frame's interval: allows for the rounding of printed times
 _OF_FORCES = ("force", "tension")  # what the channel is that has an effect's name

@@ -11,12 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 
-Floats = NDArray[np.float64]
 StatedNoise = Mapping[str, ArrayLike]  # by channel: a standard deviation, or a covariance of its columns
 
 _SYMMETRIC = 1e-9  # largest difference of a covariance's halves, as a share of its largest number

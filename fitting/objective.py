@@ -27,11 +27,10 @@ from fitting.evaluation import Prediction
 from fitting.measured_channels import check_times, chosen_channels
 from fitting.metric import Metric, StatedNoise, check_noise, covariances, level
 from fitting.programs import ORIENTATION, POSITION, channel_widths, reading_units
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 OBJECTIVES = ("likelihood", "paper")
 LOSSES = ("linear", "huber", "soft_l1")

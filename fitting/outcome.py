@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.channel_checks import Limits, left_over, unresolved
 from fitting.estimate import Estimate, FittedTrial
@@ -20,6 +19,7 @@ from fitting.sensors import Sensors
 from fitting.time_shift import TimeShift, late_channels, time_shifts
 from fitting.trials import said_of_trials, trial_names
 from fitting.uncertainty import relative, sizes, uncertainty
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import PftwinError
 from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.status import status_facts
@@ -29,7 +29,6 @@ from pftwin.results.verdict import Verdict
 if TYPE_CHECKING:
     from fitting.inference.infer import Inferred
 
-Floats = NDArray[np.float64]
 
 _TRIED, _PER_PARAMETER = 63, 3  # draws next to the posterior's mean, at least, and per number of parameters
 _NO_DRAW_RUNS = "neither the posterior's means nor the draws next to them give a finite motion"

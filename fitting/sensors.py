@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fitting.nuisance import OF_SENSORS, Nuisance
 from fitting.programs import ORIENTATION, POSITION, unit_of
+from pftwin.base.arrays import Floats
 from pftwin.files.mocap.poses import quaternion_product
 
 if TYPE_CHECKING:
     from fitting.methods.problem import Problem
     from fitting.objective import Objective
-
-Floats = NDArray[np.float64]
 
 
 class Sensors(NamedTuple):

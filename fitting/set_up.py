@@ -15,12 +15,10 @@ from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.parameters import Parameters
 from fitting.trials import free_in_trials, objective_of, trial_names
+from pftwin.base.arrays import Floats, Rows
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
-Rows = NDArray[np.float32]
 
 _MISSING = 0.1  # largest share of a column's frames that may be missing: gaps are bridged
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, Self
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.simulate import simulate
@@ -17,8 +17,6 @@ from pftwin.model.effects.line_elements import TOE
 from pftwin.model.effects.tendon import DampedLine, SpringForce
 from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 _TAUT = 2.0  # least distance of the slack length from the lengths that occur, in their deviations
 _SHARE = ".stiffening"  # the end of its name among the scene's numbers

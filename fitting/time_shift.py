@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 
 from fitting.channel_checks import Limits, raised
 from fitting.objective import Objective
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-
-Floats = NDArray[np.float64]
 
 EXPLAINED = (1 / 6, 1 / 3)  # share of the whitened squares of a pose and of a force that a shift must explain
 _REACH = 0.2  # largest shift looked for [s], and at most this share of the recording:

@@ -30,14 +30,12 @@ from fitting.outcome import Outcome, estimate_of, judge
 from fitting.sensors import Sensors
 from fitting.set_up import SetUp, bridged, from_nominal, listed, refuse_weights
 from fitting.trials import trials_of
+from pftwin.base.arrays import Floats, Rows
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.dynamics.simulate import compiled_aside
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
-
-Floats = NDArray[np.float64]
-Rows = NDArray[np.float32]
 
 FORMAT = "pftwin trained posterior 2"
 _FEWEST_PROBES = 0.5  # share of the knees that are run again that must run

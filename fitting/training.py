@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.channel_checks import limits_of
 from fitting.evaluation import HALVINGS, Evaluator
@@ -34,12 +33,10 @@ from fitting.set_up import SetUp, bridged, from_nominal, refuse_weights
 from fitting.trained import Probes, TrainedPosterior
 from fitting.trials import free_in_trials, objective_of, trials_of
 from fitting.trials_evaluator import TrialsEvaluator
+from pftwin.base.arrays import Floats, Rows
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
-
-Floats = NDArray[np.float64]
-Rows = NDArray[np.float32]
 
 AT_ALL = 30_000  # simulations
 _AT_ONCE = 2048  # of them, between two reports of progress

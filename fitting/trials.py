@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.differences import with_differences
 from fitting.measured_channels import measured_channels
@@ -23,8 +22,6 @@ from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of, 
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 _ANY = (-1e12, 1e12)  # bounds where the first trial's hold
 _EQUAL = 1e-6  # share by which numbers of two scenes may differ that count as the same: rounding in files

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator, Prediction, StepError
 from fitting.parameters import weights_in
 from fitting.trials import frames_of
+from pftwin.base.arrays import Floats
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(eq=False)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from fitting.objective import Objective
 from fitting.parameters import Parameters
 from fitting.programs import POSITION, unit_of
-
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
 
 NORMAL_95 = 1.959963984540054  # quantile of the normal distribution for 95 % intervals
 SERIAL = 0.2  # correlation of neighbouring residuals above which they do not count as independent

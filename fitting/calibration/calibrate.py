@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.operations import OUTCOMES, Operated, Operation
@@ -24,11 +23,10 @@ from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Parameter
 from fitting.programs import reading_units
 from fitting.set_up import SetUp, listed
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
-
-Floats = NDArray[np.float64]
 
 PER_KIND = 100  # plants
 MISPLACED = Nuisance(attachments=1e-3, damping=0.5)  # of which plants are made where twins are taken as exact

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fitting.nuisance import OF_SENSORS
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.filters import butterworth_lowpass
 from pftwin.files.mocap.frames import cluster_poses
@@ -22,7 +22,6 @@ from pftwin.model.scene import Scene
 if TYPE_CHECKING:
     from fitting.calibration.runs import Seen
 
-Floats = NDArray[np.float64]
 
 _CORNERS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]) / np.sqrt(3)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.prediction.outcomes import Groove
 from fitting.prediction.predicting import Fitted, predict
@@ -15,10 +14,9 @@ from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, in_si, smallest_margin
 from fitting.treatments.optimise import check_confidence, check_limits, check_ranges, optimise_treatment
 from fitting.treatments.refine import places_of
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 OUTCOMES = (
     "mean_tilt",

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimate import Estimate
 from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
@@ -21,11 +20,10 @@ from fitting.parameters import Bounds
 from fitting.programs import POSITION
 from fitting.set_up import SetUp, listed, refuse_weights
 from fitting.trials import free_in_trials, objective_of, trials_of
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 class QuickFit(NamedTuple):

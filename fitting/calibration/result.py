@@ -15,6 +15,7 @@ from scipy.stats import binomtest
 
 from fitting.calibration.operations import OUTCOMES, Operated
 from fitting.prediction.outcomes import MEASURES
+from pftwin.base.arrays import Floats
 from pftwin.base.quantities import as_read
 from pftwin.base.text_files import write_text
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from fitting.calibration.plots import CalibrationPlots
     from fitting.trained import TrainedPosterior
 
-Floats = NDArray[np.float64]
 
 FORMAT = "pftwin calibration 1"
 LEVELS = (0.5, 0.8, 0.9, 0.95)

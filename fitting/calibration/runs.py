@@ -8,18 +8,16 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from fitting.calibration.plants import Plant
 from fitting.demo.straight_springs import straight_line
 from fitting.parameters import Parameters
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.simulate_batch import simulate_batch
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import Observation
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 _OF_LINES = (("stiffness",), ("slack_length",))  # what the line nearest to a spring tells
 _STEP = 5e-4  # of plants, by another integrator than a fit's [s]

@@ -10,13 +10,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.effects.line_elements import ElasticLine
 
 QUADRICEPS, PATELLAR_TENDON = "quadriceps", "patellar_tendon"
-Floats = NDArray[np.float64]
 
 
 class StraightSpring(NamedTuple):

@@ -14,15 +14,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.inference.learning import Learned, Rows
 from fitting.methods.problem import Problem
 from fitting.objective import Objective
 from fitting.parameters import Parameters
 from fitting.sensors import Sensors
-
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
 
 _TIMES = 3  # from the prior on, each time where the one before put it
 _KNEES, _PER_PARAMETER = 192, 6  # simulated each time, at least, and so many times the number of parameters

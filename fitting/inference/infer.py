@@ -17,7 +17,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.evaluation import HALVINGS, Prediction
 from fitting.inference.besides import with_nuisance
@@ -28,8 +27,6 @@ from fitting.methods.problem import Problem
 from fitting.parameters import Parameters
 from fitting.sensors import Sensors
 from pftwin.base.errors import InputError
-
-Floats = NDArray[np.float64]
 
 PER_ROUND = 8000  # simulations
 TOGETHER = 64  # simulations that two cores run in two calls of 32. With 128 a call each takes as long, compiling twice

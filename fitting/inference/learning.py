@@ -5,19 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.channel_checks import Limits, bounded
 from fitting.inference.recordings import Noise, Summaries, SummaryNoise, Table
 from fitting.inference.region import Region
 from fitting.objective import Objective
+from pftwin.base.arrays import Floats, Rows
 from pftwin.base.errors import PftwinError
 
 if TYPE_CHECKING:
     from fitting.inference.network import PosteriorNetwork
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.float32]
 
 _SUMMARIES = 80
 _SOME = 2000  # recordings that tell directions of the summaries, and the noise

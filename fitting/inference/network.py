@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from fitting.inference.recordings import SummaryNoise
 from fitting.methods.problem import standard_promotion
-
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
 
 _COMPONENTS, _WIDTH, _DEPTH = 4, 128, 3
 _EPOCHS, _PATIENCE = 100, 12  # at most; epochs without progress on recordings kept aside, after which training ends

@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.stiffening import working_of
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import PftwinError
-
-Floats = NDArray[np.float64]
 
 _OF_SPRINGS = ("stiffness", "slack_length", "stiffening")
 

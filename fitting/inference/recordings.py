@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.signal import lfilter
 
 from fitting.objective import Objective
 from fitting.programs import ORIENTATION, POSITION
-
-Floats = NDArray[np.float64]
-Rows = NDArray[np.float32]
+from pftwin.base.arrays import Floats, Rows
 
 _NUMBERS = 1500  # of a recording, at most about as many: neighbouring frames are averaged
 _INITIAL = {POSITION: 2e-4, ORIENTATION: 2e-3}  # noise before anything is known [m], [rad]

@@ -15,9 +15,8 @@ from scipy.special import expit
 from scipy.stats import chi2, norm
 
 from fitting.parameters import Parameters
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-
-Floats = NDArray[np.float64]
 
 _NARROWEST = 0.01  # least half width of what nuisance is drawn from, as a share of its bounds
 _INSIDE, _MARGIN = 0.999, 1.6  # share of a normal posterior within the ellipsoid, and by how much it is larger still

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
 
 _ROUNDS = 4  # times the number of parameters: releases are few
 _NOTHING = 1e-9  # pull on a stopped parameter that is none, of the largest at the start

@@ -12,11 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from numpy.typing import NDArray
 
 from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of, standard_promotion
-
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
 
 RATE = 0.1  # of Adam, in the unbounded parameters
 MEMORY = 10  # of L-BFGS

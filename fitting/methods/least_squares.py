@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from fitting.methods.bounded_steps import bounded_steps
 from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of
-
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
 
 
 class Phase(NamedTuple):

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of
+from pftwin.base.arrays import Floats
 
-Floats = NDArray[np.float64]
 Random = np.random.Generator
 
 STALL = 50

@@ -18,7 +18,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator, Prediction
 from fitting.methods.bounded_steps import bounded_steps
@@ -26,13 +25,12 @@ from fitting.objective import Normal, Objective
 from fitting.parameters import Parameters
 from fitting.programs import POSITION
 from fitting.trials_evaluator import TrialsEvaluator
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.base.text_files import read_json
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 class Request(NamedTuple):

@@ -11,13 +11,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.methods.populations import Generations, has_stalled
 from fitting.methods.problem import Problem, ProblemAnswer, Request, State, standard_promotion
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import MissingExtraError
-
-Floats = NDArray[np.float64]
 
 _SPREAD = 0.3  # of CMA-ES's first generation, as a share of the range
 

@@ -21,10 +21,9 @@ from fitting.estimate import Estimate
 from fitting.fit import likelihood_of
 from fitting.methods.problem import Problem
 from fitting.uncertainty import SERIAL
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
-
-Floats = NDArray[np.float64]
 
 BLOCK = 128  # points whose residuals are held at once
 _SMALLEST = 1e-12  # eigenvalues of the scaled information below this share of the largest are rounding

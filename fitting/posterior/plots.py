@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from fitting.posterior.result import Posterior
 
-Floats = NDArray[np.float64]
 
 _BINS = 40
 _TWICE = (1.0, 2.0)  # ellipses drawn of the estimate, in standard deviations

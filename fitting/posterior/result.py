@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimate import Estimate
 from fitting.uncertainty import percent
+from pftwin.base.arrays import Floats
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from fitting.posterior.plots import PosteriorPlots
     from fitting.posterior.sampling import Posterior
 
-Floats = NDArray[np.float64]
 
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
 AGREES = 0.15  # share of an interval's half width: ends that differ by less confirm the interval

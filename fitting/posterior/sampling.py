@@ -36,10 +36,9 @@ from fitting.methods.problem import standard_promotion
 from fitting.posterior.density import BLOCK, Density, Seen
 from fitting.posterior.result import Posterior
 from fitting.uncertainty import SERIAL
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.model.measured import Measured
-
-Floats = NDArray[np.float64]
 
 WARMUP = 25  # of each chain: proposals are independent, so a chain forgets its start within a few draws
 _LEAST = {"draws": 8, "chains": 2, "warmup": 1}

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.parameters import BETWEEN_TRIALS
 from fitting.prediction.plots import PANELS
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from xarray import Dataset
 
-Floats = NDArray[np.float64]
 
 ALL = "all of them"
 _FEWEST, _PER_NUMBER = 8, 4  # draws, at least, and for each number of a source

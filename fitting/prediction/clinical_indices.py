@@ -21,17 +21,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fitting.prediction.outcomes import groove_surface
 from fitting.prediction.trochlear_section import TrochlearSection, section
 from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, line_element
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.trajectory import knee_angles
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 LEVEL = 0.25  # section of the trochlea, as a share of the groove's length from its proximal end
 _NEAREST = np.radians(2.0)  # largest difference of a recorded flexion from the requested one

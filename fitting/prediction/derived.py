@@ -9,13 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draws
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene, check
-
-Floats = NDArray[np.float64]
 
 _AT_ONCE = 256  # draws whose values are computed together
 _FAILED = 0.05  # share of draws that may give no finite number

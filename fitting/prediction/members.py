@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fitting.prediction.outcomes import Course, CourseFrame, Groove, course_of, measure
 from fitting.treatments import Treatment
+from pftwin.base.arrays import Floats
 from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.batched import good_sizes
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
@@ -32,7 +33,6 @@ from pftwin.model.scene import Scene
 
 _NEAR = 48  # equilibria found from the scene's own start; all other searches start from the nearest of these
 _FEWEST = 16  # least members of a chunk: fewer cost as much
-Floats = NDArray[np.float64]
 
 
 class Recipe(NamedTuple):

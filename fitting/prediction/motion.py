@@ -19,6 +19,7 @@ from fitting.measured_channels import check_times
 from fitting.prediction.predicted_motion import COORDINATES, LEVEL, PredictedMotion
 from fitting.prediction.predicting import check_draws, estimate_and_draws
 from fitting.programs import ORIENTATION, POSITION, TURNS
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number
 from pftwin.base.rotations import patellar_angles
@@ -32,7 +33,6 @@ from pftwin.results.verdict import INVALID, is_invalid, verdict_of_counts
 
 _QUANTILES = 401  # of the normal error that widens each draw
 _MOST_FAILED = 0.1  # share of the draws without a motion that a band may leave out
-Floats = NDArray[np.float64]
 
 
 def predict_motion(

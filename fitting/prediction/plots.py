@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.coverage import NOT_KNOWN
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
 from pftwin.results.verdict import INVALID
@@ -27,7 +28,6 @@ PANELS = (
     ("medial_share", 100.0, "share of force on the medial facet [%]"),
 )
 _MOST_LINES = 6
-Floats = NDArray[np.float64]
 
 
 class OutcomeBand(NamedTuple):

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from xarray import Dataset
@@ -21,7 +23,6 @@ COORDINATES = {  # unit, meaning
     "rotation": ("deg", "rotation, internal positive"),
     "tilt": ("deg", "tilt, lateral positive"),
 }
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from fitting.prediction.members import Members, Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove
 from fitting.prediction.variants import VariantBatch, batches
 from fitting.treatments import Treatment
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices
 from pftwin.dynamics.frame_states import substeps_for
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 STEP = 5e-4  # [s]; how good it is: docs/accuracy.md
 CHUNK = 256  # members for which a step of the whole chunk stays in a core's cache
 _COURSE_LIMIT = 4096  # members whose trajectories are kept: some 50 MB per thousand
-Floats = NDArray[np.float64]
 
 
 class Fitted(Protocol):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.geometry.patch.closest import Surface
 from pftwin.results.tracking import groove_line
@@ -15,7 +15,6 @@ from pftwin.results.tracking import groove_line
 _SAMPLES = 401
 _LIFT = (0.02, 0.021)  # two heights whose difference gives the direction out of the bone [m]
 _HALF_WIDTH = 0.020  # for a surface of unknown width [m]
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

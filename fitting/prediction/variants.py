@@ -11,10 +11,9 @@ from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from fitting.treatments import KINDS, Treatment
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 class VariantBatch(NamedTuple):

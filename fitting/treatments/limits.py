@@ -8,18 +8,17 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.coverage import NOT_KNOWN
 from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import Treatment
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
-Floats = NDArray[np.float64]
 
 NO_NUMBER = ("dislocation_time", "dislocation_flexion", "re_engagement_time", "re_engagement_flexion")  # where none is
 _UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # scale of the margin where the bound is 0

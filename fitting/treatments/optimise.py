@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.coverage import NOT_KNOWN
 from fitting.prediction.plots import invalid_variants
@@ -23,13 +22,13 @@ from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draw
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, TreatmentPlan, smallest_margin
 from fitting.treatments.refine import CHUNK, Search, refine
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import DISLOCATED
 
 _GRID = {1: 41, 2: 15, 3: 8}  # grid points per side, by the number of amounts
 _AT_ONCE = 8  # grid points whose draws are simulated together
-Floats = NDArray[np.float64]
 
 
 def optimise_treatment(

@@ -17,13 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from fitting.prediction.members import Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove, measure
 from fitting.prediction.predicting import STEP, Fitted
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.frame_states import substeps_for
@@ -37,7 +37,6 @@ _NONE = -1e3  # margin where a value is missing
 _CLOSE = 1e-4  # relative change of the effort at which bisection ends
 _FINE = 1e-4  # tolerance of a single amount, as a share of the grid's step
 CHUNK = 64  # members at once: one program for the grid and for draws, which come in pieces of all sizes
-Floats = NDArray[np.float64]
 
 
 @eqx.filter_jit

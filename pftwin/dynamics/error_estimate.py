@@ -18,12 +18,10 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.status import MOST_ERROR_SHARE, MOST_FORCE_ERROR, MOST_PATH_ERROR, Status
-
-Floats = NDArray[np.float64]
 
 REACH = 0.02  # of the patella's points that count, from the tracked one [m]
 FORCE_POWER = 0.5  # with which errors of forces at single frames fall, at worst

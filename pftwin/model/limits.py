@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import declarations
 from pftwin.base.rotations import tibiofemoral_angles
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from pftwin.model.effects.line_elements import LineElement
     from pftwin.model.scene import Scene
 
-Floats = NDArray[np.float64]
 _ROUNDED = 0.02  # by how much, as a share, rounded moments of inertia may break the triangle inequality
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.spatial import Quaternion
 from pftwin.model.motion import KneeMotion, SegmentMotion
-
-Floats = NDArray[np.float64]
 
 
 def tibia_orientation(motion: KneeMotion) -> Quaternion:

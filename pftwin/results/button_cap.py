@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinWarning
 
 if TYPE_CHECKING:
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 _FACETS = ("medial", "lateral")
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.rotations import (
     PatellarAngles,
     TibiofemoralAngles,
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
 
     from pftwin.geometry.patch.closest import Surface
     from pftwin.results.plots import ResultPlots
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

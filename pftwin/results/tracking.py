@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.patch.closest import Surface
@@ -25,8 +26,6 @@ RE_ENGAGED = 0.6  # share of that distance below which the button counts as back
 _SECTIONS, _SAMPLES = 81, 161
 _HALF_WIDTH = 0.020  # where a surface does not say how wide it is [m]
 _LARGEST_JUMP = 0.003  # of the bottom between neighbouring sections [m]
-
-Floats = NDArray[np.float64]
 
 
 class GrooveLine(NamedTuple):

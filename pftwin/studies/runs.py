@@ -10,13 +10,12 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion
 from pftwin.results.result import Result
 
-Floats = NDArray[np.float64]
 V = TypeVar("V")
 A = TypeVar("A")
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
 
 
 def distances(corners: Floats, point: Floats) -> Floats:

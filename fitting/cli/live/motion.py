@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.knee import REST, gaps_filled, line_ends
 from pftwin.results.viewer.recorded import FEW, Recorded
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
     from pftwin.results.result import Result
 
-Floats = NDArray[np.float64]
 _REMEDY = "other values"
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, OutputError, PftwinWarning
 from pftwin.files.result_files import finite_frames, motion_dataset, save_csv, save_sto, write_storage
 
@@ -58,7 +58,6 @@ AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 SEQUENCE = "ZXY"
 SIGNS = np.array([-1.0, 1.0, 1.0])
 JOINTS = {"tibia": ("knee", ("flex", "add", "rot")), "patella": ("pf", ("flex", "rot", "tilt"))}
-Floats = NDArray[np.float64]
 
 
 class Coordinates(NamedTuple):

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.base.rotations import continuous_signs
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from pftwin.results.viewer.bones import Solid
     from pftwin.results.viewer.recorded import Recorded
 
-Floats = NDArray[np.float64]
 
 ROOT = "femur"
 UPRIGHT = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

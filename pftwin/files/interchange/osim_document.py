@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import MODEL_BYTES, read_bytes
 
@@ -153,7 +154,6 @@ def _parsed(content: bytes, file: str) -> Element:
     return top.children[0]
 
 
-Floats = NDArray[np.float64]
 GROUND = "ground"
 
 

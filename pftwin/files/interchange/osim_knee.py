@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import OsimFrame
 from pftwin.files.interchange.osim_joints import Joint
 from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, plain_name
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-Floats = NDArray[np.float64]
 FOLDER = "geometry"  # of meshes in a scene's folder
 SIDES = {"right": "_r", "left": "_l"}
 

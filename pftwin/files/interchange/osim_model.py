@@ -11,14 +11,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import Element, Frames, OsimFrame, read_osim
 from pftwin.files.interchange.osim_joints import Tree, read_tree
 
-Floats = NDArray[np.float64]
 LIGAMENT = "Blankevoort1991Ligament"
 # What a file leaves out has these values: the classes' own defaults in OpenSim.
 _DEFAULTS = {

@@ -6,9 +6,9 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import continuous_signs
 from pftwin.files.interchange.osim_joints import Coordinate, Tree
@@ -18,7 +18,6 @@ from pftwin.files.mocap.poses import PoseSeries, quaternion_product
 from pftwin.files.mocap.sto import read_sto
 from pftwin.files.mocap.tables import unknown_name
 
-Floats = NDArray[np.float64]
 RATE = 100.0  # frames per second of a motion that is made
 FASTEST = np.radians(45.0)  # of it [rad/s]
 FARTHEST = np.radians(90.0)  # of it, where the model's range goes further

@@ -6,15 +6,13 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import refuse_repeated
 from pftwin.files.interchange.osim_document import Element, Frames
 from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
 from pftwin.files.interchange.osim_model import OsimModel, plain_name
-
-Floats = NDArray[np.float64]
 
 _BODIES = ("femur", "tibia", "ground")
 _STRENGTH = "max_isometric_force"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.files.interchange.osim_knee import OsimKnee, Written
 from pftwin.files.interchange.osim_model import LeftOut, OsimContact, OsimLigament, OsimModel, plain_name
 from pftwin.files.interchange.osim_muscles import PatellarMuscle
@@ -19,7 +19,6 @@ from pftwin.files.interchange.osim_muscles import PatellarMuscle
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
 
-Floats = NDArray[np.float64]
 # Which of OpenSim's axes (x anterior, y proximal, z to the right) are proximal, lateral, anterior.
 AXES = {"right": '["+y", "+z", "+x"]', "left": '["+y", "-z", "+x"]'}
 

@@ -8,15 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.files.mocap.csv_files import read_csv
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.mocap.sto import read_sto
 from pftwin.files.mocap.tables import Table, unknown_name
-
-Floats = NDArray[np.float64]
 
 _PARTS = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 _ENTRIES = tuple(f"T{row}{column}" for row in range(1, 5) for column in range(1, 5))

@@ -16,6 +16,7 @@ from jax.dtypes import canonicalize_dtype
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.program_cache import cached
 from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.tree import ROUNDING, depth_for, fit_discs, median_order
@@ -23,7 +24,6 @@ from pftwin.geometry.bvh.triangle import Triangle
 
 ROUGH = 1e-7  # [m]: several times the rounding of single precision
 FLAT = 0.2  # [m]: largest radius of a shell that single precision resolves
-Floats = NDArray[np.float64]
 
 
 class CornerTree(eqx.Module):

@@ -19,6 +19,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.base.spatial import Rotation, Scalar, Vec3
@@ -26,8 +27,6 @@ from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.contact.depth_search import TouchingLeaves, nearest_triangle
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface, gathered, pressed_surface
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-
-Floats = NDArray[np.float64]
 
 _AROUND = 12e-3  # [m] how far the table reaches beyond the surface's extent: deeper than depths are looked for
 _BEYOND = 6e-3  # [m] how far from the rim depth goes on beyond it

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.results.metrics import validate
 from pftwin.results.plots.quantities import PlottedQuantity, provenance, quantities
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.results.result import Result
 
-Floats = NDArray[np.float64]
 
 LEAST = 5.0  # [deg] of knee flexion: less is no stroke
 _SHARE = 0.2  # of the whole range: smaller movements back and forth belong to the stroke around them

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import SYNTHETIC
 from pftwin.results.metrics import reading
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.results.result import Result
 
-Floats = NDArray[np.float64]
 TIBIAL, FEMORAL = "patellar_tendon", "quadriceps"  # effects whose tensions the springs' forces are, on the rig
 
 

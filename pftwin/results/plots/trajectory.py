@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Rotation, Vec3
 from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.results.result import Result
 
-Floats = NDArray[np.float64]
 
 MARGIN = 5.0  # of the map around the path [mm]
 _SAMPLES = 121  # of a smooth surface, either way

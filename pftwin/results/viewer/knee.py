@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import MissingExtraError
 from pftwin.results.viewer import bones
 from pftwin.results.viewer.recorded import FEW, ContactArrow, Lines, Recorded
@@ -27,7 +28,6 @@ from pftwin.results.viewer.shapes import (
 if TYPE_CHECKING:
     from k3d.objects import Drawable
 
-Floats = NDArray[np.float64]
 REST = 0.4  # points of a path that are nearer to the last are passed over: at rest it has no direction [mm]
 AHEAD = 0.6  # how much paler the part of a contact's path is that is still to come
 

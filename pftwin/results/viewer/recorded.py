@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.results.verdict import Verdict, verdict_of_file
 from pftwin.results.viewer.shapes import Matrices, of_poses
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 FACETS = ("medial", "lateral")
-Floats = NDArray[np.float64]
 FEW = 4  # lines of an effect that are drawn as thick as a tendon
 MOST_FRAMES = 241  # shown of a result; between them a drawing interpolates
 Mesh = tuple[Floats, NDArray[np.int64]]  # vertices [m], triangles

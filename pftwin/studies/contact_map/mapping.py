@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
 from pftwin.files.mocap.poses import PoseSeries
@@ -28,7 +29,6 @@ from pftwin.studies.runs import run_each
 
 BAND = 1e-3  # distance from the femur up to which depths are computed [m]
 
-Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.studies.hard_cases.programs import PARAMETERS
-
-Floats = NDArray[np.float64]
 
 CHANGE = 1e-5  # of a parameter, in its unit, to either side
 FINER = 0.25  # share of it that is tried where differences and derivatives disagree

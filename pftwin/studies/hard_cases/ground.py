@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Rotation
@@ -19,7 +20,6 @@ from pftwin.geometry.patch.fit import parse_degree
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.geometry.patch.spline import SplinePatch
 
-Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats], Floats]
 
 CYLINDER = " cylinder"  # ending of a patch's name: over a cylinder

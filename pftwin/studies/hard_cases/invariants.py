@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.dynamics.status import DEEPEST, Status
 from pftwin.studies.hard_cases.case import UNKNOWN, HardCase
 from pftwin.studies.hard_cases.knee import Numbers
 from pftwin.studies.hard_cases.programs import CaseRun
 
-Floats = NDArray[np.float64]
 GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with checks of their own
 ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE  # and those of steps, which are judged by a converged run
 

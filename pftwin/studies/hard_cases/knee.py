@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Pose, Quaternion
 from pftwin.files.mocap.poses import PoseSeries
@@ -28,7 +28,6 @@ from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.ground import TROCHLEA, TiltedGround, axis_below, mesh_on
 
 Triple = tuple[float, float, float]
-Floats = NDArray[np.float64]
 
 RATE = 100.0  # [Hz]
 FRAMES = 51

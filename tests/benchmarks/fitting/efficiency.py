@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator, Prediction
 from fitting.fit import SPRING_PARAMETERS, fit_tendons
@@ -19,12 +18,11 @@ from fitting.objective import SPRINGS, Objective
 from fitting.parameters import free_parameters
 from fitting.programs import POSITION
 from fitting.uncertainty import NORMAL_95, inverse_information
+from pftwin.base.arrays import Floats
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 from pftwin.rig.laboratory import FORCE_NOISE, MARKER_NOISE
 from tests.benchmarks.row import Row
-
-Floats = NDArray[np.float64]
 
 TRUE = np.array([1.10, 0.97, 0.92, 1.02])  # true springs, as multiples of the nominal ones
 MOTIONS = {"case 2, which dislocates": 2, "case 1, which tracks": 1}

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from wrapped_line import Ellipsoid
 
+from pftwin.base.arrays import Floats
 from pftwin.files.mocap import PoseSeries, read_csv
 
-Floats = NDArray[np.float64]
 MUSCLES = ("recfem", "vasint", "vaslat", "vasmed")
 LIGAMENTS = {"PT": "patellar_tendon", "MPFL": "mpfl", "LPFL": "lpfl"}
 TOE_STRAIN = 0.06

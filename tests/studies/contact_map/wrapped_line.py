@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial import ConvexHull
 
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
+
 ROUND = np.linspace(0, 2 * np.pi, 360, endpoint=False)
 
 

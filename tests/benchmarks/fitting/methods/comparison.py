@@ -12,16 +12,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator
 from fitting.methods.problem import Problem, Request
 from fitting.objective import Objective
 from fitting.parameters import Parameters
+from pftwin.base.arrays import Floats
 from tests.benchmarks.fitting.methods.entrants import ENTRANTS, Entrant
 from tests.benchmarks.fitting.methods.meter import Budget, Course, Meter, OneStepEvaluator, SpentError
-
-Floats = NDArray[np.float64]
 
 _WARMING = 20240418  # a seed that is not counted: its run compiles
 

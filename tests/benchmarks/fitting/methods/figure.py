@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from tests.benchmarks.fitting.methods.entrants import ENTRANTS
 from tests.benchmarks.fitting.methods.meter import Best, Course
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 FLOOR = 1e-4  # what is drawn of less [mm]
 _POINTS = 200

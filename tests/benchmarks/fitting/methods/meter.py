@@ -11,12 +11,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.evaluation import Evaluator
 from fitting.methods.problem import Problem, ProblemAnswer, Request
-
-Floats = NDArray[np.float64]
+from pftwin.base.arrays import Floats
 
 FAILED = 1.0  # what a point that cannot be simulated is said to be worth, where infinity would not do [m]
 

@@ -9,12 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pftwin.base.errors import MissingExtraError
 from tests.benchmarks.fitting.methods.meter import Meter
-
-Floats = NDArray[np.float64]
 
 SCIPY_POPULATION = 15  # members per parameter: scipy's default
 _SPREAD = 0.3  # of pycma's first generation, as a share of the range

@@ -29,6 +29,7 @@ def rested():
     return simulate(dataclasses.replace(scene, motion=dataclasses.replace(scene.motion, n_frames=command.FRAMES)))
 
 
+@pytest.mark.slow
 def test_this_installation_is_sound(rested):
     done = doctor("--json", "-")
     assert done.exit_code == 0, done.output

@@ -107,6 +107,7 @@ def test_a_button_in_the_air_touches_nothing():
     assert Status.NO_CONTACT in flags(away)
 
 
+@pytest.mark.slow
 def test_beyond_the_patch_is_said():
     scene = knee()
     small = eqx.tree_at(lambda s: s.effects[3].surface.half_size, scene, (J(0.024), J(0.001)))
@@ -127,6 +128,7 @@ def test_a_start_out_of_balance_is_said():
     assert flags(scene, start) == Status.START_NOT_IN_EQUILIBRIUM
 
 
+@pytest.mark.slow
 def test_a_step_too_large_is_not_finite_and_says_so():
     """Explicit steps of 10 ms on a tendon of 1e9 N/m."""
     scene = knee(101)

@@ -146,6 +146,7 @@ def test_a_name_in_the_place_of_an_integrator_names_the_object(small: Scene) -> 
             verb(small, integrator="newmark:rho=0.8")
 
 
+@pytest.mark.slow
 def test_an_integrator_of_ones_own(hung: Scene) -> None:
     """Two half steps in the place of one: what half as long steps give."""
     from dataclasses import dataclass

@@ -96,6 +96,7 @@ def drops(step: float, integrator, law=HALF) -> np.ndarray:
     return up / FALLEN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", [LinearImplicit(), BDF2()], ids=lambda i: i.text)
 def test_a_drop_on_the_real_contact_rebounds_as_is_said(integrator):
     """In steps that are longer than the impact, of its length and short against it; and in the last as by the law."""
@@ -111,6 +112,7 @@ def test_a_drop_on_the_real_contact_rebounds_as_is_said(integrator):
             assert found.max() < 0.2 < due - 0.2
 
 
+@pytest.mark.slow
 def test_a_solver_of_diffrax_tells_the_approach_too():
     """Steps of a quarter of the impact: its memory of the approach is set at their ends, so they rebound short too."""
     found = drops(2.5e-4, Diffrax("Tsit5"))  # looks at the approach's speed

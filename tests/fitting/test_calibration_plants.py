@@ -83,6 +83,7 @@ def test_another_trochlea_is_the_twins_with_waves_of_a_tenth_of_a_millimetre_at_
         reshaped(bare, random)
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():
     own, random = knee(), np.random.default_rng(3)
     plant = stiffening(own, random)

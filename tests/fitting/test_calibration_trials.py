@@ -32,6 +32,7 @@ def knees() -> list[Knee]:
     return [Knee(scene, parameters, tuple(scenes)) for scene, parameters in zip(scenes, own, strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(PLANTS))
 def test_a_plant_is_the_same_in_every_trial(kind):
     """But for its insertion, elsewhere by as much as that of the nominal knee; the first is as of one trial."""

@@ -76,6 +76,7 @@ def test_without_it_neither_trial_fits():
     assert fitted(varies=None).rmse["position"] > 100 * found().rmse["position"]
 
 
+@pytest.mark.slow
 def test_value_gradient_and_information_are_those_of_the_trials_with_their_own_numbers():
     point = POINTS[0] + 0.001
     both = problem((0, 1), VARIES).normal(np.array([160.0, 0.0731, point, -0.0004, 0.0006]), 6)
@@ -99,6 +100,7 @@ def test_its_gradient_is_that_of_differences():
     np.testing.assert_allclose(both.normal(theta, 6).gradient[0], quotients, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_plan_allows_for_what_differs():
     """What one trial tells of the mean: its covariance and that between trials, added; trials' informations add."""
     given: Any = {"free": FREE, "bounds": BOUNDS, "noise": {"position": 3e-4}, "candidates": []}

@@ -48,6 +48,7 @@ def test_gradients_find_it():
     assert found.rmse["position"] < 2e-5
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_the_best_and_can_be_resumed(tmp_path):
     def interrupt(p):
         if p.iteration == 3:

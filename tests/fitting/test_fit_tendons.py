@@ -46,6 +46,7 @@ def test_missing_frames_are_left_out():
     np.testing.assert_allclose(found.values, TRUTH, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_robust_loss_minds_an_outlier_less():
     center = noisy(1).center
     center[20] += 0.01

@@ -127,6 +127,7 @@ def test_measurements_that_no_simulation_resembles_are_strange():
         assert (np.abs(seen).max() > LIMITS["simulated"][0]) is np.bool_(expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensors", [EXACT_SENSORS, OFF])
 def test_nuisance_given_what_is_asked_for_is_that_of_bayes(sensors):
     """Linear recordings of which what is asked for is known to be elsewhere: the conditional normal distribution."""

@@ -42,6 +42,7 @@ def swept():
     return predict(small_scene(5), grid(TRANSFER, medialisation=1e-4 * np.arange(64)), dt=DT)
 
 
+@pytest.mark.slow
 def test_a_small_knee_gets_the_least_that_meets_its_limit(swept):
     tilt = np.radians(swept["mean_tilt"].values)
     assert (np.diff(tilt) > 0).all()

@@ -145,6 +145,7 @@ def test_a_run_that_may_not_be_spoken_of_has_no_outcomes(flag):
     assert all(np.isnan(v) for v in found.values())
 
 
+@pytest.mark.slow
 def test_a_button_that_touches_nothing_has_no_share():
     found = measured(made_up([0.0, 0.001, *[0.0] * 6], force=(0.0, 0.0)))
     assert np.isnan(found["medial_share"])

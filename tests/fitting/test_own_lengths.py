@@ -25,6 +25,7 @@ def problem(free: tuple[str, ...], besides: Nuisance) -> Problem:
     return Problem.of(scenes, parameters, target)
 
 
+@pytest.mark.slow
 def test_draws_are_told_by_lines_through_what_the_knee_pulls():
     """A knee with shorter tendons works at other lengths than the nominal one: another line, the same tensions."""
     besides = Nuisance(stiffening=0.2).at_work([small_scene()])

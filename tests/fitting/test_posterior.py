@@ -86,6 +86,7 @@ def test_one_program_serves_fits_to_other_channels(scene, estimate):
     assert 0.9 * NOISE < alone.rmse["position"] < estimate.rmse["position"]  # with the force it gives way a little
 
 
+@pytest.mark.slow
 def test_a_knees_posterior_is_as_wide_as_its_noise_and_derivatives_say(posterior, estimate, design):
     """The noise is known and small, so the posterior is all but normal: its covariance follows from the design."""
     exact = np.linalg.inv(np.einsum("tcp,tcq->pq", design, design))
@@ -116,6 +117,7 @@ def test_intervals_that_are_wrong_are_found_out(posterior, estimate):
     assert "more draws" in few.sentence()
 
 
+@pytest.mark.slow
 def test_correlated_residuals_temper_it_to_how_far_estimates_scatter(scene, truth, design):
     """Noise of known covariance Omega, A the design, both in units of the noise: estimates scatter by
     (A'A)^-1 A' Omega A (A'A)^-1, which one recording of so few frames tells to a quarter."""
@@ -152,6 +154,7 @@ def test_what_is_saved(posterior, estimate, tmp_path):
     assert "synthetic measurements" in files[1].read_text() or "synthetic measurements" in files[0].read_text()
 
 
+@pytest.mark.slow
 def test_an_estimate_from_a_file_needs_its_scene_and_measurements(estimate, scene, truth, tmp_path):
     path = estimate.save(tmp_path / "fit.json")
     with pytest.raises(InputError, match="holds no scene"):

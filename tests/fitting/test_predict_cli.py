@@ -59,6 +59,7 @@ def test_spans_of_time_belong_to_the_scenes_own_recording(folder):
     assert load_scene(folder / "short.toml", motion=folder.parent / "other.csv").motion.times.size == 21
 
 
+@pytest.mark.slow
 def test_bands_are_written_and_told(folder, tmp_path):
     from xarray import open_dataset
 

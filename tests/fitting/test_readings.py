@@ -104,6 +104,7 @@ def test_springs_are_found_by_markers_and_a_gauge_alone() -> None:
     assert found.readings == {**dict.fromkeys(MARKERS, "m"), GAUGE: "1"}
 
 
+@pytest.mark.slow
 def test_an_objective_of_ones_own_is_what_should_read_nothing() -> None:
     """The strain should be zero to within so much that it decides nothing beside the markers."""
     nothing = {**measured().readings, GAUGE: np.zeros(21)}

@@ -47,6 +47,7 @@ def test_linear_tendons_offer_a_toe_region_and_others_do_not():
     assert linear_tendons(stiffened(scene, some, {"quadriceps": 0.05})) == ("patellar_tendon",)
 
 
+@pytest.mark.slow
 def test_without_stiffening_the_scene_is_what_it_was():
     scene, same = bent_knee(0.0)
     one, other = (pftwin.simulate(s, dt=2e-3) for s in (scene, same))

@@ -78,6 +78,7 @@ def problem(trials: tuple[int, ...], use: tuple[str, ...]) -> Problem:
     return problem_of(trials, [measured()[i] for i in trials], {channel: NOISE[channel] for channel in use})
 
 
+@pytest.mark.slow
 def test_values_gradients_and_information_add():
     """Of independent trials, whose insertion is elsewhere by as much as in the joint problem."""
     theta = np.array([160.0, 0.0705, float(nominal()[0].get(POINT)) + 0.001])
@@ -100,6 +101,7 @@ def test_reverse_mode_agrees_with_forward_mode():
     np.testing.assert_allclose(reverse.gradient / scale, forward.gradient / scale, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_plan_tells_what_a_further_trial_brings():
     """Its information added, of the same channels at the same noise, without measurements."""
     one, other = nominal()

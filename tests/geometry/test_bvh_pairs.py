@@ -94,6 +94,7 @@ def search() -> PairSearch:
     return pair_search(build_tree(implant_mesh()), build_tree(BUTTON))
 
 
+@pytest.mark.slow
 def test_a_button_in_the_groove(search):
     poses = on_the_groove(6, 0.3e-3)
     pairs = one_by_one(search, poses)

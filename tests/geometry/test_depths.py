@@ -132,6 +132,7 @@ def test_derivatives_by_the_pose_are_those_of_differences(femur, button):
     np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-6 * float(jnp.abs(forward).max()))
 
 
+@pytest.mark.slow
 def test_batches_are_their_members(femur, button):
     sides = pressing_surface(button), pressed_surface(femur)
     poses = touching_poses(femur, 3, 4)

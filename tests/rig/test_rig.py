@@ -33,6 +33,7 @@ def runs():
     return {n: simulate(rig.case(n)) for n in geometry.CASES}
 
 
+@pytest.mark.slow
 def test_every_neighbour_of_a_case_has_its_equilibrium():
     """Stiffer, softer, longer and shorter tendons, some of which bring a facet that is hardly a minimum into touch."""
     scene = rig.case(1).unnamed()

@@ -104,6 +104,7 @@ def test_a_scene_file_takes_such_poses_with_their_rate(tmp_path):
         load_scene_file(scene)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*the header says nrows=48")
 def test_a_living_knee_is_a_scene_with_its_measurements(healthy_knee, tmp_path):
     recording = healthy_knee / "passive_body_transformations.sto"

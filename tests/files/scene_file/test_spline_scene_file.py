@@ -126,6 +126,7 @@ def test_a_spline_cannot_be_had_of_a_polynomials_coefficients(toy: Path, fitted:
             load_scene(toy / "other.toml", contact=asked)
 
 
+@pytest.mark.slow
 def test_fit_surface_writes_what_a_scene_file_takes(toy: Path, tmp_path: Path) -> None:
     mesh = tmp_path / "femur.stl"
     save_mesh(rig_implant().mesh(deviation=0.03e-3), mesh)

@@ -89,6 +89,7 @@ def test_damping_resists_and_never_pulls(effect):
     np.testing.assert_allclose(leaving.total().force.array(), 0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_ball_comes_to_rest_under_its_weight(effect):
     light = eqx.tree_at(lambda e: e.damping_time, effect, J(2e-3))
     mass = 0.5
@@ -141,6 +142,7 @@ def test_apart_nothing_is_borne(effect):
     assert all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(load.bed))
 
 
+@pytest.mark.slow
 def test_slopes_in_a_batch_are_those_of_each_member(effect):
     """From none to many pieces in contact; against differences, by depth and by tilt."""
 

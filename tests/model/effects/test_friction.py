@@ -251,6 +251,7 @@ def starts():
     return [settled(scene) for scene in rough_knee()]
 
 
+@pytest.mark.slow
 def test_a_knee_rests_where_it_would_without_friction(starts):
     """The search for equilibrium sees a patella that does not slide."""
     one, two = starts

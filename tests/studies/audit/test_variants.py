@@ -149,6 +149,7 @@ def in_femur(scene: Scene) -> jax.Array:
     return motion.femur.frames(times).to_local(positions).array()
 
 
+@pytest.mark.slow
 def test_a_femur_that_glides_has_no_inertial_forces():
     gliding, pulled = hung(femur_series(0.0)), hung(femur_series(3.0))
     fixed = without_femur_inertia(gliding)

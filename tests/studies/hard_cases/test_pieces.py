@@ -80,6 +80,7 @@ def test_a_slow_method_leaves_out_the_cases_of_many_steps():
     assert short_enough(batch, method_named("linear_implicit")) == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_run_and_what_is_there_is_not(tmp_path, monkeypatch):
     """A run that breaks off keeps what it has, and the next one goes on from there."""
     ran: list[tuple[str, str]] = []

@@ -32,6 +32,7 @@ def run(*arguments: object):
     return CliRunner().invoke(app, ["report", *map(str, arguments)], env={"COLUMNS": "160", "NO_COLOR": "1"})
 
 
+@pytest.mark.slow
 def test_writes_a_page_of_a_result(folder, tmp_path):
     page = tmp_path / "report.html"
     done = run(folder / "knee.nc", "--treatment", folder / "variants.nc", "-o", page, "--json", "-")

@@ -82,13 +82,18 @@ def contact_effect(name: str, *, chart: Literal["plane", "cylinder"] = "plane") 
         InputError: no such contact or chart.
     """
     name = parse_contact(name)
-    law = Flores(number(rig.CONTACT_STIFFNESS), number(rig.RESTITUTION))
+    law = rig_law()
     if name in MESHES:
         return _of_meshes(name, law)
     if name == VOLUME:
         return _by_volume(law)
     surface = contact_fit(name, chart=chart).patch
     return SphereContact(surface, law, vector(_CENTER), number(rig.BUTTON_RADIUS))
+
+
+def rig_law() -> Flores:
+    """The law of all of the rig's contacts."""
+    return Flores(number(rig.CONTACT_STIFFNESS), number(rig.RESTITUTION))
 
 
 def _float64() -> bool:

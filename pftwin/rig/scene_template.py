@@ -6,7 +6,6 @@ import math
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,58 +16,8 @@ from pftwin.base.errors import OutputError
 if TYPE_CHECKING:
     from pftwin.base.spatial import Vec3
     from pftwin.geometry.patch.emphasis import WeightedPart
-    from pftwin.model.scene import Scene
 
-Cluster = Mapping[str, Sequence[float]]
-
-
-@dataclass(frozen=True)
-class LaboratoryFiles:
-    """Names of the files that the example refers to, and what has to be known to read them."""
-
-    markers: str  # TRC
-    mesh: str  # STL, metres
-    forces: str | None  # CSV
-    femur: Cluster | None  # marker places in the femur's frame [m]; None: the femur is fixed at the world's origin
-    tibia: Cluster
-    patella: Cluster
-    fixed_points: Cluster  # in the world [m]
-    columns: tuple[str, str, str] = ("contact", "tibial_spring", "femoral_spring")  # of the forces
-    cutoff_hz: float = 12.0
-    window: int = 30
-    axis_radius: float = 0.0248  # of the groove about the implant's axis [m]
-    angles_deg: tuple[float, float] = (-75.0, 30.0)  # of the region that the patch is fitted to
-    half_width: float = 0.020  # of that region [m]
-    parts: tuple[WeightedPart, ...] = ()  # of it that count more, or less
-    tolerance: float = 0.02e-3  # of a spline, rms [m]
-    synthetic: bool = True
-
-
-def rig_laboratory(case: int, contact: str = "P5") -> LaboratoryFiles:
-    """The files of the virtual rig's laboratory for a case, and the region that a patch of that name is fitted to."""
-    from pftwin.geometry.patch.fit import SPLINE
-    from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, RIG_RIM, RIG_TOLERANCE, rig_implant
-    from pftwin.rig import geometry, recording
-
-    low, high = RIG_ANGLES
-
-    return LaboratoryFiles(
-        markers=f"case{case}_markers.trc",
-        mesh="femoral_component.stl",
-        forces=f"case{case}_forces.csv",
-        femur={**geometry.FEMUR_MARKERS, "HIP": geometry.HIP},
-        tibia=geometry.TIBIA_MARKERS,
-        patella=geometry.PATELLA_MARKERS,
-        fixed_points={"HIP": geometry.HIP},
-        columns=recording.FORCES,
-        cutoff_hz=recording.CUTOFF,
-        window=recording.WINDOW,
-        axis_radius=float(rig_implant().trochlear_radius),
-        angles_deg=(math.degrees(low), math.degrees(high)),
-        half_width=RIG_RIM if contact == SPLINE else RIG_HALF_WIDTH,
-        parts=() if contact == SPLINE else RIG_PARTS,
-        tolerance=RIG_TOLERANCE,
-    )
+Cluster = Mapping[str, Sequence[float]]  # markers' places in the frame of their segment [m]
 
 
 def write_example(folder: Path, case: int = 1) -> list[Path]:
@@ -86,7 +35,7 @@ def write_example(folder: Path, case: int = 1) -> list[Path]:
             built = Path(name)
             files = [Path(p) for p in rig.write_files(case, built)]
             scene = built / "scene.toml"
-            scene.write_text(scene_text(rig.case(case), rig_laboratory(case)), encoding="utf-8")
+            scene.write_text(scene_text(case), encoding="utf-8")
             targets = [folder / p.relative_to(built) for p in (scene, *files)]
             if there := [t for t in targets if t.exists()]:
                 raise OutputError(f"{there[0]}: is there already; try: another folder, or remove it first")
@@ -103,28 +52,36 @@ def write_example(folder: Path, case: int = 1) -> list[Path]:
             folder.rmdir()
 
 
-def scene_text(scene: Scene, files: LaboratoryFiles) -> str:
-    """The scene file of one of the rig's cases, with comments."""
+def scene_text(case: int) -> str:
+    """The scene file of one of the rig's cases, with comments, beside the files that `rig.write_files` writes.
+
+    It is named after the case, not as the case: an edited copy is none.
+    """
     from jinja2 import Environment, PackageLoader
 
-    from pftwin.geometry.patch.charts import CylindricalChart
-    from pftwin.geometry.patch.fit import name_of
+    from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, rig_implant
+    from pftwin.rig import geometry, recording
+    from pftwin.rig.cases import springs
+    from pftwin.rig.contacts import rig_law
 
-    contact: Any = scene.contact
-    surface, others = contact.fitted_surface(), {e.name: e for e in scene.effects}
+    markers, forces = recording.recording_files(case)
+    hip = {"HIP": geometry.HIP}
     environment = Environment(loader=PackageLoader("pftwin.rig", ""), keep_trailing_newline=True, autoescape=False)
     environment.filters |= {"number": _number, "point": _point, "cluster": _cluster, "part": _part}
     return environment.get_template("scene.toml.jinja").render(
-        name=f"example, after {scene.name}",  # not that of a case: an edited copy is none
-        files=files,
-        scene=scene,
-        contact=contact,
-        law=contact.law,
-        patch=name_of(surface),
-        chart="cylinder" if isinstance(surface.chart, CylindricalChart) else "plane",
-        tendons=[e for e in scene.effects if e.line_element() is not None],
-        gravity=others.get("gravity"),
-        damping=others.get("damping"),
+        case=case,
+        rig=geometry,
+        recording=recording,
+        markers=markers.name,
+        forces=forces.name,
+        hip=hip,
+        femur={**geometry.FEMUR_MARKERS, **hip},
+        tendons=springs(geometry.CASES[case]),
+        law=rig_law(),
+        axis_radius=rig_implant().trochlear_radius,
+        half_width=RIG_HALF_WIDTH,
+        angles_deg=[math.degrees(a) for a in RIG_ANGLES],
+        parts=RIG_PARTS,
     )
 
 
@@ -147,4 +104,4 @@ def _part(part: WeightedPart) -> str:
 
 
 def _cluster(places: Cluster) -> str:
-    return "{ " + ", ".join(f"{n} = {_point(p, 1e3)}" for n, p in places.items()) + " }" if places else "{}"
+    return "{ " + ", ".join(f"{n} = {_point(p, 1e3)}" for n, p in places.items()) + " }"

@@ -9,7 +9,7 @@ from pftwin import Status, load_scene, rig, simulate
 from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.implant import rig_region
 from pftwin.rig.contacts import contact_fit, implant_mesh
-from pftwin.rig.scene_template import rig_laboratory, scene_text
+from pftwin.rig.scene_template import write_example
 from tests.benchmarks.fitted_region import FLANK, SLIDES, TRACKS, errors, on_surface, rms, smooth_implant
 
 
@@ -62,10 +62,8 @@ def test_r_squared_counts_vertices_by_their_weights(degree):
 
 
 def test_the_scene_that_init_writes_has_the_same_patch(tmp_path):
-    scene = rig.case(1)
-    rig.write_files(1, tmp_path)
-    (tmp_path / "scene.toml").write_text(scene_text(scene, rig_laboratory(1)))
-    one, other = (s.contact.surface for s in (scene, load_scene(tmp_path / "scene.toml")))
+    write_example(tmp_path, 1)
+    one, other = (s.contact.surface for s in (rig.case(1), load_scene(tmp_path / "scene.toml")))
     np.testing.assert_allclose(other.coefficients, one.coefficients, atol=1e-9)
     np.testing.assert_allclose(other.half_size, one.half_size, atol=1e-9)
 

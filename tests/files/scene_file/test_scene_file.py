@@ -43,7 +43,6 @@ from pftwin.model.effects.contact_law import Flores
 from pftwin.model.effects.tendon import Tendon
 from pftwin.model.motion import SegmentMotion
 from pftwin.model.scene import Scene
-from pftwin.rig.scene_template import LaboratoryFiles, scene_text
 
 
 def same_motion(a: SegmentMotion, b: SegmentMotion) -> None:
@@ -257,15 +256,6 @@ def test_a_motion_that_was_made_up_is_said_to_be(toy: Path) -> None:
     assert scene.without("gravity").synthetic
     assert scene.with_effect(scene.effect("gravity")).synthetic
     assert not scene.unnamed().synthetic  # no part of a program
-
-
-def test_the_example_that_init_writes_is_the_scene_it_was_written_from(toy: Path) -> None:
-    scene = load_scene(toy / "scene.toml")
-    files = LaboratoryFiles("walk.trc", "femur.stl", None, None, CLUSTERS["tibia"], CLUSTERS["patella"], {})
-    (toy / "example.toml").write_text(scene_text(scene, files).replace("cutoff_Hz", "# cutoff_Hz"))
-    example = load_scene(toy / "example.toml")
-    same((example.effects, example.patella, example.start), (scene.effects, scene.patella, scene.start), atol=1e-7)
-    same_motion(example.motion.tibia, scene.motion.tibia)
 
 
 def test_vertices_count_by_the_weights_of_their_part(toy: Path) -> None:

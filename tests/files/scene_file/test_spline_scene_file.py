@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from toy_scene_files import LIGHT, SCENE, load, write_toy
+from toy_scene_files import LIGHT, SCENE, changed, load, write_toy
 from typer.testing import CliRunner
 
 from pftwin import rig
@@ -17,10 +18,10 @@ from pftwin.cli.program import app
 from pftwin.files.scene_file import load_scene
 from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.geometry.patch.fit import name_of
-from pftwin.geometry.patch.implant import rig_implant
+from pftwin.geometry.patch.implant import RIG_RIM, RIG_TOLERANCE, rig_implant
 from pftwin.geometry.patch.spline import SplinePatch
 from pftwin.model.scene import Scene
-from pftwin.rig.scene_template import rig_laboratory, scene_text
+from pftwin.rig.scene_template import write_example
 
 SURFACE = SCENE[SCENE.index("[contact.surface]") :]
 SPLINE = SURFACE.replace('degree = "P5"', 'kind = "spline"')
@@ -94,12 +95,14 @@ def test_a_left_knees_is_the_mirror_image(toy: Path, fitted: SplinePatch) -> Non
     np.testing.assert_allclose(mirrored.height(U, -V), fitted.height(U, V), atol=1e-12)
 
 
-def test_what_a_case_writes_reads_as_a_spline(tmp_path: Path) -> None:
-    scene = rig.case(1, "spline")
-    rig.write_files(1, tmp_path)
-    (tmp_path / "scene.toml").write_text(scene_text(scene, rig_laboratory(1, "spline")))
+def test_the_rigs_spline_can_be_had_by_a_file(tmp_path: Path) -> None:
+    write_example(tmp_path, 1)
+    text = (tmp_path / "scene.toml").read_text()
+    text = re.sub("^emphasis = .*$", "", text, flags=re.MULTILINE)
+    text = changed('degree = "P5"', f'kind = "spline"\ntolerance_m = {RIG_TOLERANCE}', text)
+    text = changed("half_width_mm = 22", f"half_width_m = {RIG_RIM}", text)
     np.testing.assert_allclose(
-        surface(load_scene(tmp_path / "scene.toml")).height(U, V), surface(scene).height(U, V), atol=1e-9
+        surface(load(tmp_path, text)).height(U, V), surface(rig.case(1, "spline")).height(U, V), atol=1e-9
     )
 
 

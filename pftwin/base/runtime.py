@@ -268,12 +268,3 @@ def _cpu() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or "unknown"
-
-
-def pin_to_one_core() -> str:
-    """Keeps this process on one core, if JAX has not started its threads; returns what was done."""
-    if not hasattr(os, "sched_setaffinity"):
-        return "not pinned: this system cannot"
-    core = max(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, {core})
-    return "pinned to one core"

@@ -226,11 +226,6 @@ class Pose(eqx.Module):
     position: Vec3
     orientation: Quaternion
 
-    @staticmethod
-    def identity() -> Pose:
-        """The parent's own frame."""
-        return Pose(Vec3.zero(), Quaternion.identity())
-
     def apply(self, p: Vec3) -> Vec3:
         """A point's coordinates in the parent from those in this frame."""
         return self.position + self.orientation.rotate(p)
@@ -243,22 +238,12 @@ class Pose(eqx.Module):
         """X_AC = X_AB * X_BC."""
         return Pose(self.apply(o.position), self.orientation * o.orientation)
 
-    def inverse(self) -> Pose:
-        """X_BA from X_AB."""
-        q = self.orientation.conjugate()
-        return Pose(-q.rotate(self.position), q)
-
 
 class Twist(eqx.Module):
     """Velocity of a body: of its reference point, and angular; likewise an acceleration or a small displacement."""
 
     linear: Vec3  # [m/s]
     angular: Vec3  # [rad/s]
-
-    @staticmethod
-    def zero() -> Twist:
-        """At rest."""
-        return Twist(Vec3.zero(), Vec3.zero())
 
     def plus(self, factor: Scalar | float, other: Twist) -> Twist:
         """self + factor other."""

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
-from pftwin.base.runtime import pin_to_one_core
-
 COUNTS = {"0.01": (64,), "0.05": (1, 16, 64, 256)}  # variants side by side, by accuracy level [mm]
+
+
+def pin_to_one_core() -> str:
+    """Keeps this process on one core, if JAX has not started its threads; returns what was done."""
+    if not hasattr(os, "sched_setaffinity"):
+        return "not pinned: this system cannot"
+    core = max(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {core})
+    return "pinned to one core"
 
 
 def work(task: dict[str, Any], target: Path) -> None:

@@ -28,11 +28,6 @@ class HostPose:
     matrix: Array  # (3, 3)
 
     @staticmethod
-    def identity() -> HostPose:
-        """The parent's own frame."""
-        return HostPose(np.zeros(3), np.eye(3))
-
-    @staticmethod
     def of(position: ArrayLike, quaternion: ArrayLike) -> HostPose:
         """From a position [m] and a unit quaternion (w, x, y, z)."""
         from scipy.spatial.transform import Rotation

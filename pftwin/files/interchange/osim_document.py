@@ -8,7 +8,7 @@ fixed in them at an offset.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 from xml.parsers import expat
@@ -85,6 +85,19 @@ class Element:
             wanted = "finite numbers" if count is None else f"{count} finite number{'s' if count > 1 else ''}"
             raise InputError(f"<{self.tag}> is {self.text.strip()[:60]!r}", where=self.where, expected=wanted)
         return values
+
+    def numbers_of(self, tag: str, default: Sequence[float]) -> Floats:
+        """The numbers of a child, as many as there are in the default, which is taken where there is no such child.
+
+        Raises:
+            InputError: they are something else, or not so many.
+        """
+        found = self.child(tag)
+        return np.array(default) if found is None else found.numbers(len(default))
+
+    def number_of(self, tag: str, default: float) -> float:
+        """The number of a child, or the default, likewise."""
+        return float(self.numbers_of(tag, [default])[0])
 
 
 def read_osim(path: str | os.PathLike[str]) -> Element:
@@ -164,6 +177,18 @@ class OsimFrame(NamedTuple):
     pose: Floats  # (4, 4) in the body's frame
 
 
+def placed(element: Element, translation: str) -> Floats:
+    """The pose (4, 4) by an element's <orientation>, and its translation [m] under the tag that it has for it.
+
+    Raises:
+        InputError: they are not three numbers each.
+    """
+    pose = np.eye(4)
+    pose[:3, 3] = element.numbers_of(translation, (0.0, 0.0, 0.0))
+    pose[:3, :3] = Rotation.from_euler("XYZ", element.numbers_of("orientation", (0.0, 0.0, 0.0))).as_matrix()
+    return pose
+
+
 class Frames:
     """Finds the frame that a socket names."""
 
@@ -210,13 +235,7 @@ class Frames:
         raise InputError(f"<{element.tag}> {element.name!r} is no frame", where=element.where)
 
     def _offset(self, element: Element, depth: int) -> OsimFrame:
-        place = np.eye(4)
-        for tag, part in (("translation", 0), ("orientation", 1)):
-            found = element.child(tag)
-            if found is not None and part == 0:
-                place[:3, 3] = found.numbers(3)
-            elif found is not None:
-                place[:3, :3] = Rotation.from_euler("XYZ", found.numbers(3)).as_matrix()
+        place = placed(element, "translation")
         if depth > DEEPEST:
             raise InputError(f"the frame {element.name!r} hangs on itself", where=element.where)
         parent = element.needed("socket_parent").text

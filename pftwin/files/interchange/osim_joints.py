@@ -55,8 +55,7 @@ def function_of(element: Element) -> Function:
         coefficients = element.needed("coefficients").numbers()
         return lambda x: np.asarray(np.polyval(coefficients, x), dtype=np.float64)
     if element.tag == "MultiplierFunction":
-        scale = element.child("scale")
-        factor = 1.0 if scale is None else float(scale.numbers(1)[0])
+        factor = element.number_of("scale", 1.0)
         inner = function_in(element)
         if inner is None:
             raise InputError("a <MultiplierFunction> of nothing", where=element.where)
@@ -203,9 +202,8 @@ def read_joint(element: Element, frames: Frames) -> Joint:
 
 
 def _coordinate(element: Element, rotational: bool) -> Coordinate:
-    default, limits = element.child("default_value"), element.child("range")
-    low, high = (-np.inf, np.inf) if limits is None else limits.numbers(2)
-    return Coordinate(element.name, 0.0 if default is None else float(default.numbers(1)[0]), low, high, rotational)
+    low, high = element.numbers_of("range", (-np.inf, np.inf))
+    return Coordinate(element.name, element.number_of("default_value", 0.0), low, high, rotational)
 
 
 def _axes(element: Element, names: list[str]) -> tuple[tuple[Axis, ...], tuple[Axis, ...]]:

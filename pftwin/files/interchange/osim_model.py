@@ -10,12 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_document import Element, Frames, OsimFrame, read_osim
+from pftwin.files.interchange.osim_document import Element, Frames, OsimFrame, placed
 from pftwin.files.interchange.osim_joints import Tree, read_tree
 
 LIGAMENT = "Blankevoort1991Ligament"
@@ -150,21 +147,19 @@ class OsimModel:
     left_out: list[LeftOut] = field(default_factory=list)
 
 
-def read_model(path: str) -> OsimModel:
-    """Reads the parts of a model that pftwin can use.
+def read_model(root: Element) -> OsimModel:
+    """Reads the parts of a <Model> that pftwin can use.
 
     Raises:
-        InputError: no model of OpenSim 4; values that are missing or no numbers.
+        InputError: values that are missing or no numbers.
     """
-    root = read_osim(path)
     frames, left = Frames(root), []
     defaults = {d.tag: d for holder in root.children if holder.tag == "defaults" for d in holder.children}
     used = Element(root.tag, root.name, root.file, root.line, "", [c for c in root.children if c.tag != "defaults"])
-    gravity = root.child("gravity")
     return OsimModel(
         root.name,
-        path,
-        np.array([0.0, -9.80665, 0.0]) if gravity is None else gravity.numbers(3),
+        root.file,
+        root.numbers_of("gravity", (0.0, -9.80665, 0.0)),
         {b.name: _body(b, frames) for b in used.all("Body")},
         read_tree(used, frames),
         list(ligaments(used, defaults, frames, left)),
@@ -175,13 +170,12 @@ def read_model(path: str) -> OsimModel:
 
 
 def _body(element: Element, frames: Frames) -> Body:
-    mass, center, inertia = (element.child(k) for k in ("mass", "mass_center", "inertia"))
     meshes = tuple(_attached_mesh(m, element.name, frames) for m in element.all("Mesh"))
     return Body(
         element.name,
-        0.0 if mass is None else float(mass.numbers(1)[0]),
-        np.zeros(3) if center is None else center.numbers(3),
-        np.zeros(6) if inertia is None else inertia.numbers(6),
+        element.number_of("mass", 0.0),
+        element.numbers_of("mass_center", (0.0,) * 3),
+        element.numbers_of("inertia", (0.0,) * 6),
         meshes,
         element.where,
     )
@@ -189,26 +183,19 @@ def _body(element: Element, frames: Frames) -> Body:
 
 def _attached_mesh(element: Element, body: str, frames: Frames) -> Mesh:
     """A mesh of a body, or of a frame that is part of it."""
-    scale = element.child("scale_factors")
-    factors = np.ones(3) if scale is None else scale.numbers(3)
     frame = frames.find(element.words("socket_frame") or "..", element, element.where)
-    return Mesh(element.name or body, element.words("mesh_file"), frame, factors, element.where)
+    return _mesh(element, element.name or body, frame)
+
+
+def _mesh(element: Element, name: str, frame: OsimFrame) -> Mesh:
+    """The mesh that an element names, in a frame."""
+    scale = element.numbers_of("scale_factors", (1.0, 1.0, 1.0))
+    return Mesh(name, element.words("mesh_file"), frame, scale, element.where)
 
 
 def _surface(element: Element, defaults: dict[str, Element], frames: Frames) -> ContactSurface:
-    scale = element.child("scale_factors")
-    factors = np.ones(3) if scale is None else scale.numbers(3)
-    place = np.eye(4)
-    for tag in ("location", "orientation"):
-        found = element.child(tag)
-        if found is not None and tag == "location":
-            place[:3, 3] = found.numbers(3)
-        elif found is not None:
-            place[:3, :3] = Rotation.from_euler("XYZ", found.numbers(3)).as_matrix()
     base = frames.find(element.needed("socket_frame").text, element, element.where)
-    mesh = Mesh(
-        element.name, element.words("mesh_file"), OsimFrame(base.body, base.pose @ place), factors, element.where
-    )
+    mesh = _mesh(element, element.name, OsimFrame(base.body, base.pose @ placed(element, "location")))
     modulus, poisson, thickness = (
         value(element, tag, defaults) for tag in ("elastic_modulus", "poissons_ratio", "thickness")
     )

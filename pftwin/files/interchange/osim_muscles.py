@@ -67,9 +67,8 @@ def _at_patella(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames
     for p in force.all(*_POINTS):
         frame = frames.find(p.needed("socket_parent_frame").text, p, p.where)
         part, pose = part_and_pose(model, knee, frame)
-        place = p.child("location")  # one that moves has functions in its place
-        known = np.full(3, np.nan) if place is None else pose[:3, :3] @ place.numbers(3) + pose[:3, 3]
-        at.append((part, known, p.tag == _POINTS[0]))
+        place = p.numbers_of("location", (np.nan,) * 3)  # one that moves has functions in its place
+        at.append((part, pose[:3, :3] @ place + pose[:3, 3], p.tag == _POINTS[0]))
     pairs = [(i, j) for i in range(len(at)) for j in (i - 1, i + 1) if at[i][0] == "patella" and 0 <= j < len(at)]
     pairs = [(i, j) for i, j in pairs if at[j][0] != "patella"]
     if not pairs:

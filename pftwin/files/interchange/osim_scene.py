@@ -98,7 +98,8 @@ def import_osim(
     """
     from pftwin.files.interchange.osim_toml import poses_csv, scene_text
 
-    found = read_model(os.fspath(model))
+    root = read_osim(model)
+    found = read_model(root)
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
     told = Imported(left_out=list(found.left_out))
     places = [Path(p) for p in geometry]
@@ -112,7 +113,6 @@ def import_osim(
     drawn = list(bones(found, knee, places, taken, told.left_out))
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    root = read_osim(os.fspath(model))
     muscles = told.muscles = list(muscles_of(root, found, knee))
     tensions = told.tensions = {} if quadriceps is None else shared_tensions(muscles, quadriceps)
     if tensions:

@@ -12,6 +12,7 @@ from opensim_process import ask, poses
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from pftwin.files.interchange.osim_document import read_osim
 from pftwin.files.interchange.osim_joints import spline
 from pftwin.files.interchange.osim_model import read_model
 from pftwin.files.interchange.osim_motion import poses as our_poses
@@ -98,7 +99,7 @@ def same_poses(one: list[dict], other: list[dict], atol: float) -> None:
 
 def test_bodies_are_where_opensim_had_them(zoo):
     """Every kind of joint, at random coordinates; beside it what OpenSim 4.6 made of this model."""
-    found = read_model(str(zoo))
+    found = read_model(read_osim(zoo))
     ours = our_poses(found.tree, list(found.bodies), np.arange(3.0), coordinates_of(found))
     turns = {n: Rotation.from_quat(turn, scalar_first=True).as_matrix() for n, (_, turn) in ours.items()}
     rows = [{n: (turns[n][k], place[k]) for n, (place, _) in ours.items()} for k in range(3)]
@@ -106,7 +107,7 @@ def test_bodies_are_where_opensim_had_them(zoo):
 
 
 def test_opensim_still_has_them_there(zoo):
-    found = read_model(str(zoo))
+    found = read_model(read_osim(zoo))
     values = coordinates_of(found)
     rows = [{n: float(v[k]) for n, v in values.items()} for k in range(3)]
     same_poses(poses(zoo, rows, tuple(found.bodies)), json.loads(KEPT.read_text()), atol=1e-9)
@@ -167,7 +168,7 @@ def test_ligaments_pull_as_in_opensim(tmp_path, flexion):
     path.write_text(model(forces=ligaments(), meshes=False))
     theirs = ask(TENSIONS, path, json.dumps({"knee_flex_r": flexion}))
     pulled = 0
-    for strand in read_model(str(path)).ligaments:
+    for strand in read_model(read_osim(path)).ligaments:
         length, force = theirs[strand.name]
         strain = np.float64(length / strand.slack_length - 1)
         ours = strand.stiffness * float(ToeSpring(1.0, np.float64(strand.toe_strain)).at(strain).force)

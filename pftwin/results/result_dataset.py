@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from pftwin.base.attributes import about
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.base import Observable
 from pftwin.model.measured import SYNTHETIC
@@ -30,19 +31,19 @@ def dataset(result: Result) -> Dataset:
     for name, report in result.effects.items():
         for key, values in report.items():
             described = result.observables[name].get(key, Observable("1", key.replace("_", " ")))
-            attributes = _about(described.unit, f"{name.replace('_', ' ')}: {described.long_name}")
+            attributes = about(described.unit, f"{name.replace('_', ' ')}: {described.long_name}")
             variables[f"{name}_{key}"] = (_dimensions(result, name, values), values, attributes)
     variables |= {**_energies(result), **_errors(result)}
     flags = [f for f in Status if f]
     status = {
-        **_about("1", "how far the frame can be trusted; 0: no reservation"),
+        **about("1", "how far the frame can be trusted; 0: no reservation"),
         "flag_masks": np.array([int(f) for f in flags], dtype=np.int32),
         "flag_meanings": _MEANINGS,
         "flag_descriptions": [f.describe() for f in flags],
     }
     variables["status"] = (("time",), result.flags, status)
     coordinates = {
-        "time": (("time",), result.times, _about("s", "time")),
+        "time": (("time",), result.times, about("s", "time")),
         "axis": (("axis",), list(_AXES), {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}),
         "component": (("component",), list(_COMPONENTS), {"long_name": "quaternion component", "units": "1"}),
     }
@@ -87,10 +88,6 @@ def attributes_of(result: Result) -> dict[str, Any]:
     return {**attributes, **plain, **{f"timing_{k}": float(v) for k, v in result.timing.items()}}
 
 
-def _about(unit: str, long_name: str) -> dict[str, str]:
-    return {"units": unit, "long_name": long_name}
-
-
 def _kinematics(result: Result) -> Variables:
     angles, knee, (place, turn) = result.angles, result.knee, result.tibia
     tracked = "patella's origin" if result.contact is None else "button's sphere centre"
@@ -120,7 +117,7 @@ def _row(values: Any, unit: str, long_name: str) -> tuple[tuple[str, ...], Any, 
     """A variable over the frames, of numbers, vectors or quaternions; angles [rad] come out in degrees."""
     values = np.degrees(values) if unit == "deg" else np.asarray(values)
     last = {1: (), 3: ("axis",), 4: ("component",)}[values.shape[1] if values.ndim == 2 else 1]
-    return ("time", *last), values, _about(unit, long_name)
+    return ("time", *last), values, about(unit, long_name)
 
 
 def _tracking(result: Result) -> Variables:
@@ -134,9 +131,11 @@ def _tracking(result: Result) -> Variables:
     outcome = result.dislocations()
     if outcome is None:  # the motion may not be spoken of
         return found
-    dimensions, out, about = _row(outcome.dislocated.astype(np.int8), "1", "whether the button has left the groove")
+    dimensions, out, attributes = _row(
+        outcome.dislocated.astype(np.int8), "1", "whether the button has left the groove"
+    )
     flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "in_the_groove dislocated"}
-    return {**found, "dislocated": (dimensions, out, {**about, **flags})}
+    return {**found, "dislocated": (dimensions, out, {**attributes, **flags})}
 
 
 def _energies(result: Result) -> Variables:

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pftwin.base.attributes import about
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Effect
@@ -181,7 +182,7 @@ def _mesh(name: str, mesh: tuple[NDArray[Any], NDArray[Any]], frame: str, words:
 
 
 def _about(unit: str, long_name: str, body: str) -> dict[str, str]:
-    return {"units": unit, "long_name": f"{long_name} ({body} frame)", "body": body}
+    return {**about(unit, f"{long_name} ({body} frame)"), "body": body}
 
 
 def _rows(v: Vec3) -> NDArray[np.float64]:

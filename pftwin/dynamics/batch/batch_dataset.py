@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.attributes import about
 from pftwin.dynamics.batch.retry import WAYS, Found
 from pftwin.dynamics.batch.variants import Group
 from pftwin.dynamics.status import FLAGS, Status
@@ -62,7 +63,7 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
         unit, words = SUMMARY[name]
         shown = gathered("summary", name)
         shown = np.degrees(shown) if unit == "deg" else shown
-        variables[name] = (("variant",), np.where(failed, np.nan, shown), _about(unit, words))
+        variables[name] = (("variant",), np.where(failed, np.nan, shown), about(unit, words))
     for name in parts[0]["own"]:
         own = gathered("own", name)
         dimensions = ("variant", *(f"{name}_{i}" for i in range(own.ndim - 1)))
@@ -73,7 +74,7 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
         variables[name] = (
             ("variant", "time", *([last] if last else [])),
             gathered("courses", name),
-            _about(unit, words),
+            about(unit, words),
         )
     attributes = {"source": f"pftwin {__version__}", "jax_version": jax.__version__, **settings}
     found = Dataset(variables, _coordinates(groups, parts, order, names, values), attributes)
@@ -101,14 +102,14 @@ def _trust(gathered: Any, frames: NDArray[Any], status: NDArray[Any], failed: ND
     ways = {"flag_values": np.arange(len(WAYS), dtype=np.int8), "flag_meanings": " ".join(WAYS)}
     said = "no equilibrium to start from, not finite, or a parameter that makes no sense"
     return {
-        "status": (("variant",), status, {**_about("1", "what is said of any frame; 0: no reservation"), **masks}),
-        "status_frames": (("variant", "flag"), frames, _about("1", "recorded frames with each status")),
-        "recomputed": (("variant",), gathered("recomputed"), {**_about("1", "whether and how done again"), **ways}),
-        "failed": (("variant",), failed, _about("1", said)),
+        "status": (("variant",), status, {**about("1", "what is said of any frame; 0: no reservation"), **masks}),
+        "status_frames": (("variant", "flag"), frames, about("1", "recorded frames with each status")),
+        "recomputed": (("variant",), gathered("recomputed"), {**about("1", "whether and how done again"), **ways}),
+        "failed": (("variant",), failed, about("1", said)),
         "equilibrium_residual": (
             ("variant",),
             gathered("equilibrium_residual"),
-            _about("N", "force left over in the equilibrium that the motion starts from"),
+            about("N", "force left over in the equilibrium that the motion starts from"),
         ),
     }
 
@@ -118,7 +119,7 @@ def _coordinates(
 ) -> Variables:
     variants = np.concatenate([g.places for g in groups])[order]
     out: Variables = {
-        "variant": (("variant",), variants, _about("1", "member of the batch")),
+        "variant": (("variant",), variants, about("1", "member of the batch")),
         "scene": (("variant",), names, {"long_name": "scene"}),
         "flag": (("flag",), [str(f.name).lower() for f in FLAGS], {"long_name": "status flag"}),
     }
@@ -127,9 +128,9 @@ def _coordinates(
         out["values"] = (("variant", "number"), given, {"long_name": "what the change was given"})
     if parts[0]["courses"]:
         axis = {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}
-        out["time"] = (("time",), groups[0].scene.motion.times, _about("s", "time"))
+        out["time"] = (("time",), groups[0].scene.motion.times, about("s", "time"))
         out["axis"] = (("axis",), ["x", "y", "z"], axis)
-        out["component"] = (("component",), list("wxyz"), _about("1", "quaternion component"))
+        out["component"] = (("component",), list("wxyz"), about("1", "quaternion component"))
     return out
 
 
@@ -137,7 +138,3 @@ def _at(part: Found, path: tuple[str, ...]) -> NDArray[Any]:
     for name in path:
         part = part[name]
     return part  # pyright: ignore[reportReturnType]
-
-
-def _about(unit: str, long_name: str) -> dict[str, str]:
-    return {"units": unit, "long_name": long_name}

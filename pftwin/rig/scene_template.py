@@ -7,17 +7,15 @@ import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pftwin.base.errors import OutputError
+from pftwin.files.toml_text import render_toml, toml_list, toml_number
 
 if TYPE_CHECKING:
-    from pftwin.base.spatial import Vec3
     from pftwin.geometry.patch.emphasis import WeightedPart
-
-Cluster = Mapping[str, Sequence[float]]  # markers' places in the frame of their segment [m]
 
 
 def write_example(folder: Path, case: int = 1) -> list[Path]:
@@ -57,8 +55,6 @@ def scene_text(case: int) -> str:
 
     It is named after the case, not as the case: an edited copy is none.
     """
-    from jinja2 import Environment, PackageLoader
-
     from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, rig_implant
     from pftwin.rig import geometry, recording
     from pftwin.rig.cases import springs
@@ -66,42 +62,36 @@ def scene_text(case: int) -> str:
 
     markers, forces = recording.recording_files(case)
     hip = {"HIP": geometry.HIP}
-    environment = Environment(loader=PackageLoader("pftwin.rig", ""), keep_trailing_newline=True, autoescape=False)
-    environment.filters |= {"number": _number, "point": _point, "cluster": _cluster, "part": _part}
-    return environment.get_template("scene.toml.jinja").render(
+    return render_toml(
+        "pftwin.rig",
+        "scene.toml.jinja",
         case=case,
         rig=geometry,
         recording=recording,
         markers=markers.name,
         forces=forces.name,
-        hip=hip,
-        femur={**geometry.FEMUR_MARKERS, **hip},
+        hip=_cluster(hip),
+        femur=_cluster({**geometry.FEMUR_MARKERS, **hip}),
+        tibia=_cluster(geometry.TIBIA_MARKERS),
+        patella=_cluster(geometry.PATELLA_MARKERS),
         tendons=springs(geometry.CASES[case]),
         law=rig_law(),
         axis_radius=rig_implant().trochlear_radius,
         half_width=RIG_HALF_WIDTH,
-        angles_deg=[math.degrees(a) for a in RIG_ANGLES],
-        parts=RIG_PARTS,
+        angles_deg=np.degrees(RIG_ANGLES),
+        emphasis=", ".join(_part(p) for p in RIG_PARTS),
     )
-
-
-def _number(value: Any, scale: float = 1.0) -> str:
-    return f"{scale * float(value):.10g}"
-
-
-def _point(v: Vec3 | Sequence[float], scale: float = 1.0) -> str:
-    values = v if isinstance(v, Sequence) else np.asarray(v.array())
-    return "[" + ", ".join(_number(c, scale) for c in values) + "]"
 
 
 def _part(part: WeightedPart) -> str:
     limits = ""
     if math.isfinite(part.across[0]):
-        limits += f", across_mm = {_point(part.across, 1e3)}"
+        limits += f", across_mm = {toml_list(part.across, 1e3)}"
     if part.angles[1] < math.pi:
-        limits += f", angles_deg = {_point(part.angles, 180 / math.pi)}"
-    return f"{{ weight = {_number(part.weight)}{limits} }}"
+        limits += f", angles_deg = {toml_list(np.degrees(part.angles))}"
+    return f"{{ weight = {toml_number(part.weight)}{limits} }}"
 
 
-def _cluster(places: Cluster) -> str:
-    return "{ " + ", ".join(f"{n} = {_point(p, 1e3)}" for n, p in places.items()) + " }"
+def _cluster(places: Mapping[str, Sequence[float]]) -> str:
+    """Markers and their places in the frame of their segment, from metres to millimetres."""
+    return "{ " + ", ".join(f"{n} = {toml_list(p, 1e3)}" for n, p in places.items()) + " }"

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, PackageLoader
 
 from pftwin.base.arrays import Floats
 from pftwin.files.interchange.osim_knee import OsimKnee, Written
 from pftwin.files.interchange.osim_model import LeftOut, OsimContact, OsimLigament, OsimModel, plain_name
 from pftwin.files.interchange.osim_muscles import PatellarMuscle
+from pftwin.files.toml_text import render_toml
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
@@ -60,11 +59,9 @@ def scene_text(
             told.notes.append(f"{layer.mesh.name}: one thickness throughout, {1e3 * layer.thickness:g} mm")
     if contact is not None and contact.lumped:
         told.notes.append(f"{contact.name}: two layers in series; the model lumps both into one of averaged modulus")
-    environment = Environment(
-        loader=PackageLoader("pftwin.files.interchange", ""), keep_trailing_newline=True, autoescape=False
-    )
-    environment.filters |= {"number": _number, "list": _list, "text": _text}
-    return environment.get_template("imported.toml.jinja").render(
+    return render_toml(
+        "pftwin.files.interchange",
+        "imported.toml.jinja",
         model=model,
         side=knee.side,
         axes=AXES[knee.side],
@@ -137,16 +134,3 @@ def rows(left_out: Sequence[LeftOut]) -> list[tuple[str, str, str]]:
 
 def _cell(text: str) -> str:
     return " ".join(text.replace("|", "/").split())
-
-
-def _text(words: str) -> str:
-    """A string of TOML; the words come from a stranger's file."""
-    return json.dumps("".join(c if c.isprintable() else " " for c in words), ensure_ascii=False)
-
-
-def _number(value: Any) -> str:
-    return f"{float(value):.12g}"
-
-
-def _list(values: Any) -> str:
-    return "[" + ", ".join(_number(v) for v in values) + "]"

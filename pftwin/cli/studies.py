@@ -77,13 +77,12 @@ def _tell(line: str) -> None:
 
 def _keep(rows: list[AccuracyRow], folder: Path) -> None:
     """Saves the rows so far, in case the rest fails."""
-    from pftwin.base.output import written_whole
+    from pftwin.base.text_files import write_text
     from pftwin.studies.accuracy.table import columns
     from pftwin.studies.tables import to_csv
 
     folder.mkdir(parents=True, exist_ok=True)
-    with written_whole(folder / "accuracy.csv") as temporary:
-        temporary.write_text(to_csv(columns(rows)), encoding="utf-8")
+    write_text(folder / "accuracy.csv", to_csv(columns(rows)))
 
 
 class _Source(NamedTuple):

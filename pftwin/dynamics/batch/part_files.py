@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pftwin.base.errors import InputError
-from pftwin.base.output import make_folder, remove_unfinished, written_whole
-from pftwin.base.text_files import read_json
+from pftwin.base.output import make_folder, remove_unfinished
+from pftwin.base.text_files import read_json, write_text
 from pftwin.dynamics.batch.part_numbers import MARKS, checksum, numbers_like
 
 if TYPE_CHECKING:
@@ -77,8 +77,7 @@ def prepare_folder(folder: Path, index: BatchIndex) -> None:
         )
     else:
         content = {"format": FORMAT, **index._asdict()}
-        with written_whole(folder / NAME) as temporary:
-            temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        write_text(folder / NAME, json.dumps(content, indent=1) + "\n")
     remove_unfinished(folder, _UNFINISHED, older=_LEFT)
 
 

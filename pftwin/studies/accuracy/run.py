@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pftwin.base.output import written_whole
 from pftwin.base.sheet import Sheet
+from pftwin.base.text_files import write_text
 from pftwin.files.result_files import save_dataset
 from pftwin.model.measured import Measured
 from pftwin.results.metrics import PAPER_TABLE_1, Validation, validate
@@ -78,8 +78,7 @@ def write(found: AccuracyMeasured, folder: Path, title: str, about: dict[str, An
     save_dataset(to_dataset(columns(found.rows), "setting", about), folder / "accuracy.nc")
     texts = {"accuracy.csv": to_csv(columns(found.rows)), "accuracy.md": report(found, title, about)}
     for name, text in texts.items():
-        with written_whole(folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(folder / name, text)
     paths = [folder / name for name in ("accuracy.nc", *texts)]
     for contact in found.references:
         figure = work_precision(found.rows, f"{title}, {contact}: what accuracy costs", contact=contact)

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import jax
 
-from pftwin.base.output import written_whole
 from pftwin.base.runtime import configure, describe
+from pftwin.base.text_files import write_text
 from pftwin.studies.hard_cases.case import CaseIntegrator
 from pftwin.studies.hard_cases.catalogue import catalogue
 from pftwin.studies.hard_cases.matrix import EVERYTHING, Prepared, Selection, cells_of
@@ -86,8 +86,7 @@ def run_contact(
         seconds = time.perf_counter() - began
         piece = KeptPiece(tuple(cells), seconds, describe(), not selection.derivatives, selection.truths)
         path = piece_path(folder, contact, method)
-        with written_whole(path) as temporary:
-            temporary.write_text(json.dumps(piece.as_dict(), indent=1), encoding="utf-8")
+        write_text(path, json.dumps(piece.as_dict(), indent=1))
         written.append(path)
     jax.clear_caches()
     return written

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,52 +22,23 @@ from fitting.inference.infer import DRAWS
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Parameter
 from fitting.programs import reading_units
-from fitting.set_up import SetUp, listed
+from fitting.set_up import listed
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
+
+if TYPE_CHECKING:
+    from fitting.calibration.quick_fit import QuickFit
+    from fitting.trained import TrainedPosterior
 
 PER_KIND = 100  # plants
 MISPLACED = Nuisance(attachments=1e-3, damping=0.5)  # of which plants are made where twins are taken as exact
 _OWN_STREAM = 7  # of random numbers: not those of a training with the same seed
 
 
-class Answering(Protocol):
-    """What is calibrated: `fitting.TrainedPosterior` and `fitting.QuickFit` are."""
-
-    @property
-    def set_up(self) -> SetUp:
-        """What it answers recordings of."""
-        ...
-
-    def estimate(
-        self,
-        scene: Sequence[Scene],
-        measured: Sequence[Measured],
-        *,
-        limits: Mapping[str, tuple[float, float]] | None = None,
-    ) -> Estimate:
-        """What a recording tells, of every trial."""
-        ...
-
-    def draws(
-        self,
-        scene: Sequence[Scene],
-        measured: Sequence[Measured],
-        *,
-        limits: Mapping[str, tuple[float, float]] | None = None,
-    ) -> tuple[Floats, list[str]]:
-        """Draws (N, d) of what is asked for, and doubts."""
-        ...
-
-    def sentence(self) -> str:
-        """What it is."""
-        ...
-
-
 def calibrate(
-    trained: Answering,
+    trained: TrainedPosterior | QuickFit,
     scene: Scene | Sequence[Scene],
     *,
     plants: int = PER_KIND,
@@ -157,7 +128,7 @@ def with_differences(plant: Sequence[Plant], items: Sequence[Parameter], random:
 class _Asking(NamedTuple):
     """What plants are asked; of each trial."""
 
-    trained: Answering
+    trained: TrainedPosterior | QuickFit
     knees: list[Knee]
     items: tuple[Parameter, ...]  # whatever is free, differences between trials among it
     lab: Laboratory

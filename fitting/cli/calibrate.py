@@ -119,7 +119,7 @@ def calibrate(
         marker_noise=marker_noise,
         force_noise=force_noise,
         cutoff=cutoff or None,
-        readings=noise_levels(reading_noise) or {},
+        readings=noise_levels(reading_noise, "--reading-noise", "contact.force_medial=0.2") or {},
     )
     allowed, scenes = check_limits(limit), [trial.scene for trial in knee.load()]
     operation = _operation(amounts, meet or [], samples, confidence)

@@ -11,6 +11,7 @@ from typer import Option
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
+from pftwin.cli.named_numbers import numbers_between_colons, numbers_by_name
 from pftwin.cli.scenes import TrialsOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
@@ -269,54 +270,33 @@ def names_in(text: str) -> tuple[str, ...]:
 
 def bounds_of(given: list[str] | None) -> float | dict[str, tuple[float, float]]:
     """A share, or bounds by name, from "0.3" or "name=low:high"; InputError for anything else."""
-    by_name = {}
-    for text in given or []:
-        name, _, pair = (part.strip() for part in text.rpartition("="))
-        try:
-            if not name and len(given or []) == 1:
-                return float(pair)
-            low, high = (float(value) for value in pair.split(":"))
-        except ValueError:
-            name = ""
-        if not name or name in by_name:
-            expected = 'a share, such as 0.3; or "L1=0.03:0.05", each parameter once'
-            raise InputError(f"found {text!r}", where="--bounds", expected=expected)
-        by_name[name] = (low, high)
-    return by_name or _SHARE
+    if not given:
+        return _SHARE
+    if len(given) == 1 and len(share := numbers_between_colons(given[0])) == 1:
+        return share[0]
+    return _pairs(given, "--bounds", 'a share, such as 0.3; or "L1=0.03:0.05"')
 
 
-def noise_levels(given: list[str] | None) -> dict[str, float] | None:
+def noise_levels(
+    given: list[str] | None, option: str = "--noise", example: str = "position=2e-4"
+) -> dict[str, float] | None:
     """Standard deviations from "channel=sd"; InputError for anything else."""
-    return _deviations(given, "--noise", "position=2e-4")
+    return {name: sd for name, (sd,) in numbers_by_name(given, option, f'such as "{example}"').items()} or None
 
 
 def deviations_between(given: list[str] | None) -> dict[str, float] | None:
     """The same of numbers that differ between trials."""
-    return _deviations(given, "--varies", "L1=5e-4")
-
-
-def _deviations(given: list[str] | None, option: str, example: str) -> dict[str, float] | None:
-    found = {}
-    for text in given or []:
-        name, _, value = (part.strip() for part in text.partition("="))
-        if name in found:
-            raise InputError(f"{name!r} is given twice", where=option, expected="each once")
-        try:
-            found[name] = float(value)
-        except ValueError:
-            raise InputError(f"found {text!r}", where=option, expected=f'such as "{example}"') from None
-    return found or None
+    return noise_levels(given, "--varies", "L1=5e-4")
 
 
 def time_spans(given: list[str] | None) -> list[tuple[float, float]]:
     """Spans from "from:to"; InputError for anything else."""
     found = []
     for text in given or []:
-        try:
-            first, last = (float(value) for value in text.split(":"))
-        except ValueError:
-            raise InputError(f"found {text!r}", where="--during", expected='such as "0:0.5"') from None
-        found.append((first, last))
+        numbers = numbers_between_colons(text)
+        if len(numbers) != 2:
+            raise InputError(f"found {text!r}", where="--during", expected='such as "0:0.5"')
+        found.append(numbers)
     return found
 
 
@@ -329,12 +309,8 @@ def within(scene: Scene, spans: list[tuple[float, float]]) -> Scene:
 
 def check_limits(given: list[str] | None) -> dict[str, tuple[float, float]] | None:
     """Pairs from "name=named:refused"; InputError for anything else."""
-    found = {}
-    for text in given or []:
-        name, _, pair = text.partition("=")
-        try:
-            named, refused = (float(value) for value in pair.split(":"))
-        except ValueError:
-            raise InputError(f"found {text!r}", where="--limit", expected='such as "force=0.2:0.8"') from None
-        found[name.strip()] = (named, refused)
-    return found or None
+    return _pairs(given, "--limit", 'such as "force=0.2:0.8"') or None
+
+
+def _pairs(given: list[str] | None, option: str, expected: str) -> dict[str, tuple[float, float]]:
+    return {name: (one, other) for name, (one, other) in numbers_by_name(given, option, expected, (2,)).items()}

@@ -13,6 +13,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import exit_flagged
+from pftwin.cli.named_numbers import numbers_by_name
 from pftwin.cli.scenes import RecordingOptions, on_scene
 
 
@@ -79,15 +80,6 @@ def predict(
 
 def _values(given: list[str] | None) -> dict[str, float | tuple[float, float]]:
     """Numbers and ranges by name, from "name=value" and "name=low:high"."""
-    found: dict[str, float | tuple[float, float]] = {}
-    for text in given or []:
-        name, _, value = (part.strip() for part in text.partition("="))
-        try:
-            numbers = [float(part) for part in value.split(":")]
-        except ValueError:
-            numbers = []
-        if name in found or not 1 <= len(numbers) <= 2:
-            said = "given twice" if name in found else f"found {text!r}"
-            raise InputError(said, where="--set", expected='such as "quadriceps.tension[:]=40", or "=20:60", each once')
-        found[name] = numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
-    return found
+    expected = 'such as "quadriceps.tension[:]=40", or "=20:60"'
+    found = numbers_by_name(given, "--set", expected, (1, 2))
+    return {name: own[0] if len(own) == 1 else (own[0], own[1]) for name, own in found.items()}

@@ -10,8 +10,9 @@ import typer
 from typer import Option
 from typer.core import TyperGroup
 
-from pftwin.base.errors import InputError, PftwinError, PftwinWarning
+from pftwin.base.errors import PftwinError, PftwinWarning
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
+from pftwin.cli.named_numbers import numbers_by_name
 from pftwin.cli.plugins import installed_commands
 from pftwin.cli.scenes import allow_outside, limits
 from pftwin.cli.terminal import tell
@@ -75,16 +76,8 @@ def _options(
 ) -> None:
     """Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."""
     allow_outside.set(outside)
-    limits.set(dict(_limit(text) for text in allow or []))
-
-
-def _limit(text: str) -> tuple[str, float]:
-    """A limit's name and value; InputError for anything else."""
-    name, _, value = text.partition("=")
-    try:
-        return name.strip(), float(value)
-    except ValueError:
-        raise InputError(f"found {text!r}", where="--allow", expected="a limit, such as most_mass_kg=5") from None
+    allowed = numbers_by_name(allow, "--allow", "a limit, such as most_mass_kg=5")
+    limits.set({name: value for name, (value,) in allowed.items()})
 
 
 COMMANDS = installed_commands()

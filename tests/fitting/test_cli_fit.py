@@ -108,8 +108,12 @@ def test_mistakes_at_the_command_line(toy, tmp_path):
     assert 'such as "force=0.2:0.8"' in refused("fit", toy, "-o", tmp_path / "fit.json", "--limit", "force=0.2")
     assert "no limit 'forces'" in refused("fit", toy, "-o", tmp_path / "fit.json", "--limit", "forces=0.2:0.8")
     for bounds in ("K1=", "=1:2", "K1=1", "wide"):
-        assert "each parameter once" in refused("fit", toy, "-o", tmp_path / "fit.json", "--bounds", bounds)
-    assert "each parameter once" in refused("fit", toy, "-o", tmp_path / "fit.json", *2 * ("--bounds", "K1=100:200"))
+        assert "each once" in refused("fit", toy, "-o", tmp_path / "fit.json", "--bounds", bounds)
+    for option, value in (("--bounds", "K1=100:200"), ("--limit", "force=0.2:0.8")):
+        twice = refused("fit", toy, "-o", tmp_path / "fit.json", *2 * (option, value))
+        assert f"{option}: {value.split('=')[0]!r} is given twice" in twice
+    readings = refused("calibrate", toy, "-o", tmp_path / "c.json", "--method", "least_squares", "--reading-noise", "a")
+    assert "--reading-noise: found 'a'" in readings
     assert 'such as "0:0.5"' in refused("fit", toy, "-o", tmp_path / "fit.json", "--during", "0.5")
     assert "spans of the recording" in refused("fit", toy, "-o", tmp_path / "fit.json", "--during", "7:8")
     assert "FROM:TO" in refused("fit", toy, "-o", tmp_path / "fit.json", "--during", "0.1:0.05")

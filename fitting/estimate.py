@@ -353,30 +353,18 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
-            since: dict[str, Any] = {"verdict": "", "doubts": [], "time_shifts": {}, "share": 1.0, "coordinates": []}
-            since |= {"step_error": {}, "status": "", "status_frames": {}, "nuisance": {}, "besides": [], "draws": None}
-            since |= {
-                "trial_rmse": {},
-                "varies": {},
-                "differences": [],
-                "kinds": [],
-                "readings": {},
-                "covariances": {},
-                "substeps": 0,
-            }
-            content = since | content  # older files have none of these
-            known = {k: content[k] for k in Estimate.__dataclass_fields__ if k != "trials"}
+            names = set(Estimate.__dataclass_fields__) - {"trials"}
+            found = Estimate(**{k: v for k, v in content.items() if k in names})  # older files lack some with defaults
             for key in _ARRAYS:
-                known[key] = np.asarray(known[key], dtype=float)
-            known["draws"] = None if known["draws"] is None else np.asarray(known["draws"], dtype=float)
+                setattr(found, key, np.asarray(getattr(found, key), dtype=float))
+            found.draws = None if found.draws is None else np.asarray(found.draws, dtype=float)
             for key in ("names", "units", "channels", "coordinates", "besides", "kinds"):
-                known[key] = tuple(known[key])
-            known["differences"] = tuple((int(at), int(trial)) for at, trial in known["differences"])
-            known["nuisance"] = Nuisance(**known["nuisance"])
-            known["doubts"] = [str(doubt) for doubt in known["doubts"]]
-            for key in ("priors", "time_shifts"):
-                known[key] = {k: (v[0], v[1]) for k, v in known[key].items()}
+                setattr(found, key, tuple(getattr(found, key)))
+            found.differences = tuple((int(at), int(trial)) for at, trial in found.differences)
+            found.nuisance = Nuisance(**content.get("nuisance", {}))
+            found.doubts = [str(doubt) for doubt in found.doubts]
+            found.priors = {k: (v[0], v[1]) for k, v in found.priors.items()}
+            found.time_shifts = {k: (v[0], v[1]) for k, v in found.time_shifts.items()}
         except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
             raise InputError(f"no estimate: {error}", where=path, expected=f"a file of {FORMAT!r}") from None
-        found = Estimate(**known)
         return found if scene is None else found.about(scene)

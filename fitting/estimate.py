@@ -20,8 +20,7 @@ from fitting.sensors import Sensors
 from fitting.uncertainty import NORMAL_95, SERIAL, Undetermined, in_words
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.base.output import written_whole
-from pftwin.base.text_files import read_json
+from pftwin.base.text_files import read_json, write_text
 from pftwin.model.scene import Scene
 from pftwin.results.verdict import INVALID
 
@@ -333,10 +332,8 @@ class Estimate:
         Raises:
             OutputError: it cannot be written.
         """
-        target = Path(path)
-        with written_whole(target) as temporary:
-            temporary.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
-        return target
+        write_text(path, json.dumps(self.to_dict(), indent=2) + "\n")
+        return Path(path)
 
     @staticmethod
     def load(path: str | os.PathLike[str], scene: Scene | Sequence[Scene] | None = None) -> Estimate:

@@ -16,8 +16,7 @@ from typing import Any, Literal
 
 from fitting.cohort.description import Cohort, Patient
 from pftwin.base.errors import InputError
-from pftwin.base.output import written_whole
-from pftwin.base.text_files import MESH_BYTES, read_json
+from pftwin.base.text_files import MESH_BYTES, read_json, write_text
 
 PATIENTS = "patients"  # folder of the units' files
 
@@ -168,8 +167,7 @@ class Manifest:
             OutputError: it cannot be written.
         """
         content = {"format": FORMAT, "date": now(), "versions": versions(), **asdict(self)}
-        with written_whole(folder / NAME) as temporary:
-            temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        write_text(folder / NAME, json.dumps(content, indent=1) + "\n")
 
     @staticmethod
     def load(folder: Path) -> Manifest:

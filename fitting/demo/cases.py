@@ -157,11 +157,10 @@ def _fit_note(r_squared: dict[str, float]) -> str:
 
 
 def _write_csv(means: dict[str, Validation], path: Path) -> None:
-    from pftwin.base.output import written_whole
+    from pftwin.base.text_files import write_text
 
     lines = ["row,unit," + ",".join(f"{c},paper_{c}" for c in means)]
     for rows in _rows(means):
         cells = [f"{x:.6g}" if x is not None else "" for row in rows for x in (row.value, row.paper)]
         lines.append(",".join([f'"{rows[0].label}"', rows[0].unit, *cells]))
-    with written_whole(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")

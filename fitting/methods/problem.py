@@ -27,8 +27,7 @@ from fitting.programs import POSITION
 from fitting.trials_evaluator import TrialsEvaluator
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.base.output import written_whole
-from pftwin.base.text_files import read_json
+from pftwin.base.text_files import read_json, write_text
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.scene import Scene
 
@@ -230,9 +229,7 @@ def save_checkpoint(path: Path, problem: str, state: dict[str, Any]) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    text = json.dumps({"format": FORMAT, "problem": problem, "state": _plain(state)})
-    with written_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, json.dumps({"format": FORMAT, "problem": problem, "state": _plain(state)}))
 
 
 def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def _existing_or_new(folder: Path, cohort: str, resume: bool) -> Manifest:
         if there := [name for name in (PATIENTS, SUMMARY) if (folder / name).exists()]:
             expected = "an empty folder, or one that pftwin cohort wrote"
             raise InputError(f"holds {there[0]} and no {NAME}", where=folder, expected=expected, remedy=_ANOTHER)
-        return Manifest(cohort)
+        return Manifest(cohort, {}, {}, None)
     manifest = Manifest.load(folder)
     if manifest.cohort != cohort:
         problem = f"holds results of the cohort {manifest.cohort!r}"

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from fitting.cohort.description import Cohort, Patient
 from pftwin.base.errors import InputError
@@ -134,14 +136,22 @@ class Announced:
     before: str | None  # None: there was no summary
 
 
+def _checked_name(name: str) -> str:
+    """Refuses file names that leave the manifest's folder: the manifest may come from a stranger."""
+    parts = PurePosixPath(name).parts
+    if len(parts) != 2 or parts[0] != PATIENTS or parts[1] == "..":
+        raise ValueError(f"it names the file {name!r}")
+    return name
+
+
 @dataclass
 class Manifest:
     """What `manifest.json` holds. It is written after every unit, whole or not at all."""
 
     cohort: str
-    files: dict[str, Entry] = field(default_factory=dict)  # by name in the cohort's folder
-    failures: dict[str, Failure] = field(default_factory=dict)  # by patient
-    summary: Announced | None = None
+    files: dict[Annotated[str, AfterValidator(_checked_name)], Entry]  # by name in the cohort's folder
+    failures: dict[str, Failure]  # by patient
+    summary: Announced | None
 
     def record(self, unit: Unit, folder: Path, seconds: float) -> None:
         """Records a unit whose file has been written.
@@ -181,13 +191,11 @@ class Manifest:
         try:
             if content["format"] != FORMAT:
                 raise ValueError(f"its format is {content['format']!r}")
-            files = {_checked_name(name): _known_fields(Entry, entry) for name, entry in content["files"].items()}
-            failures = {name: _known_fields(Failure, failure) for name, failure in content["failures"].items()}
-            summary = None if content["summary"] is None else _known_fields(Announced, content["summary"])
-            return Manifest(str(content["cohort"]), files, failures, summary)
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+            return TypeAdapter(Manifest).validate_python(content)  # ignores what a later version may have added
+        except (ValueError, KeyError, TypeError) as error:
+            said = _first_fault(error) if isinstance(error, ValidationError) else str(error)
             remedy = "another folder (--out); or, to compute everything anew, empty this one"
-            raise InputError(f"no manifest: {error}", where=path, expected=_EXPECTED, remedy=remedy) from None
+            raise InputError(f"no manifest: {said}", where=path, expected=_EXPECTED, remedy=remedy) from None
 
 
 def file_fault(entry: Entry, path: Path) -> str | None:
@@ -208,15 +216,7 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _known_fields(kind: type[Any], content: dict[str, Any]) -> Any:
-    """Ignores fields that a later version may have added."""
-    known = {f.name for f in fields(kind)}
-    return kind(**{k: v for k, v in content.items() if k in known})
-
-
-def _checked_name(name: str) -> str:
-    """Refuses file names that leave the manifest's folder: the manifest may come from a stranger."""
-    parts = PurePosixPath(name).parts
-    if len(parts) != 2 or parts[0] != PATIENTS or parts[1] == "..":
-        raise ValueError(f"it names the file {name!r}")
-    return name
+def _first_fault(error: ValidationError) -> str:
+    """Where the first fault is, and what."""
+    first = error.errors()[0]
+    return f"{', '.join(map(repr, first['loc']))}: {first['msg'].removeprefix('Value error, ')}"

@@ -74,7 +74,9 @@ class Watched:
         """Judges what a kill has left."""
         begun = len(self.log.read_text().splitlines()) if self.log.exists() else 0
         place = self.cohort.output
-        manifest = Manifest.load(place) if (place / "manifest.json").exists() else Manifest(self.cohort.name)
+        manifest = (
+            Manifest.load(place) if (place / "manifest.json").exists() else Manifest(self.cohort.name, {}, {}, None)
+        )
         for name, entry in manifest.files.items():
             assert file_fault(entry, place / name) is None, name
         now = {name: entry.sha256 for name, entry in manifest.files.items()}

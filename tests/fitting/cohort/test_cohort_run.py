@@ -190,6 +190,17 @@ def test_a_damaged_manifest(tmp_path, content):
         run_cohort(cohort, resume=True, work=CheapWork())
 
 
+def test_a_damaged_entry_is_named(tmp_path):
+    cohort = cheap(tmp_path, 1)
+    run_cohort(cohort, work=CheapWork())
+    path = cohort.output / "manifest.json"
+    path.write_text(path.read_text().replace('"bytes": ', '"later": 1, "bytes": "x", "bytes_then": '))
+    with pytest.raises(InputError, match=r"no manifest: 'files', 'patients/A.*', 'bytes': Input should be .* integer"):
+        check_cohort(cohort)
+    path.write_text(path.read_text().replace('"bytes": "x", "bytes_then": ', '"bytes": '))  # with a field of later
+    assert check_cohort(cohort)
+
+
 def test_a_manifest_names_files_in_its_folder_alone(tmp_path):
     cohort = cheap(tmp_path, 1)
     run_cohort(cohort, work=CheapWork())

@@ -52,8 +52,6 @@ class Progress(NamedTuple):
     of: int  # at most
     best: float
     spread: float
-    elapsed: float  # [s]
-    left: float  # at most, at the pace so far [s]
 
 
 def fit_tendons(
@@ -167,7 +165,7 @@ def fit_tendons(
         problem.evaluator.prepare(TOGETHER)
         compiled = compiled_aside(knee.unnamed())
         doubts = plain_look(problem, allowed)
-        found = infer(problem, Sensors.of(besides), seed, count, rounds, _told(progress, began))
+        found = infer(problem, Sensors.of(besides), seed, count, rounds, _told(progress))
         if not found.interrupted:
             besides, draws = at_own_lengths(problem, besides, found.answer.draws)
             scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
@@ -234,14 +232,12 @@ def _check_simulations(
     return found["simulations"], found["rounds"]
 
 
-def _told(progress: Callable[[Progress], None] | None, began: float) -> Callable[[dict[str, float], int], None]:
+def _told(progress: Callable[[Progress], None] | None) -> Callable[[dict[str, float], int], None]:
     """What is told of a round."""
 
     def tell(entry: dict[str, float], most: int) -> None:
         if progress is not None:
-            done, elapsed = int(entry["iteration"]), time.perf_counter() - began
-            left = (most - done) * elapsed / done
-            progress(Progress(SIMULATIONS, done, most, entry["best"], entry["spread"], elapsed=elapsed, left=left))
+            progress(Progress(SIMULATIONS, int(entry["iteration"]), most, entry["best"], entry["spread"]))
 
     return tell
 
@@ -326,7 +322,7 @@ def _run(
         state = {**search.begin(), "iteration": 0, "evaluations": 0, "history": [], "interrupted": False}
         state.setdefault("starts", search.starts)
     state["interrupted"] = False
-    began, first, saved = time.perf_counter(), state["iteration"], time.perf_counter()
+    saved = time.perf_counter()
     try:
         while state["stopped"] is None:
             request = search.ask(state)
@@ -342,9 +338,7 @@ def _run(
                 save_checkpoint(path, identity, state)
                 saved = now
             if report is not None:
-                done, most = state["iteration"], search.most_iterations
-                left = max(most - done, 0) * (now - began) / (done - first)
-                report(Progress(search.name, done, most, **found, elapsed=now - began, left=left))
+                report(Progress(search.name, state["iteration"], search.most_iterations, **found))
     except KeyboardInterrupt:
         state["interrupted"] = True
         if path is not None:

@@ -276,10 +276,6 @@ class LikelihoodProfile:
     theta: Floats  # (k, p) the others' best values
     interval: tuple[float, float]  # 95 %; infinite where the profile does not rise that far
 
-    def is_closed(self) -> bool:
-        """Whether both ends were found."""
-        return bool(np.isfinite(self.interval).all())
-
 
 def profile_likelihood(
     estimate: Estimate,

@@ -25,8 +25,7 @@ class Uncertainty(NamedTuple):
     """The uncertainty of a fit."""
 
     covariance: Floats  # (p, p)
-    information: Floats  # (p, p) of measurements and priors, as if noise were independent
-    condition: float  # condition number of the information on relative parameters
+    condition: float  # condition number of the information on relative parameters, as if noise were independent
     serial: float  # correlation of neighbouring residuals, over all channels
 
 
@@ -49,7 +48,7 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
     scale = np.abs(sizes(parameters.names, parameters.upper - parameters.lower, theta, parameters.coordinates))
     values = np.linalg.eigvalsh(information * np.outer(scale, scale))
     condition = float(values[-1] / values[0]) if values[0] > 0 else np.inf
-    return Uncertainty(0.5 * (covariance + covariance.T), information, condition, serial)
+    return Uncertainty(0.5 * (covariance + covariance.T), condition, serial)
 
 
 def scaled_by_noise(objective: Objective, r: Floats, j: Floats) -> tuple[Floats, Floats]:

@@ -25,13 +25,13 @@ from pftwin.dynamics.batch.member import frames_with_flags, run_with_error, scen
 from pftwin.dynamics.batch.retry import SMALLER
 from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.frame_states import starting_equilibrium
-from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import observe_on_the_way
 from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.scene import Scene
 
 _NEAR = 48  # equilibria found from the scene's own start; all other searches start from the nearest of these
+_INTEGRATOR = BDF2()
 _FEWEST = 16  # least members of a chunk: fewer cost as much
 
 
@@ -45,7 +45,6 @@ class Recipe(NamedTuple):
     substeps: Array  # () a traced number: one program for all steps
     threshold: float
     trajectories: bool
-    integrator: Integrator = BDF2()
 
     def made(self, amounts: Array, theta: Array) -> Scene:
         """The scene of one member: parameters first, then the treatment."""
@@ -54,7 +53,7 @@ class Recipe(NamedTuple):
 
     def observed(self, scene: Scene, substeps: Array) -> tuple[CourseFrame, Array]:
         """The member's observations (frames,) and their status."""
-        options: Any = {"substeps": substeps, "integrator": self.integrator}
+        options: Any = {"substeps": substeps, "integrator": _INTEGRATOR}
         seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), **options)
         return seen, status
 
@@ -65,7 +64,7 @@ class Recipe(NamedTuple):
     def course_with_error(self, scene: Scene) -> tuple[Course, CourseFrame]:
         """The member's motion, flagged where its steps are too long, and its observations."""
         (seen, status), error = run_with_error(
-            lambda n: self.observed(scene, n), lambda found: found[0].compared(), self.substeps, self.integrator.order
+            lambda n: self.observed(scene, n), lambda found: found[0].compared(), self.substeps, _INTEGRATOR.order
         )
         return course_of(scene, seen, status | error.flags.astype(status.dtype), self.groove), seen
 

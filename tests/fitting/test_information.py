@@ -158,13 +158,11 @@ def test_the_profile_of_a_linear_model_is_its_parabola(fitted, i, factor):
     expected = VALUES + (profile.values - VALUES[i])[:, None] * column
     np.testing.assert_allclose((profile.theta - expected) / estimate.standard_deviations, 0, atol=1e-4)
     np.testing.assert_allclose(profile.interval, VALUES[i] + 1.959964 * sd * np.array([-1, 1]), rtol=1e-6)
-    assert profile.is_closed()
 
 
 def test_a_profile_that_does_not_rise_far_is_open(fitted):
     profile = fitting.profile_likelihood(fitted(), "L1", reach=1.0)
     assert profile.interval == (-np.inf, np.inf)
-    assert not profile.is_closed()
 
 
 def test_a_profile_finds_the_others_best_values_from_a_wrong_covariance(fitted):

@@ -31,7 +31,7 @@ from fitting.objective import Objective
 from fitting.programs import ORIENTATION, POSITION, unit_of
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.base.quantities import as_read
+from pftwin.base.quantities import shown
 
 Limits = Mapping[str, tuple[float, float]]
 
@@ -215,12 +215,6 @@ def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float], readi
             off, rest = (shown(x, unit_of(channel, readings), 2) for x in (error.rms, left[channel]))
             found.append(f"the fit's time steps are off by {off} rms of {channel}, beside {rest} that it leaves")
     return found
-
-
-def shown(value: float, unit: str, digits: int) -> str:
-    """A number in the unit that people read, with so many digits."""
-    scale, told = as_read(unit)
-    return f"{scale * value:.{digits}g} {told}".removesuffix(" 1")
 
 
 def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fitting.channel_checks import shown
 from fitting.coverage import Coverage, coverage_of
 from fitting.nuisance import EXACT, REACH, Nuisance
 from fitting.parameters import Applied, weights_in
@@ -20,6 +19,7 @@ from fitting.sensors import Sensors
 from fitting.uncertainty import NORMAL_95, SERIAL, Undetermined, in_words
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
+from pftwin.base.quantities import shown
 from pftwin.base.text_files import read_json, write_text
 from pftwin.model.scene import Scene
 from pftwin.results.verdict import INVALID

@@ -156,9 +156,13 @@ class Evaluator:
     @cached_property
     def fine(self) -> int:
         """Steps between two frames for the final answer: more, where those of the nominal motion are too long."""
+        return self.short_enough()
+
+    def short_enough(self, *, slopes: bool = True) -> int:
+        """Steps between two frames that are short enough for the nominal motion; `slopes` as `step_errors` has them."""
         steps = self.first
         for _ in range(HALVINGS):
-            errors = self.step_errors(self.parameters.nominal, steps)
+            errors = self.step_errors(self.parameters.nominal, steps, slopes=slopes)
             if not any(e.large for e in errors.values()):
                 break
             steps *= 2

@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from fitting.channel_checks import limits_of
-from fitting.evaluation import HALVINGS, Evaluator
 from fitting.first_look import plain_look
 from fitting.fit import SPRING_PARAMETERS
 from fitting.inference.infer import MOST_NUMBERS, TOGETHER, check_enough, check_size
@@ -32,7 +31,6 @@ from fitting.sensors import Sensors
 from fitting.set_up import SetUp, bridged, from_nominal, refuse_weights
 from fitting.trained import Probes, TrainedPosterior
 from fitting.trials import free_in_trials, objective_of, trials_of
-from fitting.trials_evaluator import TrialsEvaluator
 from pftwin.base.arrays import Floats, Rows
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.measured import Measured
@@ -91,7 +89,7 @@ def train_posterior(
     check_size(problem.parameters, simulations, numbers)
     problem.evaluator.prepare(TOGETHER)
     doubts = plain_look(problem, allowed)
-    substeps = _substeps(problem.evaluator, problem.parameters.nominal)
+    substeps = problem.evaluator.short_enough(slopes=False)
     random, region = np.random.default_rng(seed), Region(problem.parameters)
     probed = region.drawn(_PROBES, random)
     held, seen = from_nominal(problem, substeps, probed)
@@ -114,16 +112,6 @@ def train_posterior(
         time.perf_counter() - began,
         doubts=tuple(doubts),
     )
-
-
-def _substeps(evaluator: Evaluator | TrialsEvaluator, nominal: Floats) -> int:
-    """Steps between two frames that are short enough for the nominal knee."""
-    substeps = evaluator.first
-    for _ in range(HALVINGS):
-        if not any(e.large for e in evaluator.step_errors(nominal, substeps, slopes=False).values()):
-            break
-        substeps *= 2
-    return substeps
 
 
 def _simulated(

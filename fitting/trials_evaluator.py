@@ -66,6 +66,10 @@ class TrialsEvaluator:
         """As `Evaluator.fine`, likewise."""
         return max(self._of_the_first(each, each.fine) for each in self.evaluators)
 
+    def short_enough(self, *, slopes: bool = True) -> int:
+        """As `Evaluator.short_enough`, likewise."""
+        return max(self._of_the_first(each, each.short_enough(slopes=slopes)) for each in self.evaluators)
+
     @property
     def in_turns(self) -> bool:
         """As `Evaluator.in_turns`, of any trial."""

@@ -53,8 +53,7 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
 
 def scaled_by_noise(objective: Objective, r: Floats, j: Floats) -> tuple[Floats, Floats]:
     """Residuals (n, m) and derivatives (n, m, p) in units of the noise, zero where nothing was measured."""
-    assert objective.noise is not None
-    sigma = np.array([objective.noise[c] for c in objective.channels])[objective.group_of]
+    sigma = objective.noise_columns
     present = objective.present
     return np.where(present, r / sigma, 0.0), np.where(present[..., None], j / sigma[:, None], 0.0)
 

@@ -210,7 +210,7 @@ class Calibration:
 
     def prediction_rows(self) -> list[tuple[str, ...]]:
         """Of a table of bands: likewise; half widths as outcomes are read, in mm, degrees, newtons and per cent."""
-        read = [_as_read(name) for name in OUTCOMES]
+        read = [as_read(MEASURES[name].unit, percent=True) for name in OUTCOMES]
         words = [f"{name.replace('_', ' ')} [{unit}]" for name, (_, unit) in zip(OUTCOMES, read, strict=True)]
         return _table(self.predictions, OUTCOMES, words, np.array([scale for scale, _ in read]))
 
@@ -260,8 +260,3 @@ def _table(
 ) -> list[tuple[str, ...]]:
     columns = [answers.column(names, scales) for answers in kinds.values()]
     return list(zip(("answered", *words, "verdict"), *columns, strict=True))
-
-
-def _as_read(outcome: str) -> tuple[float, str]:
-    scale, unit = as_read(MEASURES[outcome].unit)
-    return (100.0, "%") if unit == "1" else (scale, unit)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+from fitting.demo.cells import number_cell
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import report_written_on_interrupt
 from pftwin.cli.terminal import (
@@ -79,8 +80,8 @@ def _table_2(study: PaperStudy, case: int) -> Sheet:
     for row in table_2(study):
         own = [value for (n, _), value in row.values.items() if n == case]
         if any(value is not None for value in own):
-            cells = [_number(v, signed=row.unit == "%") for v in own]
-            rows.append((f"{row.label}, {row.unit}", *cells, _number(row.paper[case])))
+            cells = [number_cell(v, signed=row.unit == "%") for v in own]
+            rows.append((f"{row.label}, {row.unit}", *cells, number_cell(row.paper[case])))
     return Sheet(title, ("", "A", "B", "C", "paper"), tuple(rows), words=(0,), narrow=True)
 
 
@@ -113,10 +114,3 @@ def _outcomes(study: PaperStudy) -> Sheet:
     agrees = {None: "", True: "yes", False: "NO"}
     rows = tuple((str(r.case), r.springs, r.text, agrees[r.as_measured]) for r in outcome_rows(study))
     return Sheet(title, ("case", "springs", "outcome", "as measured"), rows, narrow=True)
-
-
-def _number(value: float | None, *, signed: bool = False) -> str:
-    if value is None:
-        return "-"
-    digits = ".1g" if abs(value) < 0.1 else ".3g" if abs(value) < 1000 else ".0f"
-    return f"{value:{'+' if signed else ''}{digits}}"

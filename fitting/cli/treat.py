@@ -127,9 +127,9 @@ def optimise(
     terminal.check_outputs(output, json)
     terminal.start_computing(batches=True)
     treatment, ranges = treatment_within(amounts)
+    from fitting.prediction.predicting import reservations
     from fitting.treatments.limits import Limit, in_units
     from fitting.treatments.optimise import optimise_treatment
-    from pftwin.model.measured import SYNTHETIC
 
     stated = [Limit.parsed(text) for text in limit]
     found = _loaded(estimate)
@@ -147,10 +147,7 @@ def optimise(
             dt=dt,
         )
 
-    notes = [] if found is None else [f"INVALID estimate: {doubt}" for doubt in found.doubts]
-    notes += [SYNTHETIC] if chosen.scene.synthetic else []
-    if found is not None and found.synthetic:
-        notes.append("the parameters were estimated from synthetic measurements")
+    notes = reservations(found, chosen.scene.synthetic)
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
     files = [] if output is None else [output]
     for path in files:

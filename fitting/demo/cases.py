@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fitting.demo.cells import number_cell, write_csv
 from pftwin.base.sheet import Sheet
 
 if TYPE_CHECKING:
@@ -69,7 +70,9 @@ def run_demo(
         SHARED,
         f"results, figures and table1.csv are in {folder}",
     ]
-    _write_csv(means, folder / "table1.csv")
+    headings = ["row", "unit", *(name for c in means for name in (c, f"paper_{c}"))]
+    lines = [[r[0].label, r[0].unit, *(v for row in r for v in (row.value, row.paper))] for r in _rows(means)]
+    write_csv(folder / "table1.csv", headings, lines)
     facts = {
         "label": rig.measured(1).source,
         "synthetic": True,
@@ -102,7 +105,7 @@ def _table(means: dict[str, Validation]) -> Sheet:
     lines = []
     for rows in _rows(means):
         cells = [
-            _number(value)
+            number_cell(value)
             for found, row in zip(sources.values(), rows, strict=True)
             for value in (row.value, row.paper)[: len(found)]
         ]
@@ -115,12 +118,6 @@ def _rows(means: dict[str, Validation]) -> list[tuple[ValidationRow, ...]]:
     from pftwin.results.metrics import PAPER_TABLE_1
 
     return list(zip(*(v.to_rows(c if c in PAPER_TABLE_1 else None) for c, v in means.items()), strict=True))
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.1g}" if abs(value) < 0.1 else f"{value:.3g}"
 
 
 def _outcomes(results: dict[int, dict[str, Result]]) -> list[dict[str, Any]]:
@@ -154,13 +151,3 @@ def _fit_note(r_squared: dict[str, float]) -> str:
         f"R^2 of the fits to the femoral component: {ours}. The virtual component was tuned to these figures of the"
         " paper's: that they are near each other shows nothing."
     )
-
-
-def _write_csv(means: dict[str, Validation], path: Path) -> None:
-    from pftwin.base.text_files import write_text
-
-    lines = ["row,unit," + ",".join(f"{c},paper_{c}" for c in means)]
-    for rows in _rows(means):
-        cells = [f"{x:.6g}" if x is not None else "" for row in rows for x in (row.value, row.paper)]
-        lines.append(",".join([f'"{rows[0].label}"', rows[0].unit, *cells]))
-    write_text(path, "\n".join(lines) + "\n")

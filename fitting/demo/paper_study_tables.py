@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from fitting.demo.cells import write_csv
 from fitting.demo.paper_study import (
     CASES,
     FITS,
@@ -21,13 +21,12 @@ from fitting.demo.paper_study import (
     PaperStudy,
     values_of,
 )
-from pftwin.base.output import written_whole
+from pftwin.base.quantities import as_read
 from pftwin.dynamics.status import status_facts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SHOWN = {"m": (1e3, "mm")}  # lengths as people read them
 SPRINGS = {
     "paper": "fitted, paper's objective",
     "positions": "fitted by simulations",
@@ -96,7 +95,7 @@ def spring_rows(study: PaperStudy, fit: str) -> Iterator[SpringRow]:
     found, lines = study.fits[fit], values_of(study.nearest)
     errors, errors_of_line = study.errors(fit), study.errors_of_line(fit)
     for i, name in enumerate(found.names[: found.asked]):
-        scale, unit = _SHOWN.get(found.units[i], (1.0, found.units[i]))
+        scale, unit = as_read(found.units[i])
         low, high = found.intervals[i]
         truths = {"nominal": found.nominal[i], "line": lines[i]}
         covered = " and ".join(what for what, value in truths.items() if low <= value <= high)
@@ -214,8 +213,8 @@ def save(study: PaperStudy, folder: Path) -> list[Path]:
     ]
     springs = [[fit, *row] for fit in FITS for row in spring_rows(study, fit)]
     written = [
-        _write_csv(folder / "table2.csv", ["row", "unit", *columns], lines),
-        _write_csv(folder / "springs.csv", ["fit", *SpringRow._fields], springs),
+        write_csv(folder / "table2.csv", ["row", "unit", *columns], lines),
+        write_csv(folder / "springs.csv", ["fit", *SpringRow._fields], springs),
     ]
     for fit, found in study.fits.items():
         written.append(found.save(folder / ("fit.json" if fit == "paper" else f"fit_{fit}.json")))
@@ -236,12 +235,3 @@ def figure(study: PaperStudy, case: int) -> Figure:
     if case != PATHOLOGY:
         title += f" with what was fitted to case {PATHOLOGY}"
     return case_figure(results, rig.measured(case), title)
-
-
-def _write_csv(path: Path, headings: list[str], lines: Iterable[list[Any]]) -> Path:
-    with written_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(headings)
-        for line in lines:
-            writer.writerow([f"{v:.6g}" if isinstance(v, float) else v for v in line])
-    return path

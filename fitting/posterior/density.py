@@ -95,10 +95,9 @@ class Density:
 def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Residuals in units of their noise, priors' last (N, k), derivatives (N, k, p), and which are usable (N,)."""
     target, parameters = problem.objective, problem.parameters
-    assert target.noise is not None
     seen = problem.evaluator.with_slopes(theta, problem.evaluator.fine)
     assert seen.slopes is not None
-    sigma = np.array([target.noise[g] for g in target.groups])[target.group_of] / np.sqrt(target.share)
+    sigma = target.noise_columns / np.sqrt(target.share)
     values = np.where(seen.usable[:, None, None], seen.values, 0.0)
     n, p = theta.shape
     r = (target.residuals(values) / sigma).reshape(n, -1)

@@ -17,7 +17,7 @@ from scipy.special import ndtri
 from fitting.estimate import Estimate
 from fitting.measured_channels import check_times
 from fitting.prediction.predicted_motion import COORDINATES, LEVEL, PredictedMotion
-from fitting.prediction.predicting import check_draws, estimate_and_draws
+from fitting.prediction.predicting import check_draws, estimate_and_draws, reservations
 from fitting.programs import ORIENTATION, POSITION, TURNS
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -26,7 +26,7 @@ from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.batch.simulate_batch import simulate_batch
 from pftwin.dynamics.batch.variants import Variants
-from pftwin.model.measured import SYNTHETIC, Measured
+from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 from pftwin.model.scene_parameters import find
 from pftwin.results.verdict import INVALID, is_invalid, verdict_of_counts
@@ -88,10 +88,8 @@ def predict_motion(
         verdict = f"INVALID: {lost} of {samples} draws have no motion that may be spoken of"
     notes = [f"{samples} draws, and what the fit left: {_left_in_words(left)}"]
     notes += [f"{lost} draws without a motion left out"] if lost else []
-    notes += [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
     notes += [f"the fitted motion: {estimate.verdict}"] if estimate.verdict.startswith(INVALID) else []
-    notes += [SYNTHETIC] if scene.synthetic or (measured is not None and measured.synthetic) else []
-    notes += ["the parameters were estimated from synthetic measurements"] if estimate.synthetic else []
+    notes += reservations(estimate, scene.synthetic or (measured is not None and measured.synthetic))
     low, high = _band(paths[1:][good[1:]], paths[0], left)
     seen, compared = _seen(measured, paths[0])
     ends = (low, high, seen, compared, verdict, tuple(notes))

@@ -13,6 +13,7 @@ from fitting.coverage import NOT_KNOWN
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
+from pftwin.dynamics.status import status_facts_of_counts
 from pftwin.results.verdict import INVALID
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def short_name(data: Dataset, name: str) -> str:
 def in_shown_unit(data: Dataset, name: str) -> tuple[Floats, str]:
     """An amount in the unit shown to readers, and that unit: lengths in millimetres, shares in percent."""
     values, unit = data[name].values, data[name].attrs["units"]
-    scale, unit = (100.0, "%") if unit == "1" else as_read(unit)
+    scale, unit = as_read(unit, percent=True)
     return scale * values, unit
 
 
@@ -281,14 +282,7 @@ def facts(data: Dataset) -> dict[str, Any]:
     bands = {name: list(central_and_range(data[name])[1:]) for name in drawn}
     variants = [{n: values[i] for n, values in columns.items()} for i in range(data.sizes["variant"])]
     if "status_frames" in first:
-        trust = (_trust(first["status_frames"].isel(variant=i)) for i in range(data.sizes["variant"]))
-        variants = [{**variant, **said} for variant, said in zip(variants, trust, strict=True)]
+        counts = first["status_frames"].values
+        variants = [{**variant, **status_facts_of_counts(n)} for variant, n in zip(variants, counts, strict=True)]
     coverage = {"coverage": coverage_in(data)} if drawn else {}
     return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands, **coverage}
-
-
-def _trust(frames: DataArray) -> dict[str, Any]:
-    """As `pftwin.dynamics.status.status_facts`, from how many frames of a variant have each flag."""
-    counts = {str(name): int(n) for name, n in zip(frames["flag"].values, frames.values, strict=True)}
-    words = [str(w) for w, n in zip(frames.attrs["flags"], counts.values(), strict=True) if n]
-    return {"status": "; ".join(words) or "ok", "status_frames": counts}

@@ -160,6 +160,19 @@ def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floa
     return np.concatenate([values[None], drawn])
 
 
+def reservations(estimate: Fitted | None, synthetic: bool) -> list[str]:
+    """What is to be said beside whatever is predicted: doubts about the estimate, and what is synthetic.
+
+    Args:
+        estimate: that it is predicted with; None: with a scene's own parameters.
+        synthetic: whether a recorded motion is.
+    """
+    said = [] if estimate is None else [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
+    said += [SYNTHETIC] if synthetic else []
+    learned = estimate is not None and estimate.synthetic
+    return [*said, "the parameters were estimated from synthetic measurements"] if learned else said
+
+
 def _check(samples: int, dt: float, threshold: float, chunk: int, estimate: Fitted | None) -> None:
     check_draws(samples, estimate)
     if not (isinstance(chunk, int) and chunk >= 1):
@@ -300,9 +313,7 @@ def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: 
 
     names = list(dict.fromkeys(b.scene.name for b in batches))
     synthetic = estimate is not None and estimate.synthetic
-    said = [] if estimate is None else [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
-    said += [SYNTHETIC] if any(b.scene.synthetic for b in batches) else []
-    said += ["the parameters were estimated from synthetic measurements"] if synthetic else []
+    said = reservations(estimate, any(b.scene.synthetic for b in batches))
     return {
         "title": f"predicted outcomes: {', '.join(names)}",
         "source": f"pftwin {__version__}",

@@ -14,7 +14,7 @@ from fitting.prediction.outcomes import MEASURES
 from fitting.treatments import Treatment
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.base.quantities import as_read
+from pftwin.base.quantities import shown
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -105,8 +105,7 @@ def in_si(values: DataArray) -> Floats:
 
 def in_units(outcome: str, value: float) -> str:
     """An outcome's value in the units shown: lengths in mm, angles in degrees."""
-    scale, unit = as_read(MEASURES[outcome].unit)
-    return f"{scale * value:.4g} {unit}".removesuffix(" 1")
+    return shown(value, MEASURES[outcome].unit, 4)
 
 
 @dataclass(frozen=True)

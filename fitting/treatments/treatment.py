@@ -14,10 +14,9 @@ from jaxtyping import Array, ArrayLike
 
 from fitting.treatments import changes
 from pftwin.base.errors import InputError
+from pftwin.base.quantities import as_read
 from pftwin.base.spatial import Scalar
 from pftwin.model.scene import Scene
-
-_SHOWN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "1": (100.0, "%")}  # at the edges
 
 
 class Way(NamedTuple):
@@ -30,15 +29,15 @@ class Way(NamedTuple):
     @property
     def shown_unit(self) -> str:
         """The unit in which people read it."""
-        return _SHOWN[self.unit][1]
+        return as_read(self.unit, percent=True)[1]
 
     def shown(self, value: ArrayLike) -> np.ndarray:
         """In that unit."""
-        return _SHOWN[self.unit][0] * np.asarray(value, dtype=np.float64)
+        return as_read(self.unit, percent=True)[0] * np.asarray(value, dtype=np.float64)
 
     def from_shown(self, value: Any) -> np.ndarray:
         """In SI from that unit."""
-        return np.asarray(value, dtype=np.float64) / _SHOWN[self.unit][0]
+        return np.asarray(value, dtype=np.float64) / as_read(self.unit, percent=True)[0]
 
 
 class TreatmentKind(NamedTuple):

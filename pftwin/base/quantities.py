@@ -132,6 +132,13 @@ def bounded_leaves(structure: Any) -> tuple[tuple[Quantity, tuple[int, ...]], ..
 _READ = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 
 
-def as_read(unit: str) -> tuple[float, str]:
-    """What a number of a unit is multiplied by for people, and the unit then: millimetres and degrees."""
-    return _READ.get(unit, (1.0, unit))
+def as_read(unit: str, *, percent: bool = False) -> tuple[float, str]:
+    """What a number of a unit is multiplied by for people, and the unit then: millimetres and degrees; `percent`: of
+    pure numbers too, which are shares."""
+    return (100.0, "%") if percent and unit == "1" else _READ.get(unit, (1.0, unit))
+
+
+def shown(value: float, unit: str, digits: int) -> str:
+    """A number in the unit that people read, with so many digits."""
+    scale, told = as_read(unit)
+    return f"{scale * value:.{digits}g} {told}".removesuffix(" 1")

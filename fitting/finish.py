@@ -5,7 +5,7 @@ and its curvature is not that of the motion. On the rig's case 1, in which the p
 1.7 ms leave jumps of 5 nats within a per cent of the springs' stiffness, those of 0.8 ms jumps of 0.4, and those of
 0.4 ms none. Searches use long steps nevertheless, for they have far to go. Then the steps are halved until the
 estimate, with the covariance that is reported, no longer changes; and where there are priors, the measurements are
-weighed against them (`fitting.correlated`).
+weighed against them (`share_of_independent`).
 """
 
 from __future__ import annotations
@@ -16,15 +16,22 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fitting.correlated import share_at
 from fitting.methods.least_squares import LeastSquares
 from fitting.parameters import Parameters
-from fitting.uncertainty import inverse_information, uncertainty
+from fitting.uncertainty import (
+    SERIAL,
+    inverse_information,
+    long_run_score,
+    scaled_by_noise,
+    serial_correlation,
+    uncertainty,
+)
 from pftwin.base.arrays import Floats
 
 if TYPE_CHECKING:
     from fitting.evaluation import Evaluator
     from fitting.methods.problem import Method, Problem, State
+    from fitting.objective import Objective
     from fitting.trials_evaluator import TrialsEvaluator
 
 
@@ -34,6 +41,8 @@ _UNSETTLED = (
     "time steps half as long would still change the values by a third of their standard deviations, or these by a fifth"
 )
 _BY_BOUNDS = 12.0  # information of an even distribution between bounds, by shares of the range
+_WHOLE = 0.95  # shares above this change nothing that could be seen
+_OPEN = 1e-10  # of the largest eigenvalue: directions with less information are not determined
 
 
 def finished(search: Method, state: State, run: Callable[[Method], State]) -> tuple[Method, State]:
@@ -102,6 +111,45 @@ def _weighed(problem: Problem, theta: Floats) -> Problem:
     if not problem.weighs_priors:
         return problem
     return replace(problem, objective=replace(problem.objective, share=share_at(problem, theta)))
+
+
+def share_of_independent(objective: Objective, r: Floats, j: Floats) -> float:
+    """How much correlated residuals count beside priors: 1 without correlation.
+
+    Measurements whose residuals resemble their neighbours' repeat each other. Counted as independent they drown the
+    priors. Their log likelihood is therefore multiplied by a share w before priors are added, as in power posteriors:
+    the inverse of the mean inflation, over the p directions of the parameters, of the score's long-run variance (Newey
+    & West 1987) over what it would be without correlation. Sources: Bissiri, Holmes & Walker 2016, JRSS B 78:1103
+    (general Bayesian updating); Holmes & Walker 2017, Biometrika 104:497 (w by matching information).
+
+    Args:
+        objective: of known noise.
+        r: residuals (n, m).
+        j: their derivatives (n, m, p).
+    """
+    z, a = scaled_by_noise(objective, r, j)
+    serial = serial_correlation(z, objective.present)
+    if serial <= SERIAL:
+        return 1.0
+    information = np.einsum("tmp,tmq->pq", a, a)
+    size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    vectors = vectors / size[:, None]
+    told = values > _OPEN * values[-1]
+    spread = np.einsum("pi,pq,qi->i", vectors, long_run_score(a, z, serial, objective.frames), vectors)
+    return float(min(1.0, 1 / np.mean(spread[told] / values[told])))
+
+
+def share_at(problem: Problem, theta: Floats) -> float:
+    """w of a problem's measurements at the least of its quadratic model at parameters (p,); 1 where it is nearly 1."""
+    target = problem.objective
+    seen = problem.prediction(theta, problem.evaluator.fine)
+    if not seen.usable[0] or seen.slopes is None:
+        return 1.0
+    j = target.slopes(seen.slopes, seen.values)[0]
+    r = target.residuals(seen.values)[0] + j @ problem.ahead(theta, problem.evaluator.fine)
+    share = share_of_independent(target.known(target.noise or target.noise_of(r, len(theta))), r, j)
+    return 1.0 if share > _WHOLE else share
 
 
 class Told(NamedTuple):

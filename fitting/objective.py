@@ -65,7 +65,7 @@ class Objective:
     loss: str
     synthetic: bool
     source: str
-    share: float = 1.0  # of the likelihood that counts beside priors: see `fitting.correlated`
+    share: float = 1.0  # of the likelihood that counts beside priors: see `fitting.finish`
     frames: tuple[slice, ...] = (slice(None),)  # those of each trial: see `fitting.trials`
     sources: tuple[str, ...] = ()  # of the measurements of each of several trials
     metric: Metric | None = None  # where frames or columns do not count alike

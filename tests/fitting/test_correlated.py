@@ -7,8 +7,7 @@ import pytest
 from linear_problems import NOMINAL, design, parameters, problem, run
 from scipy.linalg import toeplitz
 
-from fitting.correlated import share_of_independent
-from fitting.finish import finished
+from fitting.finish import finished, share_of_independent
 from fitting.methods.least_squares import LeastSquares
 
 SIGMA = np.array([0.02, 0.02, 0.02, 0.5])

@@ -126,7 +126,33 @@ class PredictedMotion:
         return Dataset(variables, coordinates, {**about, "note": "; ".join(self.notes)})
 
     def figure(self) -> Figure:
-        """Six panels over time: the band, the estimate's motion, and what was measured."""
-        from fitting.prediction.motion_figure import motion_figure
+        """Six panels over time: the band, the estimate's motion, and what was measured; frames that are not compared
+        stand on grey."""
+        from pftwin.results.plots.style import MEASURED, SMALL, house_style, legend_below, line, panels_in_rows
+        from pftwin.results.plots.style import title as name_figure
 
-        return motion_figure(self)
+        with house_style():
+            figure, panels = panels_in_rows(len(COORDINATES), 3, height=2.1)
+            title = f"{self.scene_name}, predicted, with bands of {100 * LEVEL:.0f} %"
+            name_figure(figure, title, "; ".join(self.notes) or None)
+            for k, (ax, (unit, meaning)) in enumerate(zip(panels, COORDINATES.values(), strict=True)):
+                look = line(0)
+                ends = self.low[:, k], self.high[:, k]
+                ax.fill_between(self.times, *ends, alpha=0.25, color=look["color"], linewidth=0, label="band")
+                if self.measured is not None:
+                    ax.plot(self.times, self.measured[:, k], label=self.label, **MEASURED)
+                ax.plot(self.times, self.value[:, k], label="predicted", zorder=2, **look)
+                for first, last in self._not_compared():
+                    ax.axvspan(first, last, color="black", alpha=0.08, linewidth=0)
+                ax.set(xlabel="time [s]", ylabel=f"{meaning} [{unit}]")
+                ax.yaxis.label.set_fontsize(SMALL)
+            handles, labels = panels[0].get_legend_handles_labels()
+            legend_below(figure, handles, labels, most=4)
+        return figure
+
+    def _not_compared(self) -> list[tuple[float, float]]:
+        """Spans of time, where other frames are compared."""
+        if not self.compared.any():
+            return []
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], (~self.compared).astype(int), [0]])))
+        return [(float(self.times[a]), float(self.times[b - 1])) for a, b in edges.reshape(-1, 2)]

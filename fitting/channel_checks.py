@@ -20,7 +20,7 @@ before any number of the estimate.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -104,9 +104,8 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
     Raises:
         InputError: a channel to which another reading lies nearer than the limit allows.
     """
-    found = []
-    for r in readings(objective, trials):
-        named, refused = limits["reading"]
+    found, (named, refused) = [], limits["reading"]
+    for r in _alike(r for r in readings(objective, trials) if r.times >= named):
         said = f"{_listed(r.channels)} {r.words}"
         if r.times >= refused:
             raise InputError(
@@ -115,9 +114,23 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
                 expected=_expected(r.channels, objective.readings),
                 remedy=f"correct the file; or, if it is right, {raised('reading', limits, r.times)}",
             )
-        if r.times >= named:
-            found.append(f"{said} ({r.times:.2g} times nearer to the twin)")
+        found.append(f"{said} ({r.times:.2g} times nearer to the twin)")
     return found
+
+
+def _alike(found: Iterable[Reading]) -> list[Reading]:
+    """Single channels that look alike as one reading of them all, the farthest off in front: who corrects a file hears
+    of all of its forces at once."""
+    together: dict[tuple[str, ...], Reading] = {}
+    for r in found:
+        key = (r.words,) if len(r.channels) == 1 else r.channels
+        before = together.get(key)
+        together[key] = (
+            r
+            if before is None
+            else before._replace(channels=before.channels + r.channels, times=max(before.times, r.times))
+        )
+    return sorted(together.values(), key=lambda r: -r.times)
 
 
 def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
@@ -305,4 +318,5 @@ def _listed(channels: tuple[str, ...]) -> str:
     """The channels and their verb."""
     if channels == (POSITION,):
         return "measured positions look"
-    return f"measured {' and '.join(channels)} {'look' if len(channels) > 1 else 'looks'}"
+    first, last = ", ".join(channels[:-1]), channels[-1]
+    return f"measured {first} and {last} look" if first else f"measured {last} looks"

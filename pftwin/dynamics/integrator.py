@@ -28,8 +28,9 @@ class Diagnostics(NamedTuple):
 class Integrator(ABC):
     """A way to take one step: a value with its options, which can be compared and hashed.
 
-    Derive from it for one of your own: `advance` and `order`, and `begin` where a step needs more of the last one than
-    the state holds, which goes into `State.carried`.
+    Derive from it for one of your own: `advance` and `order`, a class attribute or a property, and `begin` where a step
+    needs more of the last one than the state holds, which goes into `State.carried`. Fields in there that are called as
+    in `Diagnostics` are told.
     """
 
     name: ClassVar[str]  # by which the command line and files call it
@@ -59,8 +60,8 @@ class Integrator(ABC):
         return state
 
     def diagnostics(self, state: State) -> Diagnostics:
-        """What it tells in what a state carries."""
-        return Diagnostics()
+        """What it tells: the fields of these names in what a state carries."""
+        return Diagnostics(*(getattr(state.carried, name, None) for name in Diagnostics._fields))
 
     @property
     def text(self) -> str:

@@ -244,7 +244,7 @@ def test_a_frame_tells_of_the_worst_of_its_steps(held):
     bad = eqx.tree_at(lambda s: s.carried.residual, state, J(0.3))
     assert float(chosen.diagnostics(chosen.with_worst_residual(state, bad)).residual) == 0.3
     assert float(chosen.diagnostics(chosen.with_residual_cleared(bad)).residual) == 0
-    alone = integrator_from_text("linear_implicit")
+    alone, state = integrator_from_text("linear_implicit"), starting_state(scene, start)
     assert alone.with_residual_cleared(state) is state
     assert alone.diagnostics(state).residual is None
 

@@ -35,7 +35,7 @@ from pftwin.dynamics.ali3p.natural_coordinates import (
 )
 from pftwin.dynamics.ali3p.newton import BETA, GAMMA, Predicted, penalty_of, solved_step
 from pftwin.dynamics.ali3p.projection import constrained
-from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
+from pftwin.dynamics.integrator import Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 
@@ -65,17 +65,13 @@ class ALI3P(Integrator):
 
     penalty: float = 0.0
     name: ClassVar[str] = "ali3p"
+    order: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         if self.penalty and not self.penalty >= 10:
             raise InputError(
                 f"found penalty = {self.penalty:g}", where="ali3p", expected="at least 10 times the patella's mass"
             )
-
-    @property
-    def order(self) -> int:
-        """2."""
-        return 2
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """The state with its natural coordinates, and the accelerations and multipliers that solve its equations.
@@ -94,10 +90,6 @@ class ALI3P(Integrator):
         second_rate, multipliers = constrained(metric, jacobian(place, to), scale, forces, wanted)
         nothing = jnp.zeros_like(state.position.x)
         return with_carried(state, ALI3PStep(place, rate, second_rate, multipliers, nothing, nothing))
-
-    def diagnostics(self, state: State) -> Diagnostics:
-        """The last change of the velocity of a step that is not solved [m/s], and the constraints' drift [m]."""
-        return Diagnostics(residual=state.carried.residual, drift=state.carried.drift)
 
     def advance(
         self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None

@@ -46,11 +46,7 @@ class BDF2(Integrator):
     """The linearly implicit step of order two: see above."""
 
     name: ClassVar[str] = "linear_implicit_bdf2"
-
-    @property
-    def order(self) -> int:
-        """2."""
-        return 2
+    order: ClassVar[int] = 2
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """The state without a past."""

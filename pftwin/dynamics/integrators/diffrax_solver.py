@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion, Scalar, Twist, Vec3
-from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
+from pftwin.dynamics.integrator import Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger, Powers
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
 
@@ -104,10 +104,6 @@ class Diffrax(Integrator):
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """The state with a first guess of the solver's own step."""
         return with_carried(state, DiffraxStep(FIRST * step, jnp.zeros_like(step)))
-
-    def diagnostics(self, state: State) -> Diagnostics:
-        """1 where the solver gave up."""
-        return Diagnostics(residual=state.carried.residual)
 
     def advance(
         self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None

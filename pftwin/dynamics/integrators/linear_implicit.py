@@ -25,11 +25,7 @@ class LinearImplicit(Integrator):
     """The linearly implicit step of order one: see above."""
 
     name: ClassVar[str] = "linear_implicit"
-
-    @property
-    def order(self) -> int:
-        """1."""
-        return 1
+    order: ClassVar[int] = 1
 
     def advance(
         self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None

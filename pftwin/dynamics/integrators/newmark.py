@@ -24,7 +24,7 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
+from pftwin.dynamics.integrator import Integrator, with_carried
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.solve import changed_by, six, solution_changes, tangent_of
@@ -142,10 +142,6 @@ class Newmark(Integrator):
         loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
         now = acceleration(system, state.spin, loads)
         return with_carried(state, NewmarkStep(now, now, jnp.zeros_like(now.linear.x)))
-
-    def diagnostics(self, state: State) -> Diagnostics:
-        """The last change of the velocity of a step that is not solved [m/s]."""
-        return Diagnostics(residual=state.carried.residual)
 
     def advance(
         self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
+from pftwin.dynamics.integrator import Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, advance, gyroscopic
 from pftwin.model.effects.base import Load
@@ -35,19 +35,11 @@ class SymplecticEuler(Integrator):
     """Explicit, of order one: see above."""
 
     name: ClassVar[str] = "symplectic_euler"
-
-    @property
-    def order(self) -> int:
-        """1."""
-        return 1
+    order: ClassVar[int] = 1
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """The state with what the integrator tells: nothing yet."""
         return with_carried(state, EulerStep(jnp.zeros_like(state.position.x)))
-
-    def diagnostics(self, state: State) -> Diagnostics:
-        """By how much the step is beyond the limit of stability."""
-        return Diagnostics(residual=state.carried.residual)
 
     def advance(
         self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar, Twist
-from pftwin.dynamics.integrator import Diagnostics, Integrator, with_carried
+from pftwin.dynamics.integrator import Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.quasi_static.branch import Branch, displacement_of
 from pftwin.dynamics.quasi_static.solution import carried_along, over_a_snap, solved
@@ -49,22 +49,14 @@ class QuasiStatic(Integrator):
     """Motion without inertia: see above."""
 
     name: ClassVar[str] = "quasi_static"
+    order: ClassVar[int] = 2
     inertia: ClassVar[bool] = False
-
-    @property
-    def order(self) -> int:
-        """2."""
-        return 2
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """The state without a past; it goes on with the velocity that it has."""
         zero = jnp.zeros_like(state.position.x)
         displacement = Twist(state.velocity, state.spin).times(step)
         return with_carried(state, QuasiStaticStep(displacement, zero, jnp.zeros((6, 6), zero.dtype), zero, zero))
-
-    def diagnostics(self, state: State) -> Diagnostics:
-        """What is left of the balance [N], and the snaps."""
-        return Diagnostics(residual=state.carried.residual, snaps=state.carried.snaps)
 
     def advance(
         self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
